@@ -252,6 +252,9 @@ def fit_on(
     starts, minima = rows.starts_and_minima(train, found)
     left = diagnose_residuals(train, linear, result.simulations)
     result = replace(result, starts=starts, minima=minima, diagnostics=left, shooting=summary)
+    if segmented and summary is not None:
+        asked = plan.uncertainty.asked
+        result = replace(result, shooting=replace(summary, left_out=asked))
     if not segmented and not runner.interrupted:
         if problem.effects:
             result = with_shapes(runner, train, result)

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+import numpy as np
+
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.problem.problem import Problem
 from workers.messages import Effect, Experiment
 
+NEAR = 1e-6
+"""Distance of a strength from its lower bound, over the range of both, that is none."""
 FILTERED = (
     "process noise ({names}): errors, curves and residuals are those of predictions from each "
     "measured time to the next, by an extended Kalman filter, and not of a simulation that goes "
@@ -23,6 +29,33 @@ def process_noise_notes(problem: Problem) -> tuple[str, ...]:
     """Say what errors mean where there is process noise."""
     names = noise_names(problem)
     return (FILTERED.format(names=", ".join(names)),) if names else ()
+
+
+def vanished_noise(
+    problem: Problem, values: Mapping[str, float], bounds: Mapping[str, tuple[float, float]]
+) -> tuple[str, ...]:
+    """Say which noise has come out at the lower end of its strength, and what that means.
+
+    Parameters
+    ----------
+    problem
+        Whose effects are looked at.
+    values, bounds
+        Of the estimates, by label.
+    """
+    found = []
+    for effect in problem.effects:
+        own = [label for label in values if label.partition("[")[0] == f"{effect.name}.q"]
+        for label in own if effect.is_noise else []:
+            lower, upper = bounds[label]
+            if values[label] <= lower + NEAR * (upper - lower if np.isfinite(upper) else 1.0):
+                found.append(
+                    f"{label} ended at its lower end, {values[label]:.3g}: the data are as likely "
+                    "without this noise as with a little of it, and the intervals of all other "
+                    "values are right only if there is none; take a profile of it "
+                    f"(uncertainty.profiles) or more data"
+                )
+    return tuple(found)
 
 
 def refuse_process_noise(problem: Problem, where: str) -> None:
@@ -75,6 +108,12 @@ def check_process_noise(problem: Problem) -> None:
         raise ProblemError(
             f'{where} needs cost.name = "sse", with which residuals are those of the likelihood, '
             f"but it is {problem.cost.name!r}; change one of the two"
+        )
+    acting = [(effect.site, effect.form) for effect in problem.effects if effect.is_noise]
+    if len(set(acting)) < len(acting):
+        raise ProblemError(
+            f"{where} must stand once at a site in each form, as only the sum of two could be "
+            "known, but stands there twice; remove one"
         )
     for experiment in problem.experiments:
         _check_experiment(experiment, where)

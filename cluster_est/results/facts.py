@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from cluster_est.problem.idle_inputs import silent_notes
-from cluster_est.problem.process_noise import process_noise_notes
+from cluster_est.problem.process_noise import process_noise_notes, vanished_noise
 from cluster_est.results.initial_errors import initial_notes
 from cluster_est.results.observation import observation_notes
 from cluster_est.results.output_errors import worse_than_constants
@@ -47,6 +47,10 @@ def fit_notes(result: Result) -> tuple[str, ...]:
     problem = result.problem
     notes = [*problem.notes(), *silent_notes(problem, problem.describe())]
     notes += process_noise_notes(problem)
+    values = {each.label: each.value for each in result.estimates}
+    notes += vanished_noise(
+        problem, values, {e.label: (e.lower, e.upper) for e in result.estimates}
+    )
     if result.shooting is not None:
         notes += result.shooting.sentences
     notes += initial_notes(problem, result.simulations)

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+SURPRISING = 1e-3
+"""P-value of the price of continuity up to which something is said."""
+
 
 @dataclass(frozen=True)
 class SegmentState:
@@ -48,6 +51,12 @@ class ShootingSummary:
     promised
         The least ratio of a standard error by the derivatives of whole records to that of the
         segments.
+    stopped
+        Whether a budget or the user ended the search.
+    free_cost, continuity_p
+        Of the segments while they need not follow each other, and the p-value of the rise since.
+    left_out
+        What was asked for and works on whole records alone.
     reason
         Why the segments led nowhere; "" if they did not fail.
     states
@@ -61,12 +70,32 @@ class ShootingSummary:
     whole_cost: float
     asked: int = 0
     promised: float = 1.0
+    stopped: bool = False
+    free_cost: float = np.nan
+    continuity_p: float = 1.0
+    left_out: tuple[str, ...] = ()
     reason: str = ""
     states: tuple[SegmentState, ...] = ()
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """What a user should know of it."""
+        return (*self._followed, *self._by_jumps)
+
+    @property
+    def _by_jumps(self) -> tuple[str, ...]:
+        """That the segments followed their data by jumps, if they did."""
+        if self.continuity_p > SURPRISING:
+            return ()
+        return (
+            f"while segments need not follow each other their cost is {self.free_cost:.4g}, as one "
+            f"trajectory {self.cost:.4g}: more than noise explains (p = {self.continuity_p:.1g}). "
+            "The search has ended at a wrong point (try other starts or shorter segments), the "
+            "model lacks something, or something unmeasured pushes it (process noise)",
+        )
+
+    @property
+    def _followed(self) -> tuple[str, ...]:
         if self.segments > self.asked > 0:
             shorter = (
                 f"records were cut into {self.segments} segments instead of {self.asked}, which "
@@ -91,13 +120,19 @@ class ShootingSummary:
             f"estimates, errors and curves are those of {self.segments} segments, each begun at "
             f"estimated states (segments.parquet); the largest jump between two is "
             f"{self.largest_jump:.2g} of a state's spread; test records are simulated in one "
-            "piece, and profiles, bootstrap and posterior were left out",
+            "piece",
             self._whole,
+            *(
+                f"{name} was asked for and left out, because it simulates whole records"
+                for name in self.left_out
+            ),
         )
 
     @property
     def _whole(self) -> str:
         """Why the segments were not joined."""
+        if self.stopped:
+            return "the search on segments was stopped before it reached a solution"
         if not np.isfinite(self.whole_cost):
             return "a training record cannot be simulated in one piece: the model is unstable"
         if self.promised < 1.0:

@@ -11,6 +11,7 @@ from cluster_est.executors import Executor, WorkerPool
 from cluster_est.executors.base import OutcomeSource
 from cluster_est.executors.log_replay import LogReplayExecutor
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.process_noise import check_process_noise
 from cluster_est.running.records import Budget, Note, Record, Show, TaskOrigin
 from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Runner
@@ -118,6 +119,7 @@ class RunEnvironment:
         ModelError, ExecutorError
             If there are no workers to be had.
         """
+        check_process_noise(problem)
         known = None if self.earlier is None else self.earlier.reset
         with self.source.lease(problem, self.resources, known) as (pool, decision):
             if self.monitor.reset is not None:
@@ -188,5 +190,8 @@ def open_executor(problem: Problem, resources: Resources) -> WorkerPool:
     ------
     ModelError, ExecutorError
         If there are none to be had.
+    ProblemError
+        If there is process noise where there cannot be.
     """
+    check_process_noise(problem)
     return open_with_reset(problem, resources)[0]

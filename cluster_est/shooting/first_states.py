@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,6 +17,8 @@ from workers.messages import FloatArray, Outcome, Trajectory
 EXACT = 1e-6
 """Residual of a state as a line in an output, over the state's spread, up to which it is one."""
 LEAST_SAMPLES = 4
+LEAST = 1e-3
+"""Spread of segments' starts, over what is known of it, that says nothing."""
 BEGINS = 1e-6
 """Distance of a segment's first state from what was set, over its size, that is none."""
 
@@ -65,6 +68,7 @@ def first_states(runner: Runner, segmented: SegmentedProblem, train: SearchSpace
     values = _at_start(segmented, train)
     starts = values[:, columns].copy()
     carried = np.full(len(segmented.segments), np.inf)
+    courses: list[FloatArray] = [np.zeros((0, len(columns)))] * len(segmented.segments)
     measured: tuple[MeasuredState, ...] = ()
     for number in range(max(segment.number for segment in segmented.segments) + 1):
         rows = [i for i, s in enumerate(segmented.segments) if s.number == number]
@@ -73,6 +77,7 @@ def first_states(runner: Runner, segmented: SegmentedProblem, train: SearchSpace
             measured = find_measured(segmented, rows, outcomes)
         for row, outcome in zip(rows, outcomes, strict=True):
             carried[row] = _cost(segmented, row, outcome)
+            courses[row] = _states(segmented, outcome.trajectory)
             _check_begin(segmented, row, outcome.trajectory, starts[row])
             if not segmented.segments[row].is_last:
                 reached = _states(segmented, outcome.trajectory)
@@ -87,7 +92,9 @@ def first_states(runner: Runner, segmented: SegmentedProblem, train: SearchSpace
     for row, outcome in zip(everything, outcomes, strict=True):
         if _cost(segmented, row, outcome) < carried[row]:
             starts[row] = again[row]
-    return FirstStates(starts, spread_of_states(segmented, starts, measured), measured)
+            courses[row] = _states(segmented, outcome.trajectory)
+    known = _spread_of_courses(segmented, courses)
+    return FirstStates(starts, spread_of_states(segmented, starts, measured, known), measured)
 
 
 def _simulate(
@@ -219,10 +226,28 @@ def _line(output: FloatArray, state: FloatArray) -> tuple[float, float] | None:
     return (float(offset), float(slope)) if left <= EXACT * spread else None
 
 
+def _spread_of_courses(segmented: SegmentedProblem, courses: Sequence[FloatArray]) -> FloatArray:
+    """(states,): the standard deviation of each along all segments; its nominal where that is 0."""
+    joined = np.concatenate(courses)
+    known = segmented.problem.describe().variables
+    nominal = np.array([known[name].nominal for name in segmented.states.names], np.float64)
+    if len(joined) < LEAST_SAMPLES:
+        return nominal
+    with np.errstate(over="ignore", invalid="ignore"):
+        spread = np.std(joined, axis=0)
+    return np.asarray(np.where(np.isfinite(spread) & (spread > 0.0), spread, nominal))
+
+
 def spread_of_states(
-    segmented: SegmentedProblem, starts: FloatArray, measured: tuple[MeasuredState, ...]
+    segmented: SegmentedProblem,
+    starts: FloatArray,
+    measured: tuple[MeasuredState, ...],
+    known: FloatArray,
 ) -> FloatArray:
-    """(states,): the standard deviation of each as it is measured, else over segments' starts."""
+    """(states,): the standard deviation of each as it is measured, else over segments' starts.
+
+    Where those hardly differ, it is what was known of it before.
+    """
     spread = np.std(starts, axis=0)
     for each in measured:
         values = [
@@ -232,5 +257,4 @@ def spread_of_states(
             if o.variable == each.output
         ]
         spread[each.state] = abs(each.slope) * float(np.std(np.concatenate(values)))
-    size = np.maximum(np.max(np.abs(starts), axis=0), 1e-12)
-    return np.asarray(np.where(np.isfinite(spread) & (spread > 1e-6 * size), spread, size))
+    return np.asarray(np.where(np.isfinite(spread) & (spread > LEAST * known), spread, known))

@@ -52,7 +52,8 @@ def _joined(segmented: SegmentedProblem, record: int, outcomes: list[Outcome]) -
         residuals[segment.places[own]] = outcome.residuals[own]
         kept = slice(None) if segment.is_last else path.times < segment.experiment.stop
         times.append(path.times[kept])
-        values.append(_columns(path, names)[kept])
+        columns = [path.variables.index(name) for name in names]
+        values.append(path.values[:, columns][kept])
     first = outcomes[rows[0]]
     return replace(
         first,
@@ -61,15 +62,6 @@ def _joined(segmented: SegmentedProblem, record: int, outcomes: list[Outcome]) -
         steps=sum(outcomes[row].steps for row in rows),
         seconds=sum(outcomes[row].seconds for row in rows),
     )
-
-
-def _columns(path: Trajectory, names: tuple[str, ...]) -> FloatArray:
-    """The values of some variables; NaN for one that was not measured in this segment."""
-    result = np.full((len(path.times), len(names)), np.nan)
-    for j, name in enumerate(names):
-        if name in path.variables:
-            result[:, j] = path.values[:, path.variables.index(name)]
-    return result
 
 
 def joined_solution(

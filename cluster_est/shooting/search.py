@@ -55,12 +55,15 @@ class SegmentSearch:
     ----------
     found
         The last solution.
+    loosest
+        The first one, while a difference between segments counted least.
     too_long
-        Whether they were given up, because segments do not follow their data even from the best
-        states.
+        Whether shorter segments are to be tried: these do not follow their data even from the best
+        states, or do not join.
     """
 
     found: SegmentSolution
+    loosest: SegmentSolution | None = None
     too_long: bool = False
 
 
@@ -95,9 +98,11 @@ def search_segments(
     strict = replace(method, differences=_without_sensitivities(method))
     space = searches.fitted_states(weighted(space, unit * WEIGHTS[0], spread), loose)
     before: SegmentSolution | None = None
+    loosest: SegmentSolution | None = None
     for weight in WEIGHTS:
         space = weighted(space, unit * weight, spread)
         found = searches.run(space, spread, loose, f"segments, continuity counts {weight:g}")
+        loosest = loosest or found
         if runner.interrupted or not found.works:
             return SegmentSearch(found)
         if before is None and not last:
@@ -112,7 +117,8 @@ def search_segments(
         before, space, spread = found, found.space, _spread(segmented, found, first)
         if found.solution.ending is Ending.STALLED:  # short differences see noise alone
             loose = replace(loose, differences="auto")
-    return SegmentSearch(searches.run(found.space, found.spread, strict, "segments, at the end"))
+    last_one = searches.run(found.space, found.spread, strict, "segments, at the end")
+    return SegmentSearch(last_one, loosest, not last and last_one.largest_jump > JOINED)
 
 
 @dataclass(frozen=True)
@@ -149,7 +155,7 @@ def _spread(segmented: SegmentedProblem, found: SegmentSolution, first: FirstSta
     """The spread of the states, where those that are not measured are found now."""
     columns = [segmented.problem.parameters.index(p) for p in segmented.states.parameters]
     starts = np.asarray(found.space.physical(found.solution.x)[:, columns])
-    return spread_of_states(segmented, starts, first.measured)
+    return spread_of_states(segmented, starts, first.measured, found.spread)
 
 
 def _settled(before: SegmentSolution, now: SegmentSolution) -> bool:

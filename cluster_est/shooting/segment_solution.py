@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.special import fdtrc
 
 from cluster_est.methods.base import Solution
 from cluster_est.methods.block_matrix import BlockMatrix
@@ -66,6 +67,22 @@ class SegmentSolution:
         count = len(self.space.continuity.ends)
         measured = self.space.rows[-1].stop - count
         return float(self.data_cost / max(measured - (self.space.size - count), 1))
+
+
+def price_of_continuity(loosest: SegmentSolution, found: SegmentSolution) -> float:
+    """Return the p-value of the rise in cost from free segments to one trajectory.
+
+    By the F distribution, each end of a segment that is no longer free being one degree: a small
+    value says that the segments followed their data by jumps that no noise explains.
+    """
+    assert found.space.continuity is not None
+    ends = len(found.space.continuity.ends)
+    measured = found.space.rows[-1].stop - ends
+    left = measured - found.space.size
+    rise = found.data_cost - loosest.data_cost
+    if ends == 0 or left <= 0 or not (rise > 0.0 and loosest.data_cost > 0.0):
+        return 1.0
+    return float(fdtrc(ends, left, (rise / ends) / (loosest.data_cost / left)))
 
 
 def _jumps(space: SearchSpace, solution: Solution) -> FloatArray:

@@ -171,9 +171,9 @@ def _edges(experiment: Experiment, shooting: Shooting) -> list[float]:
         count = max(int(np.ceil((stop - start) / shooting.length - 1e-9)), 1)
     else:
         count = shooting.segments or 1
-    wanted = np.linspace(start, stop, count + 1)[1:-1]
     if not len(inside):
         return [start, stop]
+    wanted = np.linspace(start, stop, min(count, len(inside) + 1) + 1)[1:-1]
     after = np.clip(np.searchsorted(inside, wanted), 1, len(inside) - 1) if len(inside) > 1 else 0
     before = np.maximum(after - 1, 0)
     nearer = np.where(
@@ -195,12 +195,9 @@ def _segment(
     outputs, places, first = [], [], 0
     for output in experiment.outputs:
         inside = (output.times >= start) & ((output.times < stop) | last)
-        if inside.any():
-            chosen = np.flatnonzero(inside)
-            outputs.append(
-                replace(output, times=output.times[chosen], values=output.values[chosen])
-            )
-            places.append(first + chosen)
+        chosen = np.flatnonzero(inside)  # none of them: it is recorded all the same
+        outputs.append(replace(output, times=output.times[chosen], values=output.values[chosen]))
+        places.append(first + chosen)
         first += len(output.times)
     if not last:
         _append_ends(outputs, places, stop, states)

@@ -12,15 +12,18 @@ from cluster_est.methods.base import Ending, Method, Solution
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.space import SearchSpace
 from cluster_est.results.output_errors import Simulation
-from cluster_est.results.segments import SegmentState, ShootingSummary
+from cluster_est.results.segments import SURPRISING, SegmentState, ShootingSummary
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.shooting.first_states import FirstStates, first_states
 from cluster_est.shooting.joined import joined_simulations, joined_solution
-from cluster_est.shooting.search import JOINED, search_segments
-from cluster_est.shooting.segment_solution import SegmentSolution
+from cluster_est.shooting.search import JOINED, SegmentSearch, search_segments
+from cluster_est.shooting.segment_solution import SegmentSolution, price_of_continuity
 from cluster_est.shooting.segments import SegmentedProblem, cut
 from cluster_est.shooting.settings import Shooting
 from cluster_est.shooting.space import make_segment_space
+
+LOWER = 0.99
+"""Cost of shorter segments, over that of the longer ones, from which on they change nothing."""
 
 
 @dataclass(frozen=True)
@@ -102,8 +105,9 @@ def shoot(
     segmented = check_shooting(train, method, shooting)
     asked, begin = len(segmented.segments), time.monotonic()
     taken: list[ShotFit] = []
+    best: ShotFit | None = None
     while True:
-        used = sum(shot.evaluations for shot in taken)
+        used = sum(each.evaluations for each in taken)
         shorter = shooting.halved(train.problem)
         shot = _shoot(
             environment.left(used, time.monotonic() - begin),
@@ -113,15 +117,20 @@ def shoot(
             last=shorter is None,
         )
         taken.append(shot)
-        if shorter is None or not shot.too_long:
+        if best is not None and shot.summary.cost > LOWER * best.summary.cost:
+            shot = best  # shorter segments lead to the same, so it is not for their length
+            break
+        best = None if shot.too_long else shot
+        followed = not shot.too_long and shot.summary.continuity_p > SURPRISING
+        if shorter is None or followed or shot.interrupted or shot.summary.stopped:
             break
         shooting, segmented = shorter, cut(train.problem, shorter)
     return replace(
         shot,
         summary=replace(shot.summary, asked=asked),
-        evaluations=sum(shot.evaluations for shot in taken),
-        simulated=sum(shot.simulated for shot in taken),
-        failures=sum(shot.failures for shot in taken),
+        evaluations=sum(each.evaluations for each in taken),
+        simulated=sum(each.simulated for each in taken),
+        failures=sum(each.failures for each in taken),
     )
 
 
@@ -149,7 +158,7 @@ def _shoot(
         return ShotFit(
             None if solution is None else _honest(solution, found),
             tuple(simulations),
-            _summary(segmented, first, found, works),
+            _summary(segmented, first, search, works),
             runner.interrupted,
             runner.evaluations,
             runner.simulations,
@@ -170,15 +179,19 @@ def _honest(solution: Solution, found: SegmentSolution) -> Solution:
 
 
 def _summary(
-    segmented: SegmentedProblem, first: FirstStates, found: SegmentSolution, works: bool
+    segmented: SegmentedProblem, first: FirstStates, search: SegmentSearch, works: bool
 ) -> ShootingSummary:
-    solution = found.solution
+    found, solution = search.found, search.found.solution
+    loosest = search.loosest
     return ShootingSummary(
         segments=len(segmented.segments),
         joined=False,
         largest_jump=found.largest_jump,
         cost=found.data_cost,
         whole_cost=np.nan,
+        stopped=solution.ending in (Ending.BUDGET, Ending.INTERRUPTED),
+        free_cost=np.nan if loosest is None else loosest.data_cost,
+        continuity_p=1.0 if loosest is None else price_of_continuity(loosest, found),
         reason="" if works else solution.message or str(solution.ending),
         states=_states(segmented, first, found) if works else (),
     )

@@ -68,7 +68,8 @@ def fit_whole_records(
     if runner.interrupted or cost < WORTH_TRYING * constants:
         begun = with_start(train, x)
         found = search_from_starts(runner, begun, method, Multistart(), seed)
-        enough = shot.solution.cost * (1.0 + AS_GOOD) + EXACT * constants
+        least = max(constants, float(len(train.outputs)))
+        enough = shot.solution.cost * (1.0 + AS_GOOD) + EXACT * least
         summary = replace(summary, promised=_promised(train, found.best, shot.solution))
         follows = found.best.cost <= enough and summary.promised > PROMISED
         if runner.interrupted or follows:

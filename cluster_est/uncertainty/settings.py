@@ -58,6 +58,16 @@ class UncertaintySettings:
     rise: float = field(default=0.0, metadata={"least": 0.0})
     at_once: int = field(default=16, metadata={"least": 1})
 
+    @property
+    def asked(self) -> tuple[str, ...]:
+        """Which of them are asked for, by their keys."""
+        every = {
+            "profiles": bool(self.profiles),
+            "bootstrap": self.bootstrap > 0,
+            "posterior": self.posterior > 0,
+        }
+        return tuple(f"uncertainty.{key}" for key, wanted in every.items() if wanted)
+
     def __post_init__(self) -> None:
         check_options(self, "uncertainty", ProblemError)
         named = as_tuple(self.profiles, str, "uncertainty.profiles", ProblemError)

@@ -516,7 +516,7 @@ def form(kind: SiteKind, name: str, where: str) -> EffectForm:
     if (kind, name) in PROCESS_NOISE:
         return PROCESS_NOISE[kind, name]
     if (kind, name) not in FORMS:
-        known = [n for k, n in FORMS if k == kind]
+        known = [n for k, n in (*FORMS, *PROCESS_NOISE) if k == kind]
         raise EffectError(
             f"{where}: there is no form {name!r} for a site of kind {kind}{nearest(name, known)}"
         )

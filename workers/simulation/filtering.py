@@ -41,18 +41,23 @@ class FilterPass:
         return 1
 
     def standardised(self, grid: SignalGrid) -> FloatArray:
-        """Return (residuals,): innovations whose sum of squares has its least at the likelihood's.
+        """Return (residuals,): innovations whose sum of squares is -2 log likelihood.
 
-        With relative variances s = S / sigma^2 and their geometric mean g^2 the residuals are
-        g e / (sigma sqrt(s)): the likelihood with a common factor of all variances, at the best
-        such factor (C. F. Ansley, Biometrika 66 (1979) 59-65, doi:10.1093/biomet/66.1.59).
+        Up to a constant that is e'e / S + log(S / sigma^2), summed over all values. The second part
+        is not negative, as S is at least sigma^2; so the innovations over their spreads,
+        r = e / sqrt(S), are lengthened until their squares have both:
+
+            r sqrt(1 + sum log(S / sigma^2) / r'r).
+
+        Records add up, whatever their lengths and times.
         """
-        innovations = self.kalman.innovations.ravel()[grid.gather] / grid.sigmas
-        relative = self.kalman.spreads.ravel()[grid.gather] / grid.sigmas**2
-        if not len(relative):
-            return innovations
-        mean = np.exp(0.5 * np.mean(np.log(relative)))
-        return np.asarray(mean * innovations / np.sqrt(relative))
+        spreads = self.kalman.spreads.ravel()[grid.gather]
+        plain = self.kalman.innovations.ravel()[grid.gather] / np.sqrt(spreads)
+        squares = float(np.add.reduce(plain * plain))
+        if squares == 0.0:
+            return np.asarray(plain)
+        wider = max(float(np.add.reduce(np.log(spreads / grid.sigmas**2))), 0.0)
+        return np.asarray(plain * np.sqrt(1.0 + wider / squares))
 
 
 @dataclass(frozen=True)

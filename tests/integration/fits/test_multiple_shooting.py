@@ -203,10 +203,10 @@ def test_workers_and_their_order_change_no_bit(standing):
 
 
 def test_segments_that_are_too_long_are_cut_in_halves_and_that_is_said():
-    result = ce.fit(standing_rod(), shooting={"segments": 8})
+    result = ce.fit(standing_rod(), shooting={"segments": 2})
     assert near(result, ROD)
-    assert result.shooting.segments > result.shooting.asked == 8
-    assert any("instead of 8, which were too long" in note for note in result.notes)
+    assert result.shooting.segments > result.shooting.asked == 2
+    assert any("instead of 2, which were too long" in note for note in result.notes)
 
 
 def test_segments_that_lead_nowhere_are_said():
@@ -282,3 +282,37 @@ def test_what_cannot_be_is_one_sentence(tmp_path, capsys, override, sentence):
     printed = " ".join(capsys.readouterr().err.split())
     assert sentence in printed
     assert "Traceback" not in printed
+
+
+def test_a_price_of_continuity_that_no_noise_explains_is_said(standing):
+    assert standing.shooting.continuity_p > 0.01
+    problem = standing.problem
+    run = problem.experiments[0]
+    wave = 3.0 * np.sin(2.0 * run.outputs[0].times)
+    pushed = replace(run, outputs=tuple(
+        replace(o, values=o.values + o.sigma * wave) for o in run.outputs))  # fmt: skip
+    result = ce.fit(replace(problem, experiments=(pushed,)), shooting={"segments": 32})
+    assert result.shooting.continuity_p < 1e-3
+    assert any("more than noise explains" in note for note in result.notes)
+
+
+def test_a_budget_that_runs_out_is_no_sign_of_chaos():
+    problem = spring_problem(2, 100, noise=0.01).problem
+    resources = ce.Resources(budget=ce.Budget(evaluations=40))
+    result = ce.fit(problem, resources=resources, shooting={"segments": 5})
+    assert not result.success
+    said = " ".join(result.notes)
+    assert "chaotic" not in said
+    assert "budget is used up" in said or "was stopped before it reached a solution" in said
+
+
+def test_a_length_in_a_wrong_unit_is_as_many_segments_as_samples():
+    problem = spring_problem(1, 20, noise=0.01).problem
+    result = ce.fit(problem, shooting={"length": 1e-9})
+    assert result.shooting.segments == 19
+
+
+def test_what_works_on_whole_records_is_said_to_be_left_out(standing):
+    settings = ce.UncertaintySettings(profiles=("m_cart",))
+    result = ce.fit(standing.problem, shooting={"segments": 32}, uncertainty=settings)
+    assert "uncertainty.profiles was asked for and left out" in " ".join(result.notes)

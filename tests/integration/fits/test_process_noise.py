@@ -264,3 +264,45 @@ def test_a_config_names_it_like_any_effect(tmp_path, capsys):
 def test_an_export_leaves_it_out_and_says_so(fitted, tmp_path):
     exported = fitted.export(ssv=tmp_path / "found.ssv")
     assert any("effect 'noise' is process noise and is left out" in note for note in exported.notes)
+
+
+def test_records_of_different_sampling_add_up():
+    """The sum of squares of two records is -2 log likelihood of both, up to a constant."""
+    runs = [shaken(21, samples=200), shaken(22, samples=200)]
+    (seen,) = runs[1].outputs
+    seen = replace(seen, times=seen.times[::10], values=seen.values[::10])
+    sparse = replace(runs[1], outputs=(seen,))
+    both, change = spring([runs[0], sparse]), []
+    for q in (0.3, 0.6):
+        found = residuals_at(both, TRUE | {"noise.q": q})
+        change.append(float(found @ found))
+        alone = [kalman_cost(run, q) for run in (runs[0], sparse)]
+        assert change[-1] == pytest.approx(sum(alone), rel=1e-5)
+    assert change[0] != change[1]
+
+
+def kalman_cost(run: ce.Experiment, q: float) -> float:
+    """-2 log likelihood of one record with samples at some of its force's times."""
+    found = kalman(run, q)
+    return float(found @ found)
+
+
+def test_noise_that_vanishes_says_what_the_intervals_are_worth():
+    quiet = [shaken(31, q=1e-6), shaken(32, q=1e-6)]
+    result = ce.fit(spring(quiet, q=0.05))
+    ended = result.x["noise.q"]
+    assert ended < 0.05
+    said = "noise.q ended at its lower end" in " ".join(result.notes)
+    assert said is (ended <= 1e-6 * 100.0)
+
+
+def test_the_same_noise_twice_is_refused():
+    problem = spring([shaken(1)])
+    again = ce.Effect("more", "der(v)", "diffusion")
+    parameters = (*problem.parameters, ce.Parameter("more.q", 0.1, 0.0, 1.0))
+    refused(
+        replace(problem, effects=(*problem.effects, again), parameters=parameters),
+        "must stand once at a site in each form",
+    )
+    with pytest.raises(ProblemError, match="must stand once at a site"):
+        ce.simulate(replace(problem, effects=(*problem.effects, again), parameters=parameters))

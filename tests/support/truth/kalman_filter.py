@@ -56,10 +56,11 @@ class Filter:
         self.covariance = transition @ self.covariance @ transition.T + noise
 
     def standardised(self, indices: Sequence[int]) -> Array:
-        """Errors over their spreads, times the geometric mean of these; state after state."""
+        """Errors over their spreads, so long that their squares are -2 log likelihood."""
         both = np.concatenate([np.array(self.errors[i]) for i in indices])
-        mean = np.exp(0.5 * np.mean(np.log(both[:, 1])))
-        return np.asarray(mean * both[:, 0] / np.sqrt(both[:, 1]))
+        plain = both[:, 0] / np.sqrt(both[:, 1])
+        wanted = np.sum(plain**2) + np.sum(np.log(both[:, 1]))
+        return np.asarray(plain * np.sqrt(wanted / np.sum(plain**2)))
 
 
 def runge_kutta(rate: Callable[[Array], Array], state: Array, step: float, parts: int) -> Array:
