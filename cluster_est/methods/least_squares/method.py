@@ -74,7 +74,7 @@ class LeastSquares(Method):
         Steps that are tried at once, each with ten times the damping of the one before. Without
         effect under constraints.
     max_iterations
-        Limit on the number of Jacobians.
+        Limit on the number of Jacobians, corrected ones among them.
     ftol, xtol, gtol
         Converged when the model expects to lower the cost by less than `ftol` of the weighted sum
         of squares, when a step is shorter than `xtol` of the point, or when the cosine between the
@@ -93,7 +93,8 @@ class LeastSquares(Method):
     secant_updates
         How many times in a row the derivatives of the next point may be those of the last one,
         corrected by what its step has shown, in place of new ones: for dear simulations on few
-        workers. Derivatives are computed anew where they do not suit, and before it ends.
+        workers, with some ten unknowns or more in each experiment. Derivatives are computed anew
+        where they do not suit, and before it ends. Without effect under constraints.
     """
 
     name: ClassVar[str] = "least_squares"
