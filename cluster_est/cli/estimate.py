@@ -10,7 +10,12 @@ from cluster_est.cli.display.closed_loop import print_any_run
 from cluster_est.cli.display.run import say
 from cluster_est.cli.display.sweep import print_sweep
 from cluster_est.cli.exit_codes import ExitCode
-from cluster_est.cli.terminal import complain, say_if_compiled_first, terminal_listener
+from cluster_est.cli.terminal import (
+    complain,
+    say_if_compiled_first,
+    say_if_filter_compiled_first,
+    terminal_listener,
+)
 from cluster_est.configured_run import Destination, do_run, read_run
 from cluster_est.run_folder.context import Existing
 from cluster_est.run_folder.run_identity import RunKind
@@ -46,6 +51,7 @@ def _run(options: Namespace, kind: RunKind) -> int:
     existing = Existing.RESUME if options.resume else existing
     to = Destination(options.out, existing, report=not options.no_report)
     say_if_compiled_first()
+    say_if_filter_compiled_first(run.identity.problem)
     end = do_run(run, to, terminal_listener())
     if end.stopped:
         complain(end.stopped)

@@ -10,6 +10,8 @@ from rich.console import Console
 from cluster_est.cli.display.progress import FIRST, ProgressLine
 from cluster_est.cli.display.run import say
 from cluster_est.configured_run import Listener
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.process_noise import noise_names
 from cluster_est.running.records import Show
 from cluster_est.running.resources import Resources
 from workers.kernels.fmi.compiling import compiled_before
@@ -24,6 +26,15 @@ def say_if_compiled_first() -> None:
     """Say what there is to wait for, where the loops have never been compiled."""
     if not compiled_before():
         complain(FIRST)
+
+
+def say_if_filter_compiled_first(problem: Problem) -> None:
+    """The same of the filter that process noise needs, which is compiled when it is first used."""
+    if noise_names(problem) and not compiled_before("kalman"):
+        complain(
+            "process noise: its filter is compiled with the first simulation, once on a machine; "
+            "that takes a quarter of a minute to a minute"
+        )
 
 
 def terminal_listener() -> Listener:

@@ -125,9 +125,16 @@ def cache_folder() -> Path:
 _CACHE_FOLDER = str(cache_folder())
 
 
-def compiled_before() -> bool:
-    """Return whether loops of this version have been compiled on this machine, and kept."""
-    return Path(_CACHE_FOLDER).is_dir()
+def compiled_before(module: str = "") -> bool:
+    """Return whether loops of this version have been compiled on this machine, and kept.
+
+    Parameters
+    ----------
+    module
+        The last name of one, to ask for its loops alone.
+    """
+    folder = Path(_CACHE_FOLDER)
+    return folder.is_dir() and (not module or any(folder.rglob(f"{module}.*")))
 
 
 def kernel(function: Callable[..., Any]) -> Any:
