@@ -132,6 +132,40 @@ def gantry_crane(x: Array, u: list[float], p: list[float]) -> list[float]:
     return [v, float(trolley_rate), w, float(rope_rate)]
 
 
+def double_pendulum(x: Array, u: list[float], p: list[float]) -> list[float]:
+    (one, other, one_speed, other_speed), (m1, m2, l1, l2, g) = x, p
+    # both accelerations at once, from Lagrange's equations
+    mixed = m2 * l1 * l2 * np.cos(one - other)
+    turned = m2 * l1 * l2 * np.sin(one - other)
+    inertia = np.array([[(m1 + m2) * l1**2, mixed], [mixed, m2 * l2**2]])
+    forces = [
+        -turned * other_speed**2 - (m1 + m2) * g * l1 * np.sin(one),
+        turned * one_speed**2 - m2 * g * l2 * np.sin(other),
+    ]
+    first, second = np.linalg.solve(inertia, forces)
+    return [one_speed, other_speed, float(first), float(second)]
+
+
+def chua_circuit(x: Array, u: list[float], p: list[float]) -> list[float]:
+    (voltage, second, current), (alpha, beta, inner, outer) = x, p
+    bent = np.clip(voltage, -1.0, 1.0)
+    resistor = inner * bent + outer * (voltage - bent)
+    return [alpha * (second - voltage - resistor), voltage - second + current, -beta * second]
+
+
+def cart_pendulum(x: Array, u: list[float], p: list[float]) -> list[float]:
+    (_, angle, velocity, speed), (cart, rod, length, friction, damping, g) = x, p
+    # both accelerations at once, from Lagrange's equations
+    mixed = rod * length * np.cos(angle)
+    inertia = np.array([[cart + rod, mixed], [mixed, rod * length**2]])
+    forces = [
+        u[0] - friction * velocity + rod * length * speed**2 * np.sin(angle),
+        rod * g * length * np.sin(angle) - damping * speed,
+    ]
+    first, second = np.linalg.solve(inertia, forces)
+    return [velocity, speed, float(first), float(second)]
+
+
 def kiln(x: Array, u: list[float], p: list[float]) -> list[float]:
     (plate, charge), (power, ambient) = x, u
     c_plate, c_charge, between, to_plate, to_charge = p
@@ -353,6 +387,30 @@ SCENARIOS = {
         {"x": 0.1, "v": -0.2, "phi": 0.3, "w": 0.5},
         {"F": (2.0, 12.0)},
         {"position": 0, "angle": 2},
+        0.02,
+    ),
+    "double_pendulum": Scenario(
+        double_pendulum,
+        {"m1": 1.2, "m2": 0.7, "l1": 0.9, "l2": 0.6, "g": 9.8},
+        {"angle1": 1.2, "angle2": -0.8, "speed1": 0.5, "speed2": -1.0},
+        {},
+        {"y1": 0, "y2": 1},
+        0.01,
+    ),
+    "chua_circuit": Scenario(
+        chua_circuit,
+        {"alpha": 15.0, "beta": 27.0, "a": -1.15, "b": -0.7},
+        {"x": 0.4, "y": -0.1, "z": 0.3},
+        {},
+        {"v1": 0, "v2": 1},
+        0.005,  # the resistor's kink is not reached: fixed steps lose their order there
+    ),
+    "cart_pendulum": Scenario(
+        cart_pendulum,
+        {"m_cart": 1.1, "m_rod": 0.25, "l": 0.6, "b": 0.4, "d": 0.02, "g": 9.8},
+        {"position": 0.1, "angle": 2.5, "velocity": -0.2, "speed": 0.3},
+        {"F": (0.5, 2.0)},
+        {"y1": 0, "y2": 1},
         0.02,
     ),
     "kiln": Scenario(
