@@ -14,7 +14,7 @@ from cluster_est.problem.names import coefficient_names
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.parameter_constraints import label_of
 from cluster_est.problem.problem import Problem
-from workers.effects.definition import EffectDefinition, define
+from workers.effects.definition import EffectDefinition, define_all
 from workers.effects.units import UNKNOWN, coefficient_units
 from workers.fmu.description import ModelDescription
 from workers.messages import Experiment
@@ -98,12 +98,12 @@ class ParameterReader:
     def _effects(
         self, parameters: list[Parameter]
     ) -> tuple[tuple[EffectDefinition, ...], tuple[tuple[EstimatedValue, ...], ...], list[str]]:
-        interface = self.problem.model.interface
-        named = [given.variable for e in self.problem.experiments for given in e.signals]
-        signals = tuple(dict.fromkeys(named))
+        problem = self.problem
         kept, coefficients, notes, at = [], [], [], 0
-        for effect in self.problem.effects:
-            definition = define(effect, self.description, interface, signals)
+        for definition in define_all(
+            problem.effects, self.description, problem.model.interface, problem.experiments
+        ):
+            effect = definition.effect
             own = parameters[at : at + len(definition.coefficients)]
             at += len(own)
             if effect.is_noise:

@@ -12,6 +12,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 
 from workers.messages import FloatArray, IntArray
 
@@ -55,6 +56,24 @@ class BlockMatrix:
         """True if blocks pay; else `dense` is as good and simpler."""
         entries = sum(block.size for block in self.blocks)
         return self.size > LEAST_SIZE and LEAST_RATIO * entries <= self.row_count * self.size
+
+    @cached_property
+    def counts(self) -> IntArray:
+        """(unknowns,): the number of experiments that each acts on."""
+        counts = np.zeros(self.size, np.int64)
+        for columns in self.columns:
+            counts[columns] += 1
+        return counts
+
+    @cached_property
+    def links(self) -> npt.NDArray[np.bool_]:
+        """(unknowns,): whether each acts on two experiments that follow each other, and no more."""
+        first, last = np.full(self.size, -1), np.full(self.size, -1)
+        for e, columns in enumerate(self.columns):
+            last[columns] = e
+        for e, columns in reversed(list(enumerate(self.columns))):
+            first[columns] = e
+        return np.asarray((self.counts == 2) & (last - first == 1))
 
     def norms(self) -> FloatArray:
         """Return the norms (unknowns,) of the columns."""

@@ -83,12 +83,10 @@ class StateContinuity:
         result[rows.rows] = self.weight * rows.differences(x, residuals) / rows.scales
         return result
 
-    def differences(self, x: FloatArray, residuals: Sequence[FloatArray]) -> FloatArray:
-        """(ends,): s_k - x_end, from the residuals that workers have sent for each segment."""
-        parts = [
-            rows.differences(x, residuals[e]) for e, rows in sorted(self.of_experiment.items())
-        ]
-        return np.concatenate([np.zeros(0), *parts])
+    def differences(self, applied: Sequence[FloatArray]) -> FloatArray:
+        """(ends,): s_k - x_end, from what `applied` has made of the residuals of each segment."""
+        parts = [applied[e][rows.rows] for e, rows in sorted(self.of_experiment.items())]
+        return np.concatenate([np.zeros(0), *parts]) * self.scales / self.weight
 
     @cached_property
     def scales(self) -> FloatArray:

@@ -5,6 +5,21 @@ from __future__ import annotations
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.problem.problem import Problem
+from workers.messages import Experiment
+
+
+def besides_plain_outputs(experiment: Experiment) -> list[str]:
+    """Name what an experiment has besides outputs that are compared as they are, value by value."""
+    there = {
+        "a curve": experiment.curve is not None,
+        "a cost function": experiment.cost_function is not None,
+        "bounds on signals": bool(experiment.bounds),
+        "constraint functions": bool(experiment.constraint_functions),
+        "an output with a free scale or offset, or a detection limit": any(
+            not output.is_plain for output in experiment.outputs
+        ),
+    }
+    return [what for what, has in there.items() if has]
 
 
 def check_observed_outputs(problem: Problem) -> None:

@@ -8,8 +8,9 @@ import numpy as np
 
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
+from cluster_est.problem.observed_outputs import besides_plain_outputs
 from cluster_est.problem.problem import Problem
-from workers.messages import Effect, Experiment
+from workers.messages import Experiment
 
 NEAR = 1e-6
 """Distance of a strength from its lower bound, over the range of both, that is none."""
@@ -53,7 +54,7 @@ def vanished_noise(
                     f"{label} ended at its lower end, {values[label]:.3g}: the data are as likely "
                     "without this noise as with a little of it, and the intervals of all other "
                     "values are right only if there is none; take a profile of it "
-                    f"(uncertainty.profiles) or more data"
+                    "(uncertainty.profiles) or more data"
                 )
     return tuple(found)
 
@@ -117,37 +118,29 @@ def check_process_noise(problem: Problem) -> None:
         )
     for experiment in problem.experiments:
         _check_experiment(experiment, where)
-    for effect in problem.effects:
-        _check_beside(effect, problem, where)
+    _check_beside(problem, where)
 
 
 def _check_experiment(experiment: Experiment, where: str) -> None:
-    others = {
-        "a curve": experiment.curve is not None,
-        "a cost function": experiment.cost_function is not None,
-        "bounds on signals": bool(experiment.bounds),
-        "constraint functions": bool(experiment.constraint_functions),
-        "an output with a free scale or offset, or a detection limit": any(
-            not output.is_plain for output in experiment.outputs
-        ),
-        "an output without a sigma": any(not output.has_sigma for output in experiment.outputs),
-    }
-    for what, there in others.items():
-        if there:
-            raise ProblemError(
-                f"{where} is weighed against the noise of each measured value, but experiment "
-                f"{experiment.id!r} has {what}; change it, or leave the effect out"
-            )
-
-
-def _check_beside(effect: Effect, problem: Problem, where: str) -> None:
-    """Refuse effects that change a signal as a whole, or what is measured."""
-    from workers.effects.definition import define  # needs SymPy, which is slow to import
-
-    signals = {given.variable for e in problem.experiments for given in e.signals}
-    found = define(effect, problem.describe(), problem.model.interface, tuple(sorted(signals)))
-    if found.site.kind == "output" or found.form.memory:
+    found = besides_plain_outputs(experiment)
+    if not all(output.has_sigma for output in experiment.outputs):
+        found.append("an output without a sigma")
+    for what in found:
         raise ProblemError(
-            f"{where} cannot stand beside effect {effect.name!r} at {effect.site}, which changes a "
-            "signal after or before the simulation; leave one of the two out"
+            f"{where} is weighed against the noise of each measured value, but experiment "
+            f"{experiment.id!r} has {what}; change it, or leave the effect out"
         )
+
+
+def _check_beside(problem: Problem, where: str) -> None:
+    """Refuse effects that change a signal as a whole, or what is measured."""
+    from workers.effects.definition import define_all  # needs SymPy, which is slow to import
+
+    description, interface = problem.describe(), problem.model.interface
+    for found in define_all(problem.effects, description, interface, problem.experiments):
+        if found.site.kind == "output" or found.form.memory:
+            effect = found.effect
+            raise ProblemError(
+                f"{where} cannot stand beside effect {effect.name!r} at {effect.site}, which "
+                "changes a signal after or before the simulation; leave one of the two out"
+            )

@@ -219,8 +219,9 @@ class SearchSpace:
         """For each unknown the experiments whose residuals it can move."""
         touched = [set(unknown.experiments) for unknown in self.unknowns]
         if self.continuity is not None:
-            for end in self.continuity.ends:
-                touched[end.unknown].add(end.experiment)
+            for e in self.continuity.of_experiment:
+                for i in self.continuity.acting(e):
+                    touched[i].add(e)
         return [tuple(sorted(each)) for each in touched]
 
     @property

@@ -125,18 +125,18 @@ def check_effects(
     """Resolve every effect against the FMU and the signals of every experiment."""
     if not effects:
         return
-    from workers.effects.definition import define
+    from workers.effects.definition import define_all
 
     named = [tuple(given.variable for given in e.signals) for e in experiments]
-    every = tuple(dict.fromkeys(name for names in named for name in names))
-    for effect in effects:
-        uses = define(effect, description, model.interface, every).uses
+    every = {name for names in named for name in names}
+    for definition in define_all(effects, description, model.interface, experiments):
         for experiment, names in zip(experiments, named, strict=True):
-            for name in uses:
+            for name in definition.uses:
                 if name in every and name not in names:
                     raise ProblemError(
                         f"experiment {experiment.id!r}.signals: must have {name!r}, on which "
-                        f"effect {effect.name!r} depends, but has not{nearest(name, names)}"
+                        f"effect {definition.effect.name!r} depends, but has not"
+                        f"{nearest(name, names)}"
                     )
 
 

@@ -188,15 +188,15 @@ def coefficient_units(problem: Problem) -> dict[str, str]:
     if not problem.effects:
         return {}
     from workers.effects import units  # SymPy takes long to import
-    from workers.effects.definition import define
+    from workers.effects.definition import define_all
 
     model = problem.model
     description = describe_model(model)
-    signals = tuple({s.variable: None for e in problem.experiments for s in e.signals})
     found: dict[str, str] = {}
-    for effect in problem.effects:
-        definition = define(effect, description, model.interface, signals)
-        names = [f"{effect.name}.{c.name}" for c in definition.form.coefficients]
+    for definition in define_all(
+        problem.effects, description, model.interface, problem.experiments
+    ):
+        names = [f"{definition.effect.name}.{c.name}" for c in definition.form.coefficients]
         texts = units.coefficient_units(definition, description)
         pairs = zip(names, texts, strict=True)
         found |= {name: "" if units.UNKNOWN in unit else unit for name, unit in pairs}

@@ -11,7 +11,6 @@ from cluster_est.methods.base import Solution
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.least_squares.chain_elimination import eliminate, make_chains
 from cluster_est.problem.space import SearchSpace
-from cluster_est.uncertainty.covariance.jacobian import jacobian_blocks
 from workers.messages import FloatArray
 
 
@@ -91,12 +90,9 @@ def _jumps(space: SearchSpace, solution: Solution) -> FloatArray:
     assert continuity is not None
     if at is None or not at.ok:
         return np.full(len(continuity.ends), np.nan)
-    parts = [np.zeros(0)]
-    for e, outcome in enumerate(at.outcomes):
-        rows = continuity.of_experiment.get(e)
-        if rows is not None and outcome.residuals is not None:
-            parts.append(outcome.residuals[rows.rows] * rows.scales / continuity.weight)
-    return np.concatenate(parts)
+    return continuity.differences(
+        [np.zeros(0) if each.residuals is None else each.residuals for each in at.outcomes]
+    )
 
 
 def response(blocks: BlockMatrix, size: int) -> FloatArray:
@@ -122,24 +118,3 @@ def response(blocks: BlockMatrix, size: int) -> FloatArray:
             inner = np.flatnonzero(column)
             found[inner, i] = column[inner] / units[inner]
     return found
-
-
-def standard_errors(found: SegmentSolution) -> FloatArray:
-    """(unknowns of the fit,): from the derivatives, for white noise; 0 where they say nothing."""
-    blocks = jacobian_blocks(found.space, found.solution)
-    assert found.space.continuity is not None
-    size = found.space.size - len(found.space.continuity.ends)
-    if blocks is None:
-        return np.zeros(size)
-    moved = response(blocks, size)
-    reduced = np.concatenate(
-        [
-            block @ moved[columns]
-            for block, columns in zip(blocks.blocks, blocks.columns, strict=True)
-        ]
-    )
-    norms = np.linalg.norm(reduced, axis=0)
-    units = np.where(norms > 0.0, norms, 1.0)
-    inverse = np.linalg.pinv(reduced / units)
-    squares = np.add.reduce(inverse * inverse, axis=1) / units**2
-    return np.asarray(np.sqrt(np.maximum(found.variance, 0.0) * squares))

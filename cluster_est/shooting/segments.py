@@ -9,6 +9,7 @@ import numpy as np
 
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
+from cluster_est.problem.observed_outputs import besides_plain_outputs
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import refuse_process_noise
 from cluster_est.shooting.settings import Shooting
@@ -118,36 +119,26 @@ def _check_effects(problem: Problem, description: ModelDescription) -> None:
     if not problem.effects:
         return
     refuse_process_noise(problem, "method.shooting")
-    from workers.effects.definition import define  # needs SymPy, which is slow to import
+    from workers.effects.definition import define_all  # needs SymPy, which is slow to import
 
-    signals = {given.variable for e in problem.experiments for given in e.signals}
-    for effect in problem.effects:
-        defined = define(effect, description, problem.model.interface, tuple(sorted(signals)))
+    for defined in define_all(
+        problem.effects, description, problem.model.interface, problem.experiments
+    ):
         if defined.states or defined.form.memory:
             what = "has a state of its own" if defined.states else "depends on the past"
             raise ProblemError(
-                f"method.shooting: cannot be used with effect {effect.name!r}, which {what}: a "
-                "segment does not know what came before it; leave one of the two out"
+                f"method.shooting: cannot be used with effect {defined.effect.name!r}, which "
+                f"{what}: a segment does not know what came before it; leave one of the two out"
             )
 
 
 def _check_record(experiment: Experiment) -> None:
     where = f"method.shooting: cannot cut experiment {experiment.id!r}, because it has"
-    others = {
-        "a curve": experiment.curve is not None,
-        "a cost function": experiment.cost_function is not None,
-        "bounds on signals": bool(experiment.bounds),
-        "constraint functions": bool(experiment.constraint_functions),
-        "an output with a free scale or offset, or a detection limit": any(
-            not output.is_plain for output in experiment.outputs
-        ),
-    }
-    for what, there in others.items():
-        if there:
-            raise ProblemError(
-                f"{where} {what}, which belongs to the record as a whole; leave that or "
-                "method.shooting out"
-            )
+    for what in besides_plain_outputs(experiment):
+        raise ProblemError(
+            f"{where} {what}, which belongs to the record as a whole; leave that or "
+            "method.shooting out"
+        )
 
 
 def _cut_record(

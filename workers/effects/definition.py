@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -15,7 +15,7 @@ from workers.effects.site import EffectSite, check_site, parse_site
 from workers.effects.variables import split_variable, unnamed_variables
 from workers.errors import EffectError
 from workers.fmu.description import ModelDescription
-from workers.messages import Effect, FloatArray, Interface
+from workers.messages import Effect, Experiment, FloatArray, Interface
 
 TIME, SIGNAL = sp.Symbol("t", real=True), sp.Symbol("s", real=True)
 
@@ -151,6 +151,24 @@ def define(
     check_site(site, description, interface, f"{where}: site")
     allowed = [*_variables(description, site, interface), *signals]
     return _definition(effect, site, {name: variable_symbol(name) for name in allowed})
+
+
+def define_all(
+    effects: Iterable[Effect],
+    description: ModelDescription,
+    interface: Interface,
+    experiments: Iterable[Experiment],
+) -> list[EffectDefinition]:
+    """Resolve effects that may depend on the measured signals of these experiments.
+
+    Raises
+    ------
+    EffectError
+        As `define`.
+    """
+    named = (given.variable for e in experiments for given in e.signals)
+    signals = tuple(dict.fromkeys(named))
+    return [define(effect, description, interface, signals) for effect in effects]
 
 
 def _definition(

@@ -16,11 +16,11 @@ from workers.kernels.linearise import (
     ADAPTIVE,
     FIXED,
     LinearisationArrays,
-    PerturbationRange,
     PerturbedVariables,
 )
 from workers.messages import FloatArray, Model
 from workers.simulation.bind_experiment import BoundExperiment
+from workers.simulation.linearise import allocate, perturbation_range
 
 
 @dataclass(frozen=True)
@@ -132,46 +132,20 @@ def prepare_filter(
         gain=np.zeros(count),
     )
     stepping = ADAPTIVE if model.solver.name == "dormand_prince" else FIXED
-    perturbed = _perturbed_states(description, count - len(description.states))
-    return FilterPass(stepping, perturbed, _states_alone(n, count, y), kalman)
+    perturbed = _states_alone(description, count - len(description.states))
+    return FilterPass(stepping, perturbed, allocate(perturbed, n, y), kalman)
 
 
-def _perturbed_states(description: ModelDescription, n_effect_states: int) -> PerturbedVariables:
+def _states_alone(description: ModelDescription, n_effect_states: int) -> PerturbedVariables:
+    """Return what is perturbed for the derivatives by the states, those of effects behind."""
     known = [description.variables[name] for name in description.states]
-    nothing, none = np.zeros(0), np.ones(n_effect_states)
-    lows = [-np.inf if v.low is None else v.low for v in known]
-    highs = [np.inf if v.high is None else v.high for v in known]
-    empty = PerturbationRange(nothing, nothing, nothing)
+    nothing = perturbation_range([])
     return PerturbedVariables(
-        states=PerturbationRange(
-            np.concatenate([np.array([v.nominal for v in known], np.float64), none]),
-            np.concatenate([np.array(lows, np.float64), -np.inf * none]),
-            np.concatenate([np.array(highs, np.float64), np.inf * none]),
-        ),
-        inputs=empty,
-        parameters=empty,
+        states=perturbation_range([*known, *[None] * n_effect_states]),
+        inputs=nothing,
+        parameters=nothing,
         references=np.zeros(0, np.uint32),
-        values=nothing,
+        values=np.zeros(0),
         effect_positions=np.zeros(0, np.int64),
         input_offsets=0,
-    )
-
-
-def _states_alone(n: int, states: int, outputs: int) -> LinearisationArrays:
-    nothing = np.zeros((n, states, 0))
-    return LinearisationArrays(
-        states=np.zeros((n, states)),
-        derivatives=np.zeros((n, states)),
-        effective_inputs=np.zeros((n, 0)),
-        A=np.zeros((n, states, states)),
-        B=nothing,
-        P=nothing,
-        C=np.zeros((n, outputs, states)),
-        D=np.zeros((n, outputs, 0)),
-        Q=np.zeros((n, outputs, 0)),
-        upper_derivatives=np.zeros(states),
-        lower_derivatives=np.zeros(states),
-        upper_outputs=np.zeros(outputs),
-        lower_outputs=np.zeros(outputs),
-        value=np.zeros(1),
     )

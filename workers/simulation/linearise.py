@@ -86,7 +86,7 @@ class PreparedExperiment:
                 values, with_zero_offsets, self.model, self.description
             )
         perturbed = self._perturbed_variables(values[0])
-        arrays = _allocate(perturbed, len(bound.grid.times), len(bound.outputs))
+        arrays = allocate(perturbed, len(bound.grid.times), len(bound.outputs))
         return LinearisationPass(
             self,
             bound,
@@ -122,9 +122,9 @@ class PreparedExperiment:
         states += [None] * len(self.effect_states)
         effect_positions = inner.parameters if inner is not None else ()
         return PerturbedVariables(
-            states=_perturbation_range(states),
-            inputs=_perturbation_range([known[name] for name in self.inputs]),
-            parameters=_perturbation_range([known[name] for name in self.tunable]),
+            states=perturbation_range(states),
+            inputs=perturbation_range([known[name] for name in self.inputs]),
+            parameters=perturbation_range([known[name] for name in self.tunable]),
             references=np.array([known[name].reference for name in self.tunable], np.uint32),
             values=np.array([values[self.model.parameters.index(n)] for n in self.tunable]),
             effect_positions=np.array(
@@ -252,7 +252,7 @@ def _with_all_inputs_driven(
     return replace(experiment, inputs=(*experiment.inputs, *added))
 
 
-def _perturbation_range(variables: Sequence[ModelVariable | None]) -> PerturbationRange:
+def perturbation_range(variables: Sequence[ModelVariable | None]) -> PerturbationRange:
     """Nominal values and bounds; None stands for a state of an effect, which has neither."""
     return PerturbationRange(
         nominals=np.array([1.0 if v is None else v.nominal for v in variables]),
@@ -261,7 +261,8 @@ def _perturbation_range(variables: Sequence[ModelVariable | None]) -> Perturbati
     )
 
 
-def _allocate(perturbed: PerturbedVariables, n: int, outputs: int) -> LinearisationArrays:
+def allocate(perturbed: PerturbedVariables, n: int, outputs: int) -> LinearisationArrays:
+    """Return arrays for the derivatives at n times."""
     states, inputs = len(perturbed.states.nominals), len(perturbed.inputs.nominals)
     parameters = len(perturbed.references)
     return LinearisationArrays(

@@ -21,19 +21,6 @@ from cluster_est.methods.least_squares.chain_elimination import (
 from workers.messages import FloatArray
 
 
-def links(matrix: BlockMatrix) -> Mask:
-    """(unknowns,): whether each acts on two experiments that follow each other, and no more."""
-    first = np.full(matrix.size, -2)
-    last = np.full(matrix.size, -1)
-    counts = np.zeros(matrix.size, np.int64)
-    for e, columns in enumerate(matrix.columns):
-        fresh = columns[first[columns] == -2]
-        first[fresh] = e
-        last[columns] = e
-        counts[columns] += 1
-    return np.asarray((counts == 2) & (last - first == 1))
-
-
 class ChainStepSolver:
     """Minimises |J p + r|^2 + lambda |D p|^2 subject to lower <= p <= upper.
 
@@ -61,10 +48,7 @@ class ChainStepSolver:
         self._units = np.asarray(2.0 ** np.round(np.log2(scale)), np.float64)
         self._scale = scale / self._units
         self._lower, self._upper = lower * self._units, upper * self._units
-        counts = np.zeros(matrix.size, np.int64)
-        for columns in matrix.columns:
-            counts[columns] += 1
-        shared = (counts > 1) & ~links(matrix)
+        shared = (matrix.counts > 1) & ~matrix.links
         self._shared = np.flatnonzero(shared)
         self._chains = make_chains(matrix.divided_columns(self._units), residuals, shared)
 

@@ -11,7 +11,7 @@ from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.derivatives.differences import ResidualJacobian
 from cluster_est.methods.least_squares.block_step import BlockStepSolver
 from cluster_est.methods.least_squares.bounded_step import StepSolver
-from cluster_est.methods.least_squares.chain_step import ChainStepSolver, links
+from cluster_est.methods.least_squares.chain_step import ChainStepSolver
 from workers.messages import FloatArray
 
 
@@ -81,5 +81,5 @@ class _BlockMap(LinearMap):
     def solver(
         self, residuals: FloatArray, scale: FloatArray, lower: FloatArray, upper: FloatArray
     ) -> BlockStepSolver | ChainStepSolver:
-        kind = ChainStepSolver if links(self._matrix).any() else BlockStepSolver
+        kind = ChainStepSolver if self._matrix.links.any() else BlockStepSolver
         return kind(self._matrix, residuals, scale, lower, upper)

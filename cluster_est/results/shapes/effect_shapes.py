@@ -14,7 +14,7 @@ from workers.effects.definition import (
     SIGNAL,
     TIME,
     EffectDefinition,
-    define,
+    define_all,
     variable_symbol,
 )
 from workers.effects.site import EffectSite
@@ -98,10 +98,8 @@ def shape_over(
 
 def _definitions(result: Result, description: ModelDescription) -> list[EffectDefinition]:
     problem = result.problem
-    signals = tuple({s.variable: None for e in problem.experiments for s in e.signals})
-    interface = problem.model.interface
     shown = (effect for effect in problem.effects if not effect.is_noise)
-    return [define(effect, description, interface, signals) for effect in shown]
+    return define_all(shown, description, problem.model.interface, problem.experiments)
 
 
 def _none(definition: EffectDefinition, why: str) -> EffectCurve:

@@ -16,7 +16,7 @@ def test_a_difference_counts_over_its_scale_and_by_its_weight():
     sent = np.array([7.0, 1.5])
     np.testing.assert_allclose(continuity.applied(0, x, sent), [7.0, 10.0 * 0.5 / 4.0])
     np.testing.assert_array_equal(sent, [7.0, 1.5])
-    np.testing.assert_allclose(continuity.differences(x, [sent]), [0.5])
+    np.testing.assert_allclose(continuity.differences([continuity.applied(0, x, sent)]), [0.5])
     np.testing.assert_allclose(continuity.scales, [4.0])
 
 

@@ -8,7 +8,7 @@ import pytest
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.least_squares.bounded_step import StepSolver
 from cluster_est.methods.least_squares.chain_elimination import eliminate, make_chains
-from cluster_est.methods.least_squares.chain_step import ChainStepSolver, links
+from cluster_est.methods.least_squares.chain_step import ChainStepSolver
 
 DAMPINGS = (1e-12, 1e-3, 1.0)
 
@@ -51,7 +51,7 @@ def test_steps_are_those_of_the_whole_matrix(seed, damping, width):
 
 def test_links_act_on_two_neighbours_and_nothing_else():
     matrix, _ = chained_matrix(0, records=1, segments=3, states=1, shared=1)
-    np.testing.assert_array_equal(links(matrix), [False, False, True, True])
+    np.testing.assert_array_equal(matrix.links, [False, False, True, True])
 
 
 def test_records_are_chains_of_their_own():
