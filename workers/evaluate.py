@@ -5,8 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from workers.fmu.description import describe_model
 from workers.fmu.seats import has_lost
@@ -142,11 +144,8 @@ class Evaluator:
         if result.innovations:
             comparison = comparison._replace(residuals=_as_innovations(comparison, result))
         seconds = (time.perf_counter() - start) / len(ids)
-        evaluation = _BatchEvaluation(bound, result, comparison, batch.want)
-        outcomes = [
-            replace(evaluation.outcome(task, p), seconds=seconds, worker=self._name)
-            for p, task in enumerate(ids.tolist())
-        ]
+        evaluation = _BatchEvaluation(bound, result, comparison, batch.want, seconds, self._name)
+        outcomes = [evaluation.outcome(task, p) for p, task in enumerate(ids.tolist())]
         if batch.want == "sensitivities":
             return [
                 self._with_sensitivities(experiment, simulated, result, p, outcome)
@@ -177,19 +176,24 @@ class Evaluator:
 
 @dataclass(frozen=True)
 class _BatchEvaluation:
-    """A batch of simulations of one experiment, with residuals and constraints."""
+    """A batch of simulations of one experiment, with residuals and constraints.
+
+    `seconds` is what each of them cost, `worker` who ran them.
+    """
 
     bound: BoundExperiment
     result: SimulationBatch
     comparison: BatchComparison
     want: Want
+    seconds: float
+    worker: str
 
     def outcome(self, task: int, p: int) -> Outcome:
         """Make the outcome of one point."""
         failed = self._failure(p)
         if failed is not None:
             status, message = failed
-            return Outcome(task, status, message=message)
+            return Outcome(task, status, message=message, seconds=self.seconds, worker=self.worker)
         trajectory = None
         if self.want == "trajectory":
             trajectory = Trajectory(
@@ -200,10 +204,18 @@ class _BatchEvaluation:
             Status.OK,
             self.comparison.residuals[p],
             trajectory,
+            seconds=self.seconds,
+            worker=self.worker,
             linearisation=self.result.linearisations.get(p),
             constraints=self.comparison.constraints[p],
             steps=int(self.result.steps[p]),
         )
+
+    @cached_property
+    def _countable(self) -> npt.NDArray[np.bool_]:
+        """Whether all numbers of each point can be counted with; what is no number cannot."""
+        numbers = np.hstack([self.comparison.residuals, self.comparison.constraints])
+        return np.asarray((np.abs(numbers) < TOO_LARGE).all(axis=1))
 
     def _failure(self, p: int) -> tuple[Status, str] | None:
         """Return the status and message of a point that failed, None for another."""
@@ -213,8 +225,7 @@ class _BatchEvaluation:
         if p in comparison.failures:
             message = comparison.failures[p] or _where_not_finite(self.bound, result.outputs[p])
             return Status.NOT_FINITE, message
-        values = np.concatenate([comparison.residuals[p], comparison.constraints[p]])
-        if not (np.abs(values) < TOO_LARGE).all():  # no number is not less
+        if not self._countable[p]:
             return Status.NOT_FINITE, _where_not_finite(self.bound, result.outputs[p])
         not_linear = _where_not_linear(result.linearisations.get(p))
         return None if not_linear is None else (Status.NOT_FINITE, not_linear)

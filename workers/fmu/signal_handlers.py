@@ -31,7 +31,8 @@ class _HandlersAtTheBeginning:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._inside = 0
-        self._handlers: dict[signal.Signals, Any] = {}
+        self._handlers = _rooms()
+        self._found = _rooms()
         self._entered = threading.Event()
         self._guard: threading.Thread | None = None
 
@@ -39,7 +40,7 @@ class _HandlersAtTheBeginning:
         """Remember the handlers, if no other thread is inside."""
         with self._lock:
             if self._inside == 0:
-                self._handlers = {number: _current(number) for number in KEPT}
+                _read(self._handlers)
             self._inside += 1
             self._entered.set()
 
@@ -56,10 +57,10 @@ class _HandlersAtTheBeginning:
 
     def _put_back(self) -> bool:
         """Put the handlers back; return whether there were others."""
-        found = [_current(number).raw[:ADDRESS] for number in self._handlers]
+        _read(self._found)
         for number, room in self._handlers.items():
             _sigaction(number, room, None)
-        return found != [room.raw[:ADDRESS] for room in self._handlers.values()]
+        return any(self._found[n][:ADDRESS] != self._handlers[n][:ADDRESS] for n in KEPT)
 
     def _stay(self) -> None:
         while True:
@@ -75,10 +76,14 @@ def _sigaction(number: signal.Signals, given: Any, found: Any) -> None:
         _C_LIBRARY.sigaction(int(number), given, found)
 
 
-def _current(number: signal.Signals) -> Any:
-    room = ctypes.create_string_buffer(ROOM)
-    _sigaction(number, None, room)
-    return room
+def _rooms() -> dict[signal.Signals, Any]:
+    return {number: ctypes.create_string_buffer(ROOM) for number in KEPT}
+
+
+def _read(rooms: dict[signal.Signals, Any]) -> None:
+    """Read the handlers of now."""
+    for number, room in rooms.items():
+        _sigaction(number, None, room)
 
 
 _BEFORE = _HandlersAtTheBeginning()

@@ -138,6 +138,7 @@ class FmuIntegrator:
         self.batch: Batch = CvodeBatch() if name == "cvode" else BATCHES[name]
         self._checks_jacobian = name == "cvode" and _may_use_jacobian(model, description)
         self._workspaces: dict[tuple[int, ...], KernelWorkspace] = {}
+        self._settings: dict[int, SolverSettings] = {}
         self._progress = no_watcher() if progress is None else progress
         self._largest_array = max((v.size for v in description.variables.values()), default=1)
 
@@ -256,6 +257,11 @@ class FmuIntegrator:
 
     def settings(self, n_effect_states: int = 0) -> SolverSettings:
         """Return the solver settings, with tolerances of the effects' states."""
+        if n_effect_states not in self._settings:
+            self._settings[n_effect_states] = self._make_settings(n_effect_states)
+        return self._settings[n_effect_states]
+
+    def _make_settings(self, n_effect_states: int) -> SolverSettings:
         solver = self._model.solver
         rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
         atol = rtol if solver.atol is None else solver.atol
