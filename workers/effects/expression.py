@@ -13,6 +13,7 @@ from typing import Any
 
 import sympy as sp
 
+from workers.effects.extrema import Max, Min
 from workers.errors import EffectError
 from workers.fmu.description import nearest
 
@@ -27,8 +28,8 @@ FUNCTIONS: dict[str, Callable[..., sp.Expr]] = {
     "tan": sp.tan,
     "tanh": sp.tanh,
     "atan": sp.atan,
-    "min": sp.Min,
-    "max": sp.Max,
+    "min": Min,
+    "max": Max,
     "where": lambda condition, yes, no: sp.Piecewise((yes, condition), (no, True)),
 }
 """What an equation may call; `where(condition, yes, no)` chooses."""

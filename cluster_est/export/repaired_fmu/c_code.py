@@ -18,6 +18,7 @@ from workers.effects.definition import (
     known_rates,
     variable_symbol,
 )
+from workers.effects.extrema import Max
 from workers.effects.source import CAssignment, EffectArray, SymbolLocations
 
 
@@ -108,7 +109,7 @@ def _inline(value: sp.Expr) -> str:
 def _inner_rate(layout: WrapperLayout) -> str:
     """The fastest rate of own states, as far as it depends on coefficients alone."""
     rates = [abs(rate) for i in layout.inner for rate in known_rates(layout.effect(i), ())]
-    fastest = CAssignment(EffectArray.FASTEST, -1, sp.Max(sp.Integer(0), *rates))
+    fastest = CAssignment(EffectArray.FASTEST, -1, Max(sp.Integer(0), *rates))
     head = "double effects_rate(const double *coefficients)"
     body = _body(layout.equations.locations, [fastest])
     return f"{head} {{\n    double fastest;\n{_unused(head)}{body}    return fastest;\n}}"
@@ -164,7 +165,7 @@ _OUTPUT_FUNCTIONS = (
 def _fastest(effect: EffectDefinition) -> sp.Expr:
     """Return the fastest rate of its own states."""
     rates = [abs(rate) for rate in known_rates(effect, effect.uses)]
-    return sp.Max(sp.Integer(0), *rates)
+    return Max(sp.Integer(0), *rates)
 
 
 def _output(layout: WrapperLayout, function: _OutputFunction) -> str:

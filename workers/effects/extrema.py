@@ -1,0 +1,36 @@
+"""The largest and the smallest of some terms, as they stand.
+
+SymPy looks at each pair of arguments of a `Max` for one that is never the larger: it factors their
+differences, whenever a symbol is replaced. In an equation with many of them, as a curve has, that
+takes seconds, and finds nothing where the arguments are signals.
+"""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import sympy as sp
+
+
+@final
+class Max(sp.Max):  # type: ignore[misc]
+    """SymPy's `Max`, simplified only where all arguments are numbers; printers go by its name."""
+
+    def __new__(cls, *arguments: Any, evaluate: bool = False) -> sp.Expr:
+        if evaluate or _are_numbers(arguments):
+            return sp.Max(*arguments)
+        return super().__new__(cls, *arguments, evaluate=False)
+
+
+@final
+class Min(sp.Min):  # type: ignore[misc]
+    """SymPy's `Min`, likewise."""
+
+    def __new__(cls, *arguments: Any, evaluate: bool = False) -> sp.Expr:
+        if evaluate or _are_numbers(arguments):
+            return sp.Min(*arguments)
+        return super().__new__(cls, *arguments, evaluate=False)
+
+
+def _are_numbers(arguments: tuple[Any, ...]) -> bool:
+    return all(sp.sympify(argument).is_number for argument in arguments)
