@@ -17,6 +17,9 @@ from workers.errors import EffectError
 from workers.fmu.description import ModelDescription
 from workers.messages import Effect, Experiment, FloatArray, Interface
 
+KEPT = 4096
+"""Definitions that are remembered: those of the same effects are asked for again and again."""
+
 TIME, SIGNAL = sp.Symbol("t", real=True), sp.Symbol("s", real=True)
 
 
@@ -150,7 +153,7 @@ def define(
     site = parse_site(effect.site, f"{where}: site")
     check_site(site, description, interface, f"{where}: site")
     allowed = [*_variables(description, site, interface), *signals]
-    return _definition(effect, site, {name: variable_symbol(name) for name in allowed})
+    return _definition(effect, site, tuple(allowed))
 
 
 def define_all(
@@ -171,10 +174,10 @@ def define_all(
     return [define(effect, description, interface, signals) for effect in effects]
 
 
-def _definition(
-    effect: Effect, site: EffectSite, variables: Mapping[str, sp.Symbol]
-) -> EffectDefinition:
+@lru_cache(KEPT)
+def _definition(effect: Effect, site: EffectSite, allowed: tuple[str, ...]) -> EffectDefinition:
     """Read the equations of an effect over the variables that they may depend on."""
+    variables = {name: variable_symbol(name) for name in allowed}
     where = f"effect {effect.name!r}"
     chosen = _chosen(effect, site, where)
     names = _placeholders(effect, chosen, site, variables, where)

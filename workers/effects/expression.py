@@ -13,12 +13,12 @@ from typing import Any
 
 import sympy as sp
 
-from workers.effects.extrema import Max, Min
+from workers.effects.plain_functions import Abs, Max, Min
 from workers.errors import EffectError
 from workers.fmu.description import nearest
 
 FUNCTIONS: dict[str, Callable[..., sp.Expr]] = {
-    "abs": sp.Abs,
+    "abs": Abs,
     "sign": sp.sign,
     "sqrt": sp.sqrt,
     "exp": sp.exp,

@@ -6,6 +6,7 @@ import itertools
 import re
 from collections.abc import Collection, Container, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -61,7 +62,7 @@ class EffectCandidate:
     lowest: tuple[float, ...] = field(repr=False)
     highest: tuple[float, ...] = field(repr=False)
 
-    @property
+    @cached_property
     def strengths(self) -> tuple[str, ...]:
         return shape_of(self.form).strengths
 

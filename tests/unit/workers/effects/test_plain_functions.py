@@ -1,4 +1,4 @@
-"""Max and min of equations keep their arguments, and are what NumPy says."""
+"""Max, min and abs of equations keep their arguments, and are what NumPy says."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import sympy as sp
 
 from workers.effects.expression import parse
-from workers.effects.extrema import Max, Min
+from workers.effects.plain_functions import Abs, Max, Min
 
 X, Y = sp.symbols("x y", real=True)
 
@@ -27,11 +27,14 @@ def test_values_are_those_of_numpy():
 def test_arguments_stay_as_they_are():
     assert read("max(x^2 + 1, 0)") == Max(X**2 + 1, 0)
     assert len(Max(X**2 + 1, 0).args) == 2
+    assert read("abs(x^2 - y)") == Abs(X**2 - Y)
     assert isinstance(Max(X, Y).xreplace({X: Y**2}), Max)
 
 
 def test_numbers_have_a_value():
     assert read("max(1, 3) + min(4, 2)") == 5
+    assert read("abs(2 - 5)") == 3
+    assert Abs(X).subs(X, -2) == 2
     assert Min(X, Y).subs({X: 1, Y: 2}) == 1
 
 

@@ -1,8 +1,9 @@
-"""The largest and the smallest of some terms, as they stand.
+"""Functions of equations as they stand, which SymPy would try to simplify.
 
-SymPy looks at each pair of arguments of a `Max` for one that is never the larger: it factors their
-differences, whenever a symbol is replaced. In an equation with many of them, as a curve has, that
-takes seconds, and finds nothing where the arguments are signals.
+SymPy looks at each pair of arguments of a `Max` for one that is never the larger, and at an `Abs`
+for a simpler form of what is in it: it factors their differences, whenever a symbol is replaced. In
+an equation with many of them, as a curve has, that takes seconds, and finds nothing where the
+arguments are signals. Printers know these by the names of SymPy's.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import sympy as sp
 
 @final
 class Max(sp.Max):  # type: ignore[misc]
-    """SymPy's `Max`, simplified only where all arguments are numbers; printers go by its name."""
+    """SymPy's `Max`, simplified only where all arguments are numbers."""
 
     def __new__(cls, *arguments: Any, evaluate: bool = False) -> sp.Expr:
         if evaluate or _are_numbers(arguments):
@@ -30,6 +31,15 @@ class Min(sp.Min):  # type: ignore[misc]
         if evaluate or _are_numbers(arguments):
             return sp.Min(*arguments)
         return super().__new__(cls, *arguments, evaluate=False)
+
+
+@final
+class Abs(sp.Abs):  # type: ignore[misc]
+    """SymPy's `Abs`, likewise."""
+
+    @classmethod
+    def eval(cls, argument: sp.Expr) -> sp.Expr | None:
+        return sp.Abs(argument) if argument.is_number else None
 
 
 def _are_numbers(arguments: tuple[Any, ...]) -> bool:
