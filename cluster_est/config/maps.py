@@ -34,7 +34,8 @@ def with_maps(config: Config) -> Config:
                     "parameter of that name; rename one of the two"
                 )
             parameters[key] = parameter
-        constraints += [ConstraintSection(expression=text) for text in table.order()]
+        if not section.fixed:
+            constraints += [ConstraintSection(expression=text) for text in table.order()]
     return config.model_copy(
         update={"parameters": parameters, "constraints": constraints, "maps": {}}
     )
@@ -71,11 +72,15 @@ def _parameters(section: MapSection, table: ValueTable) -> Mapping[str, Paramete
     """The parameters of a map, by their names in the config."""
     names = [name for name in table.values if name is not None]
     of_values = dict(zip(names, section.variables, strict=True))
-    if section.slope_change is None:
+    if section.slope_change is None or section.fixed:
         starts = zip(names, table.starts, strict=True)
         return {
             name: ParameterSection(
-                start=start, bounds=section.bounds, variable=of_values[name], unit=section.unit
+                start=start,
+                bounds=section.bounds,
+                fixed=section.fixed,
+                variable=of_values[name],
+                unit=section.unit,
             )
             for name, start in starts
         }

@@ -34,4 +34,5 @@ class MapSection(ConfigSection):
         "the abscissa, a prior; default: none; needs finite bounds",
     )
     monotone: Monotone = Field("", description="increasing or decreasing: a constraint")
+    fixed: bool = Field(False, description="keep every value at its start")
     unit: str = Field("", description="of its values, for tables; default: the FMU's")

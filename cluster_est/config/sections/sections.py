@@ -299,7 +299,8 @@ class Config(ConfigSection):
         default_factory=list,
         exclude=True,  # the reader puts what is in them where it belongs
         description="files of values, .ssv (SSP) or .csv with columns name, value and unit: of "
-        "parameters and coefficients (EFFECT.COEFFICIENT) they are starts, of others known values",
+        "parameters, variables of maps and coefficients (EFFECT.COEFFICIENT) they are starts, of "
+        "others known values",
     )
     experiment_defaults: ExperimentDefaultsSection = Field(
         ExperimentDefaultsSection(),
