@@ -72,9 +72,9 @@ def target_experiments(
     description = problem.describe()
     found: dict[str, dict[str, Output]] = {}
     known = {experiment.id: experiment for experiment in problem.experiments}
+    planned: dict[str, Experiment] = {}
     for target in targets or (PredictionTarget(),):
-        for experiment in _experiments(target, known, like, given=tuple(found)):
-            known[experiment.id] = experiment
+        for experiment in _experiments(target, known, planned, like):
             names = target.outputs or _measured(experiment) or _measured(*problem.experiments)
             if not target.outputs and not target.experiment:
                 names = _measured(experiment)
@@ -98,20 +98,25 @@ def target_experiments(
 def _experiments(
     target: PredictionTarget,
     known: dict[str, Experiment],
+    planned: dict[str, Experiment],
     like: Experiment,
-    given: tuple[str, ...],
 ) -> list[Experiment]:
-    """The experiments that a target names; `given` are those that others have named."""
+    """The experiments that a target names.
+
+    A planned one is completed, and becomes one of those that are known; `planned` has it as it was.
+    """
     own = target.experiment
     if isinstance(own, Experiment):
-        if own.id in known and own.id not in given:
+        if own.id in known and planned.get(own.id) is not own:
             raise ProblemError(
-                f"predictions: an experiment that is given must have a name of its own but "
-                f"{own.id!r} is one of the run; rename it, or name it alone"
+                f"predictions: a planned experiment must have a name of its own but {own.id!r} is "
+                "one of the run or of the others; rename it"
             )
-        return [_completed(own, like)]
+        planned[own.id] = own
+        known[own.id] = _completed(own, like)
+        return [known[own.id]]
     if not own:
-        return list(known.values())
+        return [experiment for name, experiment in known.items() if name not in planned]
     if own not in known:
         raise ProblemError(
             f"predictions: experiment must be one of the run but is {own!r}{nearest(own, known)}"

@@ -326,3 +326,27 @@ def test_an_experiment_of_its_own_needs_a_name_of_its_own(linear):
     settings = DesignSettings(predictions=(PredictionTarget(planned(name="run")),), candidates=10)
     with pytest.raises(ProblemError, match="must have a name of its own but 'run' is one of"):
         ce.design(result, WIDE, settings=settings)
+    twice = tuple(PredictionTarget(planned(c * PLANNED)) for c in (1.0, 0.5))
+    with pytest.raises(ProblemError, match="must have a name of its own but 'planned' is one of"):
+        ce.design(result, WIDE, settings=DesignSettings(predictions=twice, candidates=10))
+
+
+@pytest.mark.parametrize(
+    ("table", "sentence"),
+    [
+        ("t,force\n0,1\n1,2\n", "predictions[0].time"),
+        ("time,G\n0,1\n1,2\n", "has no variable 'G'"),
+        ("time,F\n0,1\n", "must have a column for an input, and two rows at least"),
+        ("time\n0\n1\n", "must have a column for an input, and two rows at least"),
+        ("time,F\n0,1\n0,2\n", "times must increase but 0 repeats 0"),
+        ("time,F\n0,1\n1,high\n", "predictions[0].inputs.F"),
+        ("time,F\n0,1\n1,\n2,3\n", "input 'F'.values, index 1: must be a finite number but is nan"),
+    ],
+)
+def test_a_plan_that_is_none_is_refused_in_a_sentence(folder, tmp_path, capsys, table, sentence):
+    (folder / "wrong.csv").write_text(table, encoding="utf-8")
+    (folder / "wrong.toml").write_text(LIMITS + PREDICT + 'data = "wrong.csv"\n', encoding="utf-8")
+    assert designed(folder, tmp_path / "n.csv", "--no-report", limits="wrong.toml") == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert sentence in said
+    assert "Traceback" not in said
