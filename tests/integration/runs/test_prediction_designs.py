@@ -11,6 +11,8 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 import pytest
+from scipy.optimize import least_squares
+from scipy.signal import lsim
 from support.problems.springs import ROOT
 
 import cluster_est as ce
@@ -132,58 +134,53 @@ def test_an_input_that_is_certain_already_is_not_worth_much(linear):
     assert share(PredictionTarget("run")) > 2.0 * share(PredictionTarget(planned(-3.0 + 0 * TIMES)))
 
 
+def swung(values, experiment):
+    """The displacement of the mass on its spring, of a linear system with straight input."""
+    m, k, c = values
+    system = ([[0.0, 1.0], [-k / m, -c / m]], [[0.0], [1.0 / m]], [[1.0, 0.0]], [[0.0]])
+    times = experiment.outputs[0].times
+    begin = dict(experiment.values).get("x", 0.0)
+    force = np.interp(times, experiment.inputs[0].times, experiment.inputs[0].values)
+    return lsim(system, force, times, [begin, 0.0])[1]
+
+
 def test_predictions_scatter_as_was_expected():
-    """Fits to the old experiment and the designed one, each time with other noise."""
-    problem = ce.read_problem(SPRING)
-    sigma, keep = 0.003, slice(0, 101)
-    cut = []
-    for e in problem.experiments[:2]:
-        (o,) = e.outputs
-        values = ce.Output("y", o.times[keep], o.values[keep], sigma)
-        role = "test" if e.id == "exp2" else "train"
-        cut.append(replace(e, stop=2.0, outputs=(values,), role=role))
-    problem = ce.Problem(problem.model, problem.parameters, tuple(cut))
-    truth = {"m": 1.2, "k": 30.0, "c": 0.6, "x0": 0.0}
-    parameters = tuple(
-        replace(p, start=truth[p.name]) for p in problem.parameters if p.name != "x0"
-    )
-    model = replace(problem.model, parameters=("m", "k", "c"))
+    """Fits to the old experiment and the designed one, by SciPy, each time with other noise."""
+    truth, sigma, keep = np.array([1.2, 30.0, 0.6]), 0.003, slice(0, 101)
     generator = np.random.default_rng(11)
+    problem = ce.read_problem(SPRING)
+    old, target = (
+        replace(e, stop=2.0, outputs=(replace(e.outputs[0], times=e.outputs[0].times[keep],
+                                              values=e.outputs[0].values[keep], sigma=sigma),))
+        for e in problem.experiments[:2]
+    )  # fmt: skip
+    target = replace(target, role="test")
 
-    def exact(experiments):
-        found = ce.simulate(ce.Problem(model, parameters, tuple(experiments)))
-        return [
-            f.outcome.trajectory.at("y", e.outputs[0].times)
-            for f, e in zip(found, experiments, strict=True)
-        ]
+    def noisy(experiment):
+        exact = swung(truth, experiment)
+        return exact + sigma * generator.standard_normal(len(exact))
 
-    def measured(experiment, values):
-        (o,) = experiment.outputs
-        noise = sigma * generator.standard_normal(len(values))
-        return replace(
-            experiment, bounds=(), outputs=(ce.Output("y", o.times, values + noise, sigma),)
-        )
-
-    old, target = cut
-    (known,) = exact([old])
-    first = ce.fit(ce.Problem(model, parameters, (measured(old, known), target)))
+    (output,) = old.outputs
+    measured = replace(old, outputs=(replace(output, values=noisy(old)),))
+    parameters = tuple(p for p in problem.parameters if p.name != "x0")
+    model = replace(problem.model, parameters=("m", "k", "c"))
+    first = ce.fit(ce.Problem(model, parameters, (measured, target)))
     settings = DesignSettings(predictions=(PredictionTarget("exp2", ("y",)),), candidates=24)
     limits = ExperimentLimits({"F": InputLimits(-8.0, 8.0)}, 2.0, 0.02)
     found = ce.design(first, limits, settings=settings)
     (row,) = found.predictions
     assert row.std_error_after < 0.8 * row.std_error_before
-    designed = replace(found.experiment, bounds=())
-    exacts = exact([old, designed])
-    off = []
-    (expected,) = exact([replace(target, role="train")])
-    for _ in range(30):
-        runs = tuple(measured(e, v) for e, v in zip((old, designed), exacts, strict=True))
-        fitted = ce.fit(ce.Problem(model, parameters, (*runs, target)))
-        at = tuple(replace(p, start=fitted.x[p.name]) for p in parameters)
-        (predicted,) = ce.simulate(ce.Problem(model, at, (replace(target, role="train"),)))
-        off.append(predicted.outcome.trajectory.at("y", target.outputs[0].times) - expected)
-    scatter = np.sqrt(np.mean(np.square(off)))
+    runs, expected, off = (old, found.experiment), swung(truth, target), []
+    for _ in range(60):
+        data = [noisy(e) for e in runs]
+
+        def residuals(values, data=data):
+            return np.concatenate([swung(values, e) - y for e, y in zip(runs, data, strict=True)])
+
+        fitted = least_squares(residuals, truth, x_scale=truth, method="lm")
+        off.append(swung(fitted.x, target) - expected)
     noise = np.sqrt(np.sum(first.fun**2) / (len(first.fun) - 3))  # as that fit has it, over sigma
+    scatter = np.sqrt(np.mean(np.square(off)))
     assert scatter == pytest.approx(row.std_error_after / noise, rel=0.15)
 
 
