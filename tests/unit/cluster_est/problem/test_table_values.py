@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cluster_est.problem.formulas import Formula
@@ -31,6 +31,7 @@ def values_of(made, unknowns):
 
 
 @pytest.mark.parametrize("zeros", ZEROS)
+@settings(max_examples=8, deadline=None)  # each reads a formula for every value
 @given(seed=st.integers(0, 10_000))
 def test_the_slope_changes_by_the_unknowns_and_the_zeros_are_there(zeros, seed):
     generator = np.random.default_rng(seed)
