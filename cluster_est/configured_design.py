@@ -11,6 +11,7 @@ from typing import Any
 
 from cluster_est.config.build import build_problem
 from cluster_est.config.limits_file import read_limits
+from cluster_est.config.predictions import with_named_targets
 from cluster_est.config.reader import Config, EffectSection, read_config
 from cluster_est.configured_run import ConfiguredRun
 from cluster_est.errors import ConfigError, RunFolderError
@@ -23,6 +24,7 @@ from cluster_est.experiment_design.request import (
     chosen_models,
 )
 from cluster_est.experiment_design.result import DesignResult
+from cluster_est.experiment_design.targets import PredictionTarget
 from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.evaluation_log import LogSettings
 from cluster_est.run_folder.reading import check_has_estimates, read_facts, read_run_table
@@ -51,6 +53,7 @@ def read_design(
     limits: Path,
     config: Path | None,
     overrides: Sequence[str] = (),
+    predict: Sequence[str] = (),
     *,
     allow_code: bool,
 ) -> ConfiguredDesign:
@@ -66,6 +69,8 @@ def read_design(
         The config that the run was made from, if it has moved.
     overrides
         "key=value" of where it runs and for how long: executor, budget and log.
+    predict
+        "EXPERIMENT" or "EXPERIMENT:OUTPUT,OUTPUT" of what is predicted, in the place of the file's.
     allow_code
         Whether Python functions that it names may run.
 
@@ -86,11 +91,15 @@ def read_design(
     resolved = read_config(run_folder / "config.toml", overrides)
     base = config_base(run_folder, config)
     models = _models(run_folder, facts, resolved, base, allow_code=allow_code)
-    models = chosen_models(models, wanted.settings)
-    request = DesignRequest(models, wanted.limits, wanted.settings, wanted.seed)
+    ids = [experiment.id for experiment in models[0].problem.experiments]
+    settings = with_named_targets(wanted.settings, predict, ids)
+    models = chosen_models(models, settings)
+    request = DesignRequest(models, wanted.limits, settings, wanted.seed)
     check_design(request)
     parts = [str(facts["config_hash"]), wanted.text, json.dumps([m.name for m in models])]
     parts += [json.dumps({k: float(v) for k, v in m.values.items()}) for m in models]
+    parts += [json.dumps(list(predict))] if predict else []
+    parts += [part for target in settings.predictions for part in _planned(target)]
     log = resolved.log
     identity = RunIdentity(
         RunKind.DESIGN,
@@ -102,6 +111,13 @@ def read_design(
         LogSettings(log.residuals, log.keep_residuals, log.max_megabytes),
     )
     return ConfiguredDesign(identity, resolved, request)
+
+
+def _planned(target: PredictionTarget) -> list[str]:
+    """What identifies a planned experiment, whose table is not in the file of limits."""
+    if isinstance(target.experiment, str):
+        return []
+    return [json.dumps([g.times.tolist(), g.values.tolist()]) for g in target.experiment.inputs]
 
 
 def _models(
@@ -125,7 +141,7 @@ def _models(
     path = run_folder / "parameters.parquet"
     if not path.is_file():
         raise RunFolderError(f"{run_folder}: must be the folder of a finished run but is not")
-    rows = [row for row in read_run_table(path) if row["estimated_on"] == "train"]
+    rows = [row for row in read_run_table(path) if row["estimated_on"] in ("train", "test")]
     values = {row["label"]: float(row["value"]) for row in rows}
     problem = build_problem(config, base, allow_code=allow_code)
     return (CandidateModel(ALONE, _with_noise(problem, facts), values),)

@@ -31,6 +31,7 @@ def design(options: Namespace) -> int:
         options.limits,
         options.config,
         options.overrides,
+        options.predict,
         allow_code=options.allow_code,
     )
     existing = Existing.OVERWRITE if options.overwrite else Existing.REFUSE

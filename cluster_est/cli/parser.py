@@ -151,6 +151,14 @@ def _add_design(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         required=True,
         help="table to write the input to (.csv); its run folder has the same name without .csv",
     )
+    design.add_argument(
+        "--predict",
+        metavar="EXPERIMENT[:OUTPUT,...]",
+        action="append",
+        default=[],
+        help="experiment of the run whose outputs the next one makes certain to predict; may be "
+        "given more than once",
+    )
     _add_existing(design)
     design.add_argument(
         "--config", type=Path, help="the config that the run was made from, if it has moved"

@@ -22,6 +22,8 @@ from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkben
 from cluster_est.errors import EffectError, ProblemError
 from cluster_est.problem.effects import DeclaredCoefficient, DeclaredEffect, make_effect
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.shaped_curve import checked_shape
+from cluster_est.problem.table_values import Monotone
 from cluster_est.running.arguments import check_problem
 from cluster_est.running.resources import Resources
 from workers.effects.forms import FormCoefficient
@@ -172,6 +174,9 @@ def add_effect(
     *,
     start: Mapping[str, float] | None = None,
     reaction: str = "",
+    slope_change: float | None = None,
+    monotone: Monotone = "",
+    bounds: tuple[float, float] | None = None,
 ) -> Problem:
     """Add an effect to a problem, with its coefficients as parameters.
 
@@ -196,6 +201,11 @@ def add_effect(
         Values of coefficients to start from, by name; every one of an equation of your own.
     reaction
         Of an equation at a pair: what is added to the derivative of its second state.
+    slope_change, monotone, bounds
+        Of a form that is a free curve, such as "table": the standard deviation of what its slope
+        changes by over one unit of its argument, a prior; whether it is "increasing" or
+        "decreasing", a constraint; and the bounds of its values. See
+        `cluster_est.problem.table_values`.
 
     Raises
     ------
@@ -208,7 +218,7 @@ def add_effect(
     for key, text in texts.items():
         check_text(text, f"effect.{key}", EffectError)
     variables = as_tuple(variables, str, "effect.variables", EffectError)
-    starts = _starts(start)
+    starts, shape = _starts(start), checked_shape(slope_change, monotone, bounds)
     held: tuple[str, ...] = ()
     if form and not equation:
         missing = _unstarted(problem, site, form, name or form, starts)
@@ -218,13 +228,14 @@ def add_effect(
     coefficients = {
         key: DeclaredCoefficient(start=value, fixed=key in held) for key, value in starts.items()
     }
-    effect, parameters = make_effect(
-        DeclaredEffect(name, site, form, equation, variables, coefficients, reaction)
+    made = make_effect(
+        DeclaredEffect(name, site, form, equation, variables, coefficients, reaction, shape)
     )
     grown = replace(
         problem,
-        effects=(*problem.effects, effect),
-        parameters=(*problem.parameters, *parameters),
+        effects=(*problem.effects, made.effect),
+        parameters=(*problem.parameters, *made.parameters),
+        constraints=(*problem.constraints, *made.constraints),
     )
     grown.describe()
     return grown

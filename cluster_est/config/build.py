@@ -86,17 +86,20 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
                 f"values.{name}: is also a parameter; remove one of the two, or set "
                 f"parameters.{name}.fixed = true"
             )
-    effects, coefficients = build_effects(tuple(config.effects))
+    effects = build_effects(tuple(config.effects))
     code = UserCode(base, allowed=allow_code)
     experiments = build_experiments(config, base, code)
-    every = (*parameters, *coefficients)
-    constraints = parameter_constraints(config, tuple(p.name for p in every))
+    every = (*parameters, *(p for made in effects for p in made.parameters))
+    constraints = (
+        *parameter_constraints(config, tuple(p.name for p in every)),
+        *(constraint for made in effects for constraint in made.constraints),
+    )
     problem = Problem(
         model,
         every,
         experiments,
         build_cost(config),
-        effects,
+        tuple(made.effect for made in effects),
         constraints,
         units=tuple(config.model.units.items()),
         tables=table_sources(config, base),

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from cluster_est.config.options import build_prior
 from cluster_est.config.reader import EffectSection
-from cluster_est.problem.effects import DeclaredCoefficient, DeclaredEffect, make_effect
-from cluster_est.problem.parameter import Parameter
-from workers.messages import Effect
+from cluster_est.problem.effects import (
+    DeclaredCoefficient,
+    DeclaredEffect,
+    MadeEffect,
+    make_effect,
+)
+from cluster_est.problem.table_values import UNBOUNDED, TableShape
 
 
-def build_effects(
-    sections: tuple[EffectSection, ...],
-) -> tuple[tuple[Effect, ...], tuple[Parameter, ...]]:
-    """The effects of a config and their coefficients as parameters, in the same order.
+def build_effects(sections: tuple[EffectSection, ...]) -> tuple[MadeEffect, ...]:
+    """The effects of a config, each with its coefficients as parameters.
 
     Raises
     ------
@@ -21,9 +23,7 @@ def build_effects(
     EffectError
         If there is no such form or site.
     """
-    pairs = [make_effect(_declared(section)) for section in sections]
-    effects = tuple(effect for effect, _ in pairs)
-    return effects, tuple(p for _, parameters in pairs for p in parameters)
+    return tuple(make_effect(_declared(section)) for section in sections)
 
 
 def _declared(section: EffectSection) -> DeclaredEffect:
@@ -50,4 +50,5 @@ def _declared(section: EffectSection) -> DeclaredEffect:
             for name, chosen in section.parameters.items()
         },
         section.reaction,
+        TableShape(section.slope_change, section.monotone, section.bounds or UNBOUNDED),
     )

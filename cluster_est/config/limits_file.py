@@ -9,6 +9,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from cluster_est.config.messages import error_messages
+from cluster_est.config.predictions import prediction_targets
 from cluster_est.config.sections.design import LimitsSections
 from cluster_est.errors import ConfigError, ProblemError
 from cluster_est.experiment_design.limits import ExperimentLimits, InputLimits, SignalLimits
@@ -62,12 +63,12 @@ def read_limits(path: str | Path) -> LimitsFile:
             "\n".join(error_messages(error, str(path), raw, LimitsSections))
         ) from None
     try:
-        return _built(found, text)
+        return _built(found, text, path.parent)
     except ProblemError as error:
         raise ConfigError(f"{path}: {error}") from None
 
 
-def _built(found: LimitsSections, text: str) -> LimitsFile:
+def _built(found: LimitsSections, text: str, base: Path) -> LimitsFile:
     limits = ExperimentLimits(
         inputs={name: InputLimits(**each.model_dump()) for name, each in found.inputs.items()},
         duration=found.duration,
@@ -82,5 +83,6 @@ def _built(found: LimitsSections, text: str) -> LimitsFile:
         rivals=tuple(found.rivals),
         waveforms=tuple(found.waveforms),
         candidates=found.candidates,
+        predictions=prediction_targets(found.predictions, base),
     )
     return LimitsFile(limits, settings, found.seed, text)

@@ -29,6 +29,7 @@ from cluster_est.experiment_design.request import (
 from cluster_est.experiment_design.result import DesignResult, make_result
 from cluster_est.experiment_design.search import CandidateScorer, ranked, search
 from cluster_est.experiment_design.settings import DesignSettings
+from cluster_est.experiment_design.target_predictions import with_predictions
 from cluster_est.results.result import Result
 from cluster_est.running.arguments import check_resources
 from cluster_est.running.environment import Monitor, RunEnvironment
@@ -64,6 +65,9 @@ def make_design(environment: RunEnvironment, request: DesignRequest) -> DesignRe
             "fitting the models",
             lambda runner: fit_candidates(runner, request.models, request.seed),
         )
+        if request.targets:
+            units = {v.name: v.unit for v in request.problem.describe().variables.values()}
+            fitted[0] = with_predictions(queue, fitted[0], request.targets, units)
         labels = tuple(each for each in narrowed_labels(request) if each not in fitted[0].held)
         scorer = CandidateScorer(fitted, request.criterion, labels, queue)
         maker = candidate_maker(request, noise)

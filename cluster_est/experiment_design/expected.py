@@ -12,10 +12,12 @@ from cluster_est.experiment_design.candidates import RANDOM, RECORDED, SMALLER
 from cluster_est.experiment_design.criteria import (
     covariances,
     expected_probabilities,
+    prediction_variances,
 )
 from cluster_est.experiment_design.expected_rows import (
     ExpectedEvidence,
     ExpectedPrecision,
+    ExpectedPredictionError,
     ExpectedProbability,
 )
 from cluster_est.experiment_design.models import FittedCandidate
@@ -114,6 +116,27 @@ def expected_precision(
             )
         )
     return tuple(rows)
+
+
+def expected_predictions(
+    scorer: CandidateScorer, found: Sequence[ScoredCandidate], best: ScoredCandidate
+) -> tuple[ExpectedPredictionError, ...]:
+    """Return the standard deviation of every prediction that counts, before and after."""
+    fitted = scorer.models[0]
+    if not fitted.targets:
+        return ()
+
+    def errors(each: ScoredCandidate) -> FloatArray:
+        return np.sqrt(prediction_variances(fitted, each.predicted[0])[1])
+
+    before = np.sqrt(prediction_variances(fitted, best.predicted[0])[0])
+    columns = (before, errors(best), *_compared(found, errors))
+    return tuple(
+        ExpectedPredictionError(
+            each.experiment, each.output, each.unit, *(float(column[i]) for column in columns)
+        )
+        for i, each in enumerate(fitted.targets)
+    )
 
 
 def _physical_change(to_physical: Callable[[float], float], searched: float) -> float:

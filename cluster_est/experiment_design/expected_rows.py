@@ -55,6 +55,30 @@ class ExpectedProbability:
 
 
 @dataclass(frozen=True)
+class ExpectedPredictionError:
+    """What an experiment is expected to do to a prediction.
+
+    Attributes
+    ----------
+    experiment, output, unit
+        What is predicted.
+    std_error_before, std_error_after
+        The standard deviation that the parameters give it so far, and with the experiment: root
+        mean square over the samples, without the noise of a measurement.
+    random, recorded
+        The same with a random input or a recorded one, see `ExpectedEvidence`.
+    """
+
+    experiment: str
+    output: str
+    unit: str
+    std_error_before: float
+    std_error_after: float
+    random: float
+    recorded: float
+
+
+@dataclass(frozen=True)
 class ExpectedPrecision:
     """What an experiment is expected to do to a parameter.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -51,6 +52,29 @@ class CandidateModel:
 
 
 @dataclass(frozen=True)
+class PredictedOutput:
+    """An output whose prediction is to become certain.
+
+    Attributes
+    ----------
+    experiment, output, unit
+        Which.
+    jacobian : (samples, unknowns)
+        Derivatives of what the model predicts by its unknowns, in search coordinates.
+    """
+
+    experiment: str
+    output: str
+    unit: str
+    jacobian: FloatArray = field(repr=False)
+
+    @cached_property
+    def squares(self) -> FloatArray:
+        """J' J over the number of samples: the mean variance is the sum of it times C."""
+        return np.asarray(self.jacobian.T @ self.jacobian / len(self.jacobian))
+
+
+@dataclass(frozen=True)
 class FittedCandidate:
     """A model, fitted to the training experiments.
 
@@ -68,6 +92,8 @@ class FittedCandidate:
         Labels of the unknowns that stand at a bound.
     notes
         Sentences on what the fit here made of the run's estimates.
+    targets
+        What is to be predicted with it.
     """
 
     model: CandidateModel
@@ -77,6 +103,7 @@ class FittedCandidate:
     squares: float = 0.0
     held: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    targets: tuple[PredictedOutput, ...] = ()
 
     @property
     def labels(self) -> tuple[str, ...]:

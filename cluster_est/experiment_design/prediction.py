@@ -137,7 +137,7 @@ def predictions(
     ]
     solutions = runner.run(requests)
     found = [
-        _predicted(model, space, x, solution.evaluations)
+        predicted_experiment(model, space, x, solution.evaluations)
         for (model, space), x, solution in zip(pairs, points, solutions, strict=True)
     ]
     whole: list[tuple[PredictedExperiment, ...] | str] = []
@@ -188,15 +188,22 @@ def _derivatives(moves: FloatArray, changes: FloatArray) -> FloatArray | None:
     return np.asarray((np.linalg.solve(scaled, changes / lengths[:, None]) / sizes[:, None]).T)
 
 
-def _predicted(
+def predicted_experiment(
     model: FittedCandidate,
     space: SearchSpace,
     points: FloatArray,
     evaluations: Sequence[Evaluation],
 ) -> PredictedExperiment | str:
-    """The prediction of sigma points, or why there is none.
+    """Return the prediction of sigma points, or why there is none.
 
-    One-sided where one of two could not be simulated.
+    Derivatives are one-sided where one of two points could not be simulated.
+
+    Parameters
+    ----------
+    model, space
+        The model, and its unknowns in the experiment.
+    points, evaluations
+        See `sigma_points`; the first was simulated.
     """
     count = space.size
     leaving = [at for at in evaluations if at.ok and at.violation > TOLERANCE]

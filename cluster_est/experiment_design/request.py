@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from cluster_est.experiment_design.criteria import CRITERIA, DesignCriterion
 from cluster_est.experiment_design.limits import ExperimentLimits
 from cluster_est.experiment_design.models import CandidateModel
 from cluster_est.experiment_design.settings import DesignSettings
+from cluster_est.experiment_design.targets import target_experiments
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import refuse_process_noise
 from cluster_est.problem.space import make_space
@@ -63,7 +64,15 @@ class DesignRequest:
     def criterion(self) -> DesignCriterion:
         """What is asked for, or what suits the models."""
         usual = "discriminate" if len(self.models) > 1 else "d"
+        usual = "v" if self.settings.predictions else usual
         return CRITERIA[self.settings.criterion or usual]
+
+    @property
+    def targets(self) -> tuple[Experiment, ...]:
+        """The experiments that are to be predicted, with the outputs that count; see `targets`."""
+        if not self.criterion.predicts:
+            return ()
+        return target_experiments(self.settings.predictions, self.problem, self.like)
 
 
 def models_of(result: object) -> tuple[CandidateModel, ...]:
@@ -124,11 +133,13 @@ def check_design(request: DesignRequest) -> None:
     _check_comparable(problem)
     _check_variables(request, problem.describe())
     narrowed_labels(request)
+    if request.targets:
+        replace(problem, experiments=request.targets, constraints=()).describe()
     criterion = request.criterion
     if criterion.compares and len(request.models) < 2:
         raise ProblemError(
             f"criterion: {criterion.name!r} must have at least two models to tell apart but the "
-            'run leaves one; take "d" or "a", which narrow its parameters'
+            'run leaves one; take "d" or "a", which narrow its parameters, or "v"'
         )
 
 

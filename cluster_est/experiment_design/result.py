@@ -16,12 +16,14 @@ from cluster_est.experiment_design.candidates import RECORDED, CandidateMaker
 from cluster_est.experiment_design.expected import (
     expected_evidence,
     expected_precision,
+    expected_predictions,
     expected_probability,
     expected_table,
 )
 from cluster_est.experiment_design.expected_rows import (
     ExpectedEvidence,
     ExpectedPrecision,
+    ExpectedPredictionError,
     ExpectedProbability,
 )
 from cluster_est.experiment_design.experiment_block import STEM, TABLE, experiment_block
@@ -34,6 +36,7 @@ from cluster_est.experiment_design.sentences import (
     alike_sentences,
     evidence_sentence,
     narrowed_sentence,
+    predicted_sentence,
 )
 from workers.fmu.description import nearest
 from workers.grid import values_at
@@ -63,6 +66,8 @@ class DesignResult:
         For every model, and every pair of models; empty where there is one.
     precision
         For every parameter that counts.
+    predictions
+        For every output that is to be predicted; empty for other criteria than "v".
     expected
         What each model predicts of it: see `expected_table`.
     remarks
@@ -82,6 +87,7 @@ class DesignResult:
     evidence: tuple[ExpectedEvidence, ...]
     precision: tuple[ExpectedPrecision, ...]
     expected: pa.Table = field(repr=False)
+    predictions: tuple[ExpectedPredictionError, ...] = ()
     remarks: tuple[str, ...] = ()
     evaluations: int = 0
     simulated: int = 0
@@ -97,7 +103,8 @@ class DesignResult:
     def tables(self) -> tuple[str, ...]:
         """Names of its tables, those of a run folder's files."""
         return (
-            "candidates", "probabilities", "evidence", "precision", "next_input", "expected",
+            "candidates", "probabilities", "evidence", "precision", "prediction_precision",
+            "next_input", "expected",
         )  # fmt: skip
 
     def table(self, name: str) -> pa.Table:
@@ -117,6 +124,8 @@ class DesignResult:
             return _rows(ExpectedEvidence, self.evidence)
         if name == "precision":
             return _rows(ExpectedPrecision, self.precision)
+        if name == "prediction_precision":
+            return _rows(ExpectedPredictionError, self.predictions)
         if name == "next_input":
             return self.input_table()
         if name == "expected":
@@ -202,6 +211,8 @@ class DesignResult:
         if self._discriminates:
             said = evidence_sentence(self.evidence, self.probabilities, len(self.candidates))
             return f"{made}: {said}"
+        if self.predictions:
+            return f"{made}: {predicted_sentence(self.predictions)}"
         return f"{made}: {narrowed_sentence(self.precision)}"
 
     def facts(self) -> Mapping[str, Any]:
@@ -260,6 +271,7 @@ def make_result(
         probabilities=expected_probability(scorer, found.scored, evidence),
         evidence=expected_evidence(scorer, found.scored, evidence),
         precision=expected_precision(scorer, found.scored, best),
+        predictions=expected_predictions(scorer, found.scored, best),
         expected=expected_table(scorer.models, best),
         remarks=tuple(remarks),
     )

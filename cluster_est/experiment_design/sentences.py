@@ -10,6 +10,7 @@ from cluster_est.experiment_design.expected_rows import (
     TOLD_APART,
     ExpectedEvidence,
     ExpectedPrecision,
+    ExpectedPredictionError,
     ExpectedProbability,
 )
 
@@ -100,6 +101,31 @@ def narrowed_sentence(rows: Sequence[ExpectedPrecision]) -> str:
     said = (
         "the standard errors are expected to fall to "
         f"{share('std_error_after'):.2g} of what they are, as a geometric mean"
+    )
+    others = []
+    if not math.isnan(share("random")):
+        others.append(f"with a random input within the same limits to {share('random'):.2g}")
+    if not math.isnan(share("recorded")):
+        others.append(f"with a recorded one, repeated, to {share('recorded'):.2g}")
+    return "; ".join([said, *others])
+
+
+def predicted_sentence(rows: Sequence[ExpectedPredictionError]) -> str:
+    """Say what an experiment is expected to do to predictions."""
+
+    def share(name: str) -> float:
+        squares = [(getattr(row, name) / row.std_error_before) ** 2 for row in rows]
+        return math.sqrt(sum(squares) / len(squares))
+
+    if not share("std_error_after") < NO_CHANGE:
+        return "it is expected to tell next to nothing of what is to be predicted"
+    first = f"{rows[0].output} in {rows[0].experiment}"
+    more = f" and {len(rows) - 1} other prediction{'s' if len(rows) > 2 else ''}"
+    several = len(rows) > 1
+    said = (
+        f"the standard deviation{'s' if several else ''} of {first}{more if several else ''} "
+        f"{'are' if several else 'is'} expected to fall to {share('std_error_after'):.2g} of what "
+        f"{'they are, as a root mean square' if several else 'it is'}"
     )
     others = []
     if not math.isnan(share("random")):

@@ -9,7 +9,10 @@ from typing import Literal
 
 from cluster_est.errors import ConfigError
 from cluster_est.priors import Prior
+from cluster_est.problem.formulas import ParameterConstraint
 from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.shaped_curve import UNSHAPED, ShapedCurve
+from cluster_est.problem.table_values import TableShape
 from workers.effects.kinds import FormCoefficient
 from workers.fmu.description import nearest
 from workers.messages import Effect
@@ -68,6 +71,8 @@ class DeclaredEffect:
         Those of which something is declared, by name.
     reaction
         Of an equation at a pair: what is added to the second state's derivative.
+    shape
+        Of a free curve: how smooth it is, whether it is monotone, and the bounds of its values.
     """
 
     name: str
@@ -77,24 +82,41 @@ class DeclaredEffect:
     variables: tuple[str, ...] = ()
     coefficients: Mapping[str, DeclaredCoefficient] = field(default_factory=dict)
     reaction: str = ""
+    shape: TableShape = UNSHAPED
+
+
+@dataclass(frozen=True)
+class MadeEffect:
+    """An effect with its coefficients as parameters, and the constraints between them.
+
+    Beside the coefficients may stand auxiliary parameters, from which a smooth curve follows.
+    """
+
+    effect: Effect
+    parameters: tuple[Parameter, ...]
+    constraints: tuple[ParameterConstraint, ...] = ()
 
 
 NOTHING = DeclaredCoefficient()
 """A coefficient of which nothing is declared."""
 
 
-def make_effect(declared: DeclaredEffect) -> tuple[Effect, tuple[Parameter, ...]]:
+def make_effect(declared: DeclaredEffect) -> MadeEffect:
     """Make an effect and its coefficients as parameters.
 
     Raises
     ------
     ConfigError
-        If it names both a form and an equation, or neither, or a coefficient that it lacks, or
-        starts at 0 what the form divides by.
+        If it names both a form and an equation, or neither, or a coefficient that it lacks,
+        starts at 0 what the form divides by, or has the shape of a curve that it is not.
     EffectError
         If there is no such form or site.
     """
-    from workers.effects.definition import coefficients, divisors  # SymPy takes long to import
+    from workers.effects.definition import (  # SymPy takes long to import
+        coefficients,
+        divisors,
+        form_of,
+    )
 
     name = declared.name or declared.form
     where = f"effect {name!r}"
@@ -132,7 +154,17 @@ def make_effect(declared: DeclaredEffect) -> tuple[Effect, tuple[Parameter, ...]
         )
         for c in known
     ]
-    return effect, tuple(parameters)
+    if not declared.shape.says_something:
+        return MadeEffect(effect, tuple(parameters))
+    chosen = {c.name: _chosen_keys(given.get(c.name, NOTHING)) for c in known}
+    shaped = ShapedCurve(name, form_of(effect, where), declared.shape, tuple(parameters), chosen)
+    return MadeEffect(effect, shaped.parameters(), shaped.constraints())
+
+
+def _chosen_keys(chosen: DeclaredCoefficient) -> tuple[str, ...]:
+    """What is declared of a coefficient beside its start, its unit and what it is by nature."""
+    keys = ("bounds", "scale", "fixed", "per", "prior")
+    return tuple(key for key in keys if getattr(chosen, key) != getattr(NOTHING, key))
 
 
 def _start(

@@ -19,8 +19,8 @@ RUNNING = "running"
 SMALL = (
     "parameters", "errors", "constraints", "starts", "minima", "front", "correlations",
     "directions", "profiles", "intervals", "searches", "workers", "findings", "structures",
-    "shapes", "ranking", "indices", "probabilities", "evidence", "precision", "next_input",
-    "expected",
+    "shapes", "ranking", "indices", "probabilities", "evidence", "precision",
+    "prediction_precision", "next_input", "expected",
 )  # fmt: skip
 
 

@@ -676,6 +676,24 @@ TABLES = (
         ),
     ),
     TableMeaning(
+        "prediction_precision",
+        "output that is to be predicted",
+        'in runs of design with criterion = "v"',
+        (
+            ColumnDescription("experiment", TEXT, "", "that is predicted"),
+            ColumnDescription("output", TEXT, "", "of the FMU"),
+            ColumnDescription("unit", TEXT, "", "of the output"),
+            ColumnDescription(
+                "std_error_before",
+                NUMBER,
+                "the FMU's",
+                "what the uncertainty of the parameters makes of it so far, root mean square",
+            ),
+            ColumnDescription("std_error_after", NUMBER, "the FMU's", "with the experiment"),
+            *_REFERENCES,
+        ),
+    ),
+    TableMeaning(
         "next_input",
         "sample of the next experiment",
         "in runs of design; with a column for each input, and an empty one for each output",

@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 
 from cluster_est.experiment_design.criteria import CRITERIA
+from cluster_est.experiment_design.models import PredictedOutput
 from cluster_est.experiment_design.prediction import PredictedExperiment
 
 EVERY = pytest.mark.parametrize("name", CRITERIA)
 LABELS = ("a", "b")
+TARGETS = tuple(
+    PredictedOutput("planned", name, "m", np.random.default_rng(8 + i).standard_normal((25, 2)))
+    for i, name in enumerate(("y", "z"))
+)
 
 
 def model(weight=0.5):
@@ -22,6 +27,7 @@ def model(weight=0.5):
         labels=LABELS,
         information=information,
         covariance=np.linalg.inv(information),
+        targets=TARGETS,
     )
 
 

@@ -224,6 +224,17 @@ def coefficients(effect: Effect, where: str) -> tuple[FormCoefficient, ...]:
     return tuple(replace(c, positive=positive(c, own=own)) for c in chosen.coefficients)
 
 
+def form_of(effect: Effect, where: str) -> EffectForm:
+    """The form that an effect names, or that of its own equation, without an FMU.
+
+    Raises
+    ------
+    EffectError
+        If its site cannot be read or its form is unknown.
+    """
+    return _chosen(effect, parse_site(effect.site, f"{where}: site"), where)
+
+
 def divisors(effect: Effect, where: str) -> tuple[str, ...]:
     """The coefficients of a form that it divides by; none are known of an equation of one's own.
 
@@ -232,7 +243,7 @@ def divisors(effect: Effect, where: str) -> tuple[str, ...]:
     EffectError
         If its site cannot be read or its form is unknown.
     """
-    chosen = _chosen(effect, parse_site(effect.site, f"{where}: site"), where)
+    chosen = form_of(effect, where)
     own = chosen.coefficients if not effect.equation else ()
     return tuple(c.name for c in own if chosen.divides_by(c.name))
 

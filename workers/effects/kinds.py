@@ -205,6 +205,21 @@ class EffectForm:
         return self.family == FREE_FAMILY
 
     @property
+    def curve_values(self) -> tuple[str | None, ...]:
+        """The coefficients that are the values of a free curve, at equal steps from low to high.
+
+        None where it is 0 by definition.
+        """
+        own = {c.name for c in self.coefficients}
+        names = [f"k{i}" for i in range(1, self.values + 1)]
+        return tuple(name if name in own else None for name in names)
+
+    @property
+    def is_characteristic(self) -> bool:
+        """It is a free curve of the very signal that it is added to."""
+        return self.free and not self.variables
+
+    @property
     def is_noise(self) -> bool:
         """It is noise that acts on a state, with its first coefficient as its strength."""
         return self.family == NOISE_FAMILY

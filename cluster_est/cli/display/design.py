@@ -15,7 +15,8 @@ from cluster_est.run_folder.reading import StoredRun
 def print_design(console: Console, run: StoredRun) -> None:
     """Print what was chosen, and what it is expected to tell.
 
-    `run` has the tables "probabilities", "evidence" and "precision".
+    `run` has the tables "probabilities", "evidence", "precision" and
+    "prediction_precision".
     """
     facts = run.facts
     tell(console, f"next experiment: {facts['design']['summary']}")
@@ -60,6 +61,23 @@ def print_design(console: Console, run: StoredRun) -> None:
             for row in run.tables["precision"]
         ],
     )
+    if run.tables["prediction_precision"]:
+        print_table(
+            console,
+            ["predicted", "of", "unit", "std deviation now", "after it", "after a random input"],
+            [
+                (
+                    row["output"],
+                    row["experiment"],
+                    row["unit"],
+                    *(
+                        number(row[name], "")
+                        for name in ("std_error_before", "std_error_after", "random")
+                    ),
+                )
+                for row in run.tables["prediction_precision"]
+            ],
+        )
     for note in facts["notes"][1:]:
         say(console, f"note: {note}")
     say(console, f"tables: {run.path}/*.parquet")

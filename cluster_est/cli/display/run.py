@@ -16,7 +16,7 @@ from cluster_est.run_folder.reading import StoredRun, left_alone, read_stored_ru
 
 SHOWN = (
     "parameters", "errors", "constraints", "intervals", "front", "starts", "minima", "ranking",
-    "probabilities", "evidence", "precision",
+    "probabilities", "evidence", "precision", "prediction_precision",
 )  # fmt: skip
 """Tables of a run that its summary is printed from."""
 

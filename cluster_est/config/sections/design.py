@@ -11,6 +11,7 @@ from cluster_est.config.sections.types import LARGEST, ConfigSection, Count, Fin
 from cluster_est.experiment_design.candidates import RECORDED
 from cluster_est.experiment_design.criteria import CRITERIA
 from cluster_est.experiment_design.waveforms import WAVEFORMS
+from workers.messages import Interpolation
 
 
 def _pair(value: object) -> object:
@@ -48,6 +49,28 @@ class StartLimitsSection(ConfigSection):
     upper: Finite = Field(description="in the variable's unit")
 
 
+class PredictionSection(ConfigSection):
+    """What is to be predicted: an experiment of the run, or one that is planned."""
+
+    experiment: str = Field("", description="of the run, a test one too; default: all of them")
+    data: str = Field(
+        "",
+        description="instead: table of the inputs of a planned experiment, from the folder of this "
+        "file; what it does not have is that of the experiment like",
+    )
+    time: str = Field("time", description="its column of times, in seconds")
+    inputs: dict[str, str] = Field(
+        default_factory=dict,
+        description="FMU input = its column; default: all columns, named as inputs",
+    )
+    interpolation: Interpolation = Field("linear", description="or hold: between its samples")
+    outputs: list[str] = Field(
+        default_factory=list,
+        description="the FMU's names; default: those that are measured in it, for a planned one "
+        "those that the run measures",
+    )
+
+
 class LimitsSections(ConfigSection):
     """A whole file of limits."""
 
@@ -64,13 +87,18 @@ class LimitsSections(ConfigSection):
     )
     criterion: str = Field(
         "",
-        description=f"{one_of(CRITERIA)}: tell the rivals of a finding apart, or narrow parameters "
-        "together (d) or each (a); default: discriminate where there are rivals, else d",
+        description=f"{one_of(CRITERIA)}: tell the rivals of a finding apart, narrow parameters "
+        "together (d) or each (a), or narrow predictions (v); default: v where there are "
+        "predictions, discriminate where there are rivals, else d",
     )
     parameters: list[str] = Field(
         default_factory=list,
         description="names of the parameters that are narrowed; default: all that experiments "
         "share",
+    )
+    predictions: list[PredictionSection] = Field(
+        default_factory=list,
+        description="what is predicted, for v; default: all outputs of all experiments of the run",
     )
     rivals: list[str] = Field(
         default_factory=list,

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field, Strict
 
 from cluster_est.config.sections.types import ConfigSection, Finite
+from cluster_est.problem.table_values import Monotone
 
 
 class MapSection(ConfigSection):
@@ -32,7 +33,6 @@ class MapSection(ConfigSection):
         description="smoothness: standard deviation of the change of its slope over one unit of "
         "the abscissa, a prior; default: none; needs finite bounds",
     )
-    monotone: Literal["", "increasing", "decreasing"] = Field(
-        "", description="increasing or decreasing: a constraint"
-    )
+    monotone: Monotone = Field("", description="increasing or decreasing: a constraint")
+    fixed: bool = Field(False, description="keep every value at its start")
     unit: str = Field("", description="of its values, for tables; default: the FMU's")

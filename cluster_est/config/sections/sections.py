@@ -20,6 +20,7 @@ from cluster_est.config.sections.search import (
 )
 from cluster_est.config.sections.types import LARGEST, ConfigSection, Count, Finite, Known, one_of
 from cluster_est.executors import EXECUTORS
+from cluster_est.problem.table_values import Monotone
 from cluster_est.running.resources import Resources
 
 
@@ -149,6 +150,19 @@ class EffectSection(ConfigSection):
     )
     parameters: dict[str, CoefficientSection] = Field(
         default_factory=dict, description="its coefficients = { start, bounds, ... }"
+    )
+    slope_change: Finite | None = Field(
+        None,
+        gt=0.0,
+        description="smoothness of a free curve, such as table: as of a map; default: none; needs "
+        "finite bounds, and holds low and high at their starts",
+    )
+    monotone: Monotone = Field(
+        "", description="of a free curve: increasing or decreasing: a constraint, as of a map"
+    )
+    bounds: Annotated[tuple[float, float], Strict(False)] | None = Field(
+        None,
+        description="[lower, upper] of every value of a free curve, as of a map; default: none",
     )
 
 
@@ -285,7 +299,8 @@ class Config(ConfigSection):
         default_factory=list,
         exclude=True,  # the reader puts what is in them where it belongs
         description="files of values, .ssv (SSP) or .csv with columns name, value and unit: of "
-        "parameters and coefficients (EFFECT.COEFFICIENT) they are starts, of others known values",
+        "parameters, variables of maps and coefficients (EFFECT.COEFFICIENT) they are starts, of "
+        "others known values",
     )
     experiment_defaults: ExperimentDefaultsSection = Field(
         ExperimentDefaultsSection(),

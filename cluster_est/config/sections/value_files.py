@@ -36,9 +36,9 @@ def with_values_of_files(
 ) -> tuple[dict[str, Any], dict[str, str]]:
     """Return a config's tree with the values of the files that it names, and their units.
 
-    A value of a parameter of the config, or of an effect's coefficient ("EFFECT.COEFFICIENT"),
-    becomes its start. Any other becomes a known value of all experiments, unless the config has one
-    itself. Of two files the later one counts.
+    A value of a parameter of the config, of a variable of a map, or of an effect's coefficient
+    ("EFFECT.COEFFICIENT"), becomes its start. Any other becomes a known value of all experiments,
+    unless the config has one itself. Of two files the later one counts.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def with_values_of_files(
     Raises
     ------
     ConfigError
-        If a file is missing, or is no list of values.
+        If a file is missing, is no list of values, or has some values of a map without a start.
     """
     tree = {key: copy.deepcopy(value) for key, value in raw.items() if key != VALUE_FILES}
     given = {each.name: each for path in _paths(raw, base) for each in _read(path)}
@@ -60,15 +60,48 @@ def with_values_of_files(
     effects = listed if isinstance(listed, list) else []
     by_target = {own.get("variable") or name: own for name, own in _tables(parameters.items())}
     by_effect = {own.get("name") or own.get("form"): own for _, own in _tables(enumerate(effects))}
+    maps = tree.get("maps")
+    of_maps = _into_maps(maps if isinstance(maps, dict) else {}, given)
     for name, each in given.items():
         effect, _, coefficient = name.rpartition(".")
         if name in by_target:
             by_target[name]["start"] = _start(each)
+        elif name in of_maps:
+            continue
         elif effect in by_effect:
             _inner(_inner(by_effect[effect], "parameters"), coefficient)["start"] = _start(each)
         else:
             _inner(tree, "values").setdefault(name, each.value)
     return tree, {name: each.unit for name, each in given.items() if each.unit}
+
+
+def _into_maps(maps: Mapping[str, Any], given: Mapping[str, GivenValue]) -> set[str]:
+    """Put values into the starts of the maps that have these variables; return their names."""
+    found: set[str] = set()
+    for key, own in _tables(maps.items()):
+        variables = own.get("variables")
+        names = variables if isinstance(variables, list) else []
+        there = [name for name in names if name in given]
+        start = own.get("start")
+        before = start if isinstance(start, list) else [start] * len(names)
+        if there and len(before) == len(names):  # else it is refused when the config is checked
+            own["start"] = _starts_of_map(key, dict(zip(names, before, strict=True)), given)
+            found |= set(there)
+    return found
+
+
+def _starts_of_map(
+    key: str, before: Mapping[str, Any], given: Mapping[str, GivenValue]
+) -> list[Any]:
+    """The starts of a map, by its variables, with what the files have in their place."""
+    starts = {n: _start(given[n]) if n in given else start for n, start in before.items()}
+    missing = [name for name, start in starts.items() if start is None]
+    if missing:
+        raise ConfigError(
+            f"maps.{key}.start: must be there where the files of values have not all of its "
+            f"variables, but is not, and {', '.join(missing)} stand in none; add start"
+        )
+    return list(starts.values())
 
 
 def _tables(sections: Iterable[tuple[Any, Any]]) -> list[tuple[Any, dict[str, Any]]]:

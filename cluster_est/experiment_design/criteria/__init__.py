@@ -10,9 +10,11 @@ from cluster_est.experiment_design.criteria.discriminate import (
     evidence_table,
     expected_probabilities,
 )
+from cluster_est.experiment_design.criteria.v_optimal import VOptimality, prediction_variances
 
 CRITERIA: dict[str, DesignCriterion] = {
-    criterion.name: criterion for criterion in (Discrimination(), DOptimality(), AOptimality())
+    criterion.name: criterion
+    for criterion in (Discrimination(), DOptimality(), AOptimality(), VOptimality())
 }
 
 __all__ = [
@@ -21,4 +23,5 @@ __all__ = [
     "covariances",
     "evidence_table",
     "expected_probabilities",
+    "prediction_variances",
 ]

@@ -20,6 +20,9 @@ class DesignCriterion(ABC):
     compares: ClassVar[bool]
     """Whether it compares models, and so needs two; the others look at the first one alone."""
 
+    predicts: ClassVar[bool] = False
+    """Whether it needs to know what is to be predicted: `FittedCandidate.targets`."""
+
     called: ClassVar[str]
     """What a table calls its value, with the unit."""
 

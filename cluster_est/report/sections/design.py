@@ -39,6 +39,7 @@ def design(run: ReportedRun) -> ReportSection:
     blocks: list[Block] = []
     if rows and run.is_design:
         blocks = [*_inputs(rows), *_outputs(run), *_models(run), *_parameters(run)]
+        blocks += _predictions(run)
     return ReportSection("design", "The next experiment", tuple(blocks))
 
 
@@ -150,5 +151,29 @@ def _parameters(run: ReportedRun) -> list[Block]:
                 for row in run.tables["precision"]
             ),
             "What the experiment is expected to do to the parameters",
+        )
+    ]
+
+
+def _predictions(run: ReportedRun) -> list[Block]:
+    rows = run.tables["prediction_precision"]
+    if not rows:
+        return []
+    return [
+        TableBlock(
+            columns("predicted", "of", "#standard deviation now", "#after it", "#a random input"),
+            tuple(
+                (
+                    TableCell(row["output"], code=True),
+                    TableCell(row["experiment"]),
+                    *(
+                        TableCell(digits(row[key]))
+                        for key in ("std_error_before", "std_error_after", "random")
+                    ),
+                )
+                for row in rows
+            ),
+            "What the experiment is expected to do to predictions: what the uncertainty of the "
+            "parameters makes of them, as a root mean square over the samples",
         )
     ]

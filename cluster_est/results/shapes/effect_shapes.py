@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,6 +10,7 @@ import sympy as sp
 
 from cluster_est.results.result import Result
 from cluster_est.results.row_types import EffectCurve, Estimate
+from cluster_est.results.shapes.coefficient_covariance import covariance_of
 from workers.effects.definition import (
     SIGNAL,
     TIME,
@@ -243,7 +244,7 @@ def _curve(
     if not np.isfinite(y).any():
         return _none(definition, "it is not finite where the data were")
     counts, edges = np.histogram(seen, BINS)
-    spread = NORMAL95 * spread_of(part.shape, x, values, _covariance(result, own))
+    spread = NORMAL95 * spread_of(part.shape, x, values, covariance_of(result, own))
     units = {name: variable.unit for name, variable in description.variables.items()}
     unit, at_rates = units.get(part.target, ""), definition.site.at_rates
     first = parts_of(part.argument)[0]
@@ -262,21 +263,6 @@ def _curve(
         edges=edges,
         counts=counts.astype(np.float64),
     )
-
-
-def _covariance(result: Result, coefficients: Sequence[Estimate]) -> FloatArray:
-    """Of the coefficients; those that are held do not vary."""
-    labels = [e.label for e in coefficients]
-    known = result.uncertainty
-    shared = () if known is None else known.shared
-    errors = np.array([0.0 if e.estimated_on == "known" else e.std_error for e in coefficients])
-    correlations = np.eye(len(labels))
-    for i, one in enumerate(labels):
-        for j, other in enumerate(labels[:i]):
-            if known is not None and one in shared and other in shared:
-                found = known.correlations[shared.index(one), shared.index(other)]
-                correlations[i, j] = correlations[j, i] = found
-    return np.asarray(correlations * errors * errors[:, None])
 
 
 def spread_of(

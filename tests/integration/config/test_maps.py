@@ -13,6 +13,7 @@ from cluster_est.cli import main
 from cluster_est.config.maps import with_maps
 from cluster_est.config.reader import parse_config
 from cluster_est.errors import ConfigError
+from cluster_est.run_folder.reading import read_run_table
 from cluster_est.toml import to_toml
 
 POINTS = np.linspace(-1.0, 1.0, 9)
@@ -162,6 +163,80 @@ def test_a_name_that_is_taken_is_refused():
     tree = minimal(section) | {"parameters": {"map_2": {"start": 1.0}}}
     with pytest.raises(ConfigError, match="its value map_2 must have a name of its own"):
         with_maps(parse_config(tree, "c.toml"))
+
+
+@pytest.mark.parametrize("smooth", [{}, {"slope_change": 10.0, "monotone": "increasing"}])
+def test_what_is_exported_reads_back_as_starts(tmp_path, own_fmu, smooth):
+    """Of a run with a map, by the FMU's names; a start in the config is not needed then."""
+    tree = config(tmp_path, own_fmu, **smooth)
+    path, run = tmp_path / "config.toml", tmp_path / "run"
+    path.write_text(to_toml(tree), encoding="utf-8")
+    assert main(["fit", str(path), "--out", str(run), "--no-report"]) == 0
+    rows = {r["parameter"]: r["value"] for r in read_run_table(run / "parameters.parquet")}
+    found = [rows[f"spring_{i}"] for i in range(1, 10)]
+    del tree["maps"]["spring"]["start"]
+    for name in ("found.csv", "found.ssv"):
+        assert main(["export", str(run), f"--{name[-3:]}", str(tmp_path / name)]) == 0
+        path.write_text(to_toml({"value_files": [name]} | tree), encoding="utf-8")
+        resolved = ce.read_config(path)
+        assert resolved.maps["spring"].start == pytest.approx(found, rel=1e-12)
+        assert not resolved.values
+        before = ce.simulate(ce.read_problem(path))[0].outcome.trajectory.at("y", TIMES)
+        assert before == pytest.approx(moved_by(found), abs=1e-5)
+
+
+def moved_by(values):
+    """The displacement with these values in the table of the spring."""
+
+    def rates(t, state):
+        spring = np.interp(state[0], POINTS, values)
+        return [state[1], np.interp(t, TIMES, driving(2.5)) - spring - 0.5 * state[1]]
+
+    solved = solve_ivp(
+        rates, (0.0, TIMES[-1]), [0.0, 0.0], t_eval=TIMES, rtol=1e-9, atol=1e-10, max_step=0.02
+    )
+    return solved.y[0]
+
+
+SECTION = {"variables": ["a", "b", "c"], "points": [0.0, 0.5, 1.0], "bounds": [-9.0, 9.0]}
+
+
+def read_with_values(folder, section, values):
+    (folder / "found.csv").write_text(f"name,value\n{values}", encoding="utf-8")
+    tree = {"value_files": ["found.csv"]} | minimal(section)
+    (folder / "config.toml").write_text(to_toml(tree), encoding="utf-8")
+    return ce.read_config(folder / "config.toml")
+
+
+def test_values_of_a_file_take_the_place_of_their_starts_alone(tmp_path):
+    read = read_with_values(tmp_path, SECTION | {"start": 1.0}, "b,3\nmass,2\n")
+    assert read.maps["map"].start == [1.0, 3.0, 1.0]
+    assert read.values == {"mass": 2}
+
+
+def test_a_fixed_map_has_known_values(tmp_path):
+    section = SECTION | {"fixed": True, "slope_change": 1.0, "monotone": "increasing"}
+    made = with_maps(read_with_values(tmp_path, section, "b,3\na,2\nc,2.5\n"))
+    assert {k: (p.start, p.fixed, p.variable) for k, p in made.parameters.items()} == {
+        "map_1": (2.0, True, "a"),
+        "map_2": (3.0, True, "b"),
+        "map_3": (2.5, True, "c"),
+    }
+    assert not made.constraints
+
+
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        ("b,3\n", "maps.map.start: must be there where the files of values have not all of its"),
+        ("a,1\nb,high\nc,1\n", "found.csv: b must be a number, because it is estimated, but is"),
+        ("a,1\nb,99\nc,1\n", "maps.map.start: must lie within the bounds [-9.0, 9.0] but has 99"),
+    ],
+)
+def test_values_that_do_not_fit_a_map_are_refused_in_a_sentence(tmp_path, values, sentence):
+    with pytest.raises(ConfigError) as raised:
+        with_maps(read_with_values(tmp_path, SECTION, values))
+    assert sentence in str(raised.value)
 
 
 def test_a_run_with_a_map_is_shown_with_its_values(tmp_path, own_fmu, capsys):

@@ -64,7 +64,8 @@ def test_a_lag_is_found_from_a_start_far_off(factor: float) -> None:
     declared = DeclaredEffect(
         "", "output y", "lag", coefficients={"tau": DeclaredCoefficient(factor * LAG)}
     )
-    effect, parameters = make_effect(declared)
+    made = make_effect(declared)
+    effect, parameters = made.effect, made.parameters
     fit = ce.fit(replace(problem, effects=(effect,), parameters=(*problem.parameters, *parameters)))
     assert fit.x["lag.tau"] == pytest.approx(LAG, rel=0.02)
     assert fit.failures == 0
@@ -81,7 +82,8 @@ def test_a_speed_is_found_without_a_trial_at_nothing(factor: float) -> None:
         "width": DeclaredCoefficient(WIDTH, fixed=True),
         "vs": DeclaredCoefficient(factor * SPEED),
     }
-    effect, parameters = make_effect(DeclaredEffect("", "der(v)", "stribeck", coefficients=given))
+    made = make_effect(DeclaredEffect("", "der(v)", "stribeck", coefficients=given))
+    effect, parameters = made.effect, made.parameters
     fit = ce.fit(replace(problem, effects=(effect,), parameters=(*problem.parameters, *parameters)))
     assert fit.failures == 0
     assert fit.x["stribeck.vs"] == pytest.approx(SPEED, rel=0.05)

@@ -13,7 +13,7 @@ from cluster_est.problem.parameter import Parameter
 
 def declared(form: str, site: str, **coefficients: DeclaredCoefficient) -> dict[str, Parameter]:
     effect = DeclaredEffect("", site, form, variables=(), coefficients=coefficients)
-    return {p.name: p for p in make_effect(effect)[1]}
+    return {p.name: p for p in make_effect(effect).parameters}
 
 
 def test_a_time_constant_is_searched_by_its_logarithm() -> None:

@@ -1,0 +1,349 @@
+"""Designs that narrow predictions, against formulas of a linear model and against repeated fits."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pacsv
+import pyarrow.parquet as pq
+import pytest
+from scipy.optimize import least_squares
+from scipy.signal import lsim
+from support.problems.springs import ROOT
+
+import cluster_est as ce
+from cluster_est.cli import main
+from cluster_est.errors import ProblemError
+from cluster_est.experiment_design.limits import ExperimentLimits, InputLimits, SignalLimits
+from cluster_est.experiment_design.settings import DesignSettings
+from cluster_est.experiment_design.targets import PredictionTarget
+from cluster_est.toml import to_toml
+
+SPRING = str(ROOT / "configs" / "mass_spring_damper.toml")
+TIMES = 0.02 * np.arange(251)
+FORCE = 0.8 + 0.3 * np.sin(0.9 * TIMES)
+WIDE = ExperimentLimits(
+    {"u": InputLimits(-3.0, 3.0)}, 4.0, 0.05, signals={"y": SignalLimits(-9.0, 9.0)}
+)
+PLANNED = 3.0 * np.cos(1.3 * TIMES)
+NOISE = 0.01
+
+
+@pytest.fixture(scope="module")
+def linear(tmp_path_factory, own_fmu):
+    """A fit whose outputs are linear in what is estimated: y = FMU + b.k + u (1 + ...) f.k."""
+    folder = tmp_path_factory.mktemp("linear")
+    model = {"fmu": str(own_fmu("spring_table", 2))}
+    blocks = [
+        {"name": "b", "site": "output y", "form": "bias"},
+        {"name": "f", "site": "output y", "form": "feed_through", "variables": ["u"]},
+    ]
+    run = {
+        "id": "run",
+        "data": str(folder / "run.csv"),
+        "time": "time",
+        "inputs": {"u": "F"},
+        "outputs": {"y": "x"},
+        "sigma": {"y": NOISE},
+    }
+    nothing = {"time": TIMES, "F": FORCE, "x": np.zeros(len(TIMES))}
+    pacsv.write_csv(pa.table(nothing), folder / "run.csv")
+    tree = {"model": model, "parameters": {"f5": {"start": 0.0, "fixed": True}}}
+    tree |= {"effects": blocks, "experiments": [run]}
+    (folder / "config.toml").write_text(to_toml(tree), encoding="utf-8")
+    simulated = ce.simulate(ce.read_problem(folder / "config.toml"))[0].outcome.trajectory
+    noise = NOISE * np.random.default_rng(3).standard_normal(len(TIMES))
+    measured = simulated.at("y", TIMES) + 0.2 + 0.05 * FORCE + noise
+    pacsv.write_csv(pa.table(nothing | {"x": measured}), folder / "run.csv")
+    result = ce.fit(ce.read_problem(folder / "config.toml"))
+    rest = measured - simulated.at("y", TIMES)
+    return result, rest
+
+
+def planned(values=PLANNED, name="planned"):
+    return ce.Experiment(name, 0.0, float(TIMES[-1]), (ce.Input("u", TIMES, values),), ())
+
+
+def rows_of(u):
+    """(samples, 2): what bias and gain do to the output."""
+    return np.column_stack([np.ones(len(u)), u])
+
+
+def deviation(u, covariance):
+    """The standard deviation of the output with this input, root mean square."""
+    return np.sqrt(np.mean(np.einsum("ni,ij,nj->n", rows_of(u), covariance, rows_of(u))))
+
+
+def test_the_standard_deviations_are_those_of_a_linear_model(linear):
+    """With C = s^2 (X'X)^-1 of the samples that there are and of those that will be."""
+    result, rest = linear
+    old = rows_of(FORCE)
+    coefficients, squares, *_ = np.linalg.lstsq(old, rest)
+    variance = float(squares[0]) / (len(rest) - 2)
+    assert {e.label: e.value for e in result.estimates if e.estimated_on == "train"} == (
+        pytest.approx({"b.k": coefficients[0], "f.k": coefficients[1]}, abs=1e-5)
+    )
+    targets = (PredictionTarget(planned(), ("y",)), PredictionTarget("run"))
+    found = ce.design(result, WIDE, settings=DesignSettings(predictions=targets, candidates=16))
+    assert found.criterion[0] == "v"
+    before = variance * np.linalg.inv(old.T @ old)
+
+    def after(candidate):
+        new = rows_of(candidate.experiment.inputs[0].values)
+        return variance * np.linalg.inv(old.T @ old + new.T @ new)
+
+    def expected(covariance):
+        return [deviation(PLANNED, covariance), deviation(FORCE, covariance)]
+
+    assert [(p.experiment, p.output, p.unit) for p in found.predictions] == [
+        ("planned", "y", ""), ("run", "y", ""),
+    ]  # fmt: skip
+    assert [p.std_error_before for p in found.predictions] == pytest.approx(
+        expected(before), rel=0.01
+    )
+    assert [p.std_error_after for p in found.predictions] == pytest.approx(
+        expected(after(found.chosen.candidate)), rel=0.01
+    )
+    then = np.array(expected(before))
+    scores = [
+        (-0.5 * np.log(np.mean((np.array(expected(after(each.candidate))) / then) ** 2)), each)
+        for each in found.candidates
+        if each.ok
+    ]
+    assert [each.value for _, each in scores] == pytest.approx([s for s, _ in scores], abs=0.01)
+    assert found.chosen.value == max(each.value for _, each in scores)
+    drawn = sorted(value for value, each in scores if each.candidate.origin == "random")
+    middle = np.sqrt(np.mean([(p.random / p.std_error_before) ** 2 for p in found.predictions]))
+    assert min(abs(middle - np.exp(-np.array(drawn)))) < 0.01
+    assert "with a random input within the same limits to" in found.summary
+
+
+def test_an_input_that_is_certain_already_is_not_worth_much(linear):
+    """What was measured long is narrowed less than what was never fed in."""
+    result, _ = linear
+
+    def share(target):
+        settings = DesignSettings(predictions=(target,), candidates=10)
+        (row,) = ce.design(result, WIDE, settings=settings).predictions
+        return row.std_error_after / row.std_error_before
+
+    assert share(PredictionTarget("run")) > 2.0 * share(PredictionTarget(planned(-3.0 + 0 * TIMES)))
+
+
+def swung(values, experiment):
+    """The displacement of the mass on its spring, of a linear system with straight input."""
+    m, k, c = values
+    system = ([[0.0, 1.0], [-k / m, -c / m]], [[0.0], [1.0 / m]], [[1.0, 0.0]], [[0.0]])
+    times = experiment.outputs[0].times
+    begin = dict(experiment.values).get("x", 0.0)
+    force = np.interp(times, experiment.inputs[0].times, experiment.inputs[0].values)
+    return lsim(system, force, times, [begin, 0.0])[1]
+
+
+def test_predictions_scatter_as_was_expected():
+    """Fits to the old experiment and the designed one, by SciPy, each time with other noise."""
+    truth, sigma, keep = np.array([1.2, 30.0, 0.6]), 0.003, slice(0, 101)
+    generator = np.random.default_rng(11)
+    problem = ce.read_problem(SPRING)
+    old, target = (
+        replace(e, stop=2.0, outputs=(replace(e.outputs[0], times=e.outputs[0].times[keep],
+                                              values=e.outputs[0].values[keep], sigma=sigma),))
+        for e in problem.experiments[:2]
+    )  # fmt: skip
+    target = replace(target, role="test")
+
+    def noisy(experiment):
+        exact = swung(truth, experiment)
+        return exact + sigma * generator.standard_normal(len(exact))
+
+    (output,) = old.outputs
+    measured = replace(old, outputs=(replace(output, values=noisy(old)),))
+    parameters = tuple(p for p in problem.parameters if p.name != "x0")
+    model = replace(problem.model, parameters=("m", "k", "c"))
+    first = ce.fit(ce.Problem(model, parameters, (measured, target)))
+    settings = DesignSettings(predictions=(PredictionTarget("exp2", ("y",)),), candidates=24)
+    limits = ExperimentLimits({"F": InputLimits(-8.0, 8.0)}, 2.0, 0.02)
+    found = ce.design(first, limits, settings=settings)
+    (row,) = found.predictions
+    assert row.std_error_after < 0.8 * row.std_error_before
+    runs, expected, off = (old, found.experiment), swung(truth, target), []
+    for _ in range(60):
+        data = [noisy(e) for e in runs]
+
+        def residuals(values, data=data):
+            return np.concatenate([swung(values, e) - y for e, y in zip(runs, data, strict=True)])
+
+        fitted = least_squares(residuals, truth, x_scale=truth, method="lm")
+        off.append(swung(fitted.x, target) - expected)
+    noise = np.sqrt(np.sum(first.fun**2) / (len(first.fun) - 3))  # as that fit has it, over sigma
+    scatter = np.sqrt(np.mean(np.square(off)))
+    assert scatter == pytest.approx(row.std_error_after / noise, rel=0.15)
+
+
+LIMITS = """
+duration = 5.0
+sample_time = 0.05
+candidates = 10
+[inputs.F]
+lower = -8.0
+upper = 8.0
+"""
+TABLES = ("candidates", "precision", "prediction_precision", "next_input", "expected")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A fit, and a design of what makes the test experiment certain."""
+    found = tmp_path_factory.mktemp("designs")
+    (found / "limits.toml").write_text(LIMITS, encoding="utf-8")
+    assert main(["fit", SPRING, "--out", str(found / "fit"), "--no-report"]) == 0
+    assert designed(found, found / "next.csv", "--predict", "exp4:y") == 0
+    return found
+
+
+def designed(folder, out, *arguments, limits="limits.toml"):
+    given = ["--limits", str(folder / limits), "--out", str(out), *arguments]
+    return main(["design", str(folder / "fit"), *given])
+
+
+def rows(run):
+    return {name: repr(pq.read_table(run / f"{name}.parquet").to_pylist()) for name in TABLES}
+
+
+def test_the_command_says_what_becomes_certain(folder, capsys):
+    assert main(["show", str(folder / "next")]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    facts = json.loads((folder / "next" / "run.json").read_text(encoding="utf-8"))
+    assert facts["design"]["criterion"] == "v"
+    assert "the standard deviation of y in exp4 is expected to fall to" in printed
+    assert "predicted of unit std deviation now after it after a random input" in printed
+    page = (folder / "next" / "report.html").read_text(encoding="utf-8")
+    assert "What the experiment is expected to do to predictions" in page
+    (row,) = pq.read_table(folder / "next" / "prediction_precision.parquet").to_pylist()
+    assert (row["experiment"], row["output"]) == ("exp4", "y")
+    assert row["std_error_after"] < row["random"] < row["std_error_before"]
+
+
+def test_the_file_of_limits_says_the_same_as_the_command(folder, tmp_path):
+    named = LIMITS + '[[predictions]]\nexperiment = "exp4"\noutputs = ["y"]\n'
+    (folder / "named.toml").write_text(named, encoding="utf-8")
+    assert designed(folder, tmp_path / "named.csv", "--no-report", limits="named.toml") == 0
+    assert rows(tmp_path / "named") == rows(folder / "next")
+
+
+def test_where_it_runs_changes_no_bit_and_it_is_resumed(folder, tmp_path, capsys):
+    out = tmp_path / "two.csv"
+    how = ("--predict", "exp4:y", "--no-report", "executor.name=processes", "executor.workers=2")
+    assert designed(folder, out, *how) == 0
+    assert rows(tmp_path / "two") == rows(folder / "next")
+    (tmp_path / "two" / "next_input.parquet").unlink()
+    facts = json.loads((tmp_path / "two" / "run.json").read_text(encoding="utf-8"))
+    facts["status"] = "interrupted"
+    (tmp_path / "two" / "run.json").write_text(json.dumps(facts), encoding="utf-8")
+    capsys.readouterr()
+    assert designed(folder, out, *how, "--resume") == 0
+    assert "simulations stand in its log" in capsys.readouterr().err
+    assert rows(tmp_path / "two") == rows(folder / "next")
+    assert designed(folder, out, "--predict", "exp3:y", "--resume", "--no-report") == 2
+
+
+def test_all_experiments_are_predicted_unless_some_are_named(folder, tmp_path):
+    (folder / "all.toml").write_text('criterion = "v"\n' + LIMITS, encoding="utf-8")
+    assert designed(folder, tmp_path / "all.csv", "--no-report", limits="all.toml") == 0
+    found = pq.read_table(tmp_path / "all" / "prediction_precision.parquet").to_pylist()
+    assert [row["experiment"] for row in found] == [f"exp{i}" for i in range(1, 6)]
+
+
+def test_a_planned_experiment_is_read_from_a_table(folder, tmp_path):
+    """The recorded force of an experiment as a plan: what is said of it is that of the recorded."""
+    experiment = ce.read_problem(SPRING).experiments[3]
+    (force,) = experiment.inputs
+    table = pa.table({"t": force.times, "force": force.values})
+    pacsv.write_csv(table, folder / "plan.csv")
+    block = '[[predictions]]\ndata = "plan.csv"\ntime = "t"\ninputs = { F = "force" }\n'
+    (folder / "plan.toml").write_text(LIMITS + block, encoding="utf-8")
+    assert designed(folder, tmp_path / "plan.csv", "--no-report", limits="plan.toml") == 0
+    (row,) = pq.read_table(tmp_path / "plan" / "prediction_precision.parquet").to_pylist()
+    (own,) = pq.read_table(folder / "next" / "prediction_precision.parquet").to_pylist()
+    assert (row["experiment"], row["output"]) == ("plan", "y")
+    assert row["std_error_before"] == pytest.approx(own["std_error_before"], rel=0.05)
+
+
+PREDICT = "[[predictions]]\n"
+
+
+@pytest.mark.parametrize(
+    ("block", "arguments", "sentence"),
+    [
+        ("", ["--predict", "exp9"], "predictions: experiment must be one of the run but is 'exp9'"),
+        ("", ["--predict", "exp4:q"], "outputs must be of what the FMU computes but has 'q'"),
+        (PREDICT + 'experiment = "exp7"', [], "experiment must be one of the run but is 'exp7'"),
+        (PREDICT + 'outputs = ["F"]', [], "outputs must be of what the FMU computes but has 'F'"),
+        (PREDICT + 'data = "no.csv"', [], "predictions[0].data"),
+        (PREDICT + 'data = "a.csv"\nexperiment = "exp4"', [], "predictions[0].data: must be left"),
+        (PREDICT + 'time = "t"', [], "predictions[0].time: must stand beside data"),
+        (PREDICT + 'outputs = 3', [], "predictions[0].outputs"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_predicted_is_refused_in_a_sentence(
+    folder, tmp_path, capsys, block, arguments, sentence
+):
+    (folder / "other.toml").write_text(LIMITS + block + "\n", encoding="utf-8")
+    out = tmp_path / "never.csv"
+    assert designed(folder, out, *arguments, "--no-report", limits="other.toml") == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert sentence in said
+    assert "Traceback" not in said
+    assert not out.exists()
+
+
+def test_another_criterion_has_nothing_to_predict(folder, tmp_path, capsys):
+    (folder / "d.toml").write_text('criterion = "d"\n' + LIMITS, encoding="utf-8")
+    assert designed(folder, tmp_path / "x.csv", "--predict", "exp4", limits="d.toml") == 2
+    assert '--predict: predictions: must go with the criterion "v"' in capsys.readouterr().err
+    with pytest.raises(ProblemError, match="which narrows them, but it is 'a'"):
+        DesignSettings(criterion="a", predictions=(PredictionTarget(),))
+    with pytest.raises(ProblemError, match="experiment must be the name of an experiment"):
+        PredictionTarget(3)
+
+
+def test_what_depends_on_nothing_estimated_is_refused(linear):
+    result, _ = linear
+    settings = DesignSettings(predictions=(PredictionTarget("run", ("x",)),), candidates=10)
+    with pytest.raises(ProblemError, match="must depend on what the run has estimated"):
+        ce.design(result, WIDE, settings=settings)
+
+
+def test_an_experiment_of_its_own_needs_a_name_of_its_own(linear):
+    result, _ = linear
+    settings = DesignSettings(predictions=(PredictionTarget(planned(name="run")),), candidates=10)
+    with pytest.raises(ProblemError, match="must have a name of its own but 'run' is one of"):
+        ce.design(result, WIDE, settings=settings)
+    twice = tuple(PredictionTarget(planned(c * PLANNED)) for c in (1.0, 0.5))
+    with pytest.raises(ProblemError, match="must have a name of its own but 'planned' is one of"):
+        ce.design(result, WIDE, settings=DesignSettings(predictions=twice, candidates=10))
+
+
+@pytest.mark.parametrize(
+    ("table", "sentence"),
+    [
+        ("t,force\n0,1\n1,2\n", "predictions[0].time"),
+        ("time,G\n0,1\n1,2\n", "has no variable 'G'"),
+        ("time,F\n0,1\n", "must have a column for an input, and two rows at least"),
+        ("time\n0\n1\n", "must have a column for an input, and two rows at least"),
+        ("time,F\n0,1\n0,2\n", "times must increase but 0 repeats 0"),
+        ("time,F\n0,1\n1,high\n", "predictions[0].inputs.F"),
+        ("time,F\n0,1\n1,\n2,3\n", "input 'F'.values, index 1: must be a finite number but is nan"),
+    ],
+)
+def test_a_plan_that_is_none_is_refused_in_a_sentence(folder, tmp_path, capsys, table, sentence):
+    (folder / "wrong.csv").write_text(table, encoding="utf-8")
+    (folder / "wrong.toml").write_text(LIMITS + PREDICT + 'data = "wrong.csv"\n', encoding="utf-8")
+    assert designed(folder, tmp_path / "n.csv", "--no-report", limits="wrong.toml") == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert sentence in said
+    assert "Traceback" not in said
