@@ -87,6 +87,7 @@ class ExperimentReader:
             free_scale=how.free_scale,
             free_offset=how.free_offset,
             detection_limit=how.detection_limit,
+            ordinal=how.ordinal,
         )
 
     def points(self, columns: dict[str, str]) -> FloatArray:

@@ -68,7 +68,7 @@ def _outputs(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[C
         seen = each.outcome.trajectory
         table = SimulatedVariant(seen.times, seen.values)
         experiment = subject.problem.experiments[each.experiment]
-        free = {o.variable for o in experiment.outputs if o.free_scale or o.free_offset}
+        free = {o.variable for o in experiment.outputs if o.learns}
         for name, pair in _pairs(experiment, table, seen.variables).items():
             if name not in free:
                 pairs.setdefault(name, []).append(pair)
@@ -301,7 +301,9 @@ def _stretched(experiment: Experiment, factor: float) -> Experiment:
         start=experiment.start * factor,
         stop=experiment.stop * factor,
         inputs=tuple(replace(i, times=i.times * factor) for i in experiment.inputs),
-        outputs=tuple(replace(o, times=o.times * factor) for o in experiment.outputs),
+        outputs=tuple(
+            replace(o, times=o.times * factor, reference=None) for o in experiment.outputs
+        ),
         signals=(),
         bounds=(),
         curve=None,

@@ -594,6 +594,24 @@ TABLES = (
         ),
     ),
     TableMeaning(
+        "categories",
+        "category of an ordinal output in an experiment",
+        "where outputs have ordinal",
+        (
+            ColumnDescription("experiment", TEXT, "", "its id"),
+            ColumnDescription("role", TEXT, "", '"train" or "test"'),
+            ColumnDescription("output", TEXT, "", "of the FMU"),
+            ColumnDescription("category", NUMBER, "", "the measured value"),
+            ColumnDescription(
+                "samples", WHOLE, "", "how often, of a held-out part in the training part"
+            ),
+            ColumnDescription(
+                "lower", NUMBER, "the output's", "simulated value that it begins at, or -inf"
+            ),
+            ColumnDescription("upper", NUMBER, "the output's", "and ends at, or inf"),
+        ),
+    ),
+    TableMeaning(
         "segments",
         "state at the start of a segment of a record",
         "where method.shooting is given",

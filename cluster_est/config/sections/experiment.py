@@ -43,6 +43,11 @@ class OutputSection(ConfigSection):
     detection_limit: Finite | None = Field(
         None, description="measured values at or below it say no more than that"
     )
+    ordinal: bool = Field(
+        False,
+        description="the values say an order alone, such as grades; sigma is then in spreads of "
+        "the simulated signal",
+    )
 
 
 class ColumnSection(ConfigSection):
@@ -94,7 +99,7 @@ class _ExperimentKeys(ConfigSection):
     outputs: dict[str, Annotated[OutputSection, BeforeValidator(as_column)]] = Field(
         default_factory=dict,
         description="FMU output = column, or { column, interpolation, weight, free_scale, "
-        "free_offset, detection_limit }; empty cells: not measured",
+        "free_offset, detection_limit, ordinal }; empty cells: not measured",
     )
     curve: CurveSection | None = Field(
         None, description="measured points without times, such as force over displacement"
