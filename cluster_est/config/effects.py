@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from cluster_est.config.options import build_prior
-from cluster_est.config.reader import EffectSection
+from cluster_est.config.reader import Config, EffectSection
+from cluster_est.config.sections.experiment import OutputSection
+from cluster_est.errors import ConfigError
 from cluster_est.problem.effects import DeclaredCoefficient, DeclaredEffect, make_effect
 from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.sensors import shared_sensor
 from workers.messages import Effect
 
 
@@ -24,6 +27,50 @@ def build_effects(
     pairs = [make_effect(_declared(section)) for section in sections]
     effects = tuple(effect for effect, _ in pairs)
     return effects, tuple(p for _, parameters in pairs for p in parameters)
+
+
+def build_shared_sensors(config: Config) -> tuple[tuple[Effect, ...], tuple[Parameter, ...]]:
+    """The effects of outputs whose scale or offset is shared, and their coefficients.
+
+    Raises
+    ------
+    ConfigError
+        If one is shared in some experiments and not in others, or contradicts another key.
+    """
+    outputs: dict[str, OutputSection] = {}
+    for experiment in config.experiments:
+        for name, given in experiment.outputs.items():
+            where = f"experiment {experiment.id!r}.outputs.{name}"
+            _check_shared(where, given, outputs.setdefault(name, given))
+    pairs = [
+        shared_sensor(
+            name, scale=given.free_scale == "shared", offset=given.free_offset == "shared"
+        )
+        for name, given in outputs.items()
+        if "shared" in (given.free_scale, given.free_offset)
+    ]
+    return tuple(e for e, _ in pairs), tuple(p for _, own in pairs for p in own)
+
+
+def _check_shared(where: str, given: OutputSection, first: OutputSection) -> None:
+    """Refuse a shared scale or offset that not all experiments have, or that says nothing."""
+    for key in ("free_scale", "free_offset"):
+        value, elsewhere = getattr(given, key), getattr(first, key)
+        if value != elsewhere and "shared" in (value, elsewhere):
+            raise ConfigError(
+                f'{where}.{key}: must be "shared" in all experiments with this output, or in none, '
+                f"but is {value!r} here and {elsewhere!r} before; write it in experiment_defaults"
+            )
+        if value == "shared" and given.ordinal:
+            raise ConfigError(
+                f'{where}.{key}: must not be "shared" where the output is ordinal, for an order '
+                "says nothing of sizes, but both are given; remove one of the two"
+            )
+    if given.free_offset == "shared" and given.free_scale is True:
+        raise ConfigError(
+            f'{where}.free_offset: must not be "shared" where free_scale is true, for what is '
+            'shared would be scaled otherwise in each experiment; make free_scale "shared" too'
+        )
 
 
 def _declared(section: EffectSection) -> DeclaredEffect:

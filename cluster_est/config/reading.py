@@ -84,8 +84,8 @@ class ExperimentReader:
         how = self._section.outputs[variable]
         return replace(
             output,
-            free_scale=how.free_scale,
-            free_offset=how.free_offset,
+            free_scale=how.free_scale is True,  # shared ones are effects
+            free_offset=how.free_offset is True,
             detection_limit=how.detection_limit,
             ordinal=how.ordinal,
         )

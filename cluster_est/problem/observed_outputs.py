@@ -78,7 +78,7 @@ def _check_categories(output: Output, where: str) -> None:
     count = len(np.unique(output.values))
     if len(output.times) and count < 2:
         raise ProblemError(
-            f"{where}: must have at least two different values where it is ordinal, for an order is "
-            f"one between them, but all {len(output.values)} are {output.values[0]:g}; use more of "
-            "the record, or leave the output out"
+            f"{where}: must have at least two different values where it is ordinal, for an order "
+            f"is one between them, but all {len(output.values)} are {output.values[0]:g}; use more "
+            "of the record, or leave the output out"
         )

@@ -98,22 +98,45 @@ def scale_and_offset(
     """
     if not (output.free_scale or output.free_offset) or not len(simulated):
         return 1.0, 0.0
-    output, simulated = learnt_from(output), simulated if training is None else training
+    source, values = learnt_from(output), simulated if training is None else training
+    return best_scale_and_offset(
+        source.values,
+        values,
+        source.sigmas,
+        free_scale=output.free_scale,
+        free_offset=output.free_offset,
+    )
+
+
+def best_scale_and_offset(
+    measured: FloatArray,
+    simulated: FloatArray,
+    sigmas: FloatArray,
+    *,
+    free_scale: bool,
+    free_offset: bool,
+) -> tuple[float, float]:
+    """Return the scale and offset of simulated values (n,) that suit the measured ones best.
+
+    1 and 0 where they are not free, or there are no values; see `scale_and_offset`.
+    """
+    if not len(measured):
+        return 1.0, 0.0
     simulated = np.ascontiguousarray(simulated)  # sums over strided rows round differently
-    weights = 1.0 / output.sigmas**2
+    weights = 1.0 / sigmas**2
     total = np.add.reduce(weights)
     mean = float(np.add.reduce(weights * simulated) / total)
-    measured = float(np.add.reduce(weights * output.values) / total)
-    if not output.free_scale:
-        return 1.0, measured - mean
-    centre, middle = (mean, measured) if output.free_offset else (0.0, 0.0)
+    middle = float(np.add.reduce(weights * measured) / total)
+    if not free_scale:
+        return 1.0, middle - mean
+    centre, middle = (mean, middle) if free_offset else (0.0, 0.0)
     moved = simulated - centre
     square = float(np.add.reduce(weights * moved**2))
     if not np.isfinite(square):
         return np.nan, np.nan
     if not square > 1e-24 * float(np.add.reduce(weights * simulated**2)):
         return 0.0, middle
-    scale = float(np.add.reduce(weights * moved * (output.values - middle))) / square
+    scale = float(np.add.reduce(weights * moved * (measured - middle))) / square
     return scale, middle - scale * centre
 
 

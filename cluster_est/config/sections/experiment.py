@@ -33,12 +33,15 @@ class OutputSection(ConfigSection):
         "linear", description="between samples, where the time base asks for other times"
     )
     weight: Finite = Field(1.0, gt=0.0, description="of its squares in the cost")
-    free_scale: bool = Field(
+    free_scale: bool | Literal["shared"] = Field(
         False,
-        description="known up to a factor: the best one in each experiment is found in closed form",
+        description="known up to a factor: the best one in each experiment is found in closed "
+        'form; "shared": one for all experiments, estimated as sensor_OUTPUT.scale',
     )
-    free_offset: bool = Field(
-        False, description="known up to a constant that is added, found likewise"
+    free_offset: bool | Literal["shared"] = Field(
+        False,
+        description="known up to a constant that is added, found likewise; "
+        'sensor_OUTPUT.offset where it is "shared"',
     )
     detection_limit: Finite | None = Field(
         None, description="measured values at or below it say no more than that"
