@@ -36,7 +36,7 @@ def check_priors(problem: Problem) -> None:
 
 
 def refuse_distances(problem: Problem, where: str) -> None:
-    """Refuse curves and cost functions: what they return is in no measurement's sigmas.
+    """Refuse curves, cost functions and ordinal outputs: they are in no measurement's sigmas.
 
     Parameters
     ----------
@@ -54,6 +54,7 @@ def refuse_distances(problem: Problem, where: str) -> None:
         for key, there in (
             ("curve", experiment.curve is not None),
             ("cost.function", experiment.cost_function is not None),
+            ("ordinal output", any(output.ordinal for output in experiment.outputs)),
         ):
             if there:
                 raise ProblemError(

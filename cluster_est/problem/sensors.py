@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from cluster_est.problem.effects import DeclaredCoefficient, DeclaredEffect, make_effect
 from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace
 from workers.messages import Effect
 
@@ -61,6 +62,16 @@ def shared_sensor(
     )
 
 
+def sensor_outputs(problem: Problem) -> frozenset[str]:
+    """Return the outputs that are seen through a sensor's scale or offset."""
+    sites = [e.site for e in problem.effects if _is_sensor(e)]
+    return frozenset(site.removeprefix(_SITE) for site in sites)
+
+
+def _is_sensor(effect: Effect) -> bool:
+    return effect.equation in _EQUATIONS.values() and effect.site.startswith(_SITE)
+
+
 @dataclass(frozen=True)
 class UnstartedSensor:
     """A sensor of a search space, of whose scale or offset no start is known.
@@ -80,18 +91,23 @@ class UnstartedSensor:
     scale: int | None
     offset: int | None
 
+    @property
+    def unknowns(self) -> tuple[int, ...]:
+        """Indices of those that it has."""
+        return tuple(i for i in (self.scale, self.offset) if i is not None)
+
 
 def unstarted_sensors(space: SearchSpace) -> tuple[UnstartedSensor, ...]:
     """Return the sensors of a space whose scale and offset start at those of a perfect one."""
     found = []
     for effect in space.problem.effects:
-        if effect.equation not in _EQUATIONS.values() or not effect.site.startswith(_SITE):
+        if not _is_sensor(effect):
             continue
         scopes: dict[str, dict[str, int]] = {}
         for i, unknown in enumerate(space.unknowns):
             for name, neutral in NEUTRAL.items():
                 own = unknown.parameter.name == f"{effect.name}.{name}"
-                if own and unknown.parameter.start == neutral:
+                if own and unknown.start == neutral:
                     scopes.setdefault(unknown.scope, {})[name] = i
         for places in scopes.values():
             experiments = space.unknowns[next(iter(places.values()))].experiments

@@ -120,7 +120,13 @@ TABLES = (
             _EXPERIMENT,
             _ROLE,
             _OUTPUT,
-            ColumnDescription("unit", TEXT, "", "of the output"),
+            ColumnDescription(
+                "unit",
+                TEXT,
+                "",
+                'of the output; "" of an ordinal one, whose errors are distances to its categories '
+                "over the standard deviation of the simulated signal",
+            ),
             ColumnDescription("samples", WHOLE, "", "measured values that count"),
             ColumnDescription(
                 "rmse_before", NUMBER, OF_OUTPUT, "root mean square error at the start values"
@@ -145,9 +151,21 @@ TABLES = (
             _ROLE,
             _OUTPUT,
             _TIME,
-            ColumnDescription("measured", NUMBER, OF_OUTPUT, "as in the data"),
+            ColumnDescription(
+                "measured",
+                NUMBER,
+                OF_OUTPUT,
+                "as in the data; of an ordinal output the value of its category that is nearest to "
+                "the simulated one",
+            ),
             ColumnDescription("simulated", NUMBER, OF_OUTPUT, "at the estimates"),
-            ColumnDescription("residual", NUMBER, "", "(measured - simulated) / sigma"),
+            ColumnDescription(
+                "residual",
+                NUMBER,
+                "",
+                "(measured - simulated) / sigma; of an ordinal output also over the standard "
+                "deviation of the simulated signal",
+            ),
             _BEFORE,
         ),
     ),

@@ -188,7 +188,7 @@ def _sampled_between(space: SearchSpace) -> tuple[FloatArray, FloatArray]:
     """The bounds that samples lie in; a sensor's scale and offset follow from the others."""
     lower, upper = space.lower.copy(), space.upper.copy()
     for sensor in unstarted_sensors(space):
-        chosen = [i for i in (sensor.scale, sensor.offset) if i is not None]
+        chosen = list(sensor.unknowns)
         lower[chosen] = upper[chosen] = space.start[chosen]
     return lower, upper
 

@@ -10,7 +10,6 @@ from cluster_est.costs.likelihood import GaussianLikelihood
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Evaluation
-from cluster_est.problem.observed_outputs import refuse_ordinal_outputs
 from cluster_est.problem.prior_weights import check_priors, need_sigmas, refuse_distances
 from cluster_est.problem.space import SearchSpace
 from cluster_est.problem.unknown import Unknown
@@ -78,9 +77,6 @@ def check_posterior(space: SearchSpace, walkers: int = 0) -> None:
         )
     check_priors(problem)
     refuse_distances(problem, "uncertainty.posterior")
-    refuse_ordinal_outputs(
-        space, "uncertainty.posterior", "leave it out, or take uncertainty.bootstrap"
-    )
     if isinstance(problem.cost, SumSquared):
         need_sigmas(
             problem,
