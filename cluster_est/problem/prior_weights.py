@@ -52,14 +52,14 @@ def refuse_distances(problem: Problem, where: str) -> None:
     """
     for experiment in problem.experiments:
         for key, there in (
-            ("curve", experiment.curve is not None),
-            ("cost.function", experiment.cost_function is not None),
-            ("ordinal output", any(output.ordinal for output in experiment.outputs)),
+            ("a curve", experiment.curve is not None),
+            ("a cost.function", experiment.cost_function is not None),
+            ("an ordinal output", any(output.ordinal for output in experiment.outputs)),
         ):
             if there:
                 raise ProblemError(
                     f"{where}: must go with outputs measured over time, each with its sigma, but "
-                    f"experiment {experiment.id!r} has a {key}; remove one of the two"
+                    f"experiment {experiment.id!r} has {key}; remove one of the two"
                 )
 
 

@@ -32,8 +32,8 @@ class OutputError:
 
     `before` is at the start values, `after` at the estimates. `rmse` is in the output's unit,
     `relative` is over the standard deviation of the measured signal, `normalised` over sigma. NaN
-    where the simulation failed. Of an ordinal output all are distances to the bounds of categories,
-    the first two over the standard deviation of the simulated signal.
+    where the simulation failed. Of an ordinal output they are distances to the bounds of categories
+    over the standard deviation of the simulated signal, and nothing is relative to the measured.
     """
 
     experiment: str
@@ -60,7 +60,7 @@ def output_errors(
             seen = ~output.is_hidden
             whole = bool(seen.all())  # of a part no spread is known
             spread = (float(np.std(output.values)) or np.nan) if whole else np.nan
-            spread = 1.0 if output.ordinal else spread
+            spread = np.nan if output.ordinal else spread
             then, now = (_seen_residuals(output, each.outcome) for each in (old, new))
             sigmas = output.sigmas[seen]
             rmse_before, rmse_after = (

@@ -36,9 +36,10 @@ samples lie densely around a threshold, which in truth has no gap; with narrow o
 whose samples nearly all coincide costs little."""
 NO_MOTION = 1e-12
 """Spread over the largest value, up to which a simulation does not move."""
-NOTHING_KNOWN = 1.0
-"""The distance of every sample of a simulation that does not move, in spreads: it has no order,
-which must not cost less than a wrong one."""
+NOTHING_KNOWN = 1.0 + 0.5 * GAPS
+"""The distance of every sample of a simulation that does not move, in spreads. It has no order,
+which must not cost less than a wrong one: with all thresholds around its mean, any simulation has a
+root mean square distance of at most this."""
 
 
 class CategoryBounds(NamedTuple):
@@ -124,50 +125,75 @@ def _thresholds(places: FloatArray, numbers: IntArray, count: int, gap: float) -
     In tau_c = t_c - c gap the chain is tau_1 <= tau_2 <= ..., and the samples of category c should
     lie below tau_c + c gap - gap / 2, those of c + 1 above tau_c + c gap + gap / 2.
     """
-    order = np.argsort(numbers, kind="stable")
-    members = np.split(places[order], np.searchsorted(numbers[order], np.arange(1, count)))
-    shifts = gap * np.arange(count - 1)
-    below = [
-        own + 0.5 * gap - shift for own, shift in zip(members[:-1], shifts.tolist(), strict=True)
-    ]
-    above = [
-        own - 0.5 * gap - shift for own, shift in zip(members[1:], shifts.tolist(), strict=True)
-    ]
-    lowest, highest = (_pooled(below, above, largest) for largest in (False, True))
-    return np.asarray(0.5 * (lowest + highest) + shifts)
+    last = count - 1
+    below, above = numbers < last, numbers > 0
+    low = _SidedSamples(places[below] + gap * (0.5 - numbers[below]), numbers[below])
+    high = _SidedSamples(places[above] + gap * (0.5 - numbers[above]), numbers[above] - 1)
+    largest = _pooled(low, high, last)
+    smallest = -_pooled(high.mirrored(last), low.mirrored(last), last)[::-1]
+    return np.asarray(0.5 * (smallest + largest) + gap * np.arange(last))
 
 
-def _pooled(below: list[FloatArray], above: list[FloatArray], largest: bool) -> FloatArray:
-    """Pool adjacent violators: the smallest or the largest nondecreasing minimiser.
+class _SidedSamples(NamedTuple):
+    """Samples that should lie at one side of a threshold: where, and of which threshold."""
 
-    `below` holds the samples that each threshold should be above, `above` those it should be below.
+    places: FloatArray
+    thresholds: IntArray
+
+    def mirrored(self, count: int) -> _SidedSamples:
+        return _SidedSamples(-self.places, count - 1 - self.thresholds)
+
+
+def _pooled(low: _SidedSamples, high: _SidedSamples, count: int) -> FloatArray:
+    """Pool adjacent violators: the largest nondecreasing minimiser (count,).
+
+    All neighbours that violate the order are pooled at once, which may be done in any order.
+
+    Parameters
+    ----------
+    low, high
+        Samples that should lie below, and above, each threshold; each has both.
     """
-    blocks: list[tuple[float, int, FloatArray, FloatArray]] = []
-    for low, high in zip(below, above, strict=True):
-        block = (_balance(low, high, largest), 1, low, high)
-        while blocks and blocks[-1][0] > block[0]:
-            _, width, more_low, more_high = blocks.pop()
-            low, high = np.concatenate([more_low, block[2]]), np.concatenate([more_high, block[3]])
-            block = (_balance(low, high, largest), width + block[1], low, high)
-        blocks.append(block)
-    return np.concatenate([np.zeros(0), *(np.full(width, tau) for tau, width, _, _ in blocks)])
+    blocks = np.arange(count)
+    while True:
+        found = _minimisers(low, high, blocks)
+        rises = found[1:] >= found[:-1]
+        if rises.all():
+            return np.asarray(found[blocks])
+        blocks = np.concatenate([[0], np.cumsum(rises)])[blocks]
 
 
-def _balance(low: FloatArray, high: FloatArray, largest: bool) -> float:
-    """Return the tau that minimises sum (low - tau)_+^2 + sum (tau - high)_+^2.
+def _minimisers(low: _SidedSamples, high: _SidedSamples, blocks: IntArray) -> FloatArray:
+    """For each block return the largest tau that minimises the squares of what lies beyond it.
 
-    Half its derivative is piecewise linear and rises from one sample to the next.
+    Half the derivative of sum (low - tau)_+^2 + sum (tau - high)_+^2 is piecewise linear and rises
+    from sample to sample; its slope is the number of samples beyond tau. `blocks` (thresholds,)
+    says which block each threshold is in.
     """
-    ends = float(low.max()), float(high.min())
-    if ends[0] <= ends[1]:  # nothing is on the wrong side
-        return ends[1] if largest else ends[0]
-    low, high = np.sort(low[low > ends[1]]), np.sort(high[high < ends[0]])
-    knots = np.sort(np.concatenate([low, high]))
-    left = np.searchsorted(high, knots, side="right")  # those that tau is above
-    right = np.searchsorted(low, knots, side="right")  # the first that it is below
-    sums_high, sums_low = (np.concatenate([[0.0], np.cumsum(each)]) for each in (high, low))
-    slopes = left + len(low) - right
-    totals = sums_high[left] + (sums_low[-1] - sums_low[right])
-    # the derivative at knot k is slopes[k] * knots[k] - totals[k], and so it is up to the next
-    k = max(int(np.searchsorted(slopes * knots - totals > 0.0, True)) - 1, 0)
-    return float(totals[k] / slopes[k]) if slopes[k] else float(knots[k])
+    block = np.concatenate([blocks[low.thresholds], blocks[high.thresholds]])
+    knots = np.concatenate([low.places, high.places])
+    order = np.lexsort((knots, block))
+    knots, block, is_high = knots[order], block[order], order >= len(low.places)
+    firsts = np.flatnonzero(np.diff(block, prepend=-1))
+    lows, highs = np.where(is_high, 0.0, knots), np.where(is_high, knots, 0.0)
+    is_low, above = (~is_high).astype(np.float64), is_high.astype(np.float64)
+    passed = _counted_from(firsts, block, above)
+    waiting = np.add.reduceat(is_low, firsts)[block] - _counted_from(firsts, block, is_low)
+    totals = _counted_from(firsts, block, highs)
+    totals += np.add.reduceat(lows, firsts)[block] - _counted_from(firsts, block, lows)
+    slopes = passed + waiting
+    falls = slopes * knots <= totals
+    falls[firsts] = True  # below all of its samples, but for rounding
+    k = np.maximum.reduceat(np.where(falls, np.arange(len(knots)), 0), firsts)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = totals[k] / slopes[k]
+    lowest = np.minimum.reduceat(np.where(is_high, knots, np.inf), firsts)
+    highest = np.maximum.reduceat(np.where(is_high, -np.inf, knots), firsts)
+    # nothing lies beyond any tau between the two
+    return np.asarray(np.where(highest <= lowest, lowest, found))
+
+
+def _counted_from(firsts: IntArray, block: IntArray, values: FloatArray) -> FloatArray:
+    """Cumulative sums that begin anew with each block."""
+    sums = np.cumsum(values)
+    return np.asarray(sums - (sums[firsts] - values[firsts])[block])

@@ -10,7 +10,9 @@ from cluster_est.config.sections.types import (
     ConfigSection,
     Count,
     Finite,
+    Free,
     Known,
+    Ordinal,
     Pair,
     Samples,
     as_column,
@@ -33,12 +35,12 @@ class OutputSection(ConfigSection):
         "linear", description="between samples, where the time base asks for other times"
     )
     weight: Finite = Field(1.0, gt=0.0, description="of its squares in the cost")
-    free_scale: bool | Literal["shared"] = Field(
+    free_scale: Free = Field(
         False,
         description="known up to a factor: the best one in each experiment is found in closed "
         'form; "shared": one for all experiments, estimated as sensor_OUTPUT.scale',
     )
-    free_offset: bool | Literal["shared"] = Field(
+    free_offset: Free = Field(
         False,
         description="known up to a constant that is added, found likewise; "
         'sensor_OUTPUT.offset where it is "shared"',
@@ -46,10 +48,11 @@ class OutputSection(ConfigSection):
     detection_limit: Finite | None = Field(
         None, description="measured values at or below it say no more than that"
     )
-    ordinal: bool = Field(
+    ordinal: Ordinal = Field(
         False,
-        description="the values say an order alone, such as grades; sigma is then in spreads of "
-        "the simulated signal",
+        description="the values say an order alone, such as grades from 1 to 5; or the words of "
+        'the column, the lowest first: ["low", "high"]; sigma is then in spreads of the simulated '
+        "signal",
     )
 
 
