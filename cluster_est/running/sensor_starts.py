@@ -73,7 +73,7 @@ def _start_sensor(
 ) -> None:
     """Write the best scale and offset of a sensor into a start, from all that it measured."""
     measured, simulated, sigmas = [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
-    moving = sensor.offset is not None
+    moving, given = sensor.offset is not None, _given_scale(space, sensor, x)
     for position in sensor.experiments:
         trajectory = outcomes[position].trajectory
         if trajectory is None:
@@ -82,13 +82,12 @@ def _start_sensor(
             if output.variable == sensor.output and not output.ordinal:
                 seen = ~output.is_hidden
                 measured.append(output.values[seen])
-                simulated.append(trajectory.at(output.variable, output.times)[seen])
+                simulated.append(given * trajectory.at(output.variable, output.times)[seen])
                 sigmas.append(output.sigmas[seen])
                 moving |= output.free_offset
     parts = (np.concatenate(each) for each in (measured, simulated, sigmas))
-    scale, offset = best_scale_and_offset(
-        *parts, free_scale=sensor.scale is not None, free_offset=moving
-    )
+    free = sensor.scale is not None and given == NEUTRAL[SCALE]
+    scale, offset = best_scale_and_offset(*parts, free_scale=free, free_offset=moving)
     if not (np.isfinite(scale) and np.isfinite(offset) and scale != 0.0):
         return
     for i, value in ((sensor.scale, scale), (sensor.offset, offset)):
@@ -97,3 +96,11 @@ def _start_sensor(
                 np.clip(space.unknowns[i].to_search(value), space.lower[i], space.upper[i])
             )
             x[i] = found if np.isfinite(found) else x[i]
+
+
+def _given_scale(space: SearchSpace, sensor: UnstartedSensor, x: FloatArray) -> float:
+    """Return the scale that a start names; 1 if it names none."""
+    i = sensor.scale
+    if i is None or x[i] == space.start[i]:
+        return NEUTRAL[SCALE]
+    return space.unknowns[i].to_physical(float(x[i]))

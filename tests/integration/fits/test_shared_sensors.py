@@ -13,6 +13,10 @@ from support.problems.springs import ROOT, TRUE, spring_problem
 import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.problem.sensors import shared_sensor
+from cluster_est.problem.space import make_space
+from cluster_est.running.environment import open_executor
+from cluster_est.running.multistart import Multistart, make_starts
+from cluster_est.running.runner import Runner
 
 CONFIG = ROOT / "configs" / "mass_spring_damper.toml"
 
@@ -79,27 +83,28 @@ def test_its_scale_is_more_certain_than_one_for_each_experiment():
     assert own["c"].std_error < {e.label: e for e in free.estimates}["c"].std_error
 
 
-def test_a_start_of_ones_own_stays_and_starts_of_other_parameters_need_no_bounds_of_it():
-    problem = sensed(3.7, 0.4)
-    points = ({"sensor_y.scale": 3.0, "k": 25.0},)
-    result = ce.fit(
-        with_sensor(problem), multistart=ce.Multistart(n=5, points=points, screen=2, seed=3)
-    )
-    scales = [row["value"] for row in start_values(result, "sensor_y.scale")]
-    assert scales[1] == 3.0
-    assert 1.0 not in scales
+def test_each_start_has_its_own_best_scale_but_one_that_names_another():
+    """Against least squares at each start; samples need no bounds of the sensor."""
+    problem = with_sensor(sensed(3.7, 0.4))
+    space = make_space(problem, problem.indices("train"))
+    multistart = Multistart(n=5, points=({"sensor_y.scale": 3.0, "k": 25.0},), seed=3)
+    with open_executor(problem, ce.Resources()) as executor:
+        starts = make_starts(Runner(executor), space, multistart)
+    labels = [unknown.label for unknown in space.unknowns]
+    measured = np.concatenate([e.outputs[0].values for e in problem.experiments])
+    assert len(starts) == 5
+    for number, start in enumerate(starts):
+        values = dict(zip(labels, start.tolist(), strict=True))
+        values["k"] = np.exp(values["k"])
+        scale, offset = values.pop("sensor_y.scale"), values.pop("sensor_y.offset")
+        found = ce.simulate(problem, values=values)
+        simulated = np.concatenate([s.outcome.trajectory.values[:, 0] for s in found])
+        best = np.linalg.lstsq(np.column_stack([simulated, np.ones(450)]), measured)[0]
+        if number == 1:
+            best = 3.0, np.mean(measured - 3.0 * simulated)
+        assert (scale, offset) == pytest.approx(tuple(best), rel=1e-8)
+    result = ce.fit(problem, multistart=ce.Multistart(n=4, screen=3, seed=3))
     assert result.x["sensor_y.scale"] == pytest.approx(3.7, rel=2e-3)
-
-
-def start_values(result, label):
-    return [
-        {"value": values[label]}
-        for values in (dict(zip(result.x, x, strict=True)) for x in result_starts(result))
-    ]
-
-
-def result_starts(result):
-    return [[float(v) for v in row.start] for row in result.starts]
 
 
 def test_values_below_a_detection_limit_are_seen_through_it():
@@ -234,8 +239,8 @@ def test_a_mistake_is_met_with_a_sentence(given, said, config, capsys):
 
 def test_the_closed_loop_takes_it():
     problem = with_sensor(sensed(-200.0, 5.0))
-    settings = ce.LoopSettings(effects=("gain",), sites=("input F",), max_effects=1)
-    found = ce.close_loop(problem, settings)
+    settings = ce.LoopSettings(forms=("gain",), sites=("input F",), max_effects=1)
+    found = ce.close_loop(problem, settings=settings)
     values = {each.label: each.value for each in found.after.estimates}
     assert values["sensor_y.scale"] == pytest.approx(-200.0, rel=5e-3)
     assert values["k"] == pytest.approx(TRUE["k"], rel=2e-3)
