@@ -56,6 +56,11 @@ def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> Signal
     signals = (*experiment.inputs, *experiment.signals)
     times_of_signals = [signal.times for signal in signals]
     times_of_signals += [output.times for output in experiment.outputs]
+    times_of_signals += [
+        output.reference.times
+        for output in experiment.outputs
+        if output.learns and output.reference is not None
+    ]
     times_of_signals += [bound.times for bound in experiment.bounds]
     times_of_signals += [experiment.curve.times] if experiment.curve is not None else []
     times = np.unique(np.concatenate([*times_of_signals, [start, stop]]))

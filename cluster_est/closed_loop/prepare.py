@@ -24,6 +24,7 @@ from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.fit import check_method
 from cluster_est.problem.idle_inputs import silent_notes
+from cluster_est.problem.observed_outputs import NOT_PLAIN
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import refuse_process_noise
 from cluster_est.problem.space import make_space
@@ -176,8 +177,8 @@ def _check_shape(problem: Problem, settings: LoopSettings) -> None:
                 raise ProblemError(
                     f"closed loop: experiment {experiment.id!r}: output {output.variable} must be "
                     "compared as it is, because its tests take residuals for differences, but has "
-                    "free_scale, free_offset or a detection_limit; an effect gain or bias at the "
-                    "output is a scale or offset that all experiments share"
+                    f'{NOT_PLAIN}; free_scale = "shared" is a scale that all experiments share, '
+                    "which it takes"
                 )
     for parameter in problem.parameters:
         if parameter.prior is not None:

@@ -21,6 +21,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
+from cluster_est.running.sensor_starts import with_best_sensors
 from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.whitening import deviance
 from workers.fmu.description import ModelDescription
@@ -251,7 +252,7 @@ class LoopWorkbench:
         kind: SyntheticKind | None = None,
     ) -> list[FittedModel | None]:
         """Fit models, all in one queue. None where one cannot be simulated."""
-        spaces = [self.space(start, kind) for start in starts]
+        spaces = [self._begun(self.space(start, kind)) for start in starts]
         requests = [SearchRequest(stage.value, method, space, self.seed) for space in spaces]
         fitted: list[FittedModel | None] = []
         for start, space, found in zip(starts, spaces, self.runner.run(requests), strict=True):
@@ -270,6 +271,10 @@ class LoopWorkbench:
                 )
             )
         return fitted
+
+    def _begun(self, space: SearchSpace) -> SearchSpace:
+        """A space with the best scales and offsets of sensors that are not known yet."""
+        return space.starting_at(with_best_sensors(self.runner, space, space.start[None])[0])
 
     def evaluate(
         self, stage: LoopStage, points: Sequence[tuple[SearchSpace, FloatArray]]

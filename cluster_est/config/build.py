@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from cluster_est.config.constraints import check_signals, parameter_constraints
-from cluster_est.config.effects import build_effects
+from cluster_est.config.effects import build_effects, build_shared_sensors
 from cluster_est.config.experiments import build_experiments, table_sources
 from cluster_est.config.maps import with_maps
 from cluster_est.config.options import build_cost, build_prior
@@ -86,7 +86,8 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
                 f"values.{name}: is also a parameter; remove one of the two, or set "
                 f"parameters.{name}.fixed = true"
             )
-    effects = build_effects(tuple(config.effects))
+    # a sensor shows what all else has left
+    effects = (*build_effects(tuple(config.effects)), *build_shared_sensors(config))
     code = UserCode(base, allowed=allow_code)
     experiments = build_experiments(config, base, code)
     every = (*parameters, *(p for made in effects for p in made.parameters))

@@ -138,8 +138,8 @@ def _compared(
     """Outputs on their time base, in their windows, with their weights."""
     cost = config.cost
     for output in measured:
-        if output.detection_limit is not None:
-            _check_limited(output.variable, section, config)
+        if output.detection_limit is not None or output.ordinal:
+            _check_as_measured(output, section, config)
     inside = [counted(output, start, stop, ()) for output in measured]
     hows = [section.outputs[output.variable].interpolation for output in measured]
     found = compared_at(inside, hows, cost.time_base, _simulated(config, start, stop))
@@ -152,18 +152,23 @@ def _compared(
     return tuple(result)
 
 
-def _check_limited(output: str, section: ExperimentSection, config: Config) -> None:
-    """Refuse what would change the noise of an output with a detection limit, or its samples."""
-    weight = section.outputs[output].weight * section.weight * config.cost.weights.get(output, 1.0)
+def _check_as_measured(output: Output, section: ExperimentSection, config: Config) -> None:
+    """Refuse what would change the samples of an output with a detection limit, or of an ordinal.
+
+    Or its noise: with a detection limit a weight too, for the noise then has a probability.
+    """
+    name = output.variable
+    weight = section.outputs[name].weight * section.weight * config.cost.weights.get(name, 1.0)
     for key, value, usual in (
         ("cost.time_base", config.cost.time_base, "measured"),
         ("cost.normalise", config.cost.normalise, "sigma"),
-        ("weight", weight, 1.0),
+        ("weight", 1.0 if output.ordinal else weight, 1.0),
     ):
         if value != usual:
+            why = "it is ordinal" if output.ordinal else "there is a detection_limit"
             raise ConfigError(
-                f"experiment {section.id!r}: output {output}: {key} must be {usual!r} where there "
-                f"is a detection_limit but is {value!r}; leave one of the two out"
+                f"experiment {section.id!r}: output {name}: {key} must be {usual!r} where {why} "
+                f"but is {value!r}; leave one of the two out"
             )
 
 

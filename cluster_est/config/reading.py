@@ -9,6 +9,7 @@ from pathlib import Path
 from cluster_est.config.reader import ExperimentSection, InputSection
 from cluster_est.errors import ConfigError
 from cluster_est.problem.tables.files import MeasuredTable
+from cluster_est.problem.tables.grades import with_grades
 from cluster_est.problem.tables.measured import ColumnChange, MeasuredColumns
 from workers.messages import FloatArray, Input, Output
 
@@ -80,13 +81,19 @@ class ExperimentReader:
         column = self._section.outputs[variable].column
         sigma = self._section.sigma.get(variable, 1.0)
         relative = self._section.relative_sigma.get(variable, 0.0)
-        output = self._columns.output(times, variable, column, sigma, relative)
         how = self._section.outputs[variable]
+        columns = self._columns
+        if isinstance(how.ordinal, list):
+            where = f"{columns.where}.outputs.{variable}"
+            graded = with_grades(columns.table, column, how.ordinal, where)
+            columns = replace(columns, table=graded)
+        output = columns.output(times, variable, column, sigma, relative)
         return replace(
             output,
-            free_scale=how.free_scale,
-            free_offset=how.free_offset,
+            free_scale=how.free_scale is True,  # shared ones are effects
+            free_offset=how.free_offset is True,
             detection_limit=how.detection_limit,
+            ordinal=how.ordinal is not False,
         )
 
     def points(self, columns: dict[str, str]) -> FloatArray:

@@ -13,6 +13,7 @@ from cluster_est.experiment_design.limits import ExperimentLimits
 from cluster_est.experiment_design.models import CandidateModel
 from cluster_est.experiment_design.settings import DesignSettings
 from cluster_est.experiment_design.targets import target_experiments
+from cluster_est.problem.observed_outputs import NOT_PLAIN
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import refuse_process_noise
 from cluster_est.problem.space import make_space
@@ -203,8 +204,7 @@ def _check_comparable(problem: Problem) -> None:
             if not output.is_plain:
                 raise ProblemError(
                     f"experiment {experiment.id!r}: output {output.variable} must be compared as "
-                    "it is for a design but has free_scale, free_offset or a detection_limit; make "
-                    "the run without it"
+                    f"it is for a design but has {NOT_PLAIN}; make the run without it"
                 )
 
 

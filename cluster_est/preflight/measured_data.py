@@ -84,7 +84,11 @@ def _rounded(problem: Problem) -> list[CheckFinding]:
             step = quantisation_step(output.values)
             times = step / ROUNDING / float(output.sigmas.min(initial=np.inf))
             # a sigma of 1 is what stands where none is given, and says nothing of the sensor
-            if output.has_sigma and times > worst.get(output.variable, (1.0,))[0]:
+            if (
+                output.has_sigma
+                and not output.ordinal
+                and times > worst.get(output.variable, (1.0,))[0]
+            ):
                 worst[output.variable] = times, step, each
     return [
         CheckFinding(

@@ -68,10 +68,8 @@ def _outputs(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[C
         seen = each.outcome.trajectory
         table = SimulatedVariant(seen.times, seen.values)
         experiment = subject.problem.experiments[each.experiment]
-        free = {o.variable for o in experiment.outputs if o.free_scale or o.free_offset}
         for name, pair in _pairs(experiment, table, seen.variables).items():
-            if name not in free:
-                pairs.setdefault(name, []).append(pair)
+            pairs.setdefault(name, []).append(pair)
     lines = []
     for name, both in pairs.items():
         measured = np.concatenate([one for one, _ in both])
@@ -151,9 +149,11 @@ def _size(values: FloatArray) -> float:
 def _pairs(
     experiment: Experiment, table: SimulatedVariant, variables: Sequence[str]
 ) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Return the measured and simulated values of each output."""
+    """Return the measured and simulated values of each output whose size is known."""
     found = {}
     for output in experiment.outputs:
+        if output.learns:
+            continue
         rows = np.searchsorted(table.times, output.times)
         column = list(variables).index(output.variable)
         found[output.variable] = output.values, table.values[rows, column]
@@ -239,7 +239,7 @@ def _steps(
     experiment: Experiment, table: SimulatedVariant | None, variables: Sequence[str] = ()
 ) -> float:
     """Return by how much signals change from sample to sample, over what they move by."""
-    signals = [output.values for output in experiment.outputs]
+    signals = [output.values for output in experiment.outputs if not output.learns]
     if table is not None:
         signals = [pair[1] for pair in _pairs(experiment, table, variables).values()]
     found = [
@@ -301,7 +301,9 @@ def _stretched(experiment: Experiment, factor: float) -> Experiment:
         start=experiment.start * factor,
         stop=experiment.stop * factor,
         inputs=tuple(replace(i, times=i.times * factor) for i in experiment.inputs),
-        outputs=tuple(replace(o, times=o.times * factor) for o in experiment.outputs),
+        outputs=tuple(
+            replace(o, times=o.times * factor, reference=None) for o in experiment.outputs
+        ),
         signals=(),
         bounds=(),
         curve=None,

@@ -8,6 +8,7 @@ import numpy as np
 
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
 from cluster_est.preflight.subject import CheckSubject
+from cluster_est.problem.sensors import sensor_outputs
 from cluster_est.results.initial_errors import (
     estimates_start,
     free_start_advice,
@@ -41,7 +42,7 @@ def at_rest(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[Ch
     several = len(resting) > 1
     where = f"experiment{'s' if several else ''} {listed([e.id for e, _ in resting])}"
     far = float(np.ptp(output.values))
-    unit = subject.description.variables[output.variable].unit
+    unit = "" if output.ordinal else subject.description.variables[output.variable].unit
     said = (
         f"nothing moves in the simulation of {where}{_though(experiment)}: its start is an "
         f"equilibrium; the measured {output.variable} moves by {f'{far:.3g} {unit}'.strip()}"
@@ -62,7 +63,9 @@ def starts_elsewhere(
     """Name the output that is farthest from its measurement at the first sample."""
     if not subject.declared:
         return []
-    found = initial_errors(subject.problem, simulations, fitted=False)
+    unknown = sensor_outputs(subject.problem)
+    errors = initial_errors(subject.problem, simulations, fitted=False)
+    found = [each for each in errors if each.output not in unknown]
     if not found:
         return []
     said = f"{found[0].sentence}, at the start values"

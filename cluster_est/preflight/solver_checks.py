@@ -83,7 +83,8 @@ class _NoiseShare:
 def _against_noise(subject: CheckSubject, errors: list[tuple[str, float]]) -> _NoiseShare:
     """Compare the errors of outputs with the noise that is declared for them."""
     experiment = subject.problem.experiments[subject.experiment]
-    sigmas = {o.variable: o.sigma for o in experiment.outputs if o.has_sigma}
+    given = [o for o in experiment.outputs if o.has_sigma and not o.ordinal]
+    sigmas = {o.variable: o.sigma for o in given}
     if subject.trajectory is None:
         return _NoiseShare()
     sizes = dict(

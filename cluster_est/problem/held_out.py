@@ -22,7 +22,8 @@ def hold_out(
 
     For one long record instead of several experiments. Both parts are simulated from the record's
     start with the same inputs, and what is estimated per experiment (`x0[run1]`) is estimated from
-    the training part for both. A window at the end of the record is predicted from the past alone,
+    the training part for both, as are the scale, the offset and the bounds of categories of outputs
+    that have such. A window at the end of the record is predicted from the past alone,
     and the training part is then not simulated beyond it; a window in the middle has data on both
     of its sides, which makes it easier.
 
@@ -58,7 +59,7 @@ def hold_out(
         id=experiment.id + SUFFIX,
         role="test",
         record=experiment.record_id,
-        outputs=_kept(experiment.outputs, inside),
+        outputs=_learning(_kept(experiment.outputs, inside), train.outputs),
         curve=None,
         bounds=(),
         constraint_functions=(),
@@ -95,6 +96,14 @@ def _kept(outputs: Sequence[Output], kept: Sequence[npt.NDArray[np.bool_]]) -> t
     return tuple(
         replace(output, times=output.times[keep], values=output.values[keep])
         for output, keep in zip(outputs, kept, strict=True)
+    )
+
+
+def _learning(held_out: Sequence[Output], train: Sequence[Output]) -> tuple[Output, ...]:
+    """Let what an output learns from measured values come from those of the training part alone."""
+    return tuple(
+        replace(own, reference=before) if own.learns and len(before.times) else own
+        for own, before in zip(held_out, train, strict=True)
     )
 
 

@@ -36,7 +36,7 @@ def check_priors(problem: Problem) -> None:
 
 
 def refuse_distances(problem: Problem, where: str) -> None:
-    """Refuse curves and cost functions: what they return is in no measurement's sigmas.
+    """Refuse curves, cost functions and ordinal outputs: they are in no measurement's sigmas.
 
     Parameters
     ----------
@@ -52,13 +52,14 @@ def refuse_distances(problem: Problem, where: str) -> None:
     """
     for experiment in problem.experiments:
         for key, there in (
-            ("curve", experiment.curve is not None),
-            ("cost.function", experiment.cost_function is not None),
+            ("a curve", experiment.curve is not None),
+            ("a cost.function", experiment.cost_function is not None),
+            ("an ordinal output", any(output.ordinal for output in experiment.outputs)),
         ):
             if there:
                 raise ProblemError(
                     f"{where}: must go with outputs measured over time, each with its sigma, but "
-                    f"experiment {experiment.id!r} has a {key}; remove one of the two"
+                    f"experiment {experiment.id!r} has {key}; remove one of the two"
                 )
 
 

@@ -136,6 +136,12 @@ class SearchSpace:
         found = [o for e in self.experiments for o in self.problem.experiments[e].outputs]
         return sum(int(o.is_hidden.sum()) for o in found)
 
+    @property
+    def has_ordinal_values(self) -> bool:
+        """Whether only the order of some measured values is known: no noise is."""
+        found = [o for e in self.experiments for o in self.problem.experiments[e].outputs]
+        return any(output.ordinal and len(output.times) for output in found)
+
     @cached_property
     def outputs(self) -> IntArray:
         """(residuals,): which output each residual is of, counted over all experiments.

@@ -14,6 +14,7 @@ from cluster_est.results.output_errors import (
     Simulation,
     compared_values,
     curve_residuals,
+    measured_values,
     output_residuals,
 )
 from cluster_est.uncertainty import PosteriorResult, PredictedBand
@@ -38,7 +39,7 @@ def residual_table(
             part = np.full(len(output.times), np.nan) if found is None else found
             _add(columns, experiment, output.variable, part)
             columns["time"].append(output.times)
-            columns["measured"].append(output.values)
+            columns["measured"].append(measured_values(output, simulation.outcome))
             columns["simulated"].append(_compared(output, simulation.outcome))
             columns["simulated_before"].append(
                 _compared(output, earlier.get(simulation.experiment))

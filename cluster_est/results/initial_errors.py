@@ -87,7 +87,7 @@ def initial_errors(
             continue
         experiment = problem.experiments[each.experiment]
         for output in experiment.outputs:
-            residuals = output_residuals(output, each.outcome)
+            residuals = None if output.ordinal else output_residuals(output, each.outcome)
             if residuals is not None and _begins(experiment, output):
                 offs.setdefault(output.variable, []).append(
                     _off(output, residuals * output.sigmas, fitted=fitted)

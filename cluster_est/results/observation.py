@@ -1,4 +1,4 @@
-"""Outputs that are known up to scale and offset, or down to a detection limit: what was found."""
+"""What was found of scales and offsets, of categories, and of values below a detection limit."""
 
 from __future__ import annotations
 
@@ -8,8 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from cluster_est.problem.problem import Problem
-from cluster_est.results.output_errors import Simulation
-from workers.residuals.observed import scale_and_offset
+from cluster_est.results.output_errors import Simulation, fitted_categories, simulated_values
+from workers.messages import FloatArray
+from workers.residuals.observed import learnt_from, scale_and_offset
+
+MOST_PAIRED = 2000
+"""Samples of an output in an experiment whose pairs are counted; of more, these evenly spread."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,59 @@ class ObservedScale:
     offset: float
 
 
+@dataclass(frozen=True)
+class ObservedCategory:
+    """What an ordinal output simulates in one category, a row of categories.parquet.
+
+    Attributes
+    ----------
+    experiment, role, output
+        Of what.
+    category
+        The measured value.
+    samples
+        How often it was measured, in a held-out part of a record in its training part.
+    lower, upper
+        The bounds of the simulated values that suit best; infinite at the ends.
+    """
+
+    experiment: str
+    role: str
+    output: str
+    category: float
+    samples: int
+    lower: float
+    upper: float
+
+
+def observed_categories(
+    problem: Problem, simulations: Sequence[Simulation]
+) -> tuple[ObservedCategory, ...]:
+    """Return the categories of ordinal outputs, at simulated values."""
+    found = []
+    for simulation in simulations:
+        experiment = problem.experiments[simulation.experiment]
+        for output in experiment.outputs:
+            bounds = fitted_categories(output, simulation.outcome.trajectory)
+            if bounds is None:
+                continue
+            counts = np.unique(learnt_from(output).values, return_counts=True)[1]
+            rows = zip(bounds.categories, counts, bounds.lower, bounds.upper, strict=True)
+            found += [
+                ObservedCategory(
+                    experiment.id,
+                    experiment.role,
+                    output.variable,
+                    float(category),
+                    int(count),
+                    float(low),
+                    float(high),
+                )
+                for category, count, low, high in rows
+            ]
+    return tuple(found)
+
+
 def observed_scales(
     problem: Problem, simulations: Sequence[Simulation]
 ) -> tuple[ObservedScale, ...]:
@@ -43,8 +100,7 @@ def observed_scales(
         for output in experiment.outputs:
             if trajectory is None or not (output.free_scale or output.free_offset):
                 continue
-            values = trajectory.at(output.variable, output.times)
-            scale, offset = scale_and_offset(output, values)
+            scale, offset = scale_and_offset(output, *simulated_values(output, trajectory))
             found.append(
                 ObservedScale(experiment.id, experiment.role, output.variable, scale, offset)
             )
@@ -52,7 +108,7 @@ def observed_scales(
 
 
 def observation_notes(problem: Problem, simulations: Sequence[Simulation]) -> tuple[str, ...]:
-    """Say what was found of scales, and how many values a detection limit hides."""
+    """Say what was found of scales and orders, and how many values a detection limit hides."""
     notes = []
     scales = observed_scales(problem, simulations)
     for name in dict.fromkeys(each.output for each in scales):
@@ -72,13 +128,13 @@ def observation_notes(problem: Problem, simulations: Sequence[Simulation]) -> tu
             f"{hidden} of {count} values of {name} are at or below its detection limit and say no "
             "more than that; residuals are not tested for what the model lacks"
         )
-    return tuple(notes)
+    return (*notes, *_order_notes(problem, simulations))
 
 
-def has_censored_values(problem: Problem, experiments: Sequence[int]) -> bool:
-    """Whether a training value is hidden by a detection limit: its residual has no normal law."""
+def lack_normal_law(problem: Problem, experiments: Sequence[int]) -> bool:
+    """Whether residuals have no normal law: below a detection limit, and of ordinal values."""
     return any(
-        bool(output.is_hidden.any())
+        output.ordinal or bool(output.is_hidden.any())
         for e in experiments
         for output in problem.experiments[e].outputs
     )
@@ -94,3 +150,34 @@ def _hidden(problem: Problem) -> dict[str, tuple[int, int]]:
                 hidden += int(output.is_hidden.sum())
                 found[output.variable] = hidden, count + len(output.values)
     return found
+
+
+def _order_notes(problem: Problem, simulations: Sequence[Simulation]) -> list[str]:
+    """Say how many pairs of values of ordinal outputs are simulated in their order."""
+    ordered: dict[tuple[str, str], tuple[int, int]] = {}
+    for simulation in simulations:
+        experiment = problem.experiments[simulation.experiment]
+        trajectory = simulation.outcome.trajectory
+        for output in experiment.outputs:
+            if trajectory is None or not output.ordinal:
+                continue
+            values = trajectory.at(output.variable, output.times)
+            right, pairs = _ordered_pairs(output.values, values)
+            before = ordered.get((output.variable, experiment.role), (0, 0))
+            ordered[output.variable, experiment.role] = before[0] + right, before[1] + pairs
+    roles = {"train": "training", "test": "held-out"}
+    return [
+        f"{name} is compared by the order of its values alone: of the pairs of {roles[role]} "
+        f"values that differ, {right / pairs:.3%} are simulated in their order (categories.parquet)"
+        for (name, role), (right, pairs) in ordered.items()
+        if pairs
+    ]
+
+
+def _ordered_pairs(measured: FloatArray, simulated: FloatArray) -> tuple[int, int]:
+    """Count the pairs of samples that are simulated in their order, and those that have one."""
+    few = np.linspace(0, len(measured) - 1, min(len(measured), MOST_PAIRED)).astype(int)
+    first, second = measured[few], simulated[few]
+    lower = first[:, None] < first
+    right = lower & (second[:, None] < second)
+    return int(right.sum()), int(lower.sum())

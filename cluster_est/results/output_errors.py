@@ -8,8 +8,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cluster_est.problem.problem import Problem
-from workers.messages import Experiment, FloatArray, Outcome, Output, Role
-from workers.residuals.observed import observed_residuals, scale_and_offset
+from workers.messages import Experiment, FloatArray, Outcome, Output, Role, Trajectory
+from workers.residuals.observed import (
+    bounds_of_categories,
+    learnt_from,
+    observed_residuals,
+    scale_and_offset,
+)
+from workers.residuals.ordinal import CategoryBounds, disparities
 
 
 @dataclass(frozen=True)
@@ -26,7 +32,8 @@ class OutputError:
 
     `before` is at the start values, `after` at the estimates. `rmse` is in the output's unit,
     `relative` is over the standard deviation of the measured signal, `normalised` over sigma. NaN
-    where the simulation failed.
+    where the simulation failed. Of an ordinal output they are distances to the bounds of categories
+    over the standard deviation of the simulated signal, and nothing is relative to the measured.
     """
 
     experiment: str
@@ -53,6 +60,7 @@ def output_errors(
             seen = ~output.is_hidden
             whole = bool(seen.all())  # of a part no spread is known
             spread = (float(np.std(output.values)) or np.nan) if whole else np.nan
+            spread = np.nan if output.ordinal else spread
             then, now = (_seen_residuals(output, each.outcome) for each in (old, new))
             sigmas = output.sigmas[seen]
             rmse_before, rmse_after = (
@@ -63,7 +71,7 @@ def output_errors(
                     experiment=experiment.id,
                     role=experiment.role,
                     output=output.variable,
-                    unit=units.get(output.variable, ""),
+                    unit="" if output.ordinal else units.get(output.variable, ""),
                     samples=int(seen.sum()),
                     rmse_before=rmse_before,
                     rmse_after=rmse_after,
@@ -87,8 +95,14 @@ def output_residuals(output: Output, outcome: Outcome) -> FloatArray | None:
     trajectory = outcome.trajectory
     if trajectory is None:
         return None
-    simulated = trajectory.at(output.variable, output.times)
-    return observed_residuals(output, simulated)
+    return observed_residuals(output, *simulated_values(output, trajectory))
+
+
+def simulated_values(output: Output, trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
+    """Return what was simulated at an output's times, and at those of what it learns from."""
+    times = output.times, learnt_from(output).times
+    first, second = (np.ascontiguousarray(trajectory.at(output.variable, each)) for each in times)
+    return first, second
 
 
 def compared_values(output: Output, outcome: Outcome) -> FloatArray | None:
@@ -99,9 +113,31 @@ def compared_values(output: Output, outcome: Outcome) -> FloatArray | None:
     trajectory = outcome.trajectory
     if trajectory is None:
         return None
-    simulated = trajectory.at(output.variable, output.times)
-    scale, offset = scale_and_offset(output, simulated)
+    simulated, training = simulated_values(output, trajectory)
+    scale, offset = scale_and_offset(output, simulated, training)
     return scale * simulated + offset
+
+
+def fitted_categories(output: Output, trajectory: Trajectory | None) -> CategoryBounds | None:
+    """Return the bounds of an ordinal output's categories; None if there are none."""
+    if trajectory is None or not output.ordinal or not len(output.times):
+        return None
+    found = bounds_of_categories(output, *simulated_values(output, trajectory))
+    return found if found.spread > 0.0 else None
+
+
+def measured_values(output: Output, outcome: Outcome) -> FloatArray:
+    """Return what an output was measured as, to be drawn beside what was simulated.
+
+    An order has no such values: for an ordinal output those of each category that are nearest to
+    the simulated ones, NaN if there are none.
+    """
+    if not output.ordinal:
+        return output.values
+    bounds = fitted_categories(output, outcome.trajectory)
+    if bounds is None or outcome.trajectory is None:
+        return np.full(len(output.values), np.nan)
+    return disparities(bounds, output.values, simulated_values(output, outcome.trajectory)[0])
 
 
 def curve_residuals(experiment: Experiment, outcome: Outcome) -> FloatArray | None:

@@ -10,7 +10,7 @@ from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.methods.base import Ending, Solution
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.space import SearchSpace
-from cluster_est.results.observation import has_censored_values
+from cluster_est.results.observation import lack_normal_law
 from cluster_est.results.output_errors import Simulation, output_residuals
 from cluster_est.statistics.projection import OrthogonalProjection
 from cluster_est.statistics.records import StackedRecords, make_records
@@ -64,7 +64,7 @@ def diagnose_residuals(
         for output in experiment.outputs
     ]
     known = [part for part in parts if part is not None]
-    if has_censored_values(space.problem, space.experiments):
+    if lack_normal_law(space.problem, space.experiments):
         return None
     if not known or len(known) < len(parts):
         return None

@@ -24,7 +24,7 @@ from cluster_est.results.curves import (
 )
 from cluster_est.results.display_tables import fit_tables
 from cluster_est.results.facts import fit_facts, fit_notes
-from cluster_est.results.observation import observed_scales
+from cluster_est.results.observation import observed_categories, observed_scales
 from cluster_est.results.output_errors import OutputError, Simulation
 from cluster_est.results.row_types import (
     ConstraintValue,
@@ -343,6 +343,7 @@ class Result:
             "bootstrap": [] if drawn is None else bootstrap_rows(drawn),
             "intervals": interval_rows(self.profiles, drawn, self.posterior),
             "scales": observed_scales(self.problem, self.simulations),
+            "categories": observed_categories(self.problem, self.simulations),
             "segments": () if self.shooting is None else self.shooting.states,
         }
 

@@ -120,7 +120,13 @@ TABLES = (
             _EXPERIMENT,
             _ROLE,
             _OUTPUT,
-            ColumnDescription("unit", TEXT, "", "of the output"),
+            ColumnDescription(
+                "unit",
+                TEXT,
+                "",
+                'of the output; "" of an ordinal one, whose errors are distances to its categories '
+                "over the standard deviation of the simulated signal",
+            ),
             ColumnDescription("samples", WHOLE, "", "measured values that count"),
             ColumnDescription(
                 "rmse_before", NUMBER, OF_OUTPUT, "root mean square error at the start values"
@@ -145,9 +151,21 @@ TABLES = (
             _ROLE,
             _OUTPUT,
             _TIME,
-            ColumnDescription("measured", NUMBER, OF_OUTPUT, "as in the data"),
+            ColumnDescription(
+                "measured",
+                NUMBER,
+                OF_OUTPUT,
+                "as in the data; of an ordinal output the value of its category that is nearest to "
+                "the simulated one",
+            ),
             ColumnDescription("simulated", NUMBER, OF_OUTPUT, "at the estimates"),
-            ColumnDescription("residual", NUMBER, "", "(measured - simulated) / sigma"),
+            ColumnDescription(
+                "residual",
+                NUMBER,
+                "",
+                "(measured - simulated) / sigma; of an ordinal output also over the standard "
+                "deviation of the simulated signal",
+            ),
             _BEFORE,
         ),
     ),
@@ -591,6 +609,24 @@ TABLES = (
             ColumnDescription("output", TEXT, "", "of the FMU"),
             ColumnDescription("scale", NUMBER, "", "the factor of what was simulated"),
             ColumnDescription("offset", NUMBER, "the output's", "what was added to it"),
+        ),
+    ),
+    TableMeaning(
+        "categories",
+        "category of an ordinal output in an experiment",
+        "where outputs have ordinal",
+        (
+            ColumnDescription("experiment", TEXT, "", "its id"),
+            ColumnDescription("role", TEXT, "", '"train" or "test"'),
+            ColumnDescription("output", TEXT, "", "of the FMU"),
+            ColumnDescription("category", NUMBER, "", "the measured value"),
+            ColumnDescription(
+                "samples", WHOLE, "", "how often, of a held-out part in the training part"
+            ),
+            ColumnDescription(
+                "lower", NUMBER, "the output's", "simulated value that it begins at, or -inf"
+            ),
+            ColumnDescription("upper", NUMBER, "the output's", "and ends at, or inf"),
         ),
     ),
     TableMeaning(

@@ -17,9 +17,11 @@ import numpy.typing as npt
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Method, Solution
 from cluster_est.methods.given_points import GivenPoints
+from cluster_est.problem.sensors import unstarted_sensors
 from cluster_est.problem.space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest, suited
+from cluster_est.running.sensor_starts import with_best_sensors
 from workers.fmu.description import nearest
 from workers.messages import FloatArray
 
@@ -141,11 +143,13 @@ def check_starts(space: SearchSpace, multistart: Multistart) -> None:
 
 def make_starts(runner: Runner, space: SearchSpace, multistart: Multistart) -> FloatArray:
     """(searches, unknowns): the space's own start, the user's, then samples."""
-    given = [space.start, *(_named(space, values) for values in multistart.points)]
+    named = [space.start, *(_named(space, values) for values in multistart.points)]
+    given = with_best_sensors(runner, space, np.array(named))
     missing = multistart.searches - len(given)
     if missing <= 0:
-        return np.array(given)
+        return given
     samples = sample(space, missing * multistart.screen, multistart)
+    samples = with_best_sensors(runner, space, samples)
     if multistart.screen > 1:
         (found,) = runner.run([SearchRequest("screen", GivenPoints(samples, "screen"), space)])
         if not found.evaluations:  # interrupted: none of these searches begins any more
@@ -170,7 +174,8 @@ def sample(space: SearchSpace, count: int, multistart: Multistart) -> FloatArray
     drawn = count * (ATTEMPTS if len(wanted) else 1)
     generator = np.random.default_rng(multistart.seed)
     unit = _unit(multistart.sampler, drawn, space.size, generator)
-    points = np.clip(space.lower + unit * (space.upper - space.lower), space.lower, space.upper)
+    lower, upper = _sampled_between(space)
+    points = np.clip(lower + unit * (upper - lower), lower, upper)
     if not len(wanted):
         return points
     equality = space.equality[: len(wanted)]
@@ -179,9 +184,19 @@ def sample(space: SearchSpace, count: int, multistart: Multistart) -> FloatArray
     return np.asarray(points[order[:count]])
 
 
+def _sampled_between(space: SearchSpace) -> tuple[FloatArray, FloatArray]:
+    """The bounds that samples lie in; a sensor's scale and offset follow from the others."""
+    lower, upper = space.lower.copy(), space.upper.copy()
+    for sensor in unstarted_sensors(space):
+        chosen = list(sensor.unknowns)
+        lower[chosen] = upper[chosen] = space.start[chosen]
+    return lower, upper
+
+
 def _check_bounds(space: SearchSpace) -> None:
+    lower, upper = _sampled_between(space)
     for i, unknown in enumerate(space.unknowns):
-        if not (np.isfinite(space.lower[i]) and np.isfinite(space.upper[i])):
+        if not (np.isfinite(lower[i]) and np.isfinite(upper[i])):
             positive = " and positive" if unknown.log else ""
             parameter = unknown.parameter
             raise ProblemError(

@@ -39,8 +39,13 @@ class Abs(sp.Abs):  # type: ignore[misc]
 
     @classmethod
     def eval(cls, argument: sp.Expr) -> sp.Expr | None:
-        return sp.Abs(argument) if argument.is_number else None
+        return sp.Abs(argument) if _are_numbers((argument,)) else None
 
 
 def _are_numbers(arguments: tuple[Any, ...]) -> bool:
-    return all(sp.sympify(argument).is_number for argument in arguments)
+    """Whether all are numbers; refused is what has no size, such as a comparison."""
+    terms = [sp.sympify(argument) for argument in arguments]
+    for term in terms:
+        if not isinstance(term, sp.Expr) or term.is_extended_real is False:
+            raise ValueError(f"{term} is no real number")
+    return all(term.is_number for term in terms)

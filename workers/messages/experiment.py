@@ -167,7 +167,11 @@ class Experiment:
             signals += [output.variable, repr(output.sigma), *map(repr, relative)]
             if not output.is_plain:
                 how = (output.free_scale, output.free_offset, output.detection_limit)
-                signals += ["observed", repr(how)]
+                signals += ["observed", repr(how), *(["ordinal"] if output.ordinal else [])]
+            if output.learns and output.reference is not None:
+                before = output.reference
+                signals += ["reference", repr((before.sigma, before.relative_sigma))]
+                signals += [before.times.tobytes(), before.values.tobytes()]
             signals += [output.times.tobytes(), output.values.tobytes()]
         if self.curve is not None:
             signals += ["curve", repr(self.curve.variables), repr(self.curve.tolerances)]
@@ -213,6 +217,11 @@ def _check_interval(experiment: Experiment, where: str) -> None:
             f"{where}.start: must be before stop, {stop:g} s, but is {start:g} s; change one"
         )
     timed = [(f"outputs.{output.variable}", output.times) for output in experiment.outputs]
+    timed += [
+        (f"outputs.{output.variable}.reference", output.reference.times)
+        for output in experiment.outputs
+        if output.reference is not None
+    ]
     timed += [(f"bounds.{bound.name}", bound.times) for bound in experiment.bounds]
     timed += [] if experiment.curve is None else [("curve", experiment.curve.times)]
     for key, times in timed:

@@ -9,7 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from workers.errors import DataError
-from workers.messages.checks import check_choice, check_flag, check_name, check_number
+from workers.messages.checks import (
+    check_choice,
+    check_flag,
+    check_kind,
+    check_name,
+    check_number,
+)
 from workers.messages.signals import check_finite, check_length, check_times, kept_floats
 from workers.messages.types import FloatArray, Interpolation
 
@@ -64,11 +70,20 @@ class Output:
         it is compared: the best ones, in each experiment.
     detection_limit
         Measured values at or below it say no more than that; None where there is none.
+    ordinal
+        Whether the measured values say an order and nothing else, such as grades from 1 to 5: equal
+        values are one category, and a larger value says that the output was larger. `sigma` is then
+        in standard deviations of the simulated signal.
+    reference
+        Of a held-out part of a record the same output in the training part: scale, offset and the
+        bounds of categories are found from it alone. None where they are found from the output
+        itself.
 
     Raises
     ------
     DataError
-        If times are not finite and increasing, values not finite, or sigma not positive.
+        If times are not finite and increasing, values not finite, or sigma not positive, or what it
+        is compared by contradicts itself.
     """
 
     variable: str
@@ -79,11 +94,14 @@ class Output:
     free_scale: bool = False
     free_offset: bool = False
     detection_limit: float | None = None
+    ordinal: bool = False
+    reference: Output | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         where = _check_samples(self, "output")
         check_flag(self.free_scale, f"{where}.free_scale", DataError)
         check_flag(self.free_offset, f"{where}.free_offset", DataError)
+        check_flag(self.ordinal, f"{where}.ordinal", DataError)
         if self.detection_limit is not None:
             check_number(self.detection_limit, f"{where}.detection_limit", DataError)
             hidden = kept_floats(np.maximum(self.values, self.detection_limit), f"{where}.values")
@@ -95,6 +113,31 @@ class Output:
                 )
         check_number(self.sigma, f"{where}.sigma", DataError, above=0.0)
         check_number(self.relative_sigma, f"{where}.relative_sigma", DataError, least=0.0)
+        if self.ordinal:
+            self._check_ordinal(where)
+        if self.reference is not None:
+            check_kind(self.reference, Output, f"{where}.reference", DataError)
+            if self.reference.variable != self.variable or not len(self.reference.times):
+                raise DataError(
+                    f"{where}.reference: must be the same output with at least one measured value "
+                    f"but is {self.reference.variable!r} with {len(self.reference.times)}; leave "
+                    "it out"
+                )
+
+    def _check_ordinal(self, where: str) -> None:
+        """Refuse what an order says nothing of."""
+        given = {
+            "free_scale": self.free_scale,
+            "free_offset": self.free_offset,
+            "detection_limit": self.detection_limit is not None,
+            "relative_sigma": self.relative_sigma > 0.0,
+        }
+        for key, there in given.items():
+            if there:
+                raise DataError(
+                    f"{where}.ordinal: must not go with {key}, for an order says nothing of sizes, "
+                    "but both are given; remove one of the two"
+                )
 
     @property
     def sigmas(self) -> FloatArray:
@@ -106,7 +149,13 @@ class Output:
     @property
     def is_plain(self) -> bool:
         """Whether its residuals are (measured - simulated) / sigma."""
-        return not (self.free_scale or self.free_offset) and self.detection_limit is None
+        free = self.free_scale or self.free_offset
+        return not (free or self.ordinal) and self.detection_limit is None
+
+    @property
+    def learns(self) -> bool:
+        """Whether its residuals are those after something was fitted to what was measured."""
+        return self.free_scale or self.free_offset or self.ordinal
 
     @property
     def is_hidden(self) -> npt.NDArray[np.bool_]:

@@ -1,11 +1,13 @@
-"""Outputs that are known up to scale and offset, or not below a detection limit.
+"""Outputs that are known up to scale and offset, not below a detection limit, or by order alone.
 
 Where an output is known up to scale and offset, the residuals are those after the best ones:
 
     e = (measured - a simulated - b) / sigma,   (a, b) = argmin sum e^2,
 
 in closed form for each experiment, so that no search has to find them (variable projection: G. H.
-Golub, V. Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432, doi:10.1137/0710036).
+Golub, V. Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432, doi:10.1137/0710036). Those of a held-out
+part of a record are the best ones of its training part, as are the bounds of its categories
+(`ordinal`).
 
 A value at or below a detection limit says no more than that. Its residual is
 
@@ -21,7 +23,8 @@ import numpy as np
 
 from workers.grid import SignalGrid
 from workers.messages import Experiment, FloatArray, Output
-from workers.residuals.base import Comparison, ComparisonResult, SimulatedOutputs
+from workers.residuals.base import Comparison, ComparisonResult, SimulatedOutputs, positions
+from workers.residuals.ordinal import CategoryBounds, category_bounds, ordinal_residuals
 
 
 class ObservedOutputs(Comparison):
@@ -29,52 +32,111 @@ class ObservedOutputs(Comparison):
 
     def __init__(self, grid: SignalGrid, experiment: Experiment) -> None:
         self._grid, self._outputs = grid, experiment.outputs
+        self._learnt = [positions(learnt_from(each).times, grid.times) for each in self._outputs]
 
     def compare(self, simulated: SimulatedOutputs) -> ComparisonResult:
         outputs = simulated.outputs
         values = np.take(outputs.reshape(len(outputs), -1), self._grid.gather, axis=1)
-        found = np.empty_like(values)
-        for own, row in zip(values, found, strict=True):
-            first = 0
-            for output in self._outputs:
-                rows = slice(first, first + len(output.times))
-                row[rows] = observed_residuals(output, own[rows])
-                first = rows.stop
+        found, first = np.empty_like(values), 0
+        for output, learnt in zip(self._outputs, self._learnt, strict=True):
+            rows = slice(first, first + len(output.times))
+            first = rows.stop
+            own = values[:, rows]
+            training = own if output.reference is None else simulated.of(output.variable)[:, learnt]
+            for point, row in enumerate(found):
+                row[rows] = observed_residuals(output, own[point], training[point])
         return ComparisonResult(found)
 
 
-def observed_residuals(output: Output, simulated: FloatArray) -> FloatArray:
-    """Return the residuals of one output, (n,), from what was simulated at its measured times."""
+def learnt_from(output: Output) -> Output:
+    """Return the output from which scale, offset and bounds of categories are found."""
+    learns = output.learns and output.reference is not None
+    return output.reference if learns and output.reference is not None else output
+
+
+def observed_residuals(
+    output: Output, simulated: FloatArray, training: FloatArray | None = None
+) -> FloatArray:
+    """Return the residuals of one output, (n,).
+
+    Parameters
+    ----------
+    simulated : (n,)
+        At its measured times.
+    training : (m,)
+        At those of `learnt_from`; None for the same.
+    """
+    if output.ordinal:
+        if not len(simulated):
+            return np.zeros(0)
+        bounds = bounds_of_categories(output, simulated, training)
+        return ordinal_residuals(bounds, output.values, simulated, output.sigma)
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is said to be not finite
-        scale, offset = scale_and_offset(output, simulated)
+        scale, offset = scale_and_offset(output, simulated, training)
         residuals = (output.values - scale * simulated - offset) / output.sigmas
     if output.detection_limit is None:
         return np.asarray(residuals)
     return np.asarray(np.where(output.is_hidden, _censored(output, simulated), residuals))
 
 
-def scale_and_offset(output: Output, simulated: FloatArray) -> tuple[float, float]:
+def bounds_of_categories(
+    output: Output, simulated: FloatArray, training: FloatArray | None = None
+) -> CategoryBounds:
+    """Return the best bounds of an ordinal output's categories; see `observed_residuals`."""
+    values = simulated if training is None else training
+    return category_bounds(learnt_from(output).values, np.ascontiguousarray(values))
+
+
+def scale_and_offset(
+    output: Output, simulated: FloatArray, training: FloatArray | None = None
+) -> tuple[float, float]:
     """Return the best scale and offset of what was simulated; 1 and 0 where they are not free.
 
     Where the simulation does not move, so that they could not be told apart, the scale is 0 and the
-    offset what was measured; without an offset, where it is 0 throughout, the scale is 0.
+    offset what was measured; without an offset, where it is 0 throughout, the scale is 0. The
+    parameters are those of `observed_residuals`.
     """
     if not (output.free_scale or output.free_offset) or not len(simulated):
         return 1.0, 0.0
-    weights = 1.0 / output.sigmas**2
+    source, values = learnt_from(output), simulated if training is None else training
+    return best_scale_and_offset(
+        source.values,
+        values,
+        source.sigmas,
+        free_scale=output.free_scale,
+        free_offset=output.free_offset,
+    )
+
+
+def best_scale_and_offset(
+    measured: FloatArray,
+    simulated: FloatArray,
+    sigmas: FloatArray,
+    *,
+    free_scale: bool,
+    free_offset: bool,
+) -> tuple[float, float]:
+    """Return the scale and offset of simulated values (n,) that suit the measured ones best.
+
+    1 and 0 where they are not free, or there are no values; see `scale_and_offset`.
+    """
+    if not len(measured):
+        return 1.0, 0.0
+    simulated = np.ascontiguousarray(simulated)  # sums over strided rows round differently
+    weights = 1.0 / sigmas**2
     total = np.add.reduce(weights)
     mean = float(np.add.reduce(weights * simulated) / total)
-    measured = float(np.add.reduce(weights * output.values) / total)
-    if not output.free_scale:
-        return 1.0, measured - mean
-    centre, middle = (mean, measured) if output.free_offset else (0.0, 0.0)
+    middle = float(np.add.reduce(weights * measured) / total)
+    if not free_scale:
+        return 1.0, middle - mean
+    centre, middle = (mean, middle) if free_offset else (0.0, 0.0)
     moved = simulated - centre
     square = float(np.add.reduce(weights * moved**2))
     if not np.isfinite(square):
         return np.nan, np.nan
     if not square > 1e-24 * float(np.add.reduce(weights * simulated**2)):
         return 0.0, middle
-    scale = float(np.add.reduce(weights * moved * (output.values - middle))) / square
+    scale = float(np.add.reduce(weights * moved * (measured - middle))) / square
     return scale, middle - scale * centre
 
 

@@ -17,6 +17,7 @@ from cluster_est.closed_loop.synthetic_experiments import shortened_kinds
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.errors import ProblemError
 from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.problem.sensors import unstarted_sensors
 from cluster_est.problem.space import SearchSpace
 from workers.messages import FloatArray
 
@@ -80,7 +81,8 @@ def _spread(workbench: LoopWorkbench, start: FitStart) -> list[FitStart]:
     from scipy.stats import qmc  # slow to import, and only a fit that misses the noise asks for it
 
     space = workbench.space(start)
-    shared = [i for i, unknown in enumerate(space.unknowns) if not unknown.scope]
+    sensors = {i for sensor in unstarted_sensors(space) for i in sensor.unknowns}
+    shared = [i for i, u in enumerate(space.unknowns) if not u.scope and i not in sensors]
     sampler = qmc.Sobol(max(1, len(shared)), rng=workbench.generator(1))
     count = workbench.settings.starts
     cube = 2.0 * sampler.random(1 << (count - 1).bit_length())[:count] - 1.0

@@ -10,7 +10,9 @@ from cluster_est.config.sections.types import (
     ConfigSection,
     Count,
     Finite,
+    Free,
     Known,
+    Ordinal,
     Pair,
     Samples,
     as_column,
@@ -33,15 +35,24 @@ class OutputSection(ConfigSection):
         "linear", description="between samples, where the time base asks for other times"
     )
     weight: Finite = Field(1.0, gt=0.0, description="of its squares in the cost")
-    free_scale: bool = Field(
+    free_scale: Free = Field(
         False,
-        description="known up to a factor: the best one in each experiment is found in closed form",
+        description="known up to a factor: the best one in each experiment is found in closed "
+        'form; "shared": one for all experiments, estimated as sensor_OUTPUT.scale',
     )
-    free_offset: bool = Field(
-        False, description="known up to a constant that is added, found likewise"
+    free_offset: Free = Field(
+        False,
+        description="known up to a constant that is added, found likewise; "
+        'sensor_OUTPUT.offset where it is "shared"',
     )
     detection_limit: Finite | None = Field(
         None, description="measured values at or below it say no more than that"
+    )
+    ordinal: Ordinal = Field(
+        False,
+        description="the values say an order alone, such as grades from 1 to 5; or the words of "
+        'the column, the lowest first: ["low", "high"]; sigma is then in spreads of the simulated '
+        "signal",
     )
 
 
@@ -94,7 +105,7 @@ class _ExperimentKeys(ConfigSection):
     outputs: dict[str, Annotated[OutputSection, BeforeValidator(as_column)]] = Field(
         default_factory=dict,
         description="FMU output = column, or { column, interpolation, weight, free_scale, "
-        "free_offset, detection_limit }; empty cells: not measured",
+        "free_offset, detection_limit, ordinal }; empty cells: not measured",
     )
     curve: CurveSection | None = Field(
         None, description="measured points without times, such as force over displacement"

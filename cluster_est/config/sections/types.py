@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, Strict
 from pydantic_core import PydanticCustomError
@@ -42,11 +42,32 @@ def as_group(value: Any) -> Any:
     raise PydanticCustomError("group", 'must be a label or { KEY = "label" }')
 
 
+def _free(value: Any) -> Any:
+    """A scale or offset is known, one of each experiment, or one of all."""
+    if isinstance(value, bool) or value == "shared":
+        return value
+    raise PydanticCustomError("free", 'must be true, false or "shared"')
+
+
+def _ordinal(value: Any) -> Any:
+    """Whether values say an order alone, or the words that do."""
+    if isinstance(value, bool):
+        return value
+    several = isinstance(value, list | tuple) and len(value) > 1
+    if several and all(isinstance(word, str) and word for word in value):
+        return list(value)
+    raise PydanticCustomError(
+        "ordinal", "must be true, false or a list of at least two words, the lowest first,"
+    )
+
+
 Count = Annotated[int, Field(ge=0, le=LARGEST)]
 Positive = Annotated[int, Field(gt=0, le=LARGEST)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Samples = Annotated[int, Field(gt=1, le=MOST_TIMES)]
 Known = Annotated[float | int | bool | str, PlainValidator(_known)]
+Free = Annotated[bool | Literal["shared"], PlainValidator(_free)]
+Ordinal = Annotated[bool | list[str], PlainValidator(_ordinal)]
 Pair = Annotated[tuple[Finite, Finite], Strict(False)]
 """TOML has lists, which strictly are no tuples."""
 

@@ -218,7 +218,7 @@ def _of_output(
                 errors.append(2.0 * (coarse - fine))
                 residuals.append(coarse)
                 values.append(_centred(output))
-                given.append(output.has_sigma)
+                given.append(output.has_sigma and not output.ordinal)
     if not errors:
         return None
     error, residual, spread = (_rms(parts) for parts in (errors, residuals, values))
@@ -231,7 +231,12 @@ def _of_output(
 
 
 def _centred(output: Output) -> FloatArray:
-    """The measured signal around its mean, over its sigma."""
+    """The measured signal around its mean, over its sigma.
+
+    Grades have no such size; what they are compared with is over its spread already.
+    """
+    if output.ordinal:
+        return np.full(len(output.values), 1.0 / output.sigma)
     return (output.values - np.mean(output.values)) / output.sigmas
 
 

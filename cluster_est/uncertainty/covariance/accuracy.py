@@ -12,7 +12,7 @@ import numpy as np
 
 from cluster_est.methods.derivatives.differences import difference_steps, relative_noise
 from cluster_est.problem.space import SearchSpace
-from workers.messages import FloatArray
+from workers.messages import FloatArray, Output
 
 SAFETY = 30.0
 """The noise of a solver and the curvature are known by their orders of magnitude only."""
@@ -84,6 +84,11 @@ def output_norm(space: SearchSpace, factor: FloatArray) -> float:
         experiment = space.problem.experiments[e]
         if experiment.cost_function is not None or experiment.curve is not None:
             return 0.0
-        parts += [output.values / output.sigmas for output in experiment.outputs]
+        parts += [_size(output) for output in experiment.outputs]
     values = np.concatenate(parts)
     return float(np.linalg.norm(values * factor)) if len(values) == len(factor) else 0.0
+
+
+def _size(output: Output) -> FloatArray:
+    """Return what a simulated output is about, in sigmas; of an ordinal one its spread."""
+    return (np.ones(len(output.times)) if output.ordinal else output.values) / output.sigmas

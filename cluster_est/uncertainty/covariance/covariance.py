@@ -112,9 +112,8 @@ def _nothing(space: SearchSpace, solution: Solution) -> Uncertainty:
 
 def _report(space: SearchSpace, x: FloatArray, system: ScaledJacobian) -> Uncertainty:
     white = system.covariance
-    coloured = (
-        () if space.hidden_values else coloured_covariances(white, system.factors, system.residuals)
-    )
+    no_law = space.hidden_values or space.has_ordinal_values
+    coloured = () if no_law else coloured_covariances(white, system.factors, system.residuals)
     covariances = (white, *coloured)
     layout, chosen = system.layout, most_honest(covariances)
     width = float(stdtrit(chosen.degrees, 0.975)) if chosen.degrees > 0 else np.nan

@@ -40,6 +40,10 @@ WEAK = 1e-6
 """Directions up to this ratio are named as hardly determined."""
 NEGLIGIBLE = 1e-6
 """Less of an unknown than this in a direction is rounding."""
+ORDINAL = (
+    "of an ordinal output the order of the values is known alone, and their distances to the bounds"
+    " of categories say nothing of its noise"
+)
 
 
 @dataclass(frozen=True)
@@ -215,10 +219,13 @@ def _weighting(
         weighting = row_weighting(cost, solution.at.residuals, space.outputs, rows)
         if space.priors:
             weighting = replace(weighting, priors=space.priors.among(rows))
+        if space.has_ordinal_values:
+            weighting = replace(weighting, problem=ORDINAL)
         return replace(weighting, hidden=space.hidden_values), rows
     # a sum of squares needs no more than its value
     squares = np.full(count, solution.cost / max(count, 1))
-    return RowWeighting(np.ones(count), squares=squares), list(space.rows)
+    problem = ORDINAL if space.has_ordinal_values else ""
+    return RowWeighting(np.ones(count), problem=problem, squares=squares), list(space.rows)
 
 
 def _weighted_residuals(

@@ -12,7 +12,7 @@ from cluster_est.problem.space import make_space
 from cluster_est.running.runner import Runner
 from cluster_est.uncertainty.posterior.result import PosteriorResult, central
 from workers.messages import FloatArray
-from workers.residuals.observed import scale_and_offset
+from workers.residuals.observed import learnt_from, scale_and_offset
 
 DRAWS = 200
 """Whose simulations make a band: the ends of a 95 % band, of which 5 of them lie beyond each, are
@@ -93,9 +93,12 @@ def predicted_bands(
         for e, outcome in zip(everything * len(spaces), outcomes, strict=True):
             if outcome.ok and outcome.trajectory is not None:
                 for output in problem.experiments[e].outputs:
-                    found = outcome.trajectory.at(output.variable, output.times)
-                    scale, offset = scale_and_offset(output, found)
-                    found = scale * found + offset
+                    own, training = (
+                        outcome.trajectory.at(output.variable, each.times)
+                        for each in (output, learnt_from(output))
+                    )
+                    scale, offset = scale_and_offset(output, own, training)
+                    found = scale * own + offset
                     simulated.setdefault((e, output.variable), []).append(found)
     ends = central(posterior.confidence)
     times = {(e, o.variable): o.times for e in everything for o in problem.experiments[e].outputs}

@@ -24,6 +24,7 @@ from scipy.special import fdtri
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Method, Solution
+from cluster_est.problem.observed_outputs import refuse_ordinal_outputs
 from cluster_est.problem.space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
@@ -138,6 +139,11 @@ def check_profiles(space: SearchSpace, settings: UncertaintySettings) -> None:
     probe = np.ones(len(space.outputs))
     if not select(space, settings.profiles) or settings.rise > 0.0:
         return
+    refuse_ordinal_outputs(
+        space,
+        "uncertainty.profiles",
+        "give uncertainty.rise, by how much the cost may rise, or take uncertainty.bootstrap",
+    )
     if len(probe) and cost.weights(probe, space.outputs) is None:
         raise ProblemError(
             "uncertainty.profiles: must be told by the scatter of the residuals how far the cost "

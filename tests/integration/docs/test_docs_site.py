@@ -123,6 +123,7 @@ def runs(tmp_path_factory) -> dict[str, Path]:
     }
     free = {"y": {"column": "position", "free_scale": True}}
     scaled = experiments[0] | {"outputs": free}
+    ordered = experiments[1] | {"outputs": {"y": {"column": "position", "ordinal": True}}}
     loop = {"closed_loop": {"effects": ["bias"], "sites": ["output y"], "max_effects": 1}}
     found = {}
     for name, extra, command in (
@@ -130,7 +131,7 @@ def runs(tmp_path_factory) -> dict[str, Path]:
         ("front", front, "fit"),
         ("loop", loop, "close-loop"),
         ("ranked", {"sensitivity": {"groups": 4}}, "sensitivity"),
-        ("scaled", {"experiments": [scaled]}, "fit"),
+        ("scaled", {"experiments": [scaled, ordered]}, "fit"),
         ("shot", {"method": {"shooting": {"segments": 3}}}, "fit"),
     ):
         (folder / f"{name}.toml").write_text(to_toml(base | extra))

@@ -1,0 +1,62 @@
+"""Columns of words that stand in an order, such as low, medium and high."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+
+from cluster_est.errors import DataError
+from cluster_est.problem.tables.cells import is_text, trimmed_cells
+from cluster_est.problem.tables.files import MeasuredTable
+from workers.fmu.description import nearest
+
+
+def with_grades(
+    table: MeasuredTable, column: str, grades: Sequence[str], where: str
+) -> MeasuredTable:
+    """Return the table with the words of a column as their places among the grades, from 1 on.
+
+    Parameters
+    ----------
+    table, column
+        What is read.
+    grades
+        All words, the lowest first.
+    where
+        Opens each message.
+
+    Raises
+    ------
+    DataError
+        If a word is given twice or is none of the grades, or the column has no words.
+    """
+    repeated = [word for word, count in Counter(grades).items() if count > 1]
+    if repeated:
+        raise DataError(
+            f"{where}.ordinal: must name each grade once but names {repeated[0]!r} more often; "
+            "remove one"
+        )
+    cells = table.columns.get(column)
+    if cells is None:
+        raise DataError(f"{where}: {table.without(column)}")
+    if isinstance(cells, pa.ChunkedArray) and pa.types.is_dictionary(cells.type):
+        cells = cells.cast(cells.type.value_type)
+    if isinstance(cells, np.ndarray) or not is_text(cells):
+        raise DataError(
+            f"{where}.ordinal: {table.path}, column {column!r}: must hold the words that are "
+            "listed but holds numbers; write ordinal = true"
+        )
+    words = trimmed_cells(cells, decimal_comma=False).to_pylist()
+    places = {word: float(place) for place, word in enumerate(grades, 1)}
+    for i, word in enumerate(words):
+        if word is not None and word not in places:
+            raise DataError(
+                f"{where}.ordinal: {table.path}, column {column!r}, row {table.row(i)}: must be "
+                f"one of the grades that are listed but is {word!r}{nearest(word, grades)}"
+            )
+    numbers = np.array([np.nan if w is None else places[w] for w in words], np.float64)
+    return replace(table, columns={**table.columns, column: numbers})

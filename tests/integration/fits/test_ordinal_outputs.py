@@ -1,0 +1,281 @@
+"""Fits to outputs of which only the order of the measured values is known."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from scipy.stats import kendalltau
+from support.problems.springs import ROOT, TRUE, spring_problem
+
+import cluster_est as ce
+from cluster_est.cli import main
+from cluster_est.costs.robust import HuberCost
+from cluster_est.errors import ProblemError
+from cluster_est.problem.sensors import shared_sensor
+
+CONFIG = str(ROOT / "configs" / "mass_spring_damper.toml")
+
+
+def judged(grades=0, noise=0.0, seed=0, size=1.0):
+    """Springs of which somebody says in how many grades the position is; 0 for its rank alone."""
+    truth, generator, runs = spring_problem(3), np.random.default_rng(seed), []
+    for experiment in truth.problem.experiments:
+        (output,) = experiment.outputs
+        seen = output.values + noise * generator.normal(size=len(output.times))
+        if grades:
+            seen = np.digitize(seen, np.quantile(seen, np.linspace(0, 1, grades + 1)[1:-1]))
+        made = replace(output, values=size * seen.astype(float), ordinal=True)
+        start = {"x": truth.values[f"x0[{experiment.id}]"]}
+        runs.append(replace(experiment, outputs=(made,), values=start))
+    known = tuple(
+        replace(p, start=TRUE["m"], fixed=True) if p.name == "m" else p
+        for p in truth.problem.parameters
+    )
+    return replace(truth.problem, parameters=known, experiments=tuple(runs))
+
+
+@pytest.fixture(scope="module")
+def ranked():
+    return ce.fit(judged())
+
+
+def test_ranks_alone_say_what_the_parameters_are(ranked):
+    assert ranked.success
+    assert ranked.x["k"] == pytest.approx(TRUE["k"], rel=1e-3)
+    assert ranked.x["c"] == pytest.approx(TRUE["c"], rel=5e-3)
+
+
+def test_monotone_functions_of_the_values_say_the_same(ranked):
+    problem = judged()
+    bent = tuple(
+        replace(e, outputs=tuple(replace(o, values=np.exp(9.0 * o.values)) for o in e.outputs))
+        for e in problem.experiments
+    )
+    again = ce.fit(replace(problem, experiments=bent))
+    assert again.x == ranked.x
+
+
+@pytest.mark.parametrize(("grades", "within"), [(3, 0.15), (10, 0.05)])
+def test_few_grades_say_less(grades, within):
+    found = ce.fit(judged(grades)).x
+    assert found["k"] == pytest.approx(TRUE["k"], rel=0.01)
+    assert found["c"] == pytest.approx(TRUE["c"], rel=within)
+
+
+@pytest.mark.parametrize("method", ["sensitivities", "central"])
+def test_derivatives_are_those_of_the_distances(method):
+    found = ce.fit(judged(5), method=ce.LeastSquares(differences=method))
+    usual = ce.fit(judged(5), method="sqp")
+    assert found.x["k"] == pytest.approx(usual.x["k"], rel=1e-3)
+    assert found.x["c"] == pytest.approx(usual.x["c"], rel=1e-2)
+
+
+def test_what_an_order_says_nothing_of_is_named():
+    """A sensor's scale changes no order; a known start in metres says how large the rest is."""
+    problem = judged()
+    sensor = shared_sensor("y")
+    (scale,) = sensor.parameters
+    given = (*problem.parameters, replace(scale, lower=0.1, upper=10.0, start=2.0))
+    found = ce.fit(replace(problem, parameters=given, effects=(sensor.effect,)))
+    assert "sensor_y.scale has no effect on any residual" in found.notes
+    free = tuple(replace(p, fixed=False) for p in problem.parameters)
+    found = ce.fit(replace(problem, parameters=free))
+    assert found.x["m"] == pytest.approx(TRUE["m"], rel=2e-3)
+
+
+def test_from_rest_an_order_says_only_what_mass_stiffness_and_damping_share(words):
+    run = words / "run"
+    assert main(["fit", str(words / "words.toml"), "--out", str(run), WORDS]) == 0
+    notes = json.loads((run / "run.json").read_text(encoding="utf-8"))["notes"]
+    assert any("the data determine m, k and c only together" in note for note in notes)
+    rows = pq.read_table(run / "parameters.parquet").to_pylist()
+    values = {row["label"]: row["value"] for row in rows}
+    assert values["k"] / values["m"] == pytest.approx(TRUE["k"] / TRUE["m"], rel=0.01)
+
+
+def test_there_are_no_intervals_and_no_tests_of_the_residuals(ranked):
+    assert all(np.isnan(each.std_error) for each in ranked.estimates if each.label in ("k", "c"))
+    assert ranked.diagnostics is None
+    assert any("there are no intervals, because of an ordinal output" in n for n in ranked.notes)
+
+
+def test_the_note_counts_the_pairs_in_order():
+    result = ce.fit(judged(4, noise=0.02))
+    agreeing = there = 0.0
+    for one in result.simulations:
+        (output,) = result.problem.experiments[one.experiment].outputs
+        values = one.outcome.trajectory.at("y", output.times)
+        unequal = sum(
+            int(np.sum(output.values == a) * np.sum(output.values == b))
+            for a in range(4)
+            for b in range(a)
+        )
+        # tau-c is 2 (in order - not in order) / n^2 / (1 - 1 / K), with no ties in the simulation
+        tau = kendalltau(output.values, values, variant="c").statistic
+        excess = tau * len(values) ** 2 * (1.0 - 1.0 / 4.0) / 2.0
+        there, agreeing = there + unequal, agreeing + (unequal + excess) / 2.0
+    (note,) = [n for n in result.notes if "by the order of its values alone" in n]
+    assert f"{agreeing / there:.3%} are simulated in their order" in note
+
+
+def test_the_tables_hold_categories_and_what_is_nearest_in_them():
+    result = ce.fit(judged(3, noise=0.02))
+    rows = [row for row in result.table("categories").to_pylist() if row["experiment"] == "e1"]
+    assert [row["category"] for row in rows] == [0.0, 1.0, 2.0]
+    assert [row["samples"] for row in rows] == [50, 50, 50]
+    assert rows[0]["lower"] == -np.inf
+    assert rows[0]["upper"] < rows[1]["lower"] < rows[1]["upper"] < rows[2]["lower"]
+    table = result.residuals.to_pylist()
+    own = [row for row in table if row["experiment"] == "e1"]
+    spread = np.std([row["simulated"] for row in own])
+    for row in own:
+        distance = (row["measured"] - row["simulated"]) / spread
+        assert distance == pytest.approx(row["residual"], abs=1e-12)
+    (error,) = [e for e in result.errors if e.experiment == "e1"]
+    size = np.sqrt(np.mean([row["residual"] ** 2 for row in own]))
+    assert (error.rmse_after, error.normalised_after) == pytest.approx((size, size))
+    assert error.unit == ""
+
+
+def test_a_held_out_part_has_the_categories_of_its_record():
+    problem = judged(5)
+    train, held_out = ce.Experiment.hold_out(problem.experiments[1], [(1.0, 1.5)])
+    others = (problem.experiments[0], problem.experiments[2])
+    result = ce.fit(replace(problem, experiments=(train, held_out, *others)))
+    rows = result.table("categories").to_pylist()
+    kept = ("category", "samples", "lower", "upper")
+    own, of_record = (
+        [[row[key] for key in kept] for row in rows if row["experiment"] == name]
+        for name in (held_out.id, train.id)
+    )
+    for one, other in zip(own, of_record, strict=True):
+        assert one == pytest.approx(other, rel=1e-6)
+    assert any("of the pairs of held-out values" in note for note in result.notes)
+
+
+def test_a_sensor_that_is_read_in_numbers_counts_beside_one_that_is_not():
+    problem = judged()
+    exact = spring_problem(3).problem.experiments[0].outputs[0]
+    first = problem.experiments[0]
+    mixed = (replace(first, outputs=(replace(exact, sigma=0.001),)), *problem.experiments[1:])
+    free = tuple(replace(p, fixed=False) for p in problem.parameters)
+    found = ce.fit(replace(problem, parameters=free, experiments=mixed))
+    assert found.x["m"] == pytest.approx(TRUE["m"], rel=1e-3)
+
+
+def test_all_executors_give_the_same_bits(ranked):
+    again = ce.fit(judged(), resources=ce.Resources("processes", workers=2))
+    assert again.x == ranked.x
+    assert again.cost == ranked.cost
+
+
+def test_reduced_answers_give_the_same_cost():
+    problem = judged(4)
+    whole = ce.fit(problem, method="pattern_search", resources=ce.Resources(budget=ce.Budget(40)))
+    values = {each.label: each.value for each in whole.estimates if each.label in ("k", "c")}
+    (row,) = [sum(np.sum(s.outcome.residuals**2) for s in ce.simulate(problem, values=values))]
+    assert whole.cost == pytest.approx(row, rel=1e-9)
+
+
+def still(problem):
+    (first, *rest) = problem.experiments
+    output = replace(first.outputs[0], values=np.full(len(first.outputs[0].times), 2.0))
+    return replace(problem, experiments=(replace(first, outputs=(output,)), *rest))
+
+
+@pytest.mark.parametrize(
+    ("change", "how", "said"),
+    [
+        (still, {}, "output y: must have at least two different values where it is ordinal"),
+        (lambda p: replace(p, cost=HuberCost()), {}, "must go with the cost sse"),
+        (None, {"uncertainty": ce.UncertaintySettings(profiles=("k",))}, "uncertainty.profiles"),
+        (None, {"uncertainty": ce.UncertaintySettings(posterior=1000)}, "has an ordinal output"),
+        (None, {"shooting": {"segments": 3}}, "cannot cut experiment 'e0'"),
+    ],
+)
+def test_what_an_order_cannot_give_is_refused(change, how, said):
+    problem = judged(4)
+    with pytest.raises(ProblemError, match=said):
+        ce.fit(problem if change is None else change(problem), **how)
+
+
+def test_the_closed_loop_refuses_an_order():
+    with pytest.raises(ProblemError, match="output y must be compared as it is"):
+        ce.close_loop(judged(4))
+
+
+@pytest.fixture
+def words(tmp_path):
+    """The example with positions in words, as a config beside its data."""
+    text = (ROOT / "configs" / "mass_spring_damper.toml").read_text(encoding="utf-8")
+    lines = [line for line in text.splitlines() if not line.startswith("outputs")]
+    text = "\n".join(lines).replace('"models/', f'"{ROOT.as_posix()}/configs/models/')
+    data = ROOT / "configs" / "data" / "mass_spring_damper"
+    for number in range(1, 6):
+        header, *rows = (data / f"exp{number}.csv").read_text(encoding="utf-8").splitlines()
+        place = header.split(",").index("position")
+        cells = [row.split(",") for row in rows]
+        for row in cells:
+            value = float(row[place])
+            row[place] = "low" if value < -0.02 else "high" if value > 0.02 else " medium "
+        cells[3][place] = ""
+        made = "\n".join([header, *(",".join(row) for row in cells)])
+        (tmp_path / f"exp{number}.csv").write_text(made, encoding="utf-8")
+    text = text.replace('"data/mass_spring_damper/', '"')
+    (tmp_path / "words.toml").write_text(text, encoding="utf-8")
+    return tmp_path
+
+
+def outputs(ordinal, more=""):
+    return f"experiment_defaults.outputs={{y={{column='position', ordinal={ordinal}{more}}}}}"
+
+
+WORDS = outputs("['low', 'medium', 'high']")
+
+
+def test_a_config_gives_words_and_a_run_that_is_taken_up_again_has_the_same_bits(words):
+    config, run = str(words / "words.toml"), words / "run"
+    given = [WORDS, "parameters.m.fixed=true", "parameters.m.start=1.2"]
+    assert main(["fit", config, "--out", str(run), *given]) == 0
+    first = pq.read_table(run / "parameters.parquet")
+    values = {row["label"]: row["value"] for row in first.to_pylist()}
+    assert values["k"] == pytest.approx(TRUE["k"], rel=0.03)
+    categories = pq.read_table(run / "categories.parquet").to_pylist()
+    assert {row["category"] for row in categories} == {1.0, 2.0, 3.0}
+    assert sum(row["samples"] for row in categories if row["experiment"] == "exp1") == 499
+    facts = json.loads((run / "run.json").read_text(encoding="utf-8"))
+    facts |= {"status": "running", "verdict": None}
+    (run / "run.json").write_text(json.dumps(facts), encoding="utf-8")
+    assert main(["fit", config, "--out", str(run), "--resume", *given]) == 0
+    again = pq.read_table(run / "parameters.parquet")
+    assert again.column("value").equals(first.column("value"))
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (outputs("['low', 'high']"), "must be one of the grades that are listed but is 'medium'"),
+        (outputs("['low', 'low']"), "ordinal: must name each grade once but names 'low' more"),
+        (outputs("['low']"), "ordinal: must be true, false or a list of at least two words"),
+        (outputs("3"), "ordinal: must be true, false or a list of at least two words"),
+        (outputs("true"), "row 2: must be a number but is ' medium '"),
+        (WORDS.replace("position", "place"), "has no column 'place'"),
+        (outputs("true", ", free_scale='shared'"), 'free_scale: must not be "shared" where the'),
+    ],
+)
+def test_a_mistake_in_a_config_is_met_with_a_sentence(given, said, words, capsys):
+    assert main(["fit", str(words / "words.toml"), "--out", str(words / "run"), given]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert "Traceback" not in error
+
+
+@pytest.mark.parametrize("key", ["cost.time_base=union", "cost.normalise=range"])
+def test_grades_are_compared_when_they_were_measured(key, words, capsys):
+    out = str(words / "run")
+    assert main(["fit", str(words / "words.toml"), "--out", out, WORDS, key]) == 2
+    assert "where it is ordinal" in capsys.readouterr().err
