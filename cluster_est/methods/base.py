@@ -83,6 +83,11 @@ class Points:
     sensitivities
         Ask for the derivatives of the residuals too, in `Outcome.sensitivities`, where the model
         can give them.
+    bounds : (points,) or None
+        Costs above which nothing more need be known of a point, not even its cost: simulations of
+        it may be ended early, and the answer is then that of a point that failed. Only for points
+        that a method treats alike whatever they cost beyond the bound; it takes effect where the
+        cost is the sum of squares.
     """
 
     x: FloatArray
@@ -91,6 +96,7 @@ class Points:
     asynchronous: bool = False
     drop: tuple[int, ...] = ()
     sensitivities: bool = False
+    bounds: FloatArray | None = None
 
 
 TOLERANCE = 1e-6

@@ -22,7 +22,8 @@ class Budget:
 class TaskOrigin:
     """Who asked for a task: what the log says of it besides its outcome.
 
-    `installed` is (id, key) of the experiment where it is none of the problem's own.
+    `installed` is (id, key) of the experiment where it is none of the problem's own; `bound` is
+    that of the task.
     """
 
     search: str
@@ -33,6 +34,7 @@ class TaskOrigin:
     effects: tuple[Effect, ...] = ()
     installed: tuple[str, str] | None = None
     want: Want = "residuals"
+    bound: float = math.inf
 
 
 @dataclass(frozen=True)

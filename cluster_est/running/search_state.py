@@ -16,9 +16,10 @@ MEMORY_BYTES = 256 * 2**20
 OUTCOME_BYTES = 800
 """What an outcome takes besides its residuals."""
 
-Question = tuple[int, bytes, tuple[Effect, ...], Want]
-"""Experiment, values and effects, which make a simulation, and what is wanted of it: whole
-residuals never stand in for reduced ones, or bits would depend on which of them came first."""
+Question = tuple[int, bytes, tuple[Effect, ...], Want, float]
+"""Experiment, values and effects, which make a simulation, what is wanted of it, and the bound above
+which it ends early: whole residuals never stand in for reduced ones, nor one bound for another, or
+bits would depend on which of them came first."""
 
 
 @dataclass(frozen=True)
