@@ -18,5 +18,7 @@ def simulation_key(
 
     `bound` is the sum of squares above which it ends early.
     """
-    parts = [model_key, experiment_key, repr(effects), values.tobytes()]
-    return content_hash(parts if bound == math.inf else [*parts, bound.hex()])
+    parts: list[str | bytes] = [model_key, experiment_key, repr(effects), values.tobytes()]
+    if bound < math.inf:
+        parts.append(bound.hex())
+    return content_hash(parts)

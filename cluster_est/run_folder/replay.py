@@ -270,7 +270,9 @@ def comparison(logged: LoggedSimulation, outcome: Outcome) -> str:
     if not logged.ok or outcome.residuals is None:
         if (logged.failed, outcome.failed) == (False, False):
             same = logged.message == outcome.message
-            return "it was ended early, as it was then" if same else "it does not end as it did then"
+            return (
+                "it was ended early, as it was then" if same else "it does not end as it did then"
+            )
         if logged.failed is outcome.failed:
             same = (logged.status, logged.message) == (outcome.status, outcome.message)
             return "it failed as it did then" if same else "it failed then too, but otherwise"

@@ -17,9 +17,9 @@ OUTCOME_BYTES = 800
 """What an outcome takes besides its residuals."""
 
 Question = tuple[int, bytes, tuple[Effect, ...], Want, float]
-"""Experiment, values and effects, which make a simulation, what is wanted of it, and the bound above
-which it ends early: whole residuals never stand in for reduced ones, nor one bound for another, or
-bits would depend on which of them came first."""
+"""Experiment, values and effects, which make a simulation, what is wanted of it, and the bound
+above which it ends early: whole residuals never stand in for reduced ones, nor one bound for
+another, or bits would depend on which of them came first."""
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,19 @@ from workers.messages.progress import STEPS
 
 @kernel
 def co_simulate_batch(  # type: ignore[no-untyped-def]
-    c, references, starts, settings, hooks, grid, points, bounds, work, outputs, codes, stopped_at, steps
+    c,
+    references,
+    starts,
+    settings,
+    hooks,
+    grid,
+    points,
+    bounds,
+    work,
+    outputs,
+    codes,
+    stopped_at,
+    steps,
 ):
     """Simulate one experiment for many points.
 

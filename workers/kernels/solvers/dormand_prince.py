@@ -86,7 +86,19 @@ SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0
 
 @kernel
 def dormand_prince_batch(  # type: ignore[no-untyped-def]
-    c, references, starts, settings, hooks, grid, points, bounds, work, outputs, codes, stopped_at, steps
+    c,
+    references,
+    starts,
+    settings,
+    hooks,
+    grid,
+    points,
+    bounds,
+    work,
+    outputs,
+    codes,
+    stopped_at,
+    steps,
 ):
     """Simulate one experiment for many points; arguments as in `co_simulate_batch`."""
     c, references, starts, settings, hooks, grid, work = by_reference(

@@ -57,7 +57,19 @@ E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 
 
 @kernel
 def rk4_batch(  # type: ignore[no-untyped-def]
-    c, references, starts, settings, hooks, grid, points, bounds, work, outputs, codes, stopped_at, steps
+    c,
+    references,
+    starts,
+    settings,
+    hooks,
+    grid,
+    points,
+    bounds,
+    work,
+    outputs,
+    codes,
+    stopped_at,
+    steps,
 ):
     """Simulate one experiment for many points; arguments as in `co_simulate_batch`."""
     c, references, starts, settings, hooks, grid, work = by_reference(
