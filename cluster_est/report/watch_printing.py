@@ -86,7 +86,7 @@ def _head(view: RunView) -> str:
 
 def _now(state: RunState) -> str:
     done = what_is_done(state.search, state.phase, state.ended, state.searches)
-    left = left_of_step(state.phase, state.left)
+    left = left_of_step(state.phase, state.left, at_most=state.at_most)
     return " | ".join(part for part in (done, left) if part)
 
 

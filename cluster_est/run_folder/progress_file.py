@@ -94,6 +94,7 @@ class RunState:
     searches: int = 1
     left: float = math.nan
     waiting: int = 0
+    at_most: bool = True
 
 
 @dataclass(frozen=True)

@@ -36,14 +36,15 @@ def what_is_done(search: str, phase: str, ended: int, searches: int) -> str:
     return ", ".join(parts)
 
 
-def left_of_step(phase: str, seconds: float) -> str:
+def left_of_step(phase: str, seconds: float, *, at_most: bool = True) -> str:
     """Return the time left of what is done now; that of a whole recipe depends on what is found.
 
-    Nothing for what is no recipe of phases, where nobody knows.
+    Nothing for what is no recipe of phases, where nobody knows. `at_most` says whether it is a
+    limit, or what is to be expected.
     """
     if math.isnan(seconds):
         return "time left unknown" if phase else ""
-    return f"this step: at most about {_seconds(seconds)} left"
+    return f"this step: {'at most ' if at_most else ''}about {_seconds(seconds)} left"
 
 
 def _seconds(seconds: float) -> str:

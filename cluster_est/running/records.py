@@ -51,8 +51,9 @@ class RunSnapshot:
         What a recipe of several phases is about, in words.
     ended, searches
         How many of the searches that were begun together have ended, and how many these are.
-    left
-        Seconds that those take at most from now on; NaN where nobody knows.
+    left, at_most
+        Seconds that those take from now on, NaN where nobody knows; and whether they are a limit,
+        set by a budget or by iterations that may not all be needed.
     waiting
         Simulations that could begin if there were more workers.
     """
@@ -70,6 +71,7 @@ class RunSnapshot:
     searches: int = 1
     left: float = math.nan
     waiting: int = 0
+    at_most: bool = True
 
 
 @dataclass(frozen=True)

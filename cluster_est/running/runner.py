@@ -8,6 +8,7 @@ workers did.
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -53,6 +54,8 @@ class Runner:
     whole
         For a recipe of many steps, to which searches that were cut short are no use: an interrupt
         goes through `run`, and a budget that is used up raises BudgetError.
+    clock
+        Gives seconds; for studies on virtual time.
     """
 
     def __init__(
@@ -64,11 +67,14 @@ class Runner:
         note: Note | None = None,
         *,
         whole: bool = False,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._executor = executor
-        self._budget = BudgetWatch(budget or Budget())
+        self._budget = BudgetWatch(budget or Budget(), clock)
         self._pending = PendingTasks(executor, record or (lambda *_: None))
-        self.display = RunDisplay(show or (lambda *_: None), executor, self._budget, self._pending)
+        self.display = RunDisplay(
+            show or (lambda *_: None), executor, self._budget, self._pending, clock
+        )
         """Shows how far it is; a recipe tells it the phase."""
         self._note = note or (lambda *_: None)
         self._whole = whole
@@ -298,6 +304,7 @@ class Runner:
             self._note(SearchIteration(search.request.name, points.progress, search.asked))
         self._drop(search, points.drop)
         self._budget.evaluations += len(points.x)
+        self._budget.requests += len(points.x) > 0
         tasks: list[Task] = []
         for task in self._pending.request(search, points):
             tasks.append(task)

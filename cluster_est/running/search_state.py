@@ -62,6 +62,7 @@ class SearchState:
     purpose: str = ""
     sensitivities: bool = False
     asked: int = 0
+    requested: int = 0
     best: Evaluation | None = None
     best_x: FloatArray | None = None
     progress: Progress = field(default_factory=lambda: Progress(0, np.nan))
@@ -80,6 +81,7 @@ class SearchState:
         self.sensitivities = points.sensitivities
         first, count = self.asked, len(self.request.space.experiments)
         self.asked += len(points.x)
+        self.requested = len(points.x)
         for p, x in enumerate(points.x):
             self.pending[first + p] = PendingPoint(first + p, x.copy(), [None] * count, count)
         return first
