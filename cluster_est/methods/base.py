@@ -83,6 +83,9 @@ class Points:
     sensitivities
         Ask for the derivatives of the residuals too, in `Outcome.sensitivities`, where the model
         can give them.
+    follow_up
+        Further points without which these are of no use. Where a budget has no room for both, they
+        are not evaluated, and a `BudgetTooShortError` is raised in the search; see `within_budget`.
     bounds : (points,) or None
         Costs above which nothing more need be known of a point, not even its cost: simulations of
         it may be ended early, and the answer is then that of a point that failed. Only for points
@@ -96,6 +99,7 @@ class Points:
     asynchronous: bool = False
     drop: tuple[int, ...] = ()
     sensitivities: bool = False
+    follow_up: int = 0
     bounds: FloatArray | None = None
 
 

@@ -26,6 +26,8 @@ class BudgetWatch:
     ----------
     evaluations, requests
         Points asked for so far, and in how many requests; the runner adds to them.
+    used_up
+        True once a search has ended because no room was left for what it needed next.
     """
 
     def __init__(self, budget: Budget, clock: Callable[[], float] = time.monotonic) -> None:
@@ -33,6 +35,7 @@ class BudgetWatch:
         self._begin = clock()
         self.evaluations = 0
         self.requests = 0
+        self.used_up = False
 
     @property
     def seconds(self) -> float:
@@ -43,9 +46,13 @@ class BudgetWatch:
     def exhausted(self) -> bool:
         """True where nothing new may be asked for."""
         most, longest = self._budget.evaluations, self._budget.seconds
-        return (most is not None and self.evaluations >= most) or (
-            longest is not None and self.seconds >= longest
-        )
+        enough = most is not None and self.evaluations >= most
+        return self.used_up or enough or (longest is not None and self.seconds >= longest)
+
+    def has_room(self, points: int) -> bool:
+        """Return whether so many points can be evaluated before it ends by their number."""
+        most = self._budget.evaluations
+        return most is None or self.evaluations + points <= most
 
     @property
     def counts_evaluations(self) -> bool:

@@ -16,6 +16,7 @@ import numpy as np
 
 from cluster_est.executors.base import Executor
 from cluster_est.methods.base import Ending, Evaluation, Points, Solution
+from cluster_est.methods.follow_up import BudgetTooShortError
 from cluster_est.running.budget_watch import BudgetWatch
 from cluster_est.running.interrupts import DeferredInterrupts, later
 from cluster_est.running.pending_tasks import PendingTasks
@@ -155,7 +156,9 @@ class Runner:
             if search.solution is None:
                 self._finish(search, Ending.INTERRUPTED)
         self._refuse_if_exhausted(searches)
-        return _solutions(searches)
+        solutions = _solutions(searches)
+        self._budget.used_up |= any(found.ending is Ending.BUDGET for found in solutions)
+        return solutions
 
     def _interrupt(self) -> None:
         """From now on nothing of what was asked for is wanted any more."""
@@ -285,6 +288,8 @@ class Runner:
         while True:
             try:
                 points = next(search.steps) if answers is None else search.steps.send(answers)
+                while self._comes_too_late(points):
+                    points = search.steps.throw(BudgetTooShortError())
             except StopIteration as end:
                 search.solution = end.value
                 self._end(search)
@@ -296,6 +301,12 @@ class Runner:
             if not search.ready:
                 return
             answers = search.take_answers()
+
+    def _comes_too_late(self, points: Points) -> bool:
+        """Return whether the points that must follow these would be beyond the budget."""
+        if self._whole or not points.follow_up or self._budget.exhausted:
+            return False
+        return not self._budget.has_room(len(points.x) + points.follow_up)
 
     def _ask(self, search: SearchState, points: Points) -> None:
         """Queue the tasks of a request."""
