@@ -80,6 +80,8 @@ class Recorded:
 
     times: list[float] = field(default_factory=list)
     left: list[float] = field(default_factory=list)
+    paces: list[tuple[float, int, float]] = field(default_factory=list)
+    """Time, iteration and what is said of the time of one."""
 
     def ratio(self, share: float) -> float:
         """Return predicted over actual time left after a share of the time."""
@@ -106,6 +108,7 @@ def run(case: Case, mean: float, spread: float) -> Recorded:
     def show(snapshot: RunSnapshot) -> None:
         recorded.times.append(executor.now)
         recorded.left.append(snapshot.left)
+        recorded.paces.append((executor.now, snapshot.progress.iteration, snapshot.pace))
 
     budget = ce.Budget(evaluations=case.budget, seconds=case.seconds)
     runner = Runner(executor, budget, show=show, clock=lambda: executor.now)

@@ -22,6 +22,10 @@ FIT_TITLES = {
 """Texts for people, by the names of the searches of a fit or a sensitivity analysis in the log."""
 
 
+LEAST_PACE = 1.0
+"""Seconds of an iteration: nobody waits for a shorter one."""
+
+
 def search_title(search: str) -> str:
     """Return what a person reads of a search, by its name in the log."""
     return FIT_TITLES.get(search) or stage_title(search)
@@ -34,6 +38,13 @@ def what_is_done(search: str, phase: str, ended: int, searches: int) -> str:
     if searches > 1:
         parts.append(f"{ended} of {searches} done")
     return ", ".join(parts)
+
+
+def pace_of(seconds: float) -> str:
+    """Return how long an iteration takes, where it is long enough to be of interest."""
+    if not seconds >= LEAST_PACE:
+        return ""
+    return f"an iteration takes about {_seconds(seconds)}"
 
 
 def left_of_step(phase: str, seconds: float, *, at_most: bool = True) -> str:

@@ -56,6 +56,8 @@ class RunSnapshot:
         set by a budget or by iterations that may not all be needed.
     waiting
         Simulations that could begin if there were more workers.
+    pace
+        Seconds of an iteration so far, on average, of a single search; NaN where there is none.
     """
 
     search: str
@@ -72,6 +74,7 @@ class RunSnapshot:
     left: float = math.nan
     waiting: int = 0
     at_most: bool = True
+    pace: float = math.nan
 
 
 @dataclass(frozen=True)

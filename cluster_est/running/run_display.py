@@ -73,8 +73,14 @@ class RunDisplay:
                 left=left,
                 at_most=at_most,
                 waiting=max(0, self._pending.under_way - busy),
+                pace=self._pace(searches),
             )
         )
+
+    def _pace(self, searches: Sequence[SearchState]) -> float:
+        """Return the seconds of an iteration so far; NaN where there are none, or many searches."""
+        iterations = searches[0].progress.iteration if len(searches) == 1 else 0
+        return (self._clock() - self._begun) / iterations if iterations else math.nan
 
     def _left(self, searches: Sequence[SearchState]) -> tuple[float, bool]:
         """Return the seconds that searches take from now on, and whether they are a limit.

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from cluster_est.run_folder.progress_text import left_of_step, what_is_done
+from cluster_est.run_folder.progress_text import left_of_step, pace_of, what_is_done
 from cluster_est.running.records import Budget, RunSnapshot
 
 SECONDS_BETWEEN = 0.1
@@ -145,6 +145,7 @@ def line(snapshot: RunSnapshot, budget: Budget) -> str:
     parts = [
         f"{done}, iteration {progress.iteration}" if snapshot.searches == 1 else done,
         left_of_step(snapshot.phase, snapshot.left, at_most=snapshot.at_most),
+        pace_of(snapshot.pace),
         "" if snapshot.searches > 1 or math.isnan(progress.cost) else f"cost {progress.cost:.6g}",
         f"{snapshot.evaluations} evaluations ({rate:.3g}/s)",
         f"{snapshot.busy}/{snapshot.workers} workers busy",

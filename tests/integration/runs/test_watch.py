@@ -212,9 +212,8 @@ def test_a_watcher_tells_a_limit_from_what_is_expected(tmp_path):
     run.show(
         RunSnapshot(
             "start 3", Progress(1, 7.0), 6, 9, 3, 2, 4, 12.0,
-            ended=5, searches=12, left=90.0, at_most=False,
+            ended=5, searches=12, left=90.0, at_most=False, pace=30.0,
         )
     )  # fmt: skip
-    assert "5 of 12 done | this step: about 2 min left" in " ".join(
-        written(RunFollower(tmp_path / "run").look()).split()
-    )
+    said = "5 of 12 done | this step: about 2 min left | an iteration takes about 30 s"
+    assert said in " ".join(written(RunFollower(tmp_path / "run").look()).split())

@@ -45,6 +45,14 @@ def test_the_phase_how_much_is_done_and_the_time_left_are_said():
     assert line(expected, Budget()).startswith(f"{begin}this step: about 41 s left | ")
 
 
+def test_the_pace_of_a_single_search_is_said_where_somebody_waits_for_it():
+    assert " | an iteration takes about 2 min | " in line(
+        replace(snapshot(2.5), pace=125.0), Budget()
+    )
+    for pace in (0.2, math.nan):
+        assert "an iteration" not in line(replace(snapshot(2.5), pace=pace), Budget())
+
+
 def test_a_budget_is_said_once():
     budget = Budget(seconds=5000.0)
     fit = replace(snapshot(2.5), left=600.0)
