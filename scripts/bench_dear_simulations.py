@@ -1,12 +1,15 @@
 """How many simulations of a dear model a fit of 20 parameters takes, beside SciPy and pymoo.
 
-    python scripts/bench_dear_simulations.py [--starts 10] [--most 3000]
+    python scripts/bench_dear_simulations.py [--starts 10] [--most 3000] [--budget 150]
 
 The model is a chain of ten tanks, each with an outflow and a loss, 20 parameters in all, as an FMU
 that is built here; three levels are measured with 1 % of noise. What counts is the number of
 simulations until the cost is within 5 % of the best one that anybody finds; seconds do not: a
 simulation of a second, most of it asleep, would be asked for as often. Printed is the median over
 starts in which every parameter is 10 to 60 % off.
+
+With `--budget`, only what `least_squares` makes of so many points: the cost at the end, beside that
+of the same method which does not know that the budget has no room for a Jacobian and a step.
 """
 
 from __future__ import annotations
@@ -14,8 +17,10 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from build_fmus import build
@@ -27,6 +32,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 import cluster_est as ce
+from cluster_est.methods.base import Method, Search
+from cluster_est.problem.space import SearchSpace
 
 Array = NDArray[np.float64]
 TANKS, NOISE, CLOSE = 10, 0.01, 1.05
@@ -171,6 +178,44 @@ def of_ours(problem: ce.Problem, options: dict[str, object]) -> list[float]:
     return costs
 
 
+@dataclass(frozen=True)
+class WithoutForesight(Method):
+    """Another method, to which no budget says that it is too short."""
+
+    name: ClassVar[str] = "without_foresight"
+    needs_residuals: ClassVar[bool] = True
+    inner: Method
+
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
+        requests = self.inner.search(space, generator)
+        answers = None
+        while True:
+            try:
+                points = next(requests) if answers is None else requests.send(answers)
+            except StopIteration as end:
+                return end.value  # type: ignore[no-any-return]
+            answers = yield replace(points, follow_up=0)
+
+
+def with_budget(fmu: Path, starts: int, budget: int) -> None:
+    """Print what the foresight of `least_squares` is worth at a budget."""
+    resources = ce.Resources(workers=1, budget=ce.Budget(evaluations=budget))
+    for title, options in WAYS.items():
+        method = ce.LeastSquares(**options)  # type: ignore[arg-type]
+        rows = []
+        for seed in range(starts):
+            problem, _ = made_problem(fmu, seed)
+            both = [ce.fit(problem, each, resources) for each in (WithoutForesight(method), method)]
+            rows.append([x for r in both for x in (r.solution.cost, float(r.simulated))])
+        before, simulated_before, after, simulated = np.array(rows).T
+        ratios = after / before
+        print(
+            f"{title:32s} cost {np.median(ratios):.2f} times (median; {ratios.min():.2f} to "
+            f"{ratios.max():.2f}), {np.median(simulated):.0f} simulations in place of "
+            f"{np.median(simulated_before):.0f}"
+        )
+
+
 def until(costs: list[float], best: float) -> float:
     """How many simulations it took to come within 5 % of the best cost; infinite if never."""
     near = np.flatnonzero(np.array(costs) <= CLOSE * best)
@@ -182,7 +227,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--starts", type=int, default=10)
     parser.add_argument("--most", type=int, default=3000, help="simulations of pymoo")
+    parser.add_argument("--budget", type=int, default=0, help="points, for least_squares alone")
     given = parser.parse_args()
+    if given.budget:
+        with tempfile.TemporaryDirectory() as folder:
+            fmu = build(write_model(Path(folder)), Path(folder))
+            with_budget(fmu, given.starts, given.budget)
+        return
     ways: dict[str, Callable[[ce.Problem], list[float]]] = {
         name: partial(of_ours, options=options) for name, options in WAYS.items()
     }

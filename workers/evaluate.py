@@ -104,8 +104,7 @@ class Evaluator:
         for experiment in np.unique(batch.experiments):
             chosen = np.flatnonzero(batch.experiments == experiment)
             for part in self._parts(int(experiment), chosen):
-                ids, values = batch.ids[part], batch.values[part]
-                outcomes = self._simulate(int(experiment), ids, values, batch)
+                outcomes = self._simulate(int(experiment), part, batch)
                 answers.update(zip(part.tolist(), outcomes, strict=True))
         return [answers[i] for i in range(len(batch.ids))]
 
@@ -129,16 +128,20 @@ class Evaluator:
         most = max(1, MAX_VALUES // size)
         return [chosen[first : first + most] for first in range(0, len(chosen), most)]
 
-    def _simulate(
-        self, experiment: int, ids: IntArray, values: FloatArray, batch: TaskBatch
-    ) -> list[Outcome]:
+    def _simulate(self, experiment: int, part: IntArray, batch: TaskBatch) -> list[Outcome]:
+        ids, values = batch.ids[part], batch.values[part]
         bound = self._simulator.bound_experiment(experiment)
         start = time.perf_counter()
         simulations = {
             "linearisation": self._simulator.linearise,
             "sensitivities": self._simulator.sensitivities,
+            "trajectory": self._simulator.run,
         }
-        result = simulations.get(batch.want, self._simulator.run)(experiment, values, batch.effects)
+        if batch.want in simulations:
+            result = simulations[batch.want](experiment, values, batch.effects)
+        else:
+            bounds = batch.bounds[part] if self._comparisons[experiment].is_plain else None
+            result = self._simulator.run(experiment, values, batch.effects, bounds)
         simulated = SimulatedOutputs(bound.grid.times, bound.outputs, result.outputs, values)
         comparison = self._comparisons[experiment].compare(simulated)
         if result.innovations:
@@ -220,6 +223,8 @@ class _BatchEvaluation:
     def _failure(self, p: int) -> tuple[Status, str] | None:
         """Return the status and message of a point that failed, None for another."""
         result, comparison = self.result, self.comparison
+        if result.codes[p] == failure.ENDED_EARLY:
+            return Status.ENDED_EARLY, result.messages[p]
         if result.codes[p] != failure.FINISHED:
             return Status.SOLVER_FAILURE, result.messages[p]
         if p in comparison.failures:

@@ -34,6 +34,10 @@ class SignalGrid(NamedTuple):
         Measured values, output after output.
     sigmas : (k,)
         Standard deviation of each.
+    by_time : (k,)
+        Positions of the measured values in the order of their times.
+    row_ends : (n,)
+        How many of them lie at this time or before.
     """
 
     times: FloatArray
@@ -44,6 +48,8 @@ class SignalGrid(NamedTuple):
     gather: IntArray
     measured: FloatArray
     sigmas: FloatArray
+    by_time: IntArray
+    row_ends: IntArray
 
 
 def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> SignalGrid:
@@ -70,8 +76,13 @@ def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> Signal
         np.searchsorted(times, output.times) * width + recorded.index(output.variable)
         for output in experiment.outputs
     ]
+    gathered = np.concatenate([np.zeros(0, np.intp), *gather])
+    by_time = np.argsort(gathered, kind="stable")
+    ends = np.arange(1, len(times) + 1) * width
     return on_times(experiment, times)._replace(
-        gather=np.concatenate([np.zeros(0, np.intp), *gather]),
+        gather=gathered,
+        by_time=by_time,
+        row_ends=np.searchsorted(gathered[by_time], ends),
         measured=np.concatenate([np.zeros(0), *(output.values for output in experiment.outputs)]),
         sigmas=np.concatenate([np.zeros(0), *(output.sigmas for output in experiment.outputs)]),
     )
@@ -94,6 +105,8 @@ def on_times(experiment: Experiment, times: FloatArray) -> SignalGrid:
         gather=np.zeros(0, np.intp),
         measured=np.zeros(0),
         sigmas=np.zeros(0),
+        by_time=np.zeros(0, np.intp),
+        row_ends=np.zeros(len(times), np.intp),
     )
 
 

@@ -30,13 +30,16 @@ class TaskBatch:
     values : (n, k)
     want, effects
         Of every task in the batch.
+    bounds : (n,)
+        Of each task.
     """
 
     ids: IntArray
     experiments: IntArray
     values: FloatArray
     want: Want
-    effects: tuple[Effect, ...] = ()
+    effects: tuple[Effect, ...]
+    bounds: FloatArray
 
     @classmethod
     def of(cls, tasks: Sequence[Task]) -> TaskBatch:
@@ -59,12 +62,14 @@ class TaskBatch:
             values=np.array([task.values for task in tasks], np.float64),
             want=first.want,
             effects=first.effects,
+            bounds=np.array([task.bound for task in tasks], np.float64),
         )
 
     def tasks(self) -> list[Task]:
-        rows = zip(self.ids.tolist(), self.experiments.tolist(), self.values, strict=True)
+        columns = self.ids.tolist(), self.experiments.tolist(), self.values, self.bounds.tolist()
         return [
-            Task(i, experiment, values, self.want, self.effects) for i, experiment, values in rows
+            Task(i, experiment, values, self.want, self.effects, bound)
+            for i, experiment, values, bound in zip(*columns, strict=True)
         ]
 
 

@@ -59,7 +59,7 @@ def replay(options: Namespace) -> int:
     print_question(Console(), logged, question)
     outcome = run_replay(question)
     print_answer(Console(), logged, outcome)
-    return ExitCode.DONE if outcome.ok else ExitCode.NO_SOLUTION
+    return ExitCode.NO_SOLUTION if outcome.failed else ExitCode.DONE
 
 
 def export(options: Namespace) -> int:

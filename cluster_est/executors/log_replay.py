@@ -124,4 +124,4 @@ class LogReplayExecutor(Executor):
 
     def _key(self, task: Task) -> str:
         experiment = self._experiment_keys[task.experiment]
-        return simulation_key(self._model_key, experiment, task.effects, task.values)
+        return simulation_key(self._model_key, experiment, task.effects, task.values, task.bound)

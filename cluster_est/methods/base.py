@@ -83,6 +83,14 @@ class Points:
     sensitivities
         Ask for the derivatives of the residuals too, in `Outcome.sensitivities`, where the model
         can give them.
+    follow_up
+        Further points without which these are of no use. Where a budget has no room for both, they
+        are not evaluated, and a `BudgetTooShortError` is raised in the search; see `within_budget`.
+    bounds : (points,) or None
+        Costs above which nothing more need be known of a point, not even its cost: simulations of
+        it may be ended early, and the answer is then that of a point that failed. Only for points
+        that a method treats alike whatever they cost beyond the bound; it takes effect where the
+        cost is the sum of squares.
     """
 
     x: FloatArray
@@ -91,6 +99,8 @@ class Points:
     asynchronous: bool = False
     drop: tuple[int, ...] = ()
     sensitivities: bool = False
+    follow_up: int = 0
+    bounds: FloatArray | None = None
 
 
 TOLERANCE = 1e-6

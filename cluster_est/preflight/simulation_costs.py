@@ -50,7 +50,8 @@ def _few_simulations(seconds: float) -> list[CheckFinding]:
     )
     do = (
         'with few workers method.options = { trials = 1, differences = "forward" }, and with ten '
-        "unknowns or more secant_updates = 20 beside them"
+        "unknowns or more secant_updates = 20 beside them; for methods de, pso and ga "
+        "early_end = true"
     )
     return [CheckFinding(CheckVerdict.OK, "few simulations", said, do)]
 

@@ -69,7 +69,8 @@ class FailureCounts:
 
     def add(self, batch: pa.RecordBatch) -> None:
         """Count the rows of a batch of the log."""
-        bad = pc.not_equal(batch.column("status"), str(Status.OK)).to_numpy(zero_copy_only=False)
+        good = pa.array([str(Status.OK), str(Status.ENDED_EARLY)])
+        bad = pc.invert(pc.is_in(batch.column("status"), good)).to_numpy(zero_copy_only=False)
         for row in np.flatnonzero(bad).tolist():
             self._note(batch, row)
         self.rows += batch.num_rows

@@ -14,7 +14,7 @@ from rich.text import Text
 from cluster_est.report.numbers import count, duration
 from cluster_est.report.watch import RunView, SearchView
 from cluster_est.run_folder.progress_file import RunState
-from cluster_est.run_folder.progress_text import left_of_step, what_is_done
+from cluster_est.run_folder.progress_text import left_of_step, pace_of, what_is_done
 
 MOST_SEARCHES, MOST_FAILURES = 12, 5
 QUIET_SECONDS = 30.0
@@ -86,8 +86,8 @@ def _head(view: RunView) -> str:
 
 def _now(state: RunState) -> str:
     done = what_is_done(state.search, state.phase, state.ended, state.searches)
-    left = left_of_step(state.phase, state.left)
-    return " | ".join(part for part in (done, left) if part)
+    left = left_of_step(state.phase, state.left, at_most=state.at_most)
+    return " | ".join(part for part in (done, left, pace_of(state.pace)) if part)
 
 
 def _numbers(view: RunView) -> str:

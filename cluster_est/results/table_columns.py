@@ -531,8 +531,8 @@ TABLES = (
                 "values", NUMBERS, "the FMU's", "physical values, as in the model's parameters"
             ),
             ColumnDescription("effects", TEXTS, "", "what was added to the model"),
-            ColumnDescription("status", TEXT, "", '"ok", or how it failed'),
-            ColumnDescription("message", TEXT, "", "why it failed"),
+            ColumnDescription("status", TEXT, "", '"ok", "ended early", or how it failed'),
+            ColumnDescription("message", TEXT, "", "why it failed, or ended early"),
             ColumnDescription("cost", NUMBER, "", "sum of the squares of its residuals"),
             ColumnDescription(
                 "residuals",
@@ -546,6 +546,9 @@ TABLES = (
             ColumnDescription("seconds", NUMBER, "s", "what it took"),
             ColumnDescription("worker", TEXT, "", "who did it"),
             ColumnDescription("ended", NUMBER, "s", "when its answer came, since 1970, UTC"),
+            ColumnDescription(
+                "bound", NUMBER, "", "sum of squares above which it was to end early; none if empty"
+            ),
             ColumnDescription("variables", TEXTS, "", "of the trajectory"),
             ColumnDescription("times", NUMBERS, "s", "of the trajectory"),
             ColumnDescription(

@@ -128,7 +128,7 @@ class RunFolder:
             self._log.record(origin, outcome)
         worker = self._workers[outcome.worker]
         worker["simulations"] += 1
-        worker["failures"] += not outcome.ok
+        worker["failures"] += outcome.failed
         worker["busy_seconds"] += outcome.seconds
 
     def note(self, iteration: SearchIteration) -> None:

@@ -46,7 +46,7 @@ def batch_of(
     paths = [outcome.trajectory if residuals else None for outcome in outcomes]
     names = [origin.installed or experiments[origin.experiment] for origin in origins]
     keys = [
-        simulation_key(model_key, key, origin.effects, origin.values)
+        simulation_key(model_key, key, origin.effects, origin.values, origin.bound)
         for origin, (_, key) in zip(origins, names, strict=True)
     ]
     columns = [
@@ -70,6 +70,7 @@ def batch_of(
         _lists([path and path.times for path in paths]),
         _lists([path and path.values.ravel() for path in paths]),
         pa.array(ended, pa.float64()),
+        pa.array([_finite(origin.bound) for origin in origins], pa.float64()),
     ]
     return pa.RecordBatch.from_arrays(columns, schema=SCHEMA)
 
@@ -79,6 +80,10 @@ def size_of(outcome: Outcome) -> int:
     size = 0 if outcome.residuals is None else outcome.residuals.nbytes
     path: Trajectory | None = outcome.trajectory
     return size + (0 if path is None else path.times.nbytes + path.values.nbytes)
+
+
+def _finite(bound: float) -> float | None:
+    return bound if np.isfinite(bound) else None
 
 
 def _lists(rows: Sequence[FloatArray | None]) -> pa.Array:

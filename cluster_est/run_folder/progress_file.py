@@ -94,6 +94,8 @@ class RunState:
     searches: int = 1
     left: float = math.nan
     waiting: int = 0
+    at_most: bool = True
+    pace: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -142,7 +144,8 @@ class ProgressTail:
         try:
             row = json.loads(text)
             if "now" in row:
-                row["left"] = math.nan if row.get("left") is None else float(row["left"])
+                for name in ("left", "pace"):
+                    row[name] = math.nan if row.get(name) is None else float(row[name])
                 self.state = RunState(row.pop("now"), **row)
                 return None
             for name in ("cost", "violation"):

@@ -22,6 +22,10 @@ FIT_TITLES = {
 """Texts for people, by the names of the searches of a fit or a sensitivity analysis in the log."""
 
 
+LEAST_PACE = 1.0
+"""Seconds of an iteration: nobody waits for a shorter one."""
+
+
 def search_title(search: str) -> str:
     """Return what a person reads of a search, by its name in the log."""
     return FIT_TITLES.get(search) or stage_title(search)
@@ -36,14 +40,22 @@ def what_is_done(search: str, phase: str, ended: int, searches: int) -> str:
     return ", ".join(parts)
 
 
-def left_of_step(phase: str, seconds: float) -> str:
+def pace_of(seconds: float) -> str:
+    """Return how long an iteration takes, where it is long enough to be of interest."""
+    if not seconds >= LEAST_PACE:
+        return ""
+    return f"an iteration takes about {_seconds(seconds)}"
+
+
+def left_of_step(phase: str, seconds: float, *, at_most: bool = True) -> str:
     """Return the time left of what is done now; that of a whole recipe depends on what is found.
 
-    Nothing for what is no recipe of phases, where nobody knows.
+    Nothing for what is no recipe of phases, where nobody knows. `at_most` says whether it is a
+    limit, or what is to be expected.
     """
     if math.isnan(seconds):
         return "time left unknown" if phase else ""
-    return f"this step: at most about {_seconds(seconds)} left"
+    return f"this step: {'at most ' if at_most else ''}about {_seconds(seconds)} left"
 
 
 def _seconds(seconds: float) -> str:

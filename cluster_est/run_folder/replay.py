@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -46,6 +47,8 @@ class LoggedSimulation:
         What was asked; effects by name.
     residuals, residuals_hash
         None where it failed, or where the log does not keep them.
+    bound
+        Sum of squares above which it was to end early.
     """
 
     number: int
@@ -62,10 +65,16 @@ class LoggedSimulation:
     effects: tuple[str, ...] = ()
     residuals: FloatArray | None = None
     residuals_hash: str | None = None
+    bound: float = math.inf
 
     @property
     def ok(self) -> bool:
         return self.status == Status.OK
+
+    @property
+    def failed(self) -> bool:
+        """True if it neither reached its end nor was ended early."""
+        return Status(self.status).is_failure
 
     @property
     def summed(self) -> str:
@@ -129,6 +138,7 @@ def read_logged(run_folder: Path, number: int) -> LoggedSimulation:
         effects=tuple(row["effects"]),
         residuals=None if residuals is None else np.array(residuals, dtype=np.float64),
         residuals_hash=row.get("residuals_hash"),
+        bound=math.inf if row.get("bound") is None else row["bound"],
     )
 
 
@@ -143,7 +153,7 @@ def read_failures(run_folder: Path) -> list[LoggedSimulation]:
     columns = _read(run_folder).select(FACTS).to_pydict()
     rows = zip(*columns.values(), strict=True)
     found = (LoggedSimulation(number, *row) for number, row in enumerate(rows))
-    return [logged for logged in found if not logged.ok]
+    return [logged for logged in found if logged.failed]
 
 
 def _read(run_folder: Path) -> Any:
@@ -193,12 +203,13 @@ def prepare(
             f"{len(logged.values)}; {run_folder / 'config.toml'} is not that of this run"
         )
     experiment = problem.experiments[index]
-    key = simulation_key(problem.model.key, experiment.key, effects, logged.values)
+    known = problem.model.key, experiment.key
+    key = simulation_key(*known, effects, logged.values, logged.bound)
     if problem.model.reset == "auto":
         chosen = recorded(read_facts(run_folder))
         if chosen is not None:
             problem = replace(problem, model=replace(problem.model, reset=chosen.policy))
-    task = Task(0, index, logged.values, logged.want, effects)
+    task = Task(0, index, logged.values, logged.want, effects, logged.bound)
     resources = build_resources(resolved)
     problem = replace(problem, model=resources.limited(problem.model).of_worker(0))
     return ReplayRequest(problem, resources.limits, task, key == logged.key)
@@ -257,10 +268,15 @@ def replay(question: ReplayRequest) -> Outcome:
 def comparison(logged: LoggedSimulation, outcome: Outcome) -> str:
     """A sentence: whether an outcome is what was logged."""
     if not logged.ok or outcome.residuals is None:
-        if logged.ok is outcome.ok:
+        if (logged.failed, outcome.failed) == (False, False):
+            same = logged.message == outcome.message
+            return (
+                "it was ended early, as it was then" if same else "it does not end as it did then"
+            )
+        if logged.failed is outcome.failed:
             same = (logged.status, logged.message) == (outcome.status, outcome.message)
             return "it failed as it did then" if same else "it failed then too, but otherwise"
-        return "it did not fail then" if logged.ok else "it failed then and does not now"
+        return "it failed then and does not now" if logged.failed else "it did not fail then"
     now = outcome.residuals
     known = logged.residuals_hash or residuals_hash(logged.residuals)
     if known is not None and known == residuals_hash(now):

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+
+import numpy as np
 
 from cluster_est.errors import BudgetError
 from cluster_est.running.records import Budget
+from cluster_est.running.time_left import WorkDone, left_of_budget
 
 
 class BudgetWatch:
@@ -15,35 +19,55 @@ class BudgetWatch:
     ----------
     budget
         When to stop.
+    clock
+        Gives seconds.
 
     Attributes
     ----------
-    evaluations
-        Asked for so far; the runner adds to it.
+    evaluations, requests
+        Points asked for so far, and in how many requests; the runner adds to them.
+    used_up
+        True once a search has ended because no room was left for what it needed next.
     """
 
-    def __init__(self, budget: Budget) -> None:
-        self._budget = budget
-        self._begin = time.monotonic()
+    def __init__(self, budget: Budget, clock: Callable[[], float] = time.monotonic) -> None:
+        self._budget, self._clock = budget, clock
+        self._begin = clock()
         self.evaluations = 0
+        self.requests = 0
+        self.used_up = False
 
     @property
     def seconds(self) -> float:
         """Used so far."""
-        return time.monotonic() - self._begin
+        return self._clock() - self._begin
 
     @property
     def exhausted(self) -> bool:
         """True where nothing new may be asked for."""
         most, longest = self._budget.evaluations, self._budget.seconds
-        return (most is not None and self.evaluations >= most) or (
-            longest is not None and self.seconds >= longest
-        )
+        enough = most is not None and self.evaluations >= most
+        return self.used_up or enough or (longest is not None and self.seconds >= longest)
+
+    def has_room(self, points: int) -> bool:
+        """Return whether so many points can be evaluated before it ends by their number."""
+        most = self._budget.evaluations
+        return most is None or self.evaluations + points <= most
 
     @property
     def counts_evaluations(self) -> bool:
         """True where it may end by the number of evaluations."""
         return self._budget.evaluations is not None
+
+    def left(self, work: WorkDone) -> float:
+        """Return the seconds until it is used up; infinite without one, NaN if not known.
+
+        `work` is what was done since the runner began, or since its last step did.
+        """
+        most, longest = self._budget.evaluations, self._budget.seconds
+        points = None if most is None else max(most - self.evaluations, 0)
+        time_limit = np.inf if longest is None else max(longest - self.seconds, 0.0)
+        return float(np.fmin(time_limit, left_of_budget(work, points)))
 
     def error(self) -> BudgetError:
         """Return the error that says so."""

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.executors.base import Executor
 from cluster_est.methods.base import Points
 from cluster_est.problem.space import SearchSpace
@@ -54,7 +55,8 @@ class PendingTasks:
 
     def task(self, origin: TaskOrigin, want: Want) -> Task:
         """A new task; the caller submits it."""
-        task = Task(self._next_task, origin.experiment, origin.values, want, origin.effects)
+        values, effects, bound = origin.values, origin.effects, origin.bound
+        task = Task(self._next_task, origin.experiment, values, want, effects, bound)
         self._next_task += 1
         self._origins[task.id] = origin
         return task
@@ -66,22 +68,24 @@ class PendingTasks:
         """
         space = search.request.space
         first = search.expect(points)
+        bounds = _bounds(space, points)
         values = [space.physical(x) for x in points.x]
         places = [(p, e) for e in range(len(space.experiments)) for p in range(len(points.x))]
         if points.asynchronous:  # a point is answered when it is complete, so one after the other
             places.sort()
         for p, e in places:
-            task = self._ask((search, first + p, e), space.experiments[e], values[p][e])
+            slot, bound = (search, first + p, e), float(bounds[p])
+            task = self._ask(slot, space.experiments[e], values[p][e], bound)
             if task is not None:
                 yield task
 
-    def _ask(self, slot: Slot, experiment: int, values: FloatArray) -> Task | None:
+    def _ask(self, slot: Slot, experiment: int, values: FloatArray, bound: float) -> Task | None:
         """Make a task for what is not known and nobody has asked for; else fill the slot."""
         search, index, place = slot
         space = search.request.space
         effects, want = space.problem.effects, space.wants[place]
         want = "sensitivities" if search.sensitivities else want
-        question = (experiment, values.tobytes(), effects, want)
+        question = (experiment, values.tobytes(), effects, want, bound)
         if not np.isfinite(values).all():
             _place(slot, _no_values(space, values))
             return None
@@ -93,7 +97,9 @@ class PendingTasks:
             return None
         self._waiting[question] = [slot]
         name, purpose = search.request.name, search.purpose
-        origin = TaskOrigin(name, index, purpose, experiment, values, effects, want=want)
+        origin = TaskOrigin(
+            name, index, purpose, experiment, values, effects, want=want, bound=bound
+        )
         return self.task(origin, want)
 
     def receive(self, outcome: Outcome) -> Iterator[SearchState]:
@@ -122,7 +128,7 @@ class PendingTasks:
                     outcome.task, Status.NOT_FINITE, message=message, seconds=seconds, worker=worker
                 )
         self.simulations += 1
-        self.failures += not outcome.ok
+        self.failures += outcome.failed
         self._record(origin, outcome)
         return outcome
 
@@ -150,7 +156,19 @@ def _place(slot: Slot, outcome: Outcome) -> None:
 
 
 def _question(origin: TaskOrigin) -> Question:
-    return origin.experiment, origin.values.tobytes(), origin.effects, origin.want
+    values = origin.values.tobytes()
+    return origin.experiment, values, origin.effects, origin.want, origin.bound
+
+
+def _bounds(space: SearchSpace, points: Points) -> FloatArray:
+    """Return the sums of squares (points,) above which no experiment need be simulated further.
+
+    What other experiments and priors add to a cost is not negative, so that a sum of one
+    experiment that is above the bound of the cost is enough.
+    """
+    if points.bounds is None or not isinstance(space.problem.cost, SumSquared):
+        return np.full(len(points.x), np.inf)
+    return points.bounds
 
 
 def _no_values(space: SearchSpace, values: FloatArray) -> Outcome:

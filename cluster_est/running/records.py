@@ -22,7 +22,8 @@ class Budget:
 class TaskOrigin:
     """Who asked for a task: what the log says of it besides its outcome.
 
-    `installed` is (id, key) of the experiment where it is none of the problem's own.
+    `installed` is (id, key) of the experiment where it is none of the problem's own; `bound` is
+    that of the task.
     """
 
     search: str
@@ -33,6 +34,7 @@ class TaskOrigin:
     effects: tuple[Effect, ...] = ()
     installed: tuple[str, str] | None = None
     want: Want = "residuals"
+    bound: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -49,10 +51,13 @@ class RunSnapshot:
         What a recipe of several phases is about, in words.
     ended, searches
         How many of the searches that were begun together have ended, and how many these are.
-    left
-        Seconds that those take at most from now on; NaN where nobody knows.
+    left, at_most
+        Seconds that those take from now on, NaN where nobody knows; and whether they are a limit,
+        set by a budget or by iterations that may not all be needed.
     waiting
         Simulations that could begin if there were more workers.
+    pace
+        Seconds of an iteration so far, on average, of a single search; NaN where there is none.
     """
 
     search: str
@@ -68,6 +73,8 @@ class RunSnapshot:
     searches: int = 1
     left: float = math.nan
     waiting: int = 0
+    at_most: bool = True
+    pace: float = math.nan
 
 
 @dataclass(frozen=True)

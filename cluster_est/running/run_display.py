@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
 from cluster_est.executors.base import Executor
-from cluster_est.methods.given_points import GivenPoints
 from cluster_est.running.budget_watch import BudgetWatch
 from cluster_est.running.pending_tasks import PendingTasks
 from cluster_est.running.records import RunSnapshot, Show
 from cluster_est.running.search_state import SearchState
-
-TELLING_ITERATIONS = 25
-"""A search that may take more iterations mostly takes far fewer: its limit tells no time."""
-LEAST_SHARE = 0.05
-"""Share of the work from whose time that of the rest is known."""
+from cluster_est.running.time_left import WorkDone, evaluations_left, share_done, time_left
 
 
 class RunDisplay:
@@ -49,16 +43,20 @@ class RunDisplay:
         self._show, self._executor, self._budget = show, executor, budget
         self._pending, self._clock = pending, clock
         self._begun = clock()
+        self._before = (0, 0, 0)
         self.phase = ""
 
     def begin(self) -> None:
         """Note that searches begin together."""
         self._begun = self._clock()
+        budget = self._budget
+        self._before = self._pending.simulations, budget.evaluations, budget.requests
 
     def show(self, searches: Sequence[SearchState]) -> None:
         """Show how far they are."""
         running = [s for s in searches if s.solution is None] or list(searches)
         busy = self._executor.busy
+        left, at_most = self._left(searches)
         self._show(
             RunSnapshot(
                 search=running[0].request.name,
@@ -72,34 +70,34 @@ class RunDisplay:
                 phase=self.phase,
                 ended=sum(s.solution is not None for s in searches),
                 searches=len(searches),
-                left=time_left(share_done(searches), self._clock() - self._begun),
+                left=left,
+                at_most=at_most,
                 waiting=max(0, self._pending.under_way - busy),
+                pace=self._pace(searches),
             )
         )
 
+    def _pace(self, searches: Sequence[SearchState]) -> float:
+        """Return the seconds of an iteration so far; NaN where there are none, or many searches."""
+        iterations = searches[0].progress.iteration if len(searches) == 1 else 0
+        return (self._clock() - self._begun) / iterations if iterations else math.nan
 
-def share_done(searches: Sequence[SearchState]) -> float:
-    """Return the share of the work of searches that is done at least; NaN if nobody knows.
+    def _left(self, searches: Sequence[SearchState]) -> tuple[float, bool]:
+        """Return the seconds that searches take from now on, and whether they are a limit.
 
-    Of a search with few iterations that is the share of these, of given points that of those that
-    are evaluated.
-    """
-    return float(np.mean([_share(search) for search in searches])) if searches else np.nan
-
-
-def _share(search: SearchState) -> float:
-    if search.solution is not None:
-        return 1.0
-    if isinstance(search.request.method, GivenPoints):
-        return 1.0 - len(search.pending) / search.asked if search.asked else 0.0
-    most = getattr(search.request.method, "max_iterations", None)
-    if not isinstance(most, int) or not 0 < most <= TELLING_ITERATIONS:
-        return np.nan
-    return min(1.0, search.progress.iteration / most)
-
-
-def time_left(share: float, seconds: float) -> float:
-    """Return the seconds that the rest of the work takes at most; NaN if nobody knows."""
-    if np.isnan(share) or share < LEAST_SHARE:
-        return np.nan
-    return seconds * (1.0 - share) / share
+        NaN if nobody knows.
+        """
+        seconds = self._clock() - self._begun
+        simulations, evaluations, requests = self._before
+        work = WorkDone(
+            seconds,
+            self._pending.simulations - simulations,
+            self._pending.under_way,
+            self._executor.busy,
+            self._budget.evaluations - evaluations,
+            self._budget.requests - requests,
+        )
+        limits = [self._budget.left(work), time_left(share_done(searches), seconds)]
+        limit = min((each for each in limits if math.isfinite(each)), default=math.nan)
+        about = work.seconds_for(evaluations_left(searches))
+        return (limit, True) if math.isnan(about) or limit < about else (about, False)

@@ -8,6 +8,7 @@ workers did.
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -15,6 +16,7 @@ import numpy as np
 
 from cluster_est.executors.base import Executor
 from cluster_est.methods.base import Ending, Evaluation, Points, Solution
+from cluster_est.methods.follow_up import BudgetTooShortError
 from cluster_est.running.budget_watch import BudgetWatch
 from cluster_est.running.interrupts import DeferredInterrupts, later
 from cluster_est.running.pending_tasks import PendingTasks
@@ -53,6 +55,8 @@ class Runner:
     whole
         For a recipe of many steps, to which searches that were cut short are no use: an interrupt
         goes through `run`, and a budget that is used up raises BudgetError.
+    clock
+        Gives seconds; for studies on virtual time.
     """
 
     def __init__(
@@ -64,11 +68,14 @@ class Runner:
         note: Note | None = None,
         *,
         whole: bool = False,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._executor = executor
-        self._budget = BudgetWatch(budget or Budget())
+        self._budget = BudgetWatch(budget or Budget(), clock)
         self._pending = PendingTasks(executor, record or (lambda *_: None))
-        self.display = RunDisplay(show or (lambda *_: None), executor, self._budget, self._pending)
+        self.display = RunDisplay(
+            show or (lambda *_: None), executor, self._budget, self._pending, clock
+        )
         """Shows how far it is; a recipe tells it the phase."""
         self._note = note or (lambda *_: None)
         self._whole = whole
@@ -149,7 +156,9 @@ class Runner:
             if search.solution is None:
                 self._finish(search, Ending.INTERRUPTED)
         self._refuse_if_exhausted(searches)
-        return _solutions(searches)
+        solutions = _solutions(searches)
+        self._budget.used_up |= any(found.ending is Ending.BUDGET for found in solutions)
+        return solutions
 
     def _interrupt(self) -> None:
         """From now on nothing of what was asked for is wanted any more."""
@@ -279,6 +288,8 @@ class Runner:
         while True:
             try:
                 points = next(search.steps) if answers is None else search.steps.send(answers)
+                while self._comes_too_late(points):
+                    points = search.steps.throw(BudgetTooShortError())
             except StopIteration as end:
                 search.solution = end.value
                 self._end(search)
@@ -291,6 +302,12 @@ class Runner:
                 return
             answers = search.take_answers()
 
+    def _comes_too_late(self, points: Points) -> bool:
+        """Return whether the points that must follow these would be beyond the budget."""
+        if self._whole or not points.follow_up or self._budget.exhausted:
+            return False
+        return not self._budget.has_room(len(points.x) + points.follow_up)
+
     def _ask(self, search: SearchState, points: Points) -> None:
         """Queue the tasks of a request."""
         if points.progress is not None and points.progress != search.progress:
@@ -298,6 +315,7 @@ class Runner:
             self._note(SearchIteration(search.request.name, points.progress, search.asked))
         self._drop(search, points.drop)
         self._budget.evaluations += len(points.x)
+        self._budget.requests += len(points.x) > 0
         tasks: list[Task] = []
         for task in self._pending.request(search, points):
             tasks.append(task)

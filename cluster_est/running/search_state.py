@@ -16,9 +16,10 @@ MEMORY_BYTES = 256 * 2**20
 OUTCOME_BYTES = 800
 """What an outcome takes besides its residuals."""
 
-Question = tuple[int, bytes, tuple[Effect, ...], Want]
-"""Experiment, values and effects, which make a simulation, and what is wanted of it: whole
-residuals never stand in for reduced ones, or bits would depend on which of them came first."""
+Question = tuple[int, bytes, tuple[Effect, ...], Want, float]
+"""Experiment, values and effects, which make a simulation, what is wanted of it, and the bound
+above which it ends early: whole residuals never stand in for reduced ones, nor one bound for
+another, or bits would depend on which of them came first."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ class SearchState:
     purpose: str = ""
     sensitivities: bool = False
     asked: int = 0
+    requested: int = 0
     best: Evaluation | None = None
     best_x: FloatArray | None = None
     progress: Progress = field(default_factory=lambda: Progress(0, np.nan))
@@ -79,6 +81,7 @@ class SearchState:
         self.sensitivities = points.sensitivities
         first, count = self.asked, len(self.request.space.experiments)
         self.asked += len(points.x)
+        self.requested = len(points.x)
         for p, x in enumerate(points.x):
             self.pending[first + p] = PendingPoint(first + p, x.copy(), [None] * count, count)
         return first

@@ -22,6 +22,12 @@ class Status(enum.StrEnum):
     CRASH = "crash"
     LOST_WORKER = "lost worker"
     NOT_RUN = "not run"
+    ENDED_EARLY = "ended early"
+
+    @property
+    def is_failure(self) -> bool:
+        """False where a simulation reached its end, or was ended because its cost was too high."""
+        return self not in (Status.OK, Status.ENDED_EARLY)
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,3 +143,8 @@ class Outcome:
     @property
     def ok(self) -> bool:
         return self.status is Status.OK
+
+    @property
+    def failed(self) -> bool:
+        """True if it is none that was asked for: neither OK nor ended early."""
+        return self.status.is_failure

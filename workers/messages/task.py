@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from workers.messages.model import Effect
@@ -28,6 +29,10 @@ class Task:
         model can give them.
     effects
         What is added to the model.
+    bound
+        Sum of squared residuals above which nobody needs to know more: the simulation may end as
+        soon as its sum so far is above it, with `Status.ENDED_EARLY`. It does where all residuals
+        are those of plain outputs and no effects act; elsewhere it goes to its end.
     """
 
     id: int
@@ -35,6 +40,7 @@ class Task:
     values: FloatArray
     want: Want = "residuals"
     effects: tuple[Effect, ...] = ()
+    bound: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,6 +45,8 @@ class ExperimentComparison:
         self, experiment: Experiment, grid: SignalGrid, parameters: tuple[str, ...]
     ) -> None:
         self._residuals = _residuals(experiment, grid, parameters)
+        self.is_plain = all(isinstance(each, MeasuredTimes) for each in self._residuals)
+        """True if every residual is (measured - simulated) / sigma of a value of the grid."""
         self._constraints = _constraints(experiment, parameters)
 
     def compare(self, simulated: SimulatedOutputs) -> BatchComparison:

@@ -53,6 +53,8 @@ class _BatchRun:
         Simulates them.
     rows : (points, k)
         Values of the parameters, then known values.
+    bounds : (points,)
+        Sums of squares above which simulations end early.
     hooks, n_effect_states
         The effects that act, and the number of their own states.
     stopped_at : (points,)
@@ -62,6 +64,7 @@ class _BatchRun:
     batch: Batch
     bound: BoundExperiment
     rows: FloatArray
+    bounds: FloatArray
     hooks: EffectHooks
     n_effect_states: int
     result: SimulationBatch
@@ -75,6 +78,7 @@ class _BatchRun:
         values: FloatArray,
         hooks: EffectHooks,
         n_effect_states: int,
+        bounds: FloatArray | None = None,
     ) -> _BatchRun:
         """Allocate the results of some points."""
         known = np.broadcast_to(bound.known_values, (len(values), len(bound.known_values)))
@@ -83,7 +87,9 @@ class _BatchRun:
         result = SimulationBatch.empty(
             len(rows), len(bound.integration_grid.times), len(bound.outputs)
         )
-        return cls(batch, bound, rows, hooks, n_effect_states, result, np.zeros(len(rows)))
+        bounds = np.full(len(rows), np.inf) if bounds is None else bounds
+        ends = np.zeros(len(rows))
+        return cls(batch, bound, rows, bounds, hooks, n_effect_states, result, ends)
 
     def arguments(
         self,
@@ -107,6 +113,7 @@ class _BatchRun:
             ),
             self.bound.integration_grid,
             self.rows[points],
+            self.bounds[points],
             work,
             self.result.outputs[points],
             self.result.codes[points],
@@ -167,6 +174,7 @@ class FmuIntegrator:
         hooks: EffectHooks,
         n_effect_states: int = 0,
         batch: Batch | None = None,
+        bounds: FloatArray | None = None,
     ) -> SimulationBatch:
         """Simulate an experiment for many points.
 
@@ -180,10 +188,11 @@ class FmuIntegrator:
             The effects that act, and the number of their own states.
         batch
             Simulates in place of the solver.
+        bounds : (points,)
+            Sums of squared residuals above which simulations end early; none if None.
         """
-        run = _BatchRun.of(
-            self.batch if batch is None else batch, bound, values, hooks, n_effect_states
-        )
+        batch = self.batch if batch is None else batch
+        run = _BatchRun.of(batch, bound, values, hooks, n_effect_states, bounds)
         point = 0
         while point < len(run.rows):
             point = self._simulate_from(run, point)
@@ -318,7 +327,7 @@ class FmuIntegrator:
         if code == failure.DISCARDED and (end := self.instance.termination_time()) is not None:
             run.result.codes[last] = code = failure.TERMINATED
             run.stopped_at[last] = max(run.stopped_at[last], end)
-        if last > first and self.instance.log:
+        if last > first and self.instance.log and code != failure.ENDED_EARLY:
             following = last  # again, alone: its neighbours may have said some of this
         else:
             run.result.messages[last] = self._explain(code, float(run.stopped_at[last]))
@@ -337,7 +346,7 @@ class FmuIntegrator:
             self._progress[RUNNING] = 0
 
     def _explain(self, code: int, time: float) -> str:
-        log = " | ".join(dict.fromkeys(self.instance.log))
+        log = " | ".join(dict.fromkeys(self.instance.log)) if code != failure.ENDED_EARLY else ""
         messages = failure.MESSAGES | linearise.MESSAGES
         message = f"{messages[code % failure.FATAL]} at t = {time:.9g} s"
         if code in failure.SUGGEST_STIFFNESS and self._model.solver.name == "dormand_prince":

@@ -91,7 +91,11 @@ class Simulator:
         return self._bound[experiment]
 
     def run(
-        self, experiment: int, points: FloatArray, effects: tuple[Effect, ...] = ()
+        self,
+        experiment: int,
+        points: FloatArray,
+        effects: tuple[Effect, ...] = (),
+        bounds: FloatArray | None = None,
     ) -> SimulationBatch:
         """Simulate one experiment for many points.
 
@@ -103,6 +107,9 @@ class Simulator:
             A row for each: values of the model's parameters, then of the effects' coefficients.
         effects
             Effects that are added to the model.
+        bounds : (points,)
+            Sums of squared residuals above which simulations end early, where no effects act and
+            the FMU communicates at all times of the grid; none if None.
 
         Raises
         ------
@@ -114,7 +121,7 @@ class Simulator:
         count = len(self._model.parameters)
         values, coefficients = points[:, :count], points[:, count:]
         if not effects:
-            return self._integrator.run(bound, values, no_hooks(len(points)))
+            return self._integrator.run(bound, values, no_hooks(len(points)), bounds=bounds)
         batch = SimulationBatch.empty(len(points), len(bound.grid.times), len(bound.outputs))
         for rows, active in self._bindings.groups(effects, coefficients):
             run = self._run_with_effects(experiment, values[rows], coefficients[rows], active)

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from cluster_est.run_folder.progress_text import left_of_step, what_is_done
+from cluster_est.run_folder.progress_text import left_of_step, pace_of, what_is_done
 from cluster_est.running.records import Budget, RunSnapshot
 
 SECONDS_BETWEEN = 0.1
@@ -144,7 +144,8 @@ def line(snapshot: RunSnapshot, budget: Budget) -> str:
     done = what_is_done(snapshot.search, snapshot.phase, snapshot.ended, snapshot.searches)
     parts = [
         f"{done}, iteration {progress.iteration}" if snapshot.searches == 1 else done,
-        left_of_step(snapshot.phase, snapshot.left),
+        left_of_step(snapshot.phase, snapshot.left, at_most=snapshot.at_most),
+        pace_of(snapshot.pace),
         "" if snapshot.searches > 1 or math.isnan(progress.cost) else f"cost {progress.cost:.6g}",
         f"{snapshot.evaluations} evaluations ({rate:.3g}/s)",
         f"{snapshot.busy}/{snapshot.workers} workers busy",
@@ -157,7 +158,9 @@ def line(snapshot: RunSnapshot, budget: Budget) -> str:
 
 
 def _left(snapshot: RunSnapshot, budget: Budget, rate: float) -> str:
-    """Time left of the budget: nobody knows how long a search still takes."""
+    """Time left of the budget of a recipe of many steps; that of a single one is said already."""
+    if not snapshot.phase and not math.isnan(snapshot.left):
+        return ""
     limits = []
     if budget.seconds is not None:
         limits.append(budget.seconds - snapshot.seconds)

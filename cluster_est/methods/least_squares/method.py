@@ -32,6 +32,7 @@ from cluster_est.methods.base import (
 )
 from cluster_est.methods.derivatives.differences import Differences, ResidualJacobian
 from cluster_est.methods.derivatives.sensitivities import JacobianProvider
+from cluster_est.methods.follow_up import within_budget
 from cluster_est.methods.least_squares.final_steps import final_step
 from cluster_est.methods.least_squares.iteration import (
     LEAST_DAMPING,
@@ -54,6 +55,7 @@ MATTERS = 1e-3
 below which its derivative does not matter."""
 DOUBTED = (Ending.CONVERGED, Ending.STALLED, Ending.NO_EFFECT)
 """Endings that better derivatives may show to be none."""
+NO_ROOM = "the budget had no room for better derivatives"
 CONSTRAINED_XTOL = 1e-6
 """Shortest step under constraints; at their kinks the cost stops falling long before it."""
 
@@ -66,7 +68,8 @@ class LeastSquares(Method):
     evaluations, and each request keeps many workers busy. It finds the minimum that the start leads
     to; for others use several starts. It keeps bounds at every point. Under constraints of other
     kinds its Gauss-Newton model goes through the steps of `sqp`, and they are satisfied in the end.
-    Not for costs without weights, or with jumps.
+    Not for costs without weights, or with jumps. It asks for no Jacobian if a budget of evaluations
+    has no room for a step that follows: to the end it corrects the last one by its steps.
 
     Attributes
     ----------
@@ -144,11 +147,16 @@ class LeastSquares(Method):
         before: _End | None = None  # where shorter differences ended
         ended = Ending.CONVERGED
         secant, updates, most = None, 0, self.secant_updates
+        before_step: tuple[ResidualJacobian, IterationState] | None = None
         while True:
             scaled = _with_current_sizes(space, state.x)
-            jacobian = secant or (
-                yield from provider.jacobian(scaled, state.x, state.at, state.progress)
-            )
+            requests = provider.jacobian(scaled, state.x, state.at, state.progress)
+            jacobian = secant or (yield from within_budget(requests, 1))
+            if jacobian is None:
+                secant = _corrected(before_step, state, compared)
+                if secant is None:
+                    return _without_room(_End(state, compared, ended, provider.note), before)
+                jacobian = secant
             doubtful = compared is not None and _disagree(scaled, state, compared, jacobian)
             end = _End(state, jacobian, ended, provider.note)
             if not (doubtful and provider.lengthen()):
@@ -158,13 +166,13 @@ class LeastSquares(Method):
                     (yield from self._iterate(space, state, jacobian, exact)),
                 )
                 if ending is None:
-                    compared = None
+                    compared, before_step = None, (jacobian, last)
                     updates = 0 if secant is None else updates
                     secant = secant_update(jacobian, last, state) if updates < most else None
                     updates += 1
                     continue
                 if secant is not None:  # an end must be one by the derivatives of its own point
-                    secant, compared, most = None, None, 0
+                    secant, compared, most, before_step = None, None, 0, None
                     state = replace(state, damping=min(state.damping, INITIAL_DAMPING))
                     continue
                 ended = ending
@@ -211,7 +219,7 @@ class _End:
     """An end of the search, with the derivatives that led there, and what is to be said of them."""
 
     state: IterationState
-    jacobian: ResidualJacobian
+    jacobian: ResidualJacobian | None
     ending: Ending
     note: str
 
@@ -228,19 +236,49 @@ class _End:
         return self if gained or settled else replace(before, state=self.state)
 
     def solution(self) -> Solution:
-        state, ending, note = self.state, self.ending, self.note
-        return Solution(
+        state, ending, note, jacobian = self.state, self.ending, self.note, self.jacobian
+        found = Solution(
             x=state.x,
             cost=state.at.cost,
             ending=ending,
             message=note if ending.success or not note else f"{ending}; {note}",
             iterations=state.progress.iteration,
-            jacobian=self.jacobian.dense_if_small,
-            block_jacobian=self.jacobian.blocks_if_large,
-            difference_steps=self.jacobian.steps,
-            frozen=self.jacobian.frozen,
             at=state.at,
         )
+        if jacobian is None:
+            return found
+        return replace(
+            found,
+            jacobian=jacobian.dense_if_small,
+            block_jacobian=jacobian.blocks_if_large,
+            difference_steps=jacobian.steps,
+            frozen=jacobian.frozen,
+        )
+
+
+def _corrected(
+    before: tuple[ResidualJacobian, IterationState] | None,
+    state: IterationState,
+    compared: ResidualJacobian | None,
+) -> ResidualJacobian | None:
+    """Return the last Jacobian, corrected by its step, where a budget has no room for a new one.
+
+    None at an end that only better derivatives could confirm, or where the step contradicts it.
+    """
+    if before is None or compared is not None:
+        return None
+    return secant_update(*before, state)
+
+
+def _without_room(end: _End, before: _End | None) -> Solution:
+    """Return the solution where a budget has no room for derivatives and a step that follows.
+
+    An end that has derivatives stays one, though there is no room for better ones.
+    """
+    if end.jacobian is None:
+        return replace(end, ending=Ending.BUDGET).solution()
+    note = f"{end.note}; {NO_ROOM}" if end.note else NO_ROOM
+    return replace(end, note=note).better_than(before).solution()
 
 
 def _disagree(

@@ -109,6 +109,9 @@ class _EvolutionStrategy(PopulationStrategy):
         with _quiet():
             self._strategy.tell(self._sampled, [float(places[m.rank]) for m in members])
 
+    def bounds(self) -> FloatArray:
+        return np.full(len(self._sampled) + (self._start is not None), np.inf)
+
     def survivors(self) -> list[int]:
         return list(self._numbers)
 

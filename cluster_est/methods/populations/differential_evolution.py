@@ -38,6 +38,11 @@ class DifferentialEvolution(PopulationMethod):
         Of the differences. Raise it if the population shrinks too early.
     crossover
         Part of the unknowns that move in a step. Lower it (0.2) if unknowns act independently.
+    early_end
+        End the simulation of a point as soon as the part of its cost that is known is above what
+        it would have to be below to stay in the population. The result is the same, bit for bit;
+        where simulations take seconds, half of their time may be saved. It takes effect with the
+        sum of squares and without constraints and effects.
     """
 
     name: ClassVar[str] = "de"
@@ -46,6 +51,7 @@ class DifferentialEvolution(PopulationMethod):
     base: Literal["rand", "best"] = "rand"
     weight: float = field(default=0.6, metadata={"least": 0.0})
     crossover: float = field(default=0.9, metadata={"least": 0.0})
+    early_end: bool = False
 
     @override
     def usual_population(self, unknowns: int) -> int:
@@ -63,6 +69,7 @@ class DifferentialEvolution(PopulationMethod):
             size,
             goal,
             generator,
+            rivals="member",
             pop_size=size,
             variant=f"DE/{self.base}/1/bin",
             F=self.weight,

@@ -72,6 +72,13 @@ class PopulationStrategy(ABC):
         """Take the members of the generation, whose points have these numbers."""
 
     @abstractmethod
+    def bounds(self) -> FloatArray:
+        """Return costs (points,) above which points of the generation asked for do not survive.
+
+        Infinite where that depends on the other points. Only without constraints.
+        """
+
+    @abstractmethod
     def survivors(self) -> list[int]:
         """Return the numbers of the points that make up the population now."""
 

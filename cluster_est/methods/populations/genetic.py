@@ -40,6 +40,8 @@ class GeneticAlgorithm(PopulationMethod):
         with larger numbers, so that the search is finer and less wide.
     crossover_probability
         Part of the pairs of parents that mix.
+    early_end
+        As in `de`.
     """
 
     name: ClassVar[str] = "ga"
@@ -49,6 +51,7 @@ class GeneticAlgorithm(PopulationMethod):
     crossover_eta: float = field(default=3.0, metadata={"least": 1.0})
     mutation_eta: float = field(default=20.0, metadata={"least": 1.0})
     crossover_probability: float = field(default=0.9, metadata={"least": 0.0})
+    early_end: bool = False
 
     @override
     def usual_population(self, unknowns: int) -> int:
@@ -68,6 +71,7 @@ class GeneticAlgorithm(PopulationMethod):
             size,
             goal,
             generator,
+            rivals="worst",
             pop_size=size,
             crossover=SBX(prob=self.crossover_probability, eta=self.crossover_eta),
             mutation=PM(eta=self.mutation_eta),

@@ -67,6 +67,8 @@ class PopulationMethod(Method):
     """True if it can satisfy a constraint that must be 0."""
     needs_bounds: ClassVar[bool] = True
     least_population: ClassVar[int] = 5
+    early_end = False
+    """True if simulations may end once their points cannot survive; an option of some methods."""
 
     population: int = field(default=0, metadata={"least": 0})
     max_generations: int = field(default=500, metadata={"least": 1})
@@ -133,9 +135,11 @@ def evolve(method: PopulationMethod, space: SearchSpace, generator: np.random.Ge
     progress: Progress | None = None
     asked, generation = 0, 0
     units = strategy.ask()
+    ends_early = method.early_end and not space.constraint_names
     while True:
         x = box.points(units)
-        evaluations = yield Points(x, "generation", progress)
+        bounds = strategy.bounds() if ends_early else None
+        evaluations = yield Points(x, "generation", progress, bounds=bounds)
         new_members = [member_of(*three, goal) for three in zip(units, x, evaluations, strict=True)]
         best = _better(best, new_members, evaluations)
         if best is None:

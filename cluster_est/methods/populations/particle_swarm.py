@@ -41,6 +41,8 @@ class ParticleSwarm(PopulationMethod):
     speed
         Limit of the velocity: the part of the range between the bounds that one generation may
         cross.
+    early_end
+        As in `de`.
     """
 
     name: ClassVar[str] = "pso"
@@ -51,6 +53,7 @@ class ParticleSwarm(PopulationMethod):
     social: float = field(default=1.5, metadata={"least": 0.0})
     adaptive: bool = False
     speed: float = field(default=0.2, metadata={"least": 0.0})
+    early_end: bool = False
 
     @override
     def usual_population(self, unknowns: int) -> int:
@@ -71,6 +74,7 @@ class ParticleSwarm(PopulationMethod):
             size,
             goal,
             generator,
+            rivals="member",
             pop_size=size,
             w=inertia,
             c1=own,

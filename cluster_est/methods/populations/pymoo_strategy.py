@@ -8,7 +8,7 @@ pymoo takes long to import, so only a search imports it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -33,6 +33,9 @@ class PymooStrategy(PopulationStrategy):
         Class of the algorithm, and what it is made with besides its first generation and seed.
     box, size, goal, generator
         As in `PopulationMethod.strategy`.
+    rivals
+        Whom a new point must be better than to survive: the one "member" in whose place it would
+        come, or the "worst" of the population; None where it depends on other new points.
     """
 
     def __init__(
@@ -42,6 +45,7 @@ class PymooStrategy(PopulationStrategy):
         size: int,
         goal: PopulationGoal,
         generator: np.random.Generator,
+        rivals: Literal["member", "worst"] | None = None,
         **options: Any,
     ) -> None:
         from pymoo.config import Config
@@ -65,6 +69,7 @@ class PymooStrategy(PopulationStrategy):
         if getattr(self._algorithm, "survival", None) is not None:
             self._algorithm.survival = _SeededSurvival(self._algorithm.survival, generator)
         self._asked: Any = None
+        self._rivals = rivals
 
     def ask(self) -> FloatArray:
         self._asked = self._algorithm.ask()
@@ -78,6 +83,13 @@ class PymooStrategy(PopulationStrategy):
         if self._constrained:
             self._asked.set("G", np.array([[member.violation] for member in members]))
         self._algorithm.tell(infills=self._asked)
+
+    def bounds(self) -> FloatArray:
+        asked, alive = len(self._asked), self._algorithm.pop
+        if self._rivals is None or alive is None or not len(alive) or not alive.has("number"):
+            return np.full(asked, np.inf)
+        costs = np.asarray(alive.get("F"), np.float64)[:, 0]
+        return costs if self._rivals == "member" else np.full(asked, np.max(costs))
 
     def survivors(self) -> list[int]:
         return [int(number) for number in self._algorithm.pop.get("number")]

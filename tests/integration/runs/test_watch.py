@@ -204,3 +204,16 @@ def test_a_watcher_reads_what_the_terminal_of_the_run_says(tmp_path):
     left = "this step: at most about 2 min left"
     assert f"{said} | {left}" in " ".join(written(RunFollower(tmp_path / "run").look()).split())
     assert line(now, Budget()).startswith(f"{said} | {left} | ")
+
+
+def test_a_watcher_tells_a_limit_from_what_is_expected(tmp_path):
+    problem = spring_problem(experiments=2).problem
+    run = RunFolder(tmp_path / "run", RunIdentity(RunKind.FIT, problem, "", "hash", 0))
+    run.show(
+        RunSnapshot(
+            "start 3", Progress(1, 7.0), 6, 9, 3, 2, 4, 12.0,
+            ended=5, searches=12, left=90.0, at_most=False, pace=30.0,
+        )
+    )  # fmt: skip
+    said = "5 of 12 done | this step: about 2 min left | an iteration takes about 30 s"
+    assert said in " ".join(written(RunFollower(tmp_path / "run").look()).split())

@@ -82,8 +82,8 @@ def test_tasks_come_back_with_all_they_carry() -> None:
     effects = (Effect("drag", "der(v)", "linear", ("v",)),)
     generator = np.random.default_rng(0)
     sent = [
-        Task(number, experiment, generator.normal(size=3), "sensitivities", effects)
-        for number, experiment in ((5, 1), (2, 0), (9, 1))
+        Task(number, experiment, generator.normal(size=3), "sensitivities", effects, bound)
+        for number, experiment, bound in ((5, 1, 0.1), (2, 0, np.inf), (9, 1, 3.0))
     ]
     got = pickle.loads(pickle.dumps(TaskBatch.of(sent))).tasks()
     assert len(got) == len(sent)

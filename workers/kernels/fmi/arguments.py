@@ -31,6 +31,8 @@ class KernelArguments(NamedTuple):
         Effects, see `workers.kernels.fmi.hooks`.
     points : (p, k)
         Start values of the reals, a row a point.
+    bounds : (p,)
+        Sums of squares above which a simulation may end early; infinite for none.
     work
         Memory.
     outputs : (p, n, y)
@@ -48,6 +50,7 @@ class KernelArguments(NamedTuple):
     hooks: EffectHooks
     grid: SignalGrid
     points: FloatArray
+    bounds: FloatArray
     work: KernelWorkspace
     outputs: FloatArray
     codes: IntArray

@@ -90,7 +90,8 @@ class KernelWorkspace(NamedTuple):
     hold at the moment; `next_event` the time of the next time event. `indicators` are the event
     indicators after the last step, behind an event that is being located, and of a trial.
     `info` has what FMUs say of events (see `workers.kernels.fmi.functions`), `buffer` the value of
-    one variable. `progress` is described in `workers.messages.progress`.
+    one variable. `squares` is described in `workers.kernels.fmi.early_end`, `progress` in
+    `workers.messages.progress`.
     """
 
     inputs: FloatArray
@@ -109,6 +110,7 @@ class KernelWorkspace(NamedTuple):
     indicators: FloatArray
     info: IntArray
     buffer: FloatArray
+    squares: FloatArray
     progress: IntArray
 
 
@@ -143,6 +145,7 @@ def workspace(
         indicators=np.zeros((3, n_indicators)),
         info=np.zeros(12, np.int32),
         buffer=np.zeros(buffer_size),
+        squares=np.array([0.0, np.inf]),
         progress=no_watcher() if progress is None else progress,
     )
 

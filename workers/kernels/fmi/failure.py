@@ -18,6 +18,7 @@ DISCARDED = 11
 PENDING = 12
 SENSITIVITIES = 13
 HAS_EVENTS = 14
+ENDED_EARLY = 15
 
 MESSAGES = {
     INITIALISATION: "the FMU could not be initialised",
@@ -33,6 +34,7 @@ MESSAGES = {
     SENSITIVITIES: "the FMU could not give its directional derivatives",
     HAS_EVENTS: "an event was met, across which sensitivities cannot be carried",
     TERMINATED: "the FMU ended the simulation by itself",
+    ENDED_EARLY: "its sum of squares was above the bound already",
 }
 
 SUGGEST_STIFFNESS = (STEP_TOO_SMALL, TOO_MANY_STEPS)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from workers.kernels.fmi.calling import is_fmi_2
 from workers.kernels.fmi.compiling import inlined, kernel, subroutine
+from workers.kernels.fmi.early_end import begin_squares, is_above_bound
 from workers.kernels.fmi.failure import (
+    ENDED_EARLY,
     FINISHED,
     INITIALISATION,
     OUTPUT,
@@ -38,7 +40,19 @@ from workers.messages.progress import STEPS
 
 @kernel
 def co_simulate_batch(  # type: ignore[no-untyped-def]
-    c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at, steps
+    c,
+    references,
+    starts,
+    settings,
+    hooks,
+    grid,
+    points,
+    bounds,
+    work,
+    outputs,
+    codes,
+    stopped_at,
+    steps,
 ):
     """Simulate one experiment for many points.
 
@@ -48,6 +62,8 @@ def co_simulate_batch(  # type: ignore[no-untyped-def]
         Effects, see `workers.kernels.fmi.hooks`.
     points : (p, k)
         Start values of the reals, a row a point.
+    bounds : (p,)
+        Sums of squares above which a simulation ends early; infinite for none.
     outputs : (p, n, y)
         Filled with the outputs at each time of the grid.
     codes, stopped_at : (p,)
@@ -66,6 +82,7 @@ def co_simulate_batch(  # type: ignore[no-untyped-def]
     )
     for p in range(len(points)):
         select_point(hooks, p, work)
+        begin_squares(bounds, p, work)
         codes[p], stopped_at[p] = _co_simulate(
             c, references, starts, settings, hooks, grid, points[p], work, outputs[p]
         )
@@ -104,6 +121,8 @@ def _step_through_grid(c, references, settings, grid, work, outputs):  # type: i
             status = get_values(c, references.outputs, outputs[i], work.buffer)
         if status >= DISCARD:
             return failed(OUTPUT, status), times[i]
+        if is_above_bound(grid, i, outputs[i], work):
+            return ENDED_EARLY, times[i]
         if i + 1 == len(times):
             break
         steps = n_steps(grid.intervals[i], settings.step, steps_left)
@@ -129,6 +148,8 @@ def _step_through_grid_with_effects(c, references, settings, hooks, grid, work, 
             status = get_values(c, references.outputs, outputs[i], work.buffer)
         if status >= DISCARD:
             return failed(OUTPUT, status), times[i]
+        if is_above_bound(grid, i, outputs[i], work):
+            return ENDED_EARLY, times[i]
         if i + 1 == len(times):
             break
         steps = n_steps(grid.intervals[i], settings.step, steps_left)

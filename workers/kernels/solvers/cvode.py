@@ -14,7 +14,9 @@ from numba.core.types import float64, int32, intp
 from workers.kernels.fmi.arguments import KernelArguments
 from workers.kernels.fmi.calling import c_function
 from workers.kernels.fmi.compiling import kernel, subroutine
+from workers.kernels.fmi.early_end import begin_squares, is_above_bound
 from workers.kernels.fmi.failure import (
+    ENDED_EARLY,
     FINISHED,
     OUTPUT,
     failed,
@@ -97,8 +99,8 @@ class CvodeBatch:
 
 @kernel
 def _cvode_batch(  # type: ignore[no-untyped-def]
-    s, c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at,
-    steps, states_out,
+    s, c, references, starts, settings, hooks, grid, points, bounds, work, outputs, codes,
+    stopped_at, steps, states_out,
 ):  # fmt: skip
     s, c, references, starts, settings, hooks, grid, work = by_reference(
         (s, c, references, starts, settings, hooks, grid, work)
@@ -120,6 +122,7 @@ def _cvode_batch(  # type: ignore[no-untyped-def]
     _set_pointer(s.set_jacobian, (s.memory, jacobian if use_jacobian else 0))  # 0: by differences
     for p in range(len(points)):
         select_point(hooks, p, work)
+        begin_squares(bounds, p, work)
         codes[p], stopped_at[p] = _simulate(
             s, c, references, starts, settings, hooks, grid, points[p], work, outputs[p], states_out
         )
@@ -145,6 +148,8 @@ def _simulate(s, c, references, starts, settings, hooks, grid, point, work, outp
         status = record_outputs(c, references, hooks, grid, i, time, work, outputs[i])
         if status >= DISCARD:
             return failed(OUTPUT, status), time
+        if is_above_bound(grid, i, outputs[i], work):
+            return ENDED_EARLY, time
         for j in range(states_out.shape[1] if len(states_out) > 0 else 0):
             states_out[i, j] = work.states[j]
         if i + 1 < len(times):

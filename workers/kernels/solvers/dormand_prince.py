@@ -16,7 +16,9 @@ from math import isfinite, sqrt
 import numpy as np
 
 from workers.kernels.fmi.compiling import inlined, kernel, subroutine
+from workers.kernels.fmi.early_end import begin_squares, is_above_bound
 from workers.kernels.fmi.failure import (
+    ENDED_EARLY,
     EVENT,
     FINISHED,
     HAS_EVENTS,
@@ -84,7 +86,19 @@ SAFETY, SHRINK, GROW = 0.9, 0.2, 5.0
 
 @kernel
 def dormand_prince_batch(  # type: ignore[no-untyped-def]
-    c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at, steps
+    c,
+    references,
+    starts,
+    settings,
+    hooks,
+    grid,
+    points,
+    bounds,
+    work,
+    outputs,
+    codes,
+    stopped_at,
+    steps,
 ):
     """Simulate one experiment for many points; arguments as in `co_simulate_batch`."""
     c, references, starts, settings, hooks, grid, work = by_reference(
@@ -92,6 +106,7 @@ def dormand_prince_batch(  # type: ignore[no-untyped-def]
     )
     for p in range(len(points)):
         select_point(hooks, p, work)
+        begin_squares(bounds, p, work)
         codes[p], stopped_at[p] = _simulate(
             c, references, starts, settings, hooks, grid, points[p], work, outputs[p]
         )
@@ -114,6 +129,8 @@ def _simulate(c, references, starts, settings, hooks, grid, point, work, outputs
         status = record_outputs(c, references, hooks, grid, i, time, work, outputs[i])
         if status >= DISCARD:
             return failed(OUTPUT, status), time
+        if is_above_bound(grid, i, outputs[i], work):
+            return ENDED_EARLY, time
         if i + 1 < len(times):
             code, time, proposed, steps_left = adaptive_steps(
                 c, references, settings, hooks, grid, i, time, proposed, steps_left, work

@@ -11,7 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from workers.kernels.fmi.compiling import inlined, kernel, subroutine
+from workers.kernels.fmi.early_end import begin_squares, is_above_bound
 from workers.kernels.fmi.failure import (
+    ENDED_EARLY,
     EVENT,
     FINISHED,
     HAS_EVENTS,
@@ -55,7 +57,19 @@ E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 
 
 @kernel
 def rk4_batch(  # type: ignore[no-untyped-def]
-    c, references, starts, settings, hooks, grid, points, work, outputs, codes, stopped_at, steps
+    c,
+    references,
+    starts,
+    settings,
+    hooks,
+    grid,
+    points,
+    bounds,
+    work,
+    outputs,
+    codes,
+    stopped_at,
+    steps,
 ):
     """Simulate one experiment for many points; arguments as in `co_simulate_batch`."""
     c, references, starts, settings, hooks, grid, work = by_reference(
@@ -63,6 +77,7 @@ def rk4_batch(  # type: ignore[no-untyped-def]
     )
     for p in range(len(points)):
         select_point(hooks, p, work)
+        begin_squares(bounds, p, work)
         codes[p], stopped_at[p] = _simulate(
             c, references, starts, settings, hooks, grid, points[p], work, outputs[p]
         )
@@ -85,6 +100,8 @@ def _simulate(c, references, starts, settings, hooks, grid, point, work, outputs
         status = record_outputs(c, references, hooks, grid, i, time, work, outputs[i])
         if status >= DISCARD:
             return failed(OUTPUT, status), time
+        if is_above_bound(grid, i, outputs[i], work):
+            return ENDED_EARLY, time
         if i + 1 < len(times):
             code, time, steps_left = equal_steps(
                 c, references, settings, hooks, grid, i, time, steps_left, work

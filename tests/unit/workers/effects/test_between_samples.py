@@ -19,7 +19,7 @@ def grid(times, held=None):
     none = np.zeros(0)
     return SignalGrid(
         times, np.diff(times, append=times[-1:]), inputs, np.zeros_like(inputs), jumps,
-        np.zeros(0, np.intp), none, none,
+        np.zeros(0, np.intp), none, none, np.zeros(0, np.intp), np.zeros(len(times), np.intp),
     )  # fmt: skip
 
 

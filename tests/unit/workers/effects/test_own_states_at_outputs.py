@@ -45,6 +45,8 @@ def grid(times: FloatArray, inputs: FloatArray) -> SignalGrid:
         gather=np.zeros(0, np.intp),
         measured=none,
         sigmas=none,
+        by_time=np.zeros(0, np.intp),
+        row_ends=np.zeros(len(times), np.intp),
     )
 
 

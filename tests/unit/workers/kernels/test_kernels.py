@@ -165,6 +165,7 @@ def run(
         no_hooks(1),
         grid() if on is None else on,
         np.zeros((1, 0)),
+        np.full(1, np.inf),
         workspace(0, n_states, n_indicators=fmu.indicators),
         outputs,
         codes,

@@ -41,6 +41,25 @@ def test_the_phase_how_much_is_done_and_the_time_left_are_said():
     assert text.startswith(f"{begin}this step: at most about 41 s left | ")
     assert line(replace(known, left=math.nan), Budget()).startswith(f"{begin}time left unknown | ")
     assert "time left" not in line(snapshot(2.5), Budget())  # a fit: nobody expects to be told
+    expected = replace(known, left=41.2, at_most=False)
+    assert line(expected, Budget()).startswith(f"{begin}this step: about 41 s left | ")
+
+
+def test_the_pace_of_a_single_search_is_said_where_somebody_waits_for_it():
+    assert " | an iteration takes about 2 min | " in line(
+        replace(snapshot(2.5), pace=125.0), Budget()
+    )
+    for pace in (0.2, math.nan):
+        assert "an iteration" not in line(replace(snapshot(2.5), pace=pace), Budget())
+
+
+def test_a_budget_is_said_once():
+    budget = Budget(seconds=5000.0)
+    fit = replace(snapshot(2.5), left=600.0)
+    assert line(fit, budget).count("left") == 1
+    assert line(snapshot(2.5), budget).endswith("at most 679 s left")  # before anything has ended
+    recipe = replace(fit, phase="looking for effect 2 of at most 3")
+    assert line(recipe, budget).endswith("at most 679 s left")
 
 
 def test_without_a_terminal_a_line_is_printed_now_and_then():
