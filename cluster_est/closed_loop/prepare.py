@@ -25,7 +25,6 @@ from cluster_est.errors import ProblemError
 from cluster_est.fit import check_method
 from cluster_est.problem.idle_inputs import silent_notes
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.process_noise import refuse_process_noise
 from cluster_est.problem.space import make_space
 from cluster_est.running.arguments import check_problem, check_resources
 from cluster_est.running.environment import Monitor, RunEnvironment
@@ -92,7 +91,6 @@ def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
     """
     problem = request.problem
     description = problem.describe()
-    refuse_process_noise(problem, "close-loop")
     _check_shape(problem, request.settings)
     _check_choices(problem, request.settings, description)
     declared = _declares_sigma(problem)
