@@ -23,7 +23,6 @@ from workers.messages import FloatArray, Model
 from workers.simulation.bind_experiment import BoundExperiment
 from workers.simulation.linearise import LinearisationPass, allocate, perturbation_range
 
-
 SHORTEST = 1e-6
 """Factor of the squares of residuals that a `log_spread` of another model leaves at least."""
 
@@ -117,6 +116,7 @@ def prepare_filter(
     bound: BoundExperiment,
     states: Sequence[str],
     noise: Sequence[StateNoise],
+    *,
     log_spread: float,
     linearised: LinearisationPass | None = None,
 ) -> FilterPass:

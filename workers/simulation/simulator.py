@@ -193,8 +193,9 @@ class Simulator:
         found = [StateNoise.of(d, coefficients[first:]) for d, first in noise]
         log_spread = self._experiments[experiment].log_spread
         return prepare_filter(
-            self._model, self._description, one.bound, states, found, log_spread, one
-        )
+            self._model, self._description, one.bound, states, found,
+            log_spread=log_spread, linearised=one,
+        )  # fmt: skip
 
     def sensitivities(
         self, experiment: int, points: FloatArray, effects: tuple[Effect, ...] = ()
@@ -372,7 +373,7 @@ class Simulator:
             found = [StateNoise.of(d, coefficients[p, first:]) for d, first in noise]
             chosen = prepare_filter(
                 self._model, self._description, bound, states, found,
-                self._experiments[experiment].log_spread,
+                log_spread=self._experiments[experiment].log_spread,
             )  # fmt: skip
             run = self._integrator.run(bound, values[one], hooks, len(own), chosen)
             batch.outputs[p] = run.outputs[0, kept, : len(without_effects.outputs)]

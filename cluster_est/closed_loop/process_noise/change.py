@@ -10,7 +10,7 @@ from cluster_est.closed_loop.account import LastFits, final_fit
 from cluster_est.closed_loop.findings.effects import ErrorChange, NoiseChange
 from cluster_est.closed_loop.process_noise.held import released
 from cluster_est.closed_loop.selection.rounds import SelectionResult
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names, without_noise
 from cluster_est.problem.space import make_space
@@ -53,9 +53,7 @@ def last_fits_with_noise(
     )
 
 
-def why_not_likely(
-    workbench: LoopWorkbench, found: SelectionResult, fits: LastFits
-) -> str:
+def why_not_likely(workbench: LoopWorkbench, found: SelectionResult, fits: LastFits) -> str:
     """Say what speaks against the effects once both models have noise of their own; "" if nothing.
 
     The fall of -2 log likelihood must pay for the unknowns, as in the criterion of G. Schwarz, and
@@ -133,8 +131,8 @@ def _noise_changes(before: Result, after: Result) -> tuple[NoiseChange, ...]:
             continue
         q, tau = f"{effect.name}.q", f"{effect.name}.tau"
         coloured = tau in old
-        sizes = [v[q] * (np.sqrt(0.5 * v[tau]) if coloured else 1.0) for v in (old, new)]
-        times = [v.get(tau, np.nan) for v in (old, new)]
+        sizes = [float(v[q] * (np.sqrt(0.5 * v[tau]) if coloured else 1.0)) for v in (old, new)]
+        times = [float(v.get(tau, np.nan)) for v in (old, new)]
         unit = units[q].removesuffix(" s^-0.5").removesuffix("/s^0.5") if coloured else units[q]
         found.append(NoiseChange(effect.name, effect.site, unit, *sizes, *times))
     return tuple(found)
@@ -164,9 +162,12 @@ def _error_changes(
 def _innovation_sizes(result: Result) -> Iterator[tuple[tuple[str, str], float]]:
     """Root mean square of the residuals of each output of each experiment."""
     for simulation in result.simulations:
-        run, residuals = result.problem.experiments[simulation.experiment], simulation.outcome.residuals
+        run = result.problem.experiments[simulation.experiment]
+        residuals = simulation.outcome.residuals
+        if residuals is None:
+            continue
         first = 0
-        for output in run.outputs if residuals is not None else ():
+        for output in run.outputs:
             last = first + len(output.times)
             if last > first:
                 part = residuals[first:last]

@@ -24,7 +24,6 @@ from cluster_est.closed_loop.process_noise.change import (
     why_not_likely,
 )
 from cluster_est.closed_loop.process_noise.held import (
-    HeldNoise,
     check_noise_parameters,
     hold_noise,
     released,

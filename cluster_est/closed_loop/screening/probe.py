@@ -92,7 +92,9 @@ def _changed(trajectories: Sequence[LinearisedTrajectory], site: EffectSite) -> 
     if not site.at_rates:
         return pooled(trajectories, site.target)
     linear = [trajectory.linear for trajectory in trajectories if trajectory.linear is not None]
-    return np.concatenate([each.derivatives[:, each.state_names.index(site.target)] for each in linear])
+    return np.concatenate(
+        [each.derivatives[:, each.state_names.index(site.target)] for each in linear]
+    )
 
 
 def _point(
