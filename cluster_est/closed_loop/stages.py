@@ -25,7 +25,6 @@ class LoopStage(enum.Enum):
 
     WEIGHTS = "weights", "weighting the outputs"
     DECLARED_MODEL = "base", "fitting the declared model"
-    PROCESS_NOISE = "process noise", "fitting the process noise"
     LEAVE_ONE_OUT = "leave one out", "predicting experiments that were left out"
     TRAJECTORIES = "course", "screening the candidates"
     PROBE = "probe", "screening the candidates"
@@ -37,6 +36,7 @@ class LoopStage(enum.Enum):
     SWAP = "swap", "revising the effects"
     DROP = "drop", "revising the effects"
     FINAL = "final", "the final fits"
+    PROCESS_NOISE = "process noise", "fitting the process noise"
 
 
 def stage_title(search: str) -> str:
