@@ -216,8 +216,6 @@ def test_where_a_filter_cannot_be_is_one_sentence():
 
 def test_what_needs_free_simulations_is_refused():
     problem = spring([shaken(1)])
-    with pytest.raises(ProblemError, match="close-loop: cannot be used with process noise"):
-        ce.close_loop(problem)
     with pytest.raises(ProblemError, match=r"method\.shooting: cannot be used with process noise"):
         ce.fit(problem, shooting={"segments": 4})
 
