@@ -100,7 +100,7 @@ def account(
         errors=fits.errors if keep else fits.unchanged,
         findings=found.findings,
         rejected=() if keep else named,
-        noise=workbench.noise_in_units(found.noise),
+        noise={} if workbench.filtered else workbench.noise_in_units(found.noise),
         sites=workbench.sites,
         notes=(
             *_nothing_tried(workbench, found),

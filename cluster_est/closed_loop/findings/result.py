@@ -69,7 +69,8 @@ class LoopResult:
     rejected
         Effects that the search ended with but that did not pass: a hint at the place to look.
     noise
-        Estimated standard deviation of each output's noise, in the output's unit.
+        Estimated standard deviation of each output's noise, in the output's unit; empty with
+        process noise, where it is the given sigma.
     sites
         Every site that was open.
     notes

@@ -45,9 +45,7 @@ def record(seed: int, dry: float, role: str, samples: int = 300) -> ce.Experimen
     seen = np.array(places) + SIGMA * generator.normal(size=samples)
     driven = ce.Input("F", times, force, "hold")
     output = ce.Output("y", times, seen, sigma=SIGMA)
-    return ce.Experiment(
-        f"e{seed}", 0.0, times[-1], (driven,), (output,), {"x": 0.1}, role=role
-    )
+    return ce.Experiment(f"e{seed}", 0.0, times[-1], (driven,), (output,), {"x": 0.1}, role=role)
 
 
 def problem(dry: float) -> ce.Problem:
@@ -118,6 +116,9 @@ def test_what_does_not_work_with_it_is_one_sentence():
         ce.detect(made)
     with pytest.raises(ProblemError, match="detect and locate: cannot be used with process noise"):
         ce.locate(made)
+    output = replace(SETTINGS, sites=("output y",))
+    with pytest.raises(ProblemError, match="'output y' is closed beside process noise"):
+        ce.close_loop(made, settings=output)
     *others, strength, lasting = made.parameters
     each = (*others, replace(strength, per="experiment"), lasting)
     with pytest.raises(ProblemError, match=r"close-loop: parameters\.wind\.q\.per: must be left"):
