@@ -40,9 +40,9 @@ class VisitedModels:
     """The models that a search has added effects to, by their structures.
 
     A revision takes effects out again, and so comes back to models that were ranked and grown
-    before. The rankings are kept where each takes a simulation for every
-    candidate; where a model is linearised it takes none, and is made again. Free curves are not
-    kept: they are made anew for each model.
+    before. The rankings are kept where each takes a simulation for every candidate, as in
+    co-simulation and with process noise; where linear systems answer for all, one takes none and is
+    made again. Free curves are not kept: they are made anew for each model.
 
     Attributes
     ----------
