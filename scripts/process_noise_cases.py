@@ -28,7 +28,7 @@ NAMES = {
     "nothing": ((), ()),
     "coulomb": (("coulomb",), ("dahl", "stribeck", "asymmetric_coulomb", "power", "signed_root")),
     "cubic": (("cubic",), ("power", "hinge", "hinge_below")),
-    "drag": (("quadratic",), ("power", "cubic_drag")),
+    "drag": (("quadratic",), ("power",)),
 }
 """What may be missing: the forms that are its name, and those that are nearly the same function."""
 

@@ -10,7 +10,9 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
 
 from cluster_est.closed_loop.account import account
 from cluster_est.closed_loop.findings.effects import NoiseChange, Verdict
@@ -36,6 +38,10 @@ NOT_LOOKED_FOR = (
     "process noise: outliers and noise that grows with the signal were not looked for, nor effects "
     "at outputs, delays, backlash and rate limits"
 )
+NOT_AGAIN = (
+    "{} would take the place of a part of the process noise, but is not found any more under the "
+    "noise that it leaves"
+)
 
 
 def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
@@ -57,6 +63,7 @@ def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
     with open_workbench(request) as workbench:
         workbench.enter("the process noise")
         held = hold_noise(workbench, request.problem, FitStart(request.problem, {}), {})
+        spent = [_Spent.at(workbench)]
     passed: list[frozenset[str]] = []
     while True:
         with open_workbench(replace(request, problem=held.problem)) as workbench:
@@ -64,10 +71,38 @@ def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
             structure = searched.found.current.structure
             passed.append(structure)
             if not structure or structure in passed[:-1] or len(passed) == MOST_PASSES:
-                return _accounted(workbench, request, searched, passed, begin)
+                result = _accounted(workbench, request, searched, passed, begin)
+                return _with_all(result, spent)
             workbench.enter("the process noise that is left")
             start = released(searched.found.current.start, request.problem)
             held = hold_noise(workbench, request.problem, start, held.values)
+            spent.append(_Spent.at(workbench))
+
+
+@dataclass(frozen=True)
+class _Spent:
+    """What a workbench has simulated; see `LoopResult`."""
+
+    simulations: float
+    simulated: int
+    evaluations: int
+    failures: int
+
+    @classmethod
+    def at(cls, workbench: LoopWorkbench) -> Self:
+        runner = workbench.runner
+        return cls(workbench.meter.full, runner.simulations, runner.evaluations, runner.failures)
+
+
+def _with_all(result: LoopResult, spent: Sequence[_Spent]) -> LoopResult:
+    """Add what was simulated at the workbenches before the last one."""
+    return replace(
+        result,
+        simulations=result.simulations + sum(each.simulations for each in spent),
+        simulated=result.simulated + sum(each.simulated for each in spent),
+        evaluations=result.evaluations + sum(each.evaluations for each in spent),
+        failures=result.failures + sum(each.failures for each in spent),
+    )
 
 
 def _accounted(
@@ -111,12 +146,6 @@ def _accounted(
         seconds=time.monotonic() - begin,
         failures_in_search=searched.failures,
     )
-
-
-NOT_AGAIN = (
-    "{} would take the place of a part of the process noise, but is not found any more under the "
-    "noise that it leaves"
-)
 
 
 def _unsettled(passed: list[frozenset[str]]) -> str:
