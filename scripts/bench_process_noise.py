@@ -1,6 +1,7 @@
 """Prediction errors beside output errors, on a spring under an Ornstein-Uhlenbeck force.
 
-    python scripts/bench_process_noise.py [--repetitions 200]
+    python scripts/bench_process_noise.py [fit] [--repetitions 200]
+    python scripts/bench_process_noise.py loop [--repetitions 12] [--missing nothing coulomb ...]
 
 A mass on a spring is driven by a known force and, besides, by an unknown one that is an
 Ornstein-Uhlenbeck process. The data are exact samples of that linear stochastic system (its
@@ -8,16 +9,21 @@ discretisation by matrix exponentials, no simulation by the project). Fitted are
 damping, once with the effect `coloured_noise` at the force, whose strength and time constant are
 estimated too, and once without. Printed are the shares of estimates within one standard error and
 of 95 % intervals that hold the truth, and root mean square errors. What comes out are counts.
+
+`loop` closes the loop on such springs that lack an effect, or nothing, under forces of three
+strengths, and on a pendulum that is pushed; see `process_noise_cases`.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections import defaultdict
+from collections import Counter, defaultdict
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from process_noise_cases import MODELS, NAMES, NoiseCase
 from scipy.linalg import expm
 
 import cluster_est as ce
@@ -74,14 +80,42 @@ def made_problem(seed: int, *, noise: bool) -> ce.Problem:
 
 
 def main() -> None:
-    """Print a line for each parameter and way."""
+    """Print a line for each parameter and way, or for each loop."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repetitions", type=int, default=200)
+    parser.add_argument("mode", choices=["fit", "loop"], nargs="?", default="fit")
+    parser.add_argument("--repetitions", type=int)
+    parser.add_argument("--missing", nargs="*", default=list(NAMES), choices=list(NAMES))
+    parser.add_argument("--models", nargs="*", default=list(MODELS), choices=list(MODELS))
     given = parser.parse_args()
+    if given.mode == "loop":
+        close_loops(given.repetitions or 12, given.missing, given.models)
+    else:
+        compare_fits(given.repetitions or 200)
+
+
+def close_loops(repetitions: int, missing: Sequence[str], models: Sequence[str]) -> None:
+    """Print what is found in each case, and counts."""
+    for model in models:
+        for effect in missing:
+            for size in MODELS[model].pushes:
+                counts: Counter[str] = Counter()
+                for seed in range(repetitions):
+                    case = NoiseCase(model, effect, size, seed)
+                    result = ce.close_loop(case.problem())
+                    outcome = case.outcome(result)
+                    counts[outcome] += 1
+                    named = [f"{e.form} {e.variables} at {e.site}" for e in result.effects]
+                    noise = [f"{c.before:.3g} to {c.after:.3g}" for c in result.process_noise]
+                    print(f"    {seed}: {outcome}; {result.verdict}; {named}; {noise}", flush=True)
+                print(f"{model}, push {size:g}, missing {effect}: {dict(counts)}", flush=True)
+
+
+def compare_fits(repetitions: int) -> None:
+    """Print a line for each parameter and way."""
     for noise in (True, False):
         found: dict[str, list[tuple[float, float, bool]]] = defaultdict(list)
         failed = 0
-        for seed in range(given.repetitions):
+        for seed in range(repetitions):
             result = ce.fit(made_problem(seed, noise=noise))
             failed += not result.success
             for each in result.estimates:

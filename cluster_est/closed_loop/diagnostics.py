@@ -22,6 +22,7 @@ from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkben
 from cluster_est.errors import EffectError, ProblemError
 from cluster_est.problem.effects import DeclaredCoefficient, DeclaredEffect, make_effect
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.process_noise import refuse_process_noise
 from cluster_est.problem.shaped_curve import checked_shape
 from cluster_est.problem.table_values import Monotone
 from cluster_est.running.arguments import check_problem
@@ -246,6 +247,7 @@ def _fitted(
     request: LoopRequest,
 ) -> Iterator[tuple[LoopWorkbench, FittedModel, NumericalError]]:
     """The declared model fitted, and how exact its simulations are there."""
+    refuse_process_noise(request.problem, "detect and locate")
     with open_checked_workbench(request) as workbench:
         fitted = fit_declared(workbench, FitStart(workbench.problem, {}))
         noise = expected_noise(workbench, fitted.residuals)

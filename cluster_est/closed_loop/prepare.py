@@ -26,7 +26,7 @@ from cluster_est.fit import check_method
 from cluster_est.problem.idle_inputs import silent_notes
 from cluster_est.problem.observed_outputs import NOT_PLAIN
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.process_noise import refuse_process_noise
+from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.space import make_space
 from cluster_est.running.arguments import check_problem, check_resources
 from cluster_est.running.environment import Monitor, RunEnvironment
@@ -93,7 +93,6 @@ def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
     """
     problem = request.problem
     description = problem.describe()
-    refuse_process_noise(problem, "close-loop")
     _check_shape(problem, request.settings)
     _check_choices(problem, request.settings, description)
     declared = _declares_sigma(problem)
@@ -214,6 +213,12 @@ def _check_choices(problem: Problem, settings: LoopSettings, description: ModelD
                 f"closed_loop.effects: there is no form {name!r}{nearest(name, known)}"
             )
     offered = _sites(problem, description)
+    outputs = [site for site in settings.sites if site.startswith("output ")]
+    if outputs and noise_names(problem):
+        raise ProblemError(
+            f"closed_loop.sites: {outputs[0]!r} is closed beside process noise, because a Kalman "
+            "filter takes what is measured as it is; leave one of the two out"
+        )
     closed = {f"parameter {name}" for name in _closed_parameters(problem, description)}
     for site in settings.sites:
         if site in closed:
@@ -271,6 +276,8 @@ def _sites(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
     pairs += [EffectSite("pair", *reversed(site.targets)) for site in pairs]
     measured = {output.variable for e in problem.experiments for output in e.outputs}
     sites = open_sites(description, interface, measured)
+    if noise_names(problem):  # beside a filter nothing acts on what is measured
+        sites = [site for site in sites if site.kind != "output"]
     return tuple(str(site) for site in [*sites, *pairs])
 
 

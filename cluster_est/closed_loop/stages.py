@@ -36,6 +36,7 @@ class LoopStage(enum.Enum):
     SWAP = "swap", "revising the effects"
     DROP = "drop", "revising the effects"
     FINAL = "final", "the final fits"
+    PROCESS_NOISE = "process noise", "fitting the process noise"
 
 
 def stage_title(search: str) -> str:

@@ -12,12 +12,13 @@ from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, 
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.simulation_meter import SimulationMeter
 from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.synthetic_experiments import SyntheticKind
+from cluster_est.closed_loop.synthetic_experiments import EnlargedCopy, SyntheticKind
 from cluster_est.closed_loop.thresholds import LoopThresholds
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Evaluation, Method
 from cluster_est.methods.given_points import GivenPoints
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.process_noise import noise_names, without_noise
 from cluster_est.problem.space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
@@ -183,6 +184,19 @@ class LoopWorkbench:
     def exchange(self) -> bool:
         return self.problem.model.interface == "model_exchange"
 
+    @property
+    def filtered(self) -> bool:
+        """The problem has process noise: its residuals are innovations of a Kalman filter."""
+        return bool(noise_names(self.problem))
+
+    @property
+    def by_linear_systems(self) -> bool:
+        """The directions of candidates follow from linear systems; else each is simulated.
+
+        In co-simulation the states are hidden, and a filter corrects them.
+        """
+        return self.exchange and not self.filtered
+
     def enter(self, phase: str) -> None:
         """Tell who watches the run what it is about from now on."""
         self.runner.display.phase = phase
@@ -221,6 +235,8 @@ class LoopWorkbench:
             return make_space(start.problem, self.train, starts=start.values)
         experiments = self.synthetic[kind]
         problem = replace(start.problem, experiments=self.everything.experiments)
+        if isinstance(kind, EnlargedCopy):  # nothing was measured there that a filter could follow
+            problem = without_noise(problem)
         values = dict(start.values)
         names = {p.name for p in problem.parameters}
         for own, copy in zip(self.train, experiments, strict=True):

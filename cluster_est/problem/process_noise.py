@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.problem.observed_outputs import besides_plain_outputs
+from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from workers.messages import Experiment
 
@@ -24,6 +26,22 @@ FILTERED = (
 def noise_names(problem: Problem) -> list[str]:
     """Return the names of the effects that are process noise."""
     return [effect.name for effect in problem.effects if effect.is_noise]
+
+
+def noise_parameters(problem: Problem) -> tuple[Parameter, ...]:
+    """Return the parameters of the effects that are process noise."""
+    names = noise_names(problem)
+    return tuple(p for p in problem.parameters if p.name.rpartition(".")[0] in names)
+
+
+def without_noise(problem: Problem) -> Problem:
+    """Return the problem without process noise: its simulations go their own way."""
+    names, own = noise_names(problem), noise_parameters(problem)
+    return replace(
+        problem,
+        effects=tuple(effect for effect in problem.effects if effect.name not in names),
+        parameters=tuple(p for p in problem.parameters if p not in own),
+    )
 
 
 def process_noise_notes(problem: Problem) -> tuple[str, ...]:

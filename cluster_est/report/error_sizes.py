@@ -65,8 +65,10 @@ def error_sizes(run: ReportedRun) -> ErrorSizes:
     """Measure the errors by the noise where it is known, else by the signals' own size."""
     rows = run.tables["errors"]
     if run.is_loop:
-        estimated = run.facts.get("errors_over") == "estimated noise"
-        measure = "the estimated noise" if estimated else "the declared noise (sigma)"
+        measure = {
+            "estimated noise": "the estimated noise",
+            "predicted spread": "what the noise that is left explains",
+        }.get(str(run.facts.get("errors_over")), "the declared noise (sigma)")
         return ErrorSizes(measure, True, rows, (1.0,) * len(rows))
     outputs: Mapping[str, Mapping[str, Any]] = {
         each["output"]: each for each in (run.facts.get("residuals") or {}).get("outputs") or ()

@@ -70,8 +70,8 @@ class KalmanArrays(NamedTuple):
 
 @kernel
 def filter_states(  # type: ignore[no-untyped-def]
-    stepping, c, references, starts, settings, hooks, grid, point, work, perturbed, result, kalman,
-    outputs,
+    stepping, c, references, starts, settings, hooks, offsets, grid, point, work, perturbed, result,
+    kalman, outputs,
 ):  # fmt: skip
     """Simulate one experiment for one point, and correct the states at every measured time.
 
@@ -79,8 +79,8 @@ def filter_states(  # type: ignore[no-untyped-def]
     ----------
     stepping
         As for `linearise`, without PRECOMPUTED.
-    perturbed, result
-        As for `linearise`; only states are perturbed.
+    hooks, offsets, perturbed, result
+        As for `linearise`. The derivatives are those at the filtered states.
     kalman
         Filled with innovations and their variances.
     outputs : (n, y)
@@ -91,8 +91,8 @@ def filter_states(  # type: ignore[no-untyped-def]
     (code, time)
         0, or what went wrong, and the time of it.
     """
-    c, references, starts, settings, hooks, grid, work = by_reference(
-        (c, references, starts, settings, hooks, grid, work)
+    c, references, starts, settings, hooks, offsets, grid, work = by_reference(
+        (c, references, starts, settings, hooks, offsets, grid, work)
     )
     perturbed, result, kalman = by_reference((perturbed, result, kalman))
     times, steps_left = grid.times, settings.max_steps
@@ -107,11 +107,13 @@ def filter_states(  # type: ignore[no-untyped-def]
         status = record_outputs(c, references, hooks, grid, i, time, work, outputs[i])
         if status >= DISCARD:
             return failed(OUTPUT, status), time
-        status = linearise_at(c, references, hooks, hooks, grid, i, work, perturbed, result)
+        status = linearise_at(c, references, hooks, offsets, grid, i, work, perturbed, result)
         if status < DISCARD and _update(i, outputs[i], work.states, result.C[i], kalman):
             status = set_time_and_states(c, references, hooks, time, work.states, work)
             if status < DISCARD:
-                status = linearise_at(c, references, hooks, hooks, grid, i, work, perturbed, result)
+                status = linearise_at(
+                    c, references, hooks, offsets, grid, i, work, perturbed, result
+                )
         if status >= DISCARD:
             return failed(LINEARISATION, status), time
         if i + 1 == len(times):

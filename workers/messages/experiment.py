@@ -60,6 +60,11 @@ class Experiment:
     record
         Name of the experiment whose values it shares where parameters have one per experiment,
         because both are parts of one record; "" if it has its own. A label too.
+    log_spread
+        With process noise: what is taken off the sum of log(S / sigma^2) in -2 log likelihood, S
+        being the variances that a Kalman filter predicts. A constant, with which no estimate
+        changes; with that sum of a fitted model, residuals near it are innovations over their
+        standard deviations.
 
     Raises
     ------
@@ -81,6 +86,7 @@ class Experiment:
     cost_function: UserFunction | None = None
     constraint_functions: tuple[UserFunction, ...] = ()
     record: str = ""
+    log_spread: float = 0.0
 
     from_table: ClassVar[Callable[..., Experiment]]
     """An experiment from a table of pandas, polars or pyarrow, or a dict of columns. The
@@ -110,6 +116,7 @@ class Experiment:
             check_kind(
                 self.cost_function, UserFunction, f"{where}.cost_function", DataError, advice
             )
+        check_number(self.log_spread, f"{where}.log_spread", DataError)
         _check_interval(self, where)
 
     @property
@@ -183,6 +190,8 @@ class Experiment:
             if function is not None:
                 signals += ["function", function.module, function.name, function.source]
                 signals += [repr((function.equality, function is self.cost_function))]
+        if self.log_spread:
+            signals += ["log_spread", repr(self.log_spread)]
         return content_hash(signals)
 
 

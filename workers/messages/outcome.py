@@ -77,6 +77,9 @@ class Linearisation:
         dg/dx, dg/du, dg/dp.
     state_names, input_names, output_names, parameter_names
         What the axes stand for.
+    log_spread
+        With process noise, where states are those that a Kalman filter has corrected, the sum of
+        log(S / sigma^2) over all measured values; see `Experiment`.
     """
 
     times: FloatArray
@@ -96,6 +99,7 @@ class Linearisation:
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
     parameter_names: tuple[str, ...]
+    log_spread: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from workers.effects.definition import EffectDefinition
 from workers.fmu.description import ModelDescription
 from workers.grid import SignalGrid
 from workers.kernels.fmi.arguments import KernelArguments
+from workers.kernels.fmi.hooks import EffectHooks
 from workers.kernels.kalman import KalmanArrays, filter_states
 from workers.kernels.linearise import (
     ADAPTIVE,
@@ -20,25 +21,44 @@ from workers.kernels.linearise import (
 )
 from workers.messages import FloatArray, Model
 from workers.simulation.bind_experiment import BoundExperiment
-from workers.simulation.linearise import allocate, perturbation_range
+from workers.simulation.linearise import LinearisationPass, allocate, perturbation_range
+
+SHORTEST = 1e-6
+"""Factor of the squares of residuals that a `log_spread` of another model leaves at least."""
 
 
 @dataclass(frozen=True)
 class FilterPass:
-    """One point of an experiment. Takes the place of a solver's batch function."""
+    """One point of an experiment. Takes the place of a solver's batch function.
+
+    Attributes
+    ----------
+    offsets
+        The effects with an offset at each input, where inputs are perturbed.
+    log_spread
+        See `Experiment`.
+    """
 
     stepping: int
     perturbed: PerturbedVariables
     arrays: LinearisationArrays
     kalman: KalmanArrays
+    offsets: EffectHooks | None = None
+    log_spread: float = 0.0
 
     def __call__(self, arguments: KernelArguments) -> int:
         """Simulate one point. Always returns 1."""
+        offsets = arguments.hooks if self.offsets is None else self.offsets
         arguments.codes[0], arguments.stopped_at[0] = filter_states(
-            self.stepping, *arguments[:6], arguments.points[0], arguments.work, self.perturbed,
-            self.arrays, self.kalman, arguments.outputs[0],
+            self.stepping, *arguments[:5], offsets, arguments.grid, arguments.points[0],
+            arguments.work, self.perturbed, self.arrays, self.kalman, arguments.outputs[0],
         )  # fmt: skip
         return 1
+
+    def total_log_spread(self, grid: SignalGrid) -> float:
+        """Return the sum of log(S / sigma^2) over all measured values."""
+        spreads = self.kalman.spreads.ravel()[grid.gather]
+        return float(np.add.reduce(np.log(spreads / grid.sigmas**2)))
 
     def standardised(self, grid: SignalGrid) -> FloatArray:
         """Return (residuals,): innovations whose sum of squares is -2 log likelihood.
@@ -49,15 +69,17 @@ class FilterPass:
 
             r sqrt(1 + sum log(S / sigma^2) / r'r).
 
-        Records add up, whatever their lengths and times.
+        Records add up, whatever their lengths and times. Where the experiment has a `log_spread`,
+        that is taken off the sum: near the model that it is of, the residuals are r itself, white
+        and of variance 1.
         """
         spreads = self.kalman.spreads.ravel()[grid.gather]
         plain = self.kalman.innovations.ravel()[grid.gather] / np.sqrt(spreads)
         squares = float(np.add.reduce(plain * plain))
         if squares == 0.0:
             return np.asarray(plain)
-        wider = max(float(np.add.reduce(np.log(spreads / grid.sigmas**2))), 0.0)
-        return np.asarray(plain * np.sqrt(1.0 + wider / squares))
+        wider = max(self.total_log_spread(grid), 0.0) - self.log_spread
+        return np.asarray(plain * np.sqrt(max(1.0 + wider / squares, SHORTEST)))
 
 
 @dataclass(frozen=True)
@@ -94,6 +116,9 @@ def prepare_filter(
     bound: BoundExperiment,
     states: Sequence[str],
     noise: Sequence[StateNoise],
+    *,
+    log_spread: float,
+    linearised: LinearisationPass | None = None,
 ) -> FilterPass:
     """Prepare one point of an experiment.
 
@@ -105,6 +130,10 @@ def prepare_filter(
         Of the FMU, then the own ones of those effects.
     noise
         On some of them.
+    log_spread
+        Of the experiment.
+    linearised
+        The pass whose derivatives are to be taken along the filter; None for those that it needs.
     """
     grid, count = bound.grid, len(states)
     n, y = len(grid.times), len(bound.outputs)
@@ -132,8 +161,14 @@ def prepare_filter(
         gain=np.zeros(count),
     )
     stepping = ADAPTIVE if model.solver.name == "dormand_prince" else FIXED
+    if linearised is not None:
+        return FilterPass(
+            stepping, linearised.perturbed, linearised.arrays, kalman, linearised.with_offsets,
+            log_spread,
+        )  # fmt: skip
     perturbed = _states_alone(description, count - len(description.states))
-    return FilterPass(stepping, perturbed, allocate(perturbed, n, y), kalman)
+    arrays = allocate(perturbed, n, y)
+    return FilterPass(stepping, perturbed, arrays, kalman, log_spread=log_spread)
 
 
 def _states_alone(description: ModelDescription, n_effect_states: int) -> PerturbedVariables:

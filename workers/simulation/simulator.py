@@ -24,6 +24,8 @@ from workers.simulation.sensitivities import SensitivitySource
 
 if TYPE_CHECKING:
     from workers.effects.definition import EffectDefinition
+    from workers.simulation.filtering import FilterPass
+    from workers.simulation.linearise import LinearisationPass
 
 
 class Simulator:
@@ -138,6 +140,8 @@ class Simulator:
     ) -> SimulationBatch:
         """Simulate as `run` does, and linearise the model with its effects at each time.
 
+        With process noise that is along the states that a Kalman filter has corrected.
+
         Raises
         ------
         ModelError
@@ -164,12 +168,41 @@ class Simulator:
             prepared = self._bindings.prepare(experiment, point, effects)
             one = prepared.at(point, self._integrator.component, cvode)
             n_effect_states = len(prepared.effect_states)
-            run = self._integrator.run(one.bound, one.values, one.hooks, n_effect_states, one)
+            filtered = self._filter_along(experiment, one, point, effects)
+            solver = one if filtered is None else filtered
+            run = self._integrator.run(one.bound, one.values, one.hooks, n_effect_states, solver)
             batch.codes[p], batch.messages[p] = run.codes[0], run.messages[0]
-            if run.codes[0] == failure.FINISHED:
-                batch.linearisations[p] = one.result(run.outputs[0], without_effects)
-                batch.outputs[p] = batch.linearisations[p].outputs
+            if run.codes[0] != failure.FINISHED:
+                continue
+            found = one.result(run.outputs[0], without_effects)
+            if filtered is not None:
+                found = replace(found, log_spread=filtered.total_log_spread(one.bound.grid))
+                batch.innovations[p] = filtered.standardised(one.bound.grid)
+            batch.linearisations[p], batch.outputs[p] = found, found.outputs
         return batch
+
+    def _filter_along(
+        self,
+        experiment: int,
+        one: LinearisationPass,
+        point: FloatArray,
+        effects: tuple[Effect, ...],
+    ) -> FilterPass | None:
+        """Return the filter in whose states a model is linearised; None without process noise."""
+        coefficients = point[len(self._model.parameters) :]
+        ((_, active),) = self._bindings.groups(effects, coefficients[None])
+        noise = [each for each in active if each[0].form.is_noise]
+        if not noise:
+            return None
+        from workers.simulation.filtering import StateNoise, prepare_filter
+
+        states = (*self._description.states, *one.prepared.effect_states)
+        found = [StateNoise.of(d, coefficients[first:]) for d, first in noise]
+        log_spread = self._experiments[experiment].log_spread
+        return prepare_filter(
+            self._model, self._description, one.bound, states, found,
+            log_spread=log_spread, linearised=one,
+        )  # fmt: skip
 
     def sensitivities(
         self, experiment: int, points: FloatArray, effects: tuple[Effect, ...] = ()
@@ -345,7 +378,10 @@ class Simulator:
             one = slice(p, p + 1)
             hooks = effects.hooks(values[one], coefficients[one], self._model, self._description)
             found = [StateNoise.of(d, coefficients[p, first:]) for d, first in noise]
-            chosen = prepare_filter(self._model, self._description, bound, states, found)
+            chosen = prepare_filter(
+                self._model, self._description, bound, states, found,
+                log_spread=self._experiments[experiment].log_spread,
+            )  # fmt: skip
             run = self._integrator.run(bound, values[one], hooks, len(own), chosen)
             batch.outputs[p] = run.outputs[0, kept, : len(without_effects.outputs)]
             batch.codes[p], batch.messages[p] = run.codes[0], run.messages[0]

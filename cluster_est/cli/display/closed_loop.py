@@ -209,5 +209,6 @@ def _print_rest(console: Console, facts: Facts) -> None:
             "where to look, not what is missing",
         )
     noise = ", ".join(f"{name} {number(value, UNKNOWN)}" for name, value in facts["noise"].items())
-    say(console, f"noise estimated from the residuals: {noise}")
+    if noise:
+        say(console, f"noise estimated from the residuals: {noise}")
     say(console, f"open sites: {', '.join(facts['sites'])}")

@@ -125,7 +125,7 @@ def make_candidates(
     exchanged, step = communication_step(problem.model, description), fixed_step(problem.model)
     arguments = open_arguments(problem, description, trajectories)
     scales = SignalScales(trajectories, frequencies, thresholds, exchanged, step, arguments.units)
-    known = {_identity(effect) for effect in problem.effects if effect.form}
+    known = {_identity(e) for e in problem.effects if e.form and not e.is_noise}
     taken = {effect.name for effect in problem.effects}
     leading = None if places is None else _by_site(places)
     if leading is None:

@@ -8,6 +8,7 @@ from cluster_est.closed_loop.candidates.kinematics import CONSTANT, integrated_s
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.process_noise import noise_names
 from workers.effects.forms import FORMS, EffectForm
 from workers.effects.site import EffectSite, open_pairs, open_sites
 from workers.fmu.description import ModelDescription
@@ -44,7 +45,8 @@ def single_sites(
     }
     offered = open_sites(description, problem.model.interface, measured)
     sites = [site for site in offered if site.target in wanted[site.kind]]
-    sites += [EffectSite("output", name) for name in sorted(measured)]
+    if not noise_names(problem):  # beside a filter nothing acts on what is measured
+        sites += [EffectSite("output", name) for name in sorted(measured)]
     return [site for site in sites if not settings.sites or str(site) in settings.sites]
 
 
@@ -68,13 +70,13 @@ def forms_at(
 ) -> list[EffectForm]:
     """Return the forms to try at a site, those of a user's choice if there is one."""
     exchange = problem.model.interface == "model_exchange"
-    stops = exchange or description.variable_steps
+    kinks = (exchange or description.variable_steps) and not noise_names(problem)
     return [
         form
         for (kind, name), form in FORMS.items()
         if kind == site.kind
         and (name in settings.forms if settings.forms else not form.finer_than)
-        and (stops or not form.memory)  # it has kinks between the samples
+        and (kinks or not form.memory)  # between the samples
     ]
 
 

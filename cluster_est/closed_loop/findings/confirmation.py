@@ -62,7 +62,7 @@ def _veto(judged: ReasonedVerdict, errors: Sequence[ErrorChange], near: float) -
         return f"with them experiment {', '.join(lost)} cannot be simulated any more"
     both = comparable(errors)
     old, new = (pooled_error(both, "test", after=after) for after in (False, True))
-    if new > old:
+    if new > old and not judged.filtered:  # there likelihoods have been compared
         return f"the held-out error would grow from {old:.4g} to {new:.4g} times {judged.over}"
     floor = judged.floor
     closed = (old**2 - new**2) / (old**2 - floor**2) if old > near * floor else np.nan

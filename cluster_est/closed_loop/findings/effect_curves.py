@@ -47,7 +47,9 @@ def effect_curves(
 
     curves = effect_shapes(result, workbench.description, visited)
     sites = {c.effect.name: c.site for c in fitted.added}
-    return tuple(_shown(each, sites.get(each.effect), trajectories, fitted) for each in curves)
+    # free values follow from the linear systems, which a filter that corrects the states changes
+    residuals = None if workbench.filtered else fitted.residuals
+    return tuple(_shown(each, sites.get(each.effect), trajectories, residuals) for each in curves)
 
 
 def arguments(trajectory: LinearisedTrajectory, site: EffectSite, name: str) -> FloatArray | None:
@@ -69,13 +71,13 @@ def _shown(
     curve: EffectCurve,
     site: EffectSite | None,
     trajectories: Sequence[LinearisedTrajectory],
-    fitted: FittedModel,
+    residuals: FloatArray | None,
 ) -> EffectCurve:
     """A curve with its free values, where these can be had; not for one sign of a variable."""
     if curve.why_not or curve.positive or site is None:
         return curve
     values = [arguments(each, site, curve.variable) for each in trajectories]
-    found = free_values(site, trajectories, values, fitted.residuals)
+    found = None if residuals is None else free_values(site, trajectories, values, residuals)
     curve = replace(curve, integral_of=_integral_of(curve.variable, trajectories))
     return curve if found is None else with_evidence(curve, *found)
 

@@ -131,6 +131,39 @@ class NamedEffect:
 
 
 @dataclass(frozen=True)
+class NoiseChange:
+    """The strength of process noise in fits of the declared model, and of that with the effects.
+
+    Attributes
+    ----------
+    name, site, unit
+        Of the noise; the unit of its strength.
+    before, after
+        Standard deviation of an Ornstein-Uhlenbeck process; of white noise its q.
+    time_before, time_after
+        Seconds that a push lasts, tau; NaN of white noise.
+    """
+
+    name: str
+    site: str
+    unit: str
+    before: float
+    after: float
+    time_before: float = np.nan
+    time_after: float = np.nan
+
+    @property
+    def coloured(self) -> bool:
+        """It is an Ornstein-Uhlenbeck process."""
+        return bool(np.isfinite(self.time_before))
+
+    @property
+    def variance_left(self) -> float:
+        """Share of its variance that the effects leave."""
+        return (self.after / self.before) ** 2 if self.before > 0.0 else np.nan
+
+
+@dataclass(frozen=True)
 class ErrorChange:
     """The errors of an output of an experiment, before and after.
 

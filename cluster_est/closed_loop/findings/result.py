@@ -17,6 +17,7 @@ from cluster_est.closed_loop.findings.competing_models import CompetingModel
 from cluster_est.closed_loop.findings.effects import (
     ErrorChange,
     NamedEffect,
+    NoiseChange,
     Verdict,
 )
 from cluster_est.closed_loop.findings.residual.disturbance import UnexplainedResidual
@@ -46,6 +47,7 @@ class ErrorScale(enum.StrEnum):
 
     SIGMA = "sigma"
     ESTIMATED_NOISE = "estimated noise"
+    PREDICTED = "predicted spread"
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,8 @@ class LoopResult:
     rejected
         Effects that the search ended with but that did not pass: a hint at the place to look.
     noise
-        Estimated standard deviation of each output's noise, in the output's unit.
+        Estimated standard deviation of each output's noise, in the output's unit; empty with
+        process noise, where it is the given sigma.
     sites
         Every site that was open.
     notes
@@ -94,7 +97,9 @@ class LoopResult:
         sentence; "" where that is not known.
     competing
         What was found and the rivals that the data do not rule out, as they fit: what `design`
-        plans an experiment for. Empty where nothing was added.
+        plans an experiment for. Empty where nothing was added, and with process noise.
+    process_noise
+        Its strength before and after; empty where nothing was added.
     """
 
     verdict: Verdict
@@ -120,6 +125,7 @@ class LoopResult:
     failures_in_search: int = 0
     resampled: str = ""
     competing: tuple[CompetingModel, ...] = field(default=(), repr=False)
+    process_noise: tuple[NoiseChange, ...] = ()
 
     def rms(self, role: Role, when: Literal["before", "after"]) -> float:
         """Root mean square of the normalised errors before or after; NaN without any.
@@ -235,6 +241,7 @@ class LoopResult:
             "effects": [tables.effect_facts(effect) for effect in self.effects],
             "likely": likely_sentence(self.structures),
             "resampled": self.resampled,
+            "process_noise": [dataclasses.asdict(each) for each in self.process_noise],
             "competing": [model.facts() for model in self.competing],
             "unexplained": [dataclasses.asdict(each) for each in self.unexplained],
             "rejected": [tables.effect_facts(effect) for effect in self.rejected],

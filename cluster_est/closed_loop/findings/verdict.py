@@ -51,6 +51,8 @@ class ReasonedVerdict:
     floor
         Error that the noise alone makes, over what errors are compared with: above 1 where a
         declared sigma is far too small.
+    filtered
+        Errors are innovations of a filter.
     """
 
     verdict: Verdict
@@ -60,10 +62,13 @@ class ReasonedVerdict:
     declared: bool = False
     noise: Mapping[str, float] = field(default_factory=dict)
     floor: float = 1.0
+    filtered: bool = False
 
     @property
     def over(self) -> str:
         """Return what errors are compared with."""
+        if self.filtered:
+            return "the spread that noise explains"
         return "the declared sigma" if self.declared and not self.noise else "the noise"
 
 
@@ -84,13 +89,13 @@ class _Residual:
     @property
     def within_sigma(self) -> bool:
         """It is coloured, and no larger than the sigmas that are declared, which are believed."""
-        within = all(o.believed and o.within for o in self.outputs)
+        within = all(o.believed and o.within and not o.filtered for o in self.outputs)
         return within and any(o.coloured for o in self.outputs)
 
     @property
     def missing(self) -> str:
         """Say that something is missing, or that noise which was filtered would look the same."""
-        if all(o.believed and o.no_larger for o in self.outputs):
+        if all(o.believed and o.no_larger and not o.filtered for o in self.outputs):
             smooth = [o.output for o in self.outputs if o.drifts]
             if smooth:
                 of = f" of {' and '.join(smooth)}" if len(self.outputs) > 1 else ""
@@ -109,8 +114,7 @@ class _Residual:
         named = f" of {worst.output}" if len(self.outputs) > 1 else ""
         if not np.isfinite(worst.level):
             return f"the residual{named} has no noise in it"
-        what = "declared sigma" if worst.declared else "noise"
-        return f"residual {worst.level:.3g} times the {what}{named}"
+        return f"residual {worst.level:.3g} times the {worst.over}{named}"
 
 
 def judge(workbench: LoopWorkbench, found: SelectionResult) -> ReasonedVerdict:
@@ -128,6 +132,7 @@ def judge(workbench: LoopWorkbench, found: SelectionResult) -> ReasonedVerdict:
         declared=workbench.sigma_declared,
         noise=smaller,
         floor=float(np.sqrt(np.mean(np.square(floor)))) if floor else 1.0,
+        filtered=workbench.filtered,
     )
 
 

@@ -47,7 +47,7 @@ def rank_curves(
         if max(ranking.trials[i].candidate.form.variables, 1) == variables
     ][: thresholds.curves]
     coarse = [ranking.trials[i] for i in leaders]
-    refined = len(coarse) if workbench.exchange else thresholds.probed_curves
+    refined = len(coarse) if workbench.by_linear_systems else thresholds.probed_curves
     finer = [
         CandidatePoint(candidate, values)
         for trial in coarse[:refined]

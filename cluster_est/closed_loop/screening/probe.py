@@ -1,4 +1,8 @@
-"""Directions of candidates in co-simulation, where the states are hidden: by simulating each."""
+"""Directions of candidates by simulating each: in co-simulation, and with process noise.
+
+There the states are hidden, or a Kalman filter corrects them: what a candidate changes in one
+prediction is in part gone in the next, as a filter of the same gains would have it.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +15,7 @@ from cluster_est.closed_loop.screening.directions import CandidatePoint, added_a
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.problem.unknown import Unknown
+from workers.effects.site import EffectSite
 from workers.messages import FloatArray
 
 
@@ -68,13 +73,28 @@ def _size(trial: CandidatePoint, trajectories: Sequence[LinearisedTrajectory]) -
     """The strength that changes its signal by as much as the signal itself."""
     candidate = trial.candidate
     added = np.concatenate(
-        [added_at(trajectory, trial, np.zeros(0)) for trajectory in trajectories]
+        [added_at(trajectory, trial, _ones(trajectory)) for trajectory in trajectories]
     )
     swing = float(np.sqrt(np.mean(added**2))) or 1.0
     if candidate.site.kind == "parameter":
         return 1.0 / swing
-    signal = pooled(trajectories, candidate.site.target)
+    signal = _changed(trajectories, candidate.site)
     return float(np.sqrt(np.mean(signal**2)) or 1.0) / swing
+
+
+def _ones(trajectory: LinearisedTrajectory) -> FloatArray:
+    """Values of the parameters, each over its own."""
+    return np.ones(0 if trajectory.linear is None else len(trajectory.linear.parameter_names))
+
+
+def _changed(trajectories: Sequence[LinearisedTrajectory], site: EffectSite) -> FloatArray:
+    """The signal that an effect at a site changes, a derivative among them."""
+    if not site.at_rates:
+        return pooled(trajectories, site.target)
+    linear = [trajectory.linear for trajectory in trajectories if trajectory.linear is not None]
+    return np.concatenate(
+        [each.derivatives[:, each.state_names.index(site.target)] for each in linear]
+    )
 
 
 def _point(

@@ -136,9 +136,9 @@ def _candidates(
     arguments = open_arguments(*given)
     forms = {site: forms_at(site, fitted.problem, description, settings) for site in sites}
     possible = sum(count_variables(f, site, arguments) for site in sites for f in forms[site])
-    if not workbench.exchange or possible <= workbench.thresholds.places.most_candidates:
+    if not workbench.by_linear_systems or possible <= workbench.thresholds.places.most_candidates:
         candidates = make_candidates(*given, frequencies, settings)
-        if not workbench.exchange or len(candidates) <= workbench.size:
+        if not workbench.by_linear_systems or len(candidates) <= workbench.size:
             return candidates, len(candidates)
     places = open_places(sites, arguments, trajectories)
     leading = _leading(workbench, fitted, trajectories, places, frequencies)
@@ -179,7 +179,7 @@ def candidate_columns(
     for trajectory, row in zip(trajectories, known, strict=True):
         names = trajectory.linear.parameter_names if trajectory.linear is not None else ()
         values.append(np.array([row[targets.index(name)] for name in names], float))
-    if workbench.exchange:
+    if workbench.by_linear_systems:
         return directions(trajectories, trials, values, rows)
     outside = [t for t in trials if t.candidate.site.kind == "output"]
     inside = [t for t in trials if t.candidate.site.kind != "output"]

@@ -28,6 +28,9 @@ BRIEF = LeastSquares(trials=1, max_iterations=8, ftol=1e-4, xtol=1e-5, differenc
 def fit_declared(workbench: LoopWorkbench, start: FitStart) -> FittedModel:
     """Fit from the user's start, and from others unless that reaches the noise.
 
+    With process noise it is the one start: a filter follows what is measured from wherever it
+    stands, so that there is no growing along a record.
+
     Raises
     ------
     ProblemError
@@ -36,7 +39,7 @@ def fit_declared(workbench: LoopWorkbench, start: FitStart) -> FittedModel:
     first = workbench.first_fit if not start.values else None
     if first is None:
         (first,) = workbench.fit(LoopStage.DECLARED_MODEL, [start], THOROUGH)
-    if first is not None and at_noise(workbench, first):
+    if first is not None and (workbench.filtered or at_noise(workbench, first)):
         return first
     grown = _grow(workbench, start)
     best = [f for f in (first, *grown) if f is not None]

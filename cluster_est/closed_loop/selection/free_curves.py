@@ -150,7 +150,10 @@ def _in_other_places(
     thresholds, records = workbench.thresholds.refinement, workbench.records
     best = min(seen, key=lambda f: f.criterion(records))
     closed = begun.model.sse - best.sse
-    if closed < thresholds.closes * (begun.model.sse - begun.floor) or not workbench.exchange:
+    if (
+        closed < thresholds.closes * (begun.model.sse - begun.floor)
+        or not workbench.by_linear_systems
+    ):
         return []
     known = {place_of(f.added[-1]) for f in seen}
     trials = [curves.trials[i] for i in leading_places(curves)]

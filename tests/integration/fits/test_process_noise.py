@@ -73,6 +73,10 @@ def residuals_at(problem: ce.Problem, values: dict[str, float]) -> np.ndarray:
 
 def kalman(run: ce.Experiment, q: float) -> np.ndarray:
     """What the residuals must be, from the exact discretisation of the spring."""
+    return filtered_run(run, q).standardised(range(len(run.outputs)))
+
+
+def filtered_run(run: ce.Experiment, q: float) -> Filter:
     system = dynamics(**TRUE)
     transition, noise = discrete(system, np.diag([0.0, q * q]), STEP)
     by_force = pushed(system, np.array([0.0, 1.0 / TRUE["m"]]), STEP)
@@ -82,7 +86,7 @@ def kalman(run: ce.Experiment, q: float) -> np.ndarray:
             for value in output.values[output.times == time]:
                 found.correct(index, float(value), output.sigma)
         found.carry(lambda x, f=force: transition @ x + by_force * f, transition, noise)
-    return found.standardised(range(len(run.outputs)))
+    return found
 
 
 @pytest.mark.parametrize("solver", ["dormand_prince", "rk4"])
@@ -93,6 +97,34 @@ def test_residuals_are_the_innovations_of_a_kalman_filter(solver, outputs):
     problem = spring([run], solver=ce.Solver(solver, step=step))
     found = residuals_at(problem, TRUE | {"noise.q": 0.5})
     np.testing.assert_allclose(found, kalman(run, 0.5), rtol=1e-5, atol=1e-6)
+
+
+def test_a_linearisation_is_along_the_filter_and_knows_its_spread():
+    """With the spread of its own fit taken off, residuals are innovations over their spreads."""
+    run = shaken(1)
+    problem = spring([run])
+    values = TRUE | {"noise.q": 0.5}
+    space = make_space(problem, (0,), values)
+    with RunEnvironment().executor(problem) as executor:
+        runner = RunEnvironment().runner(executor)
+        (outcome,) = runner.simulate(
+            space.physical(space.start), (0,), "linearisation", "test", problem.effects
+        )
+    linear, known = outcome.linearisation, filtered_run(run, 0.5)
+    errors, spreads = np.array(known.errors[0]).T
+    assert linear.log_spread == pytest.approx(np.sum(np.log(spreads)), rel=1e-5)
+    # the last correction is the last thing the filter does before it is carried on
+    transition, _ = discrete(dynamics(**TRUE), np.zeros((2, 2)), STEP)
+    by_force = pushed(dynamics(**TRUE), np.array([0.0, 1.0 / TRUE["m"]]), STEP)
+    last = transition @ linear.states[-1] + by_force * run.inputs[0].values[-1]
+    np.testing.assert_allclose(last, known.state, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(linear.A.at(7), dynamics(**TRUE), rtol=1e-6, atol=1e-6)
+    own = replace(problem, experiments=(replace(run, log_spread=linear.log_spread),))
+    plain = errors / np.sqrt(spreads)
+    np.testing.assert_allclose(residuals_at(own, values), plain, rtol=1e-5, atol=1e-6)
+    stronger = residuals_at(own, values | {"noise.q": 1.0})
+    change = kalman(run, 1.0) @ kalman(run, 1.0) - kalman(run, 0.5) @ kalman(run, 0.5)
+    assert stronger @ stronger - plain @ plain == pytest.approx(change, rel=1e-4)
 
 
 def test_noise_of_no_strength_is_a_simulation():
@@ -216,8 +248,6 @@ def test_where_a_filter_cannot_be_is_one_sentence():
 
 def test_what_needs_free_simulations_is_refused():
     problem = spring([shaken(1)])
-    with pytest.raises(ProblemError, match="close-loop: cannot be used with process noise"):
-        ce.close_loop(problem)
     with pytest.raises(ProblemError, match=r"method\.shooting: cannot be used with process noise"):
         ce.fit(problem, shooting={"segments": 4})
 

@@ -74,6 +74,8 @@ class OutputNoise:
         is the sigma that is given, or the whole residual of the declared model.
     given
         The sigma is not 1 throughout, which is what stands where none is given.
+    filtered
+        The residuals are innovations: their unit is what process noise and sigma explain together.
     """
 
     output: str
@@ -87,6 +89,14 @@ class OutputNoise:
     loud: tuple[str, ...] = ()
     told: bool = True
     given: bool = True
+    filtered: bool = False
+
+    @property
+    def over(self) -> str:
+        """What its level is a multiple of."""
+        if self.filtered:
+            return "spread that noise explains"
+        return "declared sigma" if self.declared else "noise"
 
     @property
     def named(self) -> str:
@@ -190,6 +200,7 @@ def _of_output(
         loud=_loud(workbench, fitted, number) if declared else (),
         told=is_told(records, number),
         given=is_given(workbench, number),
+        filtered=workbench.filtered,
     )
 
 
@@ -224,7 +235,9 @@ def is_noise_of_sensors(
         Once an autoregression is allowed for, nothing is left.
     """
     for output in outputs:
-        if output.believed:
+        if output.filtered:  # with the right process noise innovations are white
+            known = output.level**2 - output.white**2 <= WHITE
+        elif output.believed:
             known = _within_declared(output, near)
         else:
             level = output.level / output.white if output.white > 0.0 else np.inf

@@ -240,11 +240,19 @@ def _closes(current: FittedModel, best: float, floor: float, share: float) -> bo
 def plainest(
     contenders: Sequence[RefittedCandidate], thresholds: RefinementThresholds
 ) -> RefittedCandidate:
-    """The best contender; among equals the plainest name, then the one with fewest unknowns."""
+    """The best contender; among equals the plainest name, then the one with fewest unknowns.
+
+    Then the one with fewest states of its own.
+    """
     best = contenders[0].criterion
     equal = [c for c in contenders if c.full and c.criterion - best < thresholds.equal]
     equal = equal or list(contenders[:1])
-    return min(equal, key=lambda c: (c.candidate.form.order, c.fitted.space.size, c.criterion))
+
+    def plainness(c: RefittedCandidate) -> tuple[float, int, int, float]:
+        form = c.candidate.form
+        return form.order, c.fitted.space.size, len(form.states), c.criterion
+
+    return min(equal, key=plainness)
 
 
 def rivals_of(

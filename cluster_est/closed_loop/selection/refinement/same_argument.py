@@ -53,7 +53,7 @@ def refit_same_argument(
     list of RefittedCandidate
         Those that were refitted, in no order.
     """
-    if not contenders or not contenders[0].full or not workbench.exchange:
+    if not contenders or not contenders[0].full or not workbench.by_linear_systems:
         return []
     best = contenders[0]
     done = {c.candidate.effect.name for c in contenders if c.full}

@@ -40,9 +40,9 @@ class VisitedModels:
     """The models that a search has added effects to, by their structures.
 
     A revision takes effects out again, and so comes back to models that were ranked and grown
-    before. The rankings are kept in co-simulation alone, where each takes a simulation for every
-    candidate; where a model is linearised it takes none, and is made again. Free curves are not
-    kept: they are made anew for each model.
+    before. The rankings are kept where each takes a simulation for every candidate, as in
+    co-simulation and with process noise; where linear systems answer for all, one takes none and is
+    made again. Free curves are not kept: they are made anew for each model.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class VisitedModels:
         self, workbench: LoopWorkbench, fitted: FittedModel, ranking: CandidateRanking
     ) -> CandidateRanking:
         """Keep the ranking of a model."""
-        self._at(fitted).ranking = None if workbench.exchange else ranking
+        self._at(fitted).ranking = None if workbench.by_linear_systems else ranking
         return ranking
 
     def grown_from(self, fitted: FittedModel) -> list[RefittedCandidate]:

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 from support.loop_objects import fit_with_squares, made_bench, made_problem, made_result
 
+from cluster_est.closed_loop.account import _not_converged, _notes
 from cluster_est.closed_loop.findings.effects import Verdict
-from cluster_est.closed_loop.loop import _not_converged, _notes
 from cluster_est.methods.base import Ending
 
 DONE = made_result(made_problem(20), ())

@@ -17,6 +17,7 @@ def test_names_in_the_log_stay_what_they_are():
     assert [stage.value for stage in LoopStage] == [
         "weights", "base", "leave one out", "course", "probe", "trial", "candidate", "enlarged",
         "return", "other starts", "swap", "drop", "final",
+        "process noise",
     ]  # fmt: skip
 
 

@@ -269,6 +269,15 @@ def test_held_out_data_can_only_take_away(train, test, expected, said):
     assert said in judged.reason
 
 
+def test_innovations_are_not_compared_by_their_size_alone():
+    """Their likelihoods have been, each model under noise of its own."""
+    filtered = replace(FOUND, filtered=True)
+    judged = confirmed(filtered, changes((1.2, 1.0), (1.037, 1.041)), LoopSettings())
+    assert judged.verdict is Verdict.FOUND
+    assert "1.04 on held-out data" in judged.reason
+    assert "the spread that noise explains" in judged.reason
+
+
 def test_the_output_with_the_largest_error_decides():
     both = changes((9.0, 1.0), (9.0, 1.0), "a") + changes((9.0, 1.0), (9.0, 1.9), "b")
     judged = confirmed(FOUND, both, LoopSettings())

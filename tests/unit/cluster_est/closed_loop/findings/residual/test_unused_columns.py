@@ -11,10 +11,10 @@ import pytest
 from scipy.signal import lfilter
 from support.loop_objects import made_bench, made_fit, made_problem
 
+from cluster_est.closed_loop.account import _disturbance, _with_columns
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.residual.disturbance import unexplained_residuals
 from cluster_est.closed_loop.findings.residual.unused_columns import varying_columns
-from cluster_est.closed_loop.loop import _disturbance, _with_columns
 from cluster_est.problem.tables.unused import TableSource
 
 SAMPLES, RUNS = 600, 2

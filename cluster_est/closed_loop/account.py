@@ -1,0 +1,247 @@
+"""The account of a closed loop: the last fits, the held-out data's veto, and all in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from cluster_est.closed_loop.findings.competing_models import competing_models
+from cluster_est.closed_loop.findings.confirmation import confirmed
+from cluster_est.closed_loop.findings.effect_curves import effect_curves
+from cluster_est.closed_loop.findings.effects import ErrorChange, NoiseChange, Verdict
+from cluster_est.closed_loop.findings.resampled_choice import resampled_choices, with_choices
+from cluster_est.closed_loop.findings.residual.disturbance import (
+    UnexplainedResidual,
+    unexplained_residuals,
+)
+from cluster_est.closed_loop.findings.residual.noise_of_sensors import (
+    believed_noise,
+    residual_noise,
+)
+from cluster_est.closed_loop.findings.residual.unused_columns import varying_columns
+from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
+from cluster_est.closed_loop.findings.structure_probabilities import with_probabilities
+from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict
+from cluster_est.closed_loop.findings.wording import (
+    describe_effects,
+    error_changes,
+    shared_arguments,
+    where_left,
+)
+from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
+from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.results.complete import complete, simulate_all
+from cluster_est.results.facts import fitted_to_held_out
+from cluster_est.results.initial_errors import InitialError, initial_errors, initial_notes
+from cluster_est.results.result import Result
+from cluster_est.running.search_state import SearchRequest
+from cluster_est.uncertainty import examine
+
+FINAL = LeastSquares(trials=2, max_iterations=50, differences="central")
+
+NOT_ALLOWED_FOR = (
+    "the intervals allow for noise alone, and not for what is left beyond it: they are too narrow "
+    "by as much as that moves the estimates"
+)
+
+
+@dataclass(frozen=True)
+class LastFits:
+    """The last fits of the declared model and of the one with the effects.
+
+    Attributes
+    ----------
+    before, after
+        The same where nothing was added.
+    errors, unchanged
+        Of both side by side, and of the first beside itself.
+    noise
+        What the effects make of process noise, where there is some.
+    """
+
+    before: Result = field(repr=False)
+    after: Result = field(repr=False)
+    errors: tuple[ErrorChange, ...]
+    unchanged: tuple[ErrorChange, ...]
+    noise: tuple[NoiseChange, ...] = ()
+
+
+def last_fits(workbench: LoopWorkbench, found: SelectionResult, begin: float) -> LastFits:
+    """Fit both models to convergence from where the search ended."""
+    before = final_fit(workbench, found.base.start, begin)
+    after = final_fit(workbench, found.current.start, begin) if found.current.added else before
+    changes = [error_changes(workbench, found, before, each) for each in (after, before)]
+    return LastFits(before, after, changes[0], changes[1])
+
+
+def account(
+    workbench: LoopWorkbench, found: SelectionResult, judged: ReasonedVerdict, fits: LastFits
+) -> LoopResult:
+    """Let the held-out experiments veto what was found, and put it into words."""
+    before, grown = fits.before, fits.after
+    judgement = confirmed(judged, fits.errors, workbench.settings)
+    keep = judgement.verdict in CLAIMS
+    curves = effect_curves(workbench, found.current, grown) if keep else ()
+    named = describe_effects(workbench, found, grown, curves)
+    after = grown if keep else before
+    kept = found.current if keep else found.base
+    unexplained = _unexplained(workbench, judgement.verdict, kept, found)
+    choices = resampled_choices(workbench, found) if keep else None
+    begun = initial_errors(after.problem, after.simulations, fitted=True)
+    return LoopResult(
+        verdict=judgement.verdict,
+        summary="; ".join([judgement.reason, *_disturbance(judgement.verdict, unexplained, begun)]),
+        effects=named if keep else (),
+        before=before,
+        after=after,
+        errors=fits.errors if keep else fits.unchanged,
+        findings=found.findings,
+        rejected=() if keep else named,
+        noise={} if workbench.filtered else workbench.noise_in_units(found.noise),
+        sites=workbench.sites,
+        notes=(
+            *_nothing_tried(workbench, found),
+            *_notes(workbench, judgement.verdict, kept, before, after),
+        ),
+        simulations=workbench.meter.full,
+        simulated=workbench.runner.simulations,
+        evaluations=workbench.runner.evaluations,
+        failures=workbench.runner.failures,
+        seconds=0.0,
+        curves=curves,
+        errors_over=_scale(workbench),
+        structures=with_choices(_compared(workbench, judgement.verdict, found), choices),
+        resampled="" if choices is None else choices.sentence,
+        unexplained=unexplained,
+        competing=competing_models(workbench, found) if keep and not workbench.filtered else (),
+        process_noise=fits.noise if keep else (),
+    )
+
+
+def _scale(workbench: LoopWorkbench) -> ErrorScale:
+    """What errors are divided by."""
+    if workbench.filtered:
+        return ErrorScale.PREDICTED
+    return ErrorScale.SIGMA if workbench.sigma_declared else ErrorScale.ESTIMATED_NOISE
+
+
+def _compared(
+    workbench: LoopWorkbench, verdict: Verdict, found: SelectionResult
+) -> tuple[ComparedStructure, ...]:
+    """The structures that were compared; with probabilities, where noise is all that is left."""
+    if verdict is not Verdict.FOUND:
+        return found.path
+    price = workbench.thresholds.selection.choice_price
+    return with_probabilities(found.path, price * np.log(found.steps[0].screening.count))
+
+
+def _unexplained(
+    workbench: LoopWorkbench, verdict: Verdict, fitted: FittedModel, found: SelectionResult
+) -> tuple[UnexplainedResidual, ...]:
+    """What nothing explains, where something was looked for and the verdict says that it is."""
+    if verdict not in (Verdict.PARTIAL, Verdict.UNEXPLAINED) or not found.steps:
+        return ()
+    if workbench.filtered:  # innovations have no size of their own beyond what the noise explains
+        return ()
+    outputs = residual_noise(workbench, fitted, found.noise)
+    noise = believed_noise(workbench, outputs, found.noise)
+    return _with_columns(workbench, fitted, unexplained_residuals(workbench, fitted, noise))
+
+
+def _with_columns(
+    workbench: LoopWorkbench, fitted: FittedModel, found: tuple[UnexplainedResidual, ...]
+) -> tuple[UnexplainedResidual, ...]:
+    """What nothing explains, with the unused columns that vary with it."""
+    period = found[0].period if found else np.nan
+    columns = varying_columns(workbench, fitted.residuals, period) if found else ()
+    return tuple(
+        replace(
+            each,
+            columns=tuple(
+                c.sentence
+                for c in columns
+                if c.output == each.output or (not c.output and each is found[0])
+            ),
+        )
+        for each in found
+    )
+
+
+def _disturbance(
+    verdict: Verdict,
+    unexplained: Sequence[UnexplainedResidual],
+    begun: Sequence[InitialError] = (),
+) -> tuple[str, ...]:
+    """Say how large what nothing explains is, and how fast, if the start is not what is wrong."""
+    if verdict is not Verdict.UNEXPLAINED or not unexplained:
+        return ()
+    if begun:
+        return (f"{begun[0].sentence}; see to that first",)
+    said = f"if it is a disturbance that nobody measured, it makes {unexplained[0].sentence}"
+    return (said, *dict.fromkeys(c for each in unexplained for c in each.columns))
+
+
+def _nothing_tried(workbench: LoopWorkbench, found: SelectionResult) -> tuple[str, ...]:
+    """Say that not one effect could be tried, where that is so."""
+    if not found.steps or found.steps[0].screening.ranking.trials:
+        return ()
+    settings = workbench.settings
+    forms = f"forms {', '.join(settings.forms)}" if settings.forms else "forms of the library"
+    return (
+        f"no effect was tried: none of the {forms} makes sense on these data at "
+        f"{', '.join(settings.sites or workbench.sites)} (some act at an output only where an "
+        "input acts on it at once); change closed_loop.effects or closed_loop.sites",
+    )
+
+
+def _notes(
+    workbench: LoopWorkbench,
+    verdict: Verdict,
+    fitted: FittedModel,
+    before: Result,
+    after: Result,
+) -> tuple[str, ...]:
+    """Sentences for the reader."""
+    notes = (*workbench.notes, *_not_converged(before, after), *shared_arguments(fitted.added))
+    if verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
+        begun = initial_notes(after.problem, after.simulations)
+        notes = (*notes, *begun, where_left(workbench, fitted), NOT_ALLOWED_FOR)
+    if after.uncertainty is not None:
+        notes = (*notes, *after.uncertainty.sentences)
+    return (*notes, *fitted_to_held_out(after.estimates))
+
+
+def _not_converged(before: Result, after: Result) -> tuple[str, ...]:
+    """Say which of the last fits reached no solution, so that their values are not the best."""
+    fits = {"the declared model": before}
+    if after is not before:
+        fits["the model with the effects"] = after
+    return tuple(
+        f"the last fit of {model} did not converge ({str(fit.solution.ending).partition(';')[0]}): "
+        "its values, intervals and errors are those of the point where it stood"
+        for model, fit in fits.items()
+        if not fit.success
+    )
+
+
+def final_fit(workbench: LoopWorkbench, start: FitStart, begin: float) -> Result:
+    """Fit to convergence, and simulate every experiment; `begin` as for `complete`."""
+    space = workbench.space(start)
+    (solution,) = workbench.runner.run([SearchRequest("final", FINAL, space, workbench.seed)])
+    units = {n: v.unit for n, v in workbench.description.variables.items()}
+    before = simulate_all(workbench.runner, start.problem, {})
+    known = examine(workbench.runner, space, solution)
+    return complete(
+        workbench.runner,
+        space,
+        solution,
+        FINAL,
+        before,
+        units=units,
+        seed=workbench.seed,
+        begin=begin,
+        uncertainty=known,
+    )
