@@ -16,6 +16,7 @@ from cluster_est.config.reader import Config, EffectSection, read_config
 from cluster_est.configured_run import ConfiguredRun
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.experiment_design.design import make_design
+from cluster_est.experiment_design.findings.result import DesignResult
 from cluster_est.experiment_design.models import CandidateModel
 from cluster_est.experiment_design.request import (
     ALONE,
@@ -23,7 +24,6 @@ from cluster_est.experiment_design.request import (
     check_design,
     chosen_models,
 )
-from cluster_est.experiment_design.result import DesignResult
 from cluster_est.experiment_design.targets import PredictionTarget
 from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.evaluation_log import LogSettings

@@ -27,7 +27,7 @@ from cluster_est.config.settings import (
 )
 from cluster_est.errors import BudgetError, ProblemError
 from cluster_est.fit import FitPlan, check_search, fit_in
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.results.result import Result
 from cluster_est.run_folder.context import Existing, RunContext
 from cluster_est.run_folder.folder import RunResult

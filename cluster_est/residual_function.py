@@ -16,7 +16,7 @@ from cluster_est.methods.derivatives.differences import Scheme, jacobian
 from cluster_est.problem.observed_outputs import check_observed_outputs
 from cluster_est.problem.prior_weights import check_priors
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import SearchSpace, make_space
+from cluster_est.problem.search_space.space import SearchSpace, make_space
 from cluster_est.running.arguments import check_problem, check_resources
 from cluster_est.running.environment import open_executor
 from cluster_est.running.resources import Resources

@@ -2,13 +2,13 @@
 
 import warnings
 
-from cluster_est.problem.space import SearchSpace as Space
+from cluster_est.problem.search_space.space import SearchSpace as Space
 
 __all__ = ["Space"]
 
 warnings.warn(
-    "cluster_est.space: Space is called SearchSpace now and stands in cluster_est.problem.space; "
-    "import it from there",
+    "cluster_est.space: Space is called SearchSpace now and stands in "
+    "cluster_est.problem.search_space.space; import it from there",
     DeprecationWarning,
     stacklevel=2,
 )

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 import cluster_est as ce
 from cluster_est.methods.given_points import GivenPoints
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.environment import open_executor
 from cluster_est.running.resources import one_blas_thread
 from cluster_est.running.runner import Runner

@@ -24,7 +24,7 @@ from cluster_est.config.reader import read_config
 from cluster_est.methods import METHODS
 from cluster_est.methods.base import Ending
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.environment import open_executor
 from cluster_est.running.multistart import Multistart, sample
 from cluster_est.running.records import SearchIteration

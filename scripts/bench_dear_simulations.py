@@ -33,7 +33,7 @@ from scipy.optimize import least_squares
 
 import cluster_est as ce
 from cluster_est.methods.base import Method, Search
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 
 Array = NDArray[np.float64]
 TANKS, NOISE, CLOSE = 10, 0.01, 1.05

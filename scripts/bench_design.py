@@ -38,12 +38,12 @@ from scipy.stats import spearmanr
 import cluster_est as ce
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.experiment_design.design import design
-from cluster_est.experiment_design.expected_rows import TOLD_APART
+from cluster_est.experiment_design.findings.expected_rows import TOLD_APART
+from cluster_est.experiment_design.findings.result import DesignResult
 from cluster_est.experiment_design.limits import ExperimentLimits, InputLimits, SignalLimits
 from cluster_est.experiment_design.models import CandidateModel, fit_candidates
 from cluster_est.experiment_design.queue import DesignQueue
 from cluster_est.experiment_design.request import models_of
-from cluster_est.experiment_design.result import DesignResult
 from cluster_est.experiment_design.search import ranked
 from cluster_est.experiment_design.settings import DesignSettings
 from cluster_est.problem.problem import Problem

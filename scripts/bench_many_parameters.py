@@ -17,7 +17,7 @@ import numpy as np
 from virtual_executor import VirtualExecutor
 
 from cluster_est import Experiment, LeastSquares, Model, Output, Parameter, Problem, Solver
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.records import SearchIteration
 from cluster_est.running.resources import one_blas_thread
 from cluster_est.running.runner import Runner

@@ -22,7 +22,7 @@ from closed_loop_benchmark.scenarios import all_scenarios
 
 import cluster_est as ce
 from cluster_est.fit import fit
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.run_folder.folder import RunFolder
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from cluster_est.running.environment import open_executor

@@ -27,7 +27,7 @@ import cluster_est as ce
 from cluster_est.methods.base import Method
 from cluster_est.methods.pattern_search.asynchronous import AsynchronousPatternSearch
 from cluster_est.methods.pattern_search.method import PatternSearch
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.environment import open_executor
 from cluster_est.running.resources import Resources, one_blas_thread
 from cluster_est.running.runner import Runner

@@ -15,7 +15,7 @@ from cluster_est.cli.crash_observer import crash_observer, end, refuse_quiet_end
 from cluster_est.cli.display.terminal_text import readable
 from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.parser import parse
-from cluster_est.config.key_lines import with_lines
+from cluster_est.config.text.key_lines import with_lines
 from cluster_est.errors import ClusterEstError
 from cluster_est.running.interrupts import terminations
 

@@ -17,7 +17,7 @@ from cluster_est.cli.terminal import complain, say_if_compiled_first, terminal_l
 from cluster_est.configured_design import ConfiguredDesign, read_design
 from cluster_est.configured_run import Destination, do_run
 from cluster_est.errors import RunFolderError
-from cluster_est.experiment_design.experiment_block import STEM, TABLE
+from cluster_est.experiment_design.findings.experiment_block import STEM, TABLE
 from cluster_est.run_folder.context import Existing
 from cluster_est.run_folder.reading import read_facts, read_run_columns
 

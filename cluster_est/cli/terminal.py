@@ -10,8 +10,8 @@ from rich.console import Console
 from cluster_est.cli.display.progress import FIRST, ProgressLine
 from cluster_est.cli.display.run import say
 from cluster_est.configured_run import Listener
+from cluster_est.problem.effects.process_noise import noise_names
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.process_noise import noise_names
 from cluster_est.running.records import Show
 from cluster_est.running.resources import Resources
 from workers.kernels.fmi.compiling import compiled_before

@@ -12,7 +12,7 @@ from cluster_est.closed_loop.measured_noise import measured_values
 from cluster_est.closed_loop.synthetic_experiments import with_outputs
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.problem.problem import Problem
-from cluster_est.statistics.growing_noise import NoiseGrowth, noise_growth
+from cluster_est.statistics.noise.growing_noise import NoiseGrowth, noise_growth
 from workers.messages import Output
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from cluster_est.closed_loop.workbench import LoopWorkbench
-from cluster_est.statistics.noise import SHORTEST, estimate_noise
+from cluster_est.statistics.noise.estimate import SHORTEST, estimate_noise
 from cluster_est.statistics.records import StackedRecords
 from workers.messages import Experiment, FloatArray
 

@@ -6,14 +6,14 @@ from cluster_est.config.options import build_prior
 from cluster_est.config.reader import Config, EffectSection
 from cluster_est.config.sections.experiment import OutputSection
 from cluster_est.errors import ConfigError
-from cluster_est.problem.effects import (
+from cluster_est.problem.effects.declared import (
     DeclaredCoefficient,
     DeclaredEffect,
     MadeEffect,
     make_effect,
 )
-from cluster_est.problem.sensors import shared_sensor
-from cluster_est.problem.table_values import UNBOUNDED, TableShape
+from cluster_est.problem.effects.sensors import shared_sensor
+from cluster_est.problem.effects.table_values import UNBOUNDED, TableShape
 
 
 def build_effects(sections: tuple[EffectSection, ...]) -> tuple[MadeEffect, ...]:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from cluster_est.config.messages import error_messages
 from cluster_est.config.predictions import prediction_targets
 from cluster_est.config.sections.design import LimitsSections
+from cluster_est.config.text.messages import error_messages
 from cluster_est.errors import ConfigError, ProblemError
 from cluster_est.experiment_design.limits import ExperimentLimits, InputLimits, SignalLimits
 from cluster_est.experiment_design.settings import DesignSettings

@@ -1,6 +1,6 @@
 """Maps as parameters: a table of values over points, smooth and monotone if that is known.
 
-`cluster_est.problem.table_values` says what smoothness is.
+`cluster_est.problem.effects.table_values` says what smoothness is.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 from cluster_est.config.reader import Config, ConstraintSection, ParameterSection
 from cluster_est.config.sections.maps import MapSection
 from cluster_est.errors import ConfigError
-from cluster_est.problem.table_values import TableShape, ValueTable, check_table_name
+from cluster_est.problem.effects.table_values import TableShape, ValueTable, check_table_name
 
 
 def with_maps(config: Config) -> Config:

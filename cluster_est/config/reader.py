@@ -13,8 +13,6 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from cluster_est.config.messages import error_messages
-from cluster_est.config.overrides import override
 from cluster_est.config.sections.defaults import DEFAULTS, SIGMAS, unused_defaults, with_defaults
 from cluster_est.config.sections.experiment import (
     ColumnSection,
@@ -46,7 +44,9 @@ from cluster_est.config.sections.sections import (
     ParameterSection,
 )
 from cluster_est.config.sections.value_files import VALUE_FILES, with_values_of_files
-from cluster_est.config.unfilled import unfilled
+from cluster_est.config.text.messages import error_messages
+from cluster_est.config.text.overrides import override
+from cluster_est.config.text.unfilled import unfilled
 from cluster_est.costs import ALIASES as COST_ALIASES
 from cluster_est.costs import COSTS
 from cluster_est.errors import ConfigError

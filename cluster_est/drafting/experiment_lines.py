@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from statistics import median
 
-from cluster_est.config.unfilled import FILL_IN
+from cluster_est.config.text.unfilled import FILL_IN
 from cluster_est.drafting.columns import TIMES, TableColumn, fold, split_unit
 from cluster_est.drafting.draft import DraftExperiment
 from cluster_est.drafting.matching import ColumnMatch

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from cluster_est.config.unfilled import FILL_IN
+from cluster_est.config.text.unfilled import FILL_IN
 from cluster_est.drafting.candidates import MOST_LISTED, ParameterCandidate
 from cluster_est.drafting.draft import ConfigDraft
 from cluster_est.drafting.experiment_lines import experiments, relative, said

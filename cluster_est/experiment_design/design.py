@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cluster_est.errors import BudgetError, ProblemError
+from cluster_est.experiment_design.findings.result import DesignResult, make_result
 from cluster_est.experiment_design.first_candidates import candidate_maker, recorded_candidates
 from cluster_est.experiment_design.limits import ExperimentLimits
 from cluster_est.experiment_design.models import fit_candidates
@@ -26,7 +27,6 @@ from cluster_est.experiment_design.request import (
     models_of,
     narrowed_labels,
 )
-from cluster_est.experiment_design.result import DesignResult, make_result
 from cluster_est.experiment_design.search import CandidateScorer, ranked, search
 from cluster_est.experiment_design.settings import DesignSettings
 from cluster_est.experiment_design.target_predictions import with_predictions

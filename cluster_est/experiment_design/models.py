@@ -12,7 +12,7 @@ from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Solution
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import SearchSpace, make_space
+from cluster_est.problem.search_space.space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.statistics.scaled_inverse import inverse

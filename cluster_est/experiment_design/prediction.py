@@ -13,7 +13,7 @@ from cluster_est.experiment_design.models import FittedCandidate
 from cluster_est.methods.base import TOLERANCE, Evaluation
 from cluster_est.methods.given_points import GivenPoints
 from cluster_est.problem.prior_weights import without_priors
-from cluster_est.problem.space import SearchSpace, make_space
+from cluster_est.problem.search_space.space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.statistics.scaled_inverse import inverse, root_of_inverse

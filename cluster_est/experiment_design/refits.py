@@ -21,7 +21,7 @@ from cluster_est.experiment_design.prediction import own_starts
 from cluster_est.experiment_design.queue import DesignQueue
 from cluster_est.experiment_design.search import ScoredCandidate
 from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.search_state import SearchRequest
 from workers.messages import Experiment, FloatArray, Output
 

@@ -13,11 +13,11 @@ from cluster_est.experiment_design.limits import ExperimentLimits
 from cluster_est.experiment_design.models import CandidateModel
 from cluster_est.experiment_design.settings import DesignSettings
 from cluster_est.experiment_design.targets import target_experiments
+from cluster_est.problem.effects.process_noise import refuse_process_noise
 from cluster_est.problem.observed_outputs import NOT_PLAIN
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.process_noise import refuse_process_noise
-from cluster_est.problem.space import make_space
-from cluster_est.problem.unknown import Unknown
+from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space.unknown import Unknown
 from workers.fmu.description import ModelDescription, nearest
 from workers.messages import Experiment
 

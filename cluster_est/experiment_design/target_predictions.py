@@ -19,7 +19,7 @@ from cluster_est.experiment_design.prediction import (
 from cluster_est.experiment_design.queue import DesignQueue
 from cluster_est.methods.given_points import GivenPoints
 from cluster_est.problem.prior_weights import without_priors
-from cluster_est.problem.space import SearchSpace, make_space
+from cluster_est.problem.search_space.space import SearchSpace, make_space
 from cluster_est.running.search_state import SearchRequest
 from workers.messages import Experiment
 

@@ -12,8 +12,8 @@ import numpy as np
 from cluster_est.export.repaired_model import EstimatedValue, RepairedModel
 from cluster_est.problem.names import coefficient_names
 from cluster_est.problem.parameter import Parameter
-from cluster_est.problem.parameter_constraints import label_of
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.search_space.parameter_constraints import label_of
 from workers.effects.definition import EffectDefinition, define_all
 from workers.effects.units import UNKNOWN, coefficient_units
 from workers.fmu.description import ModelDescription

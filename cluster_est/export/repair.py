@@ -14,7 +14,7 @@ from cluster_est.errors import RunFolderError
 from cluster_est.export.parameter_reader import ParameterReader
 from cluster_est.export.repaired_model import RepairedModel, ReportedError
 from cluster_est.problem.problem import Problem
-from cluster_est.results.row_types import Estimate
+from cluster_est.results.tables.row_types import Estimate
 from cluster_est.run_folder.reading import check_has_estimates, read_facts, read_run_table
 from cluster_est.run_folder.replay import config_base
 from workers.fmu.description import nearest

@@ -29,7 +29,7 @@ import numpy.typing as npt
 
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.plug_in import check_class_attributes
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray, Outcome
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cluster_est.methods.base import Evaluation
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 
 
 def is_defined(at: Evaluation) -> bool:

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from cluster_est.methods.base import Ending, Method, Points, Search, Solution
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
 

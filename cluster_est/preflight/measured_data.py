@@ -13,7 +13,7 @@ from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
 from cluster_est.problem.idle_inputs import idle_inputs, stays
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.tables.jumps import jump_findings
-from cluster_est.statistics.quantisation import quantisation_step
+from cluster_est.statistics.noise.quantisation import quantisation_step
 from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray
 

@@ -12,7 +12,7 @@ from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
 from cluster_est.preflight.subject import CheckSubject, unanswered
 from cluster_est.problem.idle_inputs import silent_inputs, stays
 from cluster_est.problem.parameter import Parameter
-from cluster_est.problem.unknown import Unknown
+from cluster_est.problem.search_space.unknown import Unknown
 from workers.messages import FloatArray
 from workers.probes.probes import MovementProbe
 from workers.process.trial import NoAnswer

@@ -8,7 +8,7 @@ import numpy as np
 
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
 from cluster_est.preflight.subject import CheckSubject
-from cluster_est.problem.sensors import sensor_outputs
+from cluster_est.problem.effects.sensors import sensor_outputs
 from cluster_est.results.initial_errors import (
     estimates_start,
     free_start_advice,

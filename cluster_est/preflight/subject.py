@@ -11,7 +11,7 @@ import numpy as np
 
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import SearchSpace, make_space
+from cluster_est.problem.search_space.space import SearchSpace, make_space
 from workers.fmu.description import ModelDescription
 from workers.messages import FloatArray, ResetPolicy
 from workers.probes.base import FmuProbe

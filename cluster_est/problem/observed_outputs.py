@@ -7,7 +7,7 @@ import numpy as np
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import Experiment, Output
 
 NOT_PLAIN = "free_scale, free_offset, a detection_limit or ordinal values"

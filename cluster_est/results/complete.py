@@ -10,10 +10,10 @@ import numpy as np
 
 from cluster_est.methods.base import Method, Solution
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import SearchSpace, make_space
-from cluster_est.results import rows
+from cluster_est.problem.search_space.space import SearchSpace, make_space
 from cluster_est.results.output_errors import Simulation, output_errors
 from cluster_est.results.result import Result
+from cluster_est.results.tables import rows
 from cluster_est.running.evaluation import assemble_evaluation, with_priors
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest, suited

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from cluster_est.problem.effects.process_noise import process_noise_notes, vanished_noise
 from cluster_est.problem.idle_inputs import silent_notes
-from cluster_est.problem.process_noise import process_noise_notes, vanished_noise
 from cluster_est.results.initial_errors import initial_notes
 from cluster_est.results.observation import observation_notes
 from cluster_est.results.output_errors import worse_than_constants
@@ -16,7 +16,7 @@ from cluster_est.results.solver_error.measure import solver_facts
 
 if TYPE_CHECKING:  # a result offers its facts, so it knows this file
     from cluster_est.results.result import Result
-    from cluster_est.results.row_types import Estimate
+    from cluster_est.results.tables.row_types import Estimate
 
 MOST_NAMED = 3
 """Values that a note names; it counts the others."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cluster_est.problem.problem import Problem
-from cluster_est.results.row_types import Estimate
+from cluster_est.results.tables.row_types import Estimate
 
 FAR = 2.0
 """Standard deviations from the centre of a prior beyond which an estimate contradicts it: one of

@@ -13,7 +13,7 @@ from cluster_est.executors import EXECUTORS
 from cluster_est.methods import ALIASES, METHODS, Method
 from cluster_est.problem.options import check_options
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.multistart import Multistart, Sampler
 from cluster_est.running.records import Budget
 from cluster_est.running.resources import Resources

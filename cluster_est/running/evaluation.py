@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cluster_est.methods.base import Evaluation
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray, Outcome
 
 

@@ -17,8 +17,8 @@ import numpy.typing as npt
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Method, Solution
 from cluster_est.methods.given_points import GivenPoints
-from cluster_est.problem.sensors import unstarted_sensors
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.effects.sensors import unstarted_sensors
+from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest, suited
 from cluster_est.running.sensor_starts import with_best_sensors

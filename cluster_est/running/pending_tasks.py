@@ -12,7 +12,7 @@ import numpy as np
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.executors.base import Executor
 from cluster_est.methods.base import Points
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.running.records import Record, TaskOrigin
 from cluster_est.running.search_state import OutcomeCache, Question, SearchState
 from workers.messages import REDUCTIONS, FloatArray, Outcome, Status, Task, Want

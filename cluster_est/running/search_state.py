@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.running.evaluation import assemble_evaluation, with_continuity, with_priors
 from workers.messages import Effect, FloatArray, Outcome, Want
 

@@ -10,14 +10,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cluster_est.problem.sensors import (
+from cluster_est.problem.effects.sensors import (
     NEUTRAL,
     OFFSET,
     SCALE,
     UnstartedSensor,
     unstarted_sensors,
 )
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.running.runner import Runner
 from workers.messages import FloatArray, Outcome
 from workers.residuals.observed import best_scale_and_offset

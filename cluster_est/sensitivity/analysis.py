@@ -16,7 +16,7 @@ from cluster_est.errors import ProblemError
 from cluster_est.methods.given_points import GivenPoints
 from cluster_est.problem.prior_weights import without_priors
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import SearchSpace, make_space
+from cluster_est.problem.search_space.space import SearchSpace, make_space
 from cluster_est.running.arguments import check_problem, check_resources
 from cluster_est.running.environment import Monitor, RunEnvironment
 from cluster_est.running.records import Note, Record, Show

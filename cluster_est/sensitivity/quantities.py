@@ -9,7 +9,7 @@ import numpy as np
 
 from cluster_est.costs.base import Cost
 from cluster_est.methods.base import Evaluation
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.statistics.records import make_records
 from workers.messages import FloatArray, IntArray
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from cluster_est.methods.base import Solution
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.results.output_errors import Simulation
 from cluster_est.running.evaluation import assemble_evaluation, with_priors
 from cluster_est.running.runner import Runner

@@ -16,7 +16,7 @@ import numpy as np
 from cluster_est.methods.base import Ending, Solution
 from cluster_est.methods.derivatives.differences import Differences
 from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.shooting.first_states import FirstStates, spread_of_states

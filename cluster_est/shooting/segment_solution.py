@@ -10,7 +10,7 @@ from scipy.special import fdtrc
 from cluster_est.methods.base import Solution
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.least_squares.chain_elimination import eliminate, make_chains
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Method, Solution
 from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.segments import SURPRISING, SegmentState, ShootingSummary
 from cluster_est.running.environment import RunEnvironment

@@ -8,7 +8,7 @@ import numpy as np
 
 from cluster_est.methods.base import Method, Solution
 from cluster_est.methods.given_points import GivenPoints
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.results.segments import ShootingSummary
 from cluster_est.running.multistart import Multistart, MultistartResult, search_from_starts
 from cluster_est.running.runner import Runner

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import chdtr, chdtrc, ndtr
 
 from cluster_est.statistics.autocorrelation import autocorrelation
-from cluster_est.statistics.noise import estimate_noise
+from cluster_est.statistics.noise.estimate import estimate_noise
 from cluster_est.statistics.records import OutputRecord, StackedRecords
 from cluster_est.statistics.residual_findings import (
     OutputDiagnostics,

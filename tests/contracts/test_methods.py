@@ -21,7 +21,7 @@ from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.methods.least_squares.scipy_least_squares import ScipyLeastSquares
 from cluster_est.methods.populations.method import PopulationMethod
 from cluster_est.methods.populations.nsga2 import Nsga2
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 
 PRODUCT = [
     pytest.param(entry, case, id=f"{entry}-{case}")

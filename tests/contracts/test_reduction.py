@@ -22,8 +22,8 @@ from cluster_est.methods.given_points import GivenPoints
 from cluster_est.methods.pattern_search.method import PatternSearch
 from cluster_est.methods.populations.differential_evolution import DifferentialEvolution
 from cluster_est.methods.populations.nsga2 import Nsga2
-from cluster_est.problem.reduction import LEAST_RESIDUALS, want_of
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.reduction import LEAST_RESIDUALS, want_of
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.multistart import Multistart, search_from_starts
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest, suited

@@ -28,7 +28,7 @@ from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.simulation_meter import SimulationMeter
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.methods.base import Ending, Solution
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.results.output_errors import OutputError
 from cluster_est.results.result import Result
 from cluster_est.running.runner import Runner

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from cluster_est.cli.display.run import number, print_table, say, tell
 from cluster_est.closed_loop.findings.words.numbers import percent
-from cluster_est.experiment_design.sentences import times
+from cluster_est.experiment_design.findings.sentences import times
 from cluster_est.run_folder.reading import StoredRun
 
 

@@ -8,9 +8,9 @@ from rich.console import Console
 
 from cluster_est.cli.display.run import number, print_table, say
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.results.output_errors import Simulation
-from cluster_est.results.rows import constraints_at_start
+from cluster_est.results.tables.rows import constraints_at_start
 
 
 def print_model(console: Console, problem: Problem, more: str) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cluster_est.results.row_types import Estimate
+from cluster_est.results.tables.row_types import Estimate
 from workers.messages import Effect, Role
 
 

@@ -31,11 +31,11 @@ from cluster_est.closed_loop.selection.rounds import ComparedStructure
 from cluster_est.problem import display
 from cluster_est.problem.problem import Problem
 from cluster_est.results import actions
-from cluster_est.results.display_tables import fit_tables
 from cluster_est.results.facts import fit_facts
 from cluster_est.results.result import Result
-from cluster_est.results.row_types import EffectCurve
 from cluster_est.results.shapes.effect_table import curve_table
+from cluster_est.results.tables.display_tables import fit_tables
+from cluster_est.results.tables.row_types import EffectCurve
 from workers.messages import FloatArray, Role
 
 if TYPE_CHECKING:  # it needs SymPy, which is slow

@@ -20,7 +20,7 @@ from cluster_est.config.sections.search import (
 )
 from cluster_est.config.sections.types import LARGEST, ConfigSection, Count, Finite, Known, one_of
 from cluster_est.executors import EXECUTORS
-from cluster_est.problem.table_values import Monotone
+from cluster_est.problem.effects.table_values import Monotone
 from cluster_est.running.resources import Resources
 
 

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from cluster_est.methods.base import Evaluation, Points, Progress
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray, Solver
 
 Scheme = Literal["forward", "central"]

@@ -22,7 +22,7 @@ from cluster_est.methods.derivatives.differences import (
     jacobian,
 )
 from cluster_est.methods.derivatives.sensitivities import JacobianProvider
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
 

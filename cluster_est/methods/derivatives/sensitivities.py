@@ -25,7 +25,7 @@ from cluster_est.methods.derivatives.differences import (
     relative_noise,
     suitable_step,
 )
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
 CHAIN_STEP = 6e-6

@@ -23,7 +23,7 @@ from cluster_est.methods.least_squares.iteration import (
     Result,
 )
 from cluster_est.methods.least_squares.local_model import LocalModel
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
 FINAL_PART = 1e-6

@@ -10,7 +10,7 @@ import numpy as np
 from cluster_est.methods.base import Ending, Evaluation, Points, Progress
 from cluster_est.methods.least_squares.curved_steps import TrialPoints, curved_steps
 from cluster_est.methods.least_squares.local_model import LocalModel, unknown_sizes
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
 DAMPING_RATIO = 10.0

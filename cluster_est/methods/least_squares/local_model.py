@@ -11,7 +11,7 @@ from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Evaluation
 from cluster_est.methods.derivatives.differences import ResidualJacobian
 from cluster_est.methods.least_squares.linear_map import LinearMap, linear_map
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
 LONGEST_STEP = 10.0

@@ -44,7 +44,7 @@ from cluster_est.methods.least_squares.iteration import (
 from cluster_est.methods.least_squares.local_model import LocalModel
 from cluster_est.methods.least_squares.secant_update import secant_update
 from cluster_est.methods.sqp.trust_region import SqpOptions, trust_region_search
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
 INITIAL_DAMPING = 1e-3

@@ -22,7 +22,7 @@ from cluster_est.methods.base import (
 )
 from cluster_est.methods.callback_bridge import Ask, run_with, search_in_thread
 from cluster_est.methods.derivatives.differences import Scheme, jacobian
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
 FAILED_RESIDUAL = 1e100

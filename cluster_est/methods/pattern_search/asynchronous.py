@@ -21,7 +21,7 @@ from cluster_est.methods.pattern_search.asynchronous_state import PollState
 from cluster_est.methods.pattern_search.method import solution_of
 from cluster_est.methods.pattern_search.options import PatternMethod
 from cluster_est.methods.pattern_search.state import PatternState
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from cluster_est.methods.base import Ending, Points, Progress, Search, Solution
 from cluster_est.methods.evaluation_status import worst_constraint
 from cluster_est.methods.pattern_search.options import PatternMethod
 from cluster_est.methods.pattern_search.state import PatternState, PollPlan
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
 NEAR_MINIMUM = 0.1

@@ -10,7 +10,7 @@ from typing_extensions import override
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Method
 from cluster_est.methods.pattern_search.poll_directions import Axes, Basis
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 
 SearchStep = Literal["none", "latin_hypercube", "quadratic"]
 

@@ -21,7 +21,7 @@ from cluster_est.methods.pattern_search.quadratic_model import (
     fit_model,
     points_needed,
 )
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
 MODEL_RADIUS = 4.0

@@ -34,8 +34,8 @@ from cluster_est.methods.populations.generation import (
     member_of,
 )
 from cluster_est.methods.populations.scaling import UnitBox
-from cluster_est.problem.space import SearchSpace
-from cluster_est.problem.unknown import Unknown
+from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space.unknown import Unknown
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ from cluster_est.methods.simplex.simplex import (
     ordered,
     spread,
 )
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
 NEGLIGIBLE = 1e-3

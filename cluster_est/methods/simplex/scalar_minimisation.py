@@ -19,7 +19,7 @@ from cluster_est.methods.base import (
 from cluster_est.methods.callback_bridge import Ask, search_in_thread
 from cluster_est.methods.coordinates import ScaledCoordinates
 from cluster_est.methods.simplex.simplex import SimplexVertex
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 
 LEAST_TOLERANCE = 1e-12
 """SciPy would not end without any."""

@@ -10,7 +10,7 @@ from cluster_est.methods.base import Evaluation, Points, Progress
 from cluster_est.methods.callback_bridge import Ask, run_with
 from cluster_est.methods.derivatives.differences import Scheme
 from cluster_est.methods.derivatives.gradients import CostDerivatives, derivatives
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
 CAPACITY = 32

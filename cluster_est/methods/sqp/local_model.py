@@ -22,7 +22,7 @@ from cluster_est.methods.sqp.constraint_linearisations import (
 from cluster_est.methods.sqp.hessian import Hessian, HessianApproximations
 from cluster_est.methods.sqp.penalty import PenaltyParameter
 from cluster_est.methods.sqp.quadratic_program import QuadraticSubproblem, penalised_step
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
 NEAREST_POINT_CURVATURE = 1e-4

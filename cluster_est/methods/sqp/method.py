@@ -12,7 +12,7 @@ from cluster_est.methods.base import Method, Search
 from cluster_est.methods.derivatives.differences import Differences
 from cluster_est.methods.sqp.hessian import Hessian
 from cluster_est.methods.sqp.trust_region import SqpOptions, trust_region_search
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 
 
 @dataclass(frozen=True)

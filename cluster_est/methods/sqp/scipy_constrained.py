@@ -36,7 +36,7 @@ from cluster_est.methods.evaluation_status import (
 )
 from cluster_est.methods.sqp.evaluation_cache import EvaluationCache
 from cluster_est.methods.sqp.trust_region import SqpOptions
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
 Algorithm = Literal["slsqp", "trust_constr"]

@@ -41,7 +41,7 @@ from cluster_est.methods.evaluation_status import (
 )
 from cluster_est.methods.sqp.hessian import Hessian
 from cluster_est.methods.sqp.local_model import ModelStep, SqpLocalModel
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
 INITIAL_RADIUS = 1.0

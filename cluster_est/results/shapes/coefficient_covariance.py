@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cluster_est.results.result import Result
-from cluster_est.results.row_types import Estimate
+from cluster_est.results.tables.row_types import Estimate
 from workers.messages import FloatArray
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import sympy as sp
 
 from cluster_est.results.result import Result
-from cluster_est.results.row_types import EffectCurve, Estimate
 from cluster_est.results.shapes.coefficient_covariance import covariance_of
+from cluster_est.results.tables.row_types import EffectCurve, Estimate
 from workers.effects.definition import (
     SIGNAL,
     TIME,

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import SearchSpace, make_space
+from cluster_est.problem.search_space.space import SearchSpace, make_space
 from cluster_est.running.trials.known_fmus import Trial
 from workers.messages import FloatArray, Task
 from workers.probes.side_by_side import InstanceSimulation, SideBySideProbe

@@ -24,7 +24,7 @@ from scipy.special import stdtrit
 
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.methods.base import Solution
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.uncertainty.covariance.blocks import BlockCovariance
 from cluster_est.uncertainty.covariance.directions import joined
 from cluster_est.uncertainty.covariance.jacobian import has_jacobian

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from cluster_est.methods.base import Solution
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 
 
 def has_jacobian(solution: Solution) -> bool:

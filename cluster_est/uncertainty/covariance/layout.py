@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from cluster_est.methods.base import TOLERANCE
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.uncertainty.covariance.blocks import JacobianBlock
 from workers.messages import FloatArray, IntArray
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from cluster_est.methods.base import Solution
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.uncertainty.covariance import accuracy
 from cluster_est.uncertainty.covariance.blocks import (
     BlockFactors,

@@ -16,7 +16,7 @@ from typing_extensions import override
 
 from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
 from cluster_est.methods.callback_bridge import Ask, search_in_thread
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.uncertainty.posterior.density import log_density
 from workers.messages import FloatArray
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.methods.base import Ending, Solution
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.statistics.scaled_inverse import root_of_inverse

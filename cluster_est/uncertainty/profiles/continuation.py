@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from cluster_est.methods.base import Ending, Method, OtherPoint, Progress, Search, Solution
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.uncertainty.profiles.embedded_search import RequestedIndices, embedded, refit
 from cluster_est.uncertainty.profiles.profile_steps import ProfileSteps, ProfileTarget, RefitPoint
 from cluster_est.uncertainty.profiles.result import ProfileEnd

@@ -15,7 +15,7 @@ from cluster_est.methods.base import (
     Search,
     Solution,
 )
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
 

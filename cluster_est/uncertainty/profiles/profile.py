@@ -25,7 +25,7 @@ from scipy.special import fdtri
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Method, Solution
 from cluster_est.problem.observed_outputs import refuse_ordinal_outputs
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty.covariance.covariance import assess

@@ -19,7 +19,7 @@ from cluster_est.drafting import draft, write
 from cluster_est.drafting.candidates import candidates
 from cluster_est.drafting.columns import TableColumn, read_columns, split_suffix
 from cluster_est.drafting.matching import match
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.problem.tables.units import conversion, same_unit
 from workers.fmu.description import describe
 from workers.fmu.variable import ModelVariable

@@ -16,7 +16,7 @@ from cluster_est.cli import main
 from cluster_est.config.reader import Config
 from cluster_est.config.sections.design import LimitsSections
 from cluster_est.config.sections.sweep import SweepSections
-from cluster_est.results.table_columns import BEFORE, TABLES
+from cluster_est.results.tables.table_columns import BEFORE, TABLES
 from cluster_est.run_folder.evaluation_log import read_log
 from cluster_est.toml import to_toml
 from workers.effects.forms import FORMS

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from support.truth.systems_with_missing_effects import missing_effect_problem, started
 
 import cluster_est as ce
-from cluster_est.problem.effects import DeclaredCoefficient, DeclaredEffect, make_effect
+from cluster_est.problem.effects.declared import DeclaredCoefficient, DeclaredEffect, make_effect
 from workers.messages import Experiment, FloatArray
 
 MASS, SPRING, DAMPER = 1.2, 30.0, 0.6

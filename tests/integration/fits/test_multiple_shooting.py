@@ -18,7 +18,7 @@ from support.problems.springs import ROOT, spring_problem
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import one_blas_thread
 from cluster_est.shooting.settings import Shooting

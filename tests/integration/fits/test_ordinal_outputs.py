@@ -15,7 +15,7 @@ import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.costs.robust import HuberCost
 from cluster_est.errors import ProblemError
-from cluster_est.problem.sensors import shared_sensor
+from cluster_est.problem.effects.sensors import shared_sensor
 
 CONFIG = str(ROOT / "configs" / "mass_spring_damper.toml")
 

@@ -14,7 +14,7 @@ import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.costs import COSTS
 from cluster_est.problem.formulas import Formula, ParameterConstraint
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.results.residual_diagnostics import diagnose_residuals
 from cluster_est.statistics.residual_findings import ResidualStructure, SigmaDoubt
 

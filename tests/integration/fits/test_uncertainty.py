@@ -20,7 +20,7 @@ from cluster_est import (
     Resources,
     Solver,
 )
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.environment import open_executor
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest

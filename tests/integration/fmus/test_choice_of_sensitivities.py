@@ -16,7 +16,7 @@ from cluster_est.config.reader import parse_config
 from cluster_est.errors import RunFolderError
 from cluster_est.preflight.sensitivities import sensitivities
 from cluster_est.preflight.subject import CheckSubject, TimeBudget
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.run_folder import resume
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from workers.messages import Model

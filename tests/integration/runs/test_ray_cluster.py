@@ -16,7 +16,7 @@ from support.problems.springs import spring_problem
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.executors.ray_pool import RayPool
 from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 

@@ -14,7 +14,7 @@ from cluster_est.executors import Executor
 from cluster_est.methods import Method
 from cluster_est.methods.base import Solution
 from cluster_est.problem.formulas import parse_constraint
-from cluster_est.problem.space import SearchSpace, make_space
+from cluster_est.problem.search_space.space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from workers.messages import REDUCTIONS, Outcome, Status

@@ -6,7 +6,7 @@ import importlib
 
 import pytest
 
-from cluster_est.problem.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.run_folder.evaluation_log import read_log
 
 

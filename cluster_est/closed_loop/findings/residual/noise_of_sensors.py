@@ -10,7 +10,7 @@ from scipy.special import chdtri, ndtr
 
 from cluster_est.closed_loop.measured_noise import is_given, is_told
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
-from cluster_est.statistics.noise import SHORTEST, estimate_noise
+from cluster_est.statistics.noise.estimate import SHORTEST, estimate_noise
 from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.whitening import partial_autocorrelations
 from workers.messages import FloatArray

@@ -18,7 +18,7 @@ from cluster_est.closed_loop.first_pass import (
 )
 from cluster_est.closed_loop.prepare import LoopRequest
 from cluster_est.closed_loop.workbench import LoopWorkbench
-from cluster_est.statistics.outliers import isolated_outliers
+from cluster_est.statistics.noise.outliers import isolated_outliers
 from workers.messages import FloatArray
 
 NOISE = 0.01

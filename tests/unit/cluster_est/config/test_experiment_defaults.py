@@ -9,8 +9,8 @@ import pytest
 from support.spoiled import ROWS, valid_tree
 
 import cluster_est as ce
-from cluster_est.config.overrides import override
 from cluster_est.config.reader import Config, parse_config
+from cluster_est.config.text.overrides import override
 from cluster_est.errors import ConfigError
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from cluster_est.sweep.matrix import SweepRun

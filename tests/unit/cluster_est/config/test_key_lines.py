@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from cluster_est.config.key_lines import with_lines
+from cluster_est.config.text.key_lines import with_lines
 
 CONFIG = """# a comment
 [model]

@@ -14,7 +14,7 @@ from support.shuffling_executor import ShufflingExecutor
 from cluster_est.executors.log_replay import LogReplayExecutor
 from cluster_est.methods.base import Solution
 from cluster_est.methods.pattern_search.asynchronous import AsynchronousPatternSearch
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.run_folder.evaluation_log import EvaluationLog, LogSettings, read_log
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.running.records import TaskOrigin

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cluster_est.problem.continuity import StateContinuity, StateEnd
+from cluster_est.problem.search_space.continuity import StateContinuity, StateEnd
 
 
 def test_a_difference_counts_over_its_scale_and_by_its_weight():

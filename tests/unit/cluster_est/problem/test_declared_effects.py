@@ -7,7 +7,7 @@ import math
 import pytest
 
 from cluster_est.errors import ConfigError
-from cluster_est.problem.effects import DeclaredCoefficient, DeclaredEffect, make_effect
+from cluster_est.problem.effects.declared import DeclaredCoefficient, DeclaredEffect, make_effect
 from cluster_est.problem.parameter import Parameter
 
 

@@ -13,7 +13,7 @@ from support.problems.unloaded import unloaded_problem
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Evaluation
 from cluster_est.problem.parameter import Parameter
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.evaluation import assemble_evaluation, violation
 from workers.messages import Outcome, SignalBound, Status, UserFunction
 

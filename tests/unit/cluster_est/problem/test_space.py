@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from cluster_est.errors import ProblemError
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.space import SearchSpace, make_space
+from cluster_est.problem.search_space.space import SearchSpace, make_space
 from workers.messages import Experiment, Model, Output, Solver
 
 PER = [None, "experiment", "group:rig", "group:day"]

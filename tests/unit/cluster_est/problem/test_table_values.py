@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cluster_est.problem.effects.table_values import TableShape, ValueTable
 from cluster_est.problem.formulas import Formula
-from cluster_est.problem.table_values import TableShape, ValueTable
 
 ZEROS = ((), (0,), (3,), (0, 6), (2, 5), (6,))
 """Points at which a table is 0 by definition."""

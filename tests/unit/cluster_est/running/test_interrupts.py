@@ -14,7 +14,7 @@ from support.problems.functions import PROBLEMS, FunctionExecutor
 
 from cluster_est.methods.base import Ending
 from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.interrupts import DeferredInterrupts, later, stopped_by, terminations
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest

@@ -17,7 +17,7 @@ from cluster_est import Budget, LeastSquares
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Method, Points, Search, Solution
 from cluster_est.problem.formulas import parse_constraint
-from cluster_est.problem.space import SearchSpace, make_space
+from cluster_est.problem.search_space.space import SearchSpace, make_space
 from cluster_est.running.multistart import (
     Multistart,
     MultistartResult,

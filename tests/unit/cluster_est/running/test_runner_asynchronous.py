@@ -24,7 +24,7 @@ from cluster_est.methods.base import (
 )
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.parameter import Parameter
-from cluster_est.problem.space import SearchSpace, make_space
+from cluster_est.problem.search_space.space import SearchSpace, make_space
 from cluster_est.running.records import Budget, SearchIteration
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest

@@ -13,7 +13,7 @@ from cluster_est.methods.base import Ending, Method, Points, Progress, Solution
 from cluster_est.methods.given_points import GivenPoints
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.methods.populations.differential_evolution import DifferentialEvolution
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.budget_watch import BudgetWatch
 from cluster_est.running.records import Budget
 from cluster_est.running.search_state import SearchRequest, SearchState

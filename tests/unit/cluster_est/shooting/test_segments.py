@@ -13,7 +13,7 @@ import cluster_est as ce
 from cluster_est.costs.robust import HuberCost
 from cluster_est.errors import ProblemError
 from cluster_est.methods.simplex.nelder_mead import NelderMead
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.shooting.segments import cut
 from cluster_est.shooting.settings import Shooting
 from cluster_est.shooting.shoot import check_shooting

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cluster_est.statistics.growing_noise import noise_growth
+from cluster_est.statistics.noise.growing_noise import noise_growth
 
 N = 2500
 SIZE = 100.0 * np.abs(np.sin(2.0 * np.pi * np.arange(N) / 300.0))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.truth.stacked_noise import stack
 
-from cluster_est.statistics.noise import estimate_noise
+from cluster_est.statistics.noise.estimate import estimate_noise
 
 
 def test_noise_under_a_smooth_trend() -> None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support.truth.stacked_noise import stack
 
-from cluster_est.statistics.noise import estimate_noise
-from cluster_est.statistics.quantisation import quantisation_step
+from cluster_est.statistics.noise.estimate import estimate_noise
+from cluster_est.statistics.noise.quantisation import quantisation_step
 from workers.messages import FloatArray
 
 N = 2500

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from cluster_est.statistics.outliers import isolated_outliers
+from cluster_est.statistics.noise.outliers import isolated_outliers
 from workers.messages import FloatArray
 
 N = 2000

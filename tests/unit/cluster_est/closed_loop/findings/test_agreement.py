@@ -16,7 +16,7 @@ from cluster_est.closed_loop.findings.agreement import CLOSE, agreements
 from cluster_est.closed_loop.findings.wording import _agreeing
 from cluster_est.closed_loop.findings.words.laws import Law
 from cluster_est.closed_loop.findings.words.naming import Namer
-from cluster_est.results.row_types import EffectCurve, Estimate
+from cluster_est.results.tables.row_types import EffectCurve, Estimate
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite
 from workers.messages import Effect

@@ -23,7 +23,7 @@ from cluster_est.closed_loop.thresholds import AcceptanceThresholds
 from cluster_est.closed_loop.workbench import FitStart
 from cluster_est.methods.given_points import GivenPoints
 from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.search_state import SearchRequest
 
 NAME = "mass_spring_damper"

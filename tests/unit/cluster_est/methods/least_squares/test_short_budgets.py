@@ -9,7 +9,7 @@ from support.problems.functions import FunctionExecutor, FunctionProblem, brown_
 from cluster_est import Budget, LeastSquares
 from cluster_est.errors import BudgetError
 from cluster_est.methods.base import Ending, Solution
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.records import TaskOrigin
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest

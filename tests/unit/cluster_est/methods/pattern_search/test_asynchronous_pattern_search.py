@@ -13,7 +13,7 @@ from virtual_executor import VirtualExecutor
 from cluster_est.methods.base import Ending, Method, Solution
 from cluster_est.methods.pattern_search.asynchronous import AsynchronousPatternSearch
 from cluster_est.methods.pattern_search.method import PatternSearch
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 

@@ -16,7 +16,7 @@ from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Evaluation, Points
 from cluster_est.methods.pattern_search.method import PatternSearch
 from cluster_est.problem.parameter import Parameter
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from workers.messages import Outcome, Status

@@ -13,7 +13,7 @@ from cluster_est.costs.robust import SoftL1
 from cluster_est.methods import METHODS
 from cluster_est.methods.base import Solution
 from cluster_est.methods.populations.method import PopulationMethod
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from workers.messages import Outcome, Status, Task

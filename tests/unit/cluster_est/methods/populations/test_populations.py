@@ -32,7 +32,7 @@ from cluster_est.methods.populations.genetic import GeneticAlgorithm
 from cluster_est.methods.populations.isres import Isres
 from cluster_est.methods.populations.nsga2 import Nsga2
 from cluster_est.methods.populations.particle_swarm import ParticleSwarm
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.evaluation import assemble_evaluation
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest

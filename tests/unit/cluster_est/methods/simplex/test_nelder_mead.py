@@ -14,7 +14,7 @@ from cluster_est.costs.total import TotalCost
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Solution
 from cluster_est.methods.simplex.nelder_mead import NelderMead
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.evaluation import assemble_evaluation
 
 TIGHT = NelderMead(bounds="enforce", xtol=1e-8, ftol=1e-12)

@@ -14,7 +14,7 @@ from cluster_est.costs.robust import CauchyCost, HuberCost
 from cluster_est.methods.base import Ending, Points
 from cluster_est.methods.sqp.method import Sqp
 from cluster_est.methods.sqp.trust_region import SqpOptions, trust_region_search
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 
 METHODS = [
     Sqp(),

@@ -7,7 +7,7 @@ import pytest
 from support.loop_objects import made_problem
 
 from cluster_est import Parameter, Problem
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.uncertainty.covariance.derivatives import _lengths
 
 

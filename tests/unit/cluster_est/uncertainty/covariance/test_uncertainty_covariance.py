@@ -14,7 +14,7 @@ from cluster_est.costs.likelihood import GaussianLikelihood
 from cluster_est.costs.robust import CauchyCost, HuberCost, SoftL1
 from cluster_est.costs.sum_absolute import SumAbsolute
 from cluster_est.methods.base import Ending, Evaluation, Solution
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty import assess, examine, intervals, linearise
 from workers.messages import Outcome, Status

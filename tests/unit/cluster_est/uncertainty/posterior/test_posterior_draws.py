@@ -14,7 +14,7 @@ from cluster_est.costs.sum_absolute import SumAbsolute
 from cluster_est.errors import ProblemError
 from cluster_est.priors import LogNormalPrior, NormalPrior
 from cluster_est.problem.parameter import Parameter
-from cluster_est.problem.space import make_space
+from cluster_est.problem.search_space.space import make_space
 from cluster_est.uncertainty import UncertaintySettings, examine, linearise
 from cluster_est.uncertainty.posterior.density import check_posterior
 from cluster_est.uncertainty.posterior.diagnostics import (

@@ -15,7 +15,7 @@ from cluster_est.closed_loop.findings.residual.noise_of_sensors import (
     residual_noise,
     suspected_sigma,
 )
-from cluster_est.statistics.noise import estimate_noise
+from cluster_est.statistics.noise.estimate import estimate_noise
 
 LENGTHS = (600, 600, 600, 600)
 TRUE = 0.2

@@ -12,7 +12,7 @@ from support.loop_objects import made_bench, made_problem
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.findings.words.naming import Namer
-from cluster_est.results.row_types import EffectCurve
+from cluster_est.results.tables.row_types import EffectCurve
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite
 from workers.fmu.description import ModelDescription

@@ -11,7 +11,7 @@ import pytest
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.findings.effects import AgreeingEquation
 from cluster_est.closed_loop.findings.words.sentences import sentence_of
-from cluster_est.results.row_types import EffectCurve, Estimate
+from cluster_est.results.tables.row_types import EffectCurve, Estimate
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite
 from workers.messages import Effect

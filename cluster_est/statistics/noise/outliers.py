@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.statistics.noise import MEDIAN_OF_NORMAL
+from cluster_est.statistics.noise.estimate import MEDIAN_OF_NORMAL
 from workers.messages import FloatArray
 
 REACH = 5

@@ -11,15 +11,15 @@ import numpy as np
 
 from cluster_est.errors import ConfigError, EffectError
 from cluster_est.priors.normal import NormalPrior
-from cluster_est.problem.formulas import ParameterConstraint, parse_constraint
-from cluster_est.problem.parameter import Parameter
-from cluster_est.problem.table_values import (
+from cluster_est.problem.effects.table_values import (
     Monotone,
     TableShape,
     TableUnknown,
     ValueTable,
     check_table_name,
 )
+from cluster_est.problem.formulas import ParameterConstraint, parse_constraint
+from cluster_est.problem.parameter import Parameter
 from workers.effects.kinds import EffectForm
 from workers.messages.checks import check_choice, check_number, is_number, shown
 

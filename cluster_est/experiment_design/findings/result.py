@@ -13,30 +13,30 @@ import pyarrow as pa
 
 from cluster_est.errors import RunFolderError
 from cluster_est.experiment_design.candidates import RECORDED, CandidateMaker
-from cluster_est.experiment_design.expected import (
+from cluster_est.experiment_design.findings.expected import (
     expected_evidence,
     expected_precision,
     expected_predictions,
     expected_probability,
     expected_table,
 )
-from cluster_est.experiment_design.expected_rows import (
+from cluster_est.experiment_design.findings.expected_rows import (
     ExpectedEvidence,
     ExpectedPrecision,
     ExpectedPredictionError,
     ExpectedProbability,
 )
-from cluster_est.experiment_design.experiment_block import STEM, TABLE, experiment_block
-from cluster_est.experiment_design.search import (
-    CandidateScorer,
-    ScoredCandidate,
-    SearchedCandidates,
-)
-from cluster_est.experiment_design.sentences import (
+from cluster_est.experiment_design.findings.experiment_block import STEM, TABLE, experiment_block
+from cluster_est.experiment_design.findings.sentences import (
     alike_sentences,
     evidence_sentence,
     narrowed_sentence,
     predicted_sentence,
+)
+from cluster_est.experiment_design.search import (
+    CandidateScorer,
+    ScoredCandidate,
+    SearchedCandidates,
 )
 from workers.fmu.description import nearest
 from workers.grid import values_at

@@ -7,7 +7,7 @@ from math import comb
 
 import numpy as np
 
-from cluster_est.statistics.noise import MEDIAN_OF_NORMAL
+from cluster_est.statistics.noise.estimate import MEDIAN_OF_NORMAL
 from workers.messages import FloatArray
 
 ORDER = 6

@@ -8,7 +8,7 @@ from math import comb
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.statistics.quantisation import quantisation_step
+from cluster_est.statistics.noise.quantisation import quantisation_step
 from cluster_est.statistics.records import OutputRecord, StackedRecords
 from workers.messages import FloatArray
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from cluster_est.closed_loop.findings.words.numbers import in_a_row, percent
-from cluster_est.experiment_design.expected_rows import (
+from cluster_est.experiment_design.findings.expected_rows import (
     TOLD_APART,
     ExpectedEvidence,
     ExpectedPrecision,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from cluster_est.problem import display
-from cluster_est.results.row_types import Estimate
+from cluster_est.results.tables.row_types import Estimate
 from cluster_est.statistics.residual_findings import ResidualDiagnostics
 
 

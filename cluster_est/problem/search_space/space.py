@@ -16,12 +16,17 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.problem.continuity import StateContinuity
-from cluster_est.problem.parameter_constraints import ConstraintSpec, evaluate, expand, label_of
-from cluster_est.problem.prior_rows import KnownPrior, PriorRows
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.reduction import want_of
-from cluster_est.problem.unknown import Unknown
+from cluster_est.problem.search_space.continuity import StateContinuity
+from cluster_est.problem.search_space.parameter_constraints import (
+    ConstraintSpec,
+    evaluate,
+    expand,
+    label_of,
+)
+from cluster_est.problem.search_space.prior_rows import KnownPrior, PriorRows
+from cluster_est.problem.search_space.reduction import want_of
+from cluster_est.problem.search_space.unknown import Unknown
 from workers.messages import FloatArray, IntArray, Want
 
 _NONE = np.zeros(0)

@@ -14,7 +14,7 @@ from cluster_est.experiment_design.criteria import (
     expected_probabilities,
     prediction_variances,
 )
-from cluster_est.experiment_design.expected_rows import (
+from cluster_est.experiment_design.findings.expected_rows import (
     ExpectedEvidence,
     ExpectedPrecision,
     ExpectedPredictionError,

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from cluster_est.problem.unknown import Unknown
+from cluster_est.problem.search_space.unknown import Unknown
 from workers.messages import FloatArray, IntArray
 
 

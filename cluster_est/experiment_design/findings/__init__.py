@@ -1,0 +1,1 @@
+"""What a design has found: the evidence and precision to expect, as rows, sentences and tables."""

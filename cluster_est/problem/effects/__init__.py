@@ -1,0 +1,1 @@
+"""What is added to the model: effects, free curves, sensors, process noise."""

@@ -1,0 +1,1 @@
+"""What is noise in a record, and how large it is."""
