@@ -66,7 +66,9 @@ def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
         spent = [_Spent.at(workbench)]
     passed: list[frozenset[str]] = []
     while True:
-        with open_workbench(replace(request, problem=held.problem)) as workbench:
+        used = sum(each.evaluations for each in spent)
+        left = request.environment.left(used, time.monotonic() - begin)
+        with open_workbench(replace(request, problem=held.problem, environment=left)) as workbench:
             searched = search_for_effects(workbench, held.start, request.environment.resources)
             structure = searched.found.current.structure
             passed.append(structure)

@@ -14,7 +14,7 @@ from support.problems.springs import ROOT
 from support.truth.kalman_filter import runge_kutta
 
 import cluster_est as ce
-from cluster_est.errors import ProblemError
+from cluster_est.errors import BudgetError, ProblemError
 
 TRUE = {"m": 1.2, "k": 30.0, "c": 0.6}
 DRY, PUSH, LASTING = 1.0, 0.5, 0.4
@@ -103,7 +103,11 @@ def test_errors_are_over_what_the_noise_that_is_left_explains(rubbing):
 
 
 def test_nothing_but_the_noise_is_none():
+    """The budget is one for all passes of the search."""
     found = ce.close_loop(problem(0.0), settings=SETTINGS)
+    scarce = ce.Resources(budget=ce.Budget(evaluations=found.evaluations - 20))
+    with pytest.raises(BudgetError, match="was used up"):
+        ce.close_loop(problem(0.0), scarce, SETTINGS)
     assert found.verdict == "none"
     assert found.effects == found.process_noise == ()
     assert "process noise wind: standard deviation" in found.summary

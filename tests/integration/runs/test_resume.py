@@ -44,6 +44,21 @@ METHODS = {
     "reduced, without residuals": ["method.name=de", "log.residuals=false", *SMALL],
 }
 QUICK_LOOP = ["closed_loop.trials=4", "closed_loop.refits=2", "closed_loop.draws=200"]
+WIND = (
+    'effects=[{name="wind",site="input F",form="coloured_noise",parameters={q={start=0.05,'
+    'bounds=[1e-4,10.0],scale="log"},tau={start=0.2,bounds=[0.01,10.0],scale="log"}}}]'
+)
+LOOPS = {
+    "plain": QUICK_LOOP,
+    "process noise": [
+        *QUICK_LOOP,
+        'closed_loop.sites=["der(v)"]',
+        'closed_loop.effects=["coulomb","cubic"]',
+        "closed_loop.pairs=false",
+        "experiment_defaults.sigma={y=0.002}",
+        WIND,
+    ],
+}
 KEPT = "log.keep_residuals=true"
 CUTS = ((0.0, 0), (0.0, 50), (0.02, 300), (0.4, 3000), (0.8, 0), (1.0, 0))
 """Shares of the rows that are left, and bytes of what follows."""
@@ -235,9 +250,10 @@ def test_residuals_that_are_others_when_simulated_again_are_said(
     assert "1 of the simulations that were done again gave other residuals" in said
 
 
-def test_a_closed_loop_is_resumed(tmp_path: Path, simulated: list[Outcome]) -> None:
+@pytest.mark.parametrize("name", LOOPS)
+def test_a_closed_loop_is_resumed(name: str, tmp_path: Path, simulated: list[Outcome]) -> None:
     whole, run = tmp_path / "whole", tmp_path / "run"
-    arguments = [*QUICK_LOOP, KEPT]
+    arguments = [*LOOPS[name], KEPT]
     assert fit(whole, *arguments, command="close-loop") == 0
     total = len(simulated)
     log = read_log(whole / "evaluations")
