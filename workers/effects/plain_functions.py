@@ -42,6 +42,14 @@ class Abs(sp.Abs):  # type: ignore[misc]
         return sp.Abs(argument) if _are_numbers((argument,)) else None
 
 
+def simplified(equation: sp.Basic) -> sp.Basic:
+    """Return an equation with SymPy's own functions, for what looks at its form."""
+    if not equation.args:
+        return equation
+    own = {Max: sp.Max, Min: sp.Min, Abs: sp.Abs}.get(type(equation), equation.func)
+    return own(*(simplified(argument) for argument in equation.args))
+
+
 def _are_numbers(arguments: tuple[Any, ...]) -> bool:
     """Whether all are numbers; refused is what has no size, such as a comparison."""
     terms = [sp.sympify(argument) for argument in arguments]

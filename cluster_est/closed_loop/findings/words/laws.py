@@ -14,6 +14,7 @@ import sympy as sp
 
 from workers.effects.expression import parse
 from workers.effects.forms import EffectForm
+from workers.effects.plain_functions import simplified
 
 Function = Callable[[float], float]
 
@@ -81,7 +82,7 @@ def law_of(form: EffectForm) -> Law:
     }
     where = f"form {form.name}"
     t, s, v, w = (symbols[name] for name in "tsvw")
-    term = parse(form.equation, symbols, where)
+    term = simplified(parse(form.equation, symbols, where))
     if form.kinds == ("parameter",):
         term = sp.expand(term / s - 1)
     elif form.kinds[0] in ("input", "output"):
@@ -126,7 +127,7 @@ def _with_state(form: EffectForm, term: sp.Expr, symbols: dict[str, sp.Symbol], 
     """The law of a form that brings a state along."""
     if len(form.states) != 1:
         return Law.OTHER
-    rate = parse(form.states[0].derivative, symbols, where)
+    rate = simplified(parse(form.states[0].derivative, symbols, where))
     z, v = symbols[form.states[0].name], symbols["v"]
     if rate == v:
         return Law.PERIODIC_TRAVEL if _in_one(term, z) is Law.PERIODIC else Law.OTHER

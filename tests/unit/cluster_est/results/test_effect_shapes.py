@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cluster_est.results.shapes.effect_shapes import part_shapes, spread_of
-from workers.effects.definition import EffectDefinition, _definition, variable_symbol
+from workers.effects.definition import EffectDefinition, _definition
 from workers.effects.expression import FUNCTIONS
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite
@@ -39,7 +39,7 @@ def definition(kind: str, form) -> EffectDefinition:
     site = EffectSite(kind, "a", "b" if kind == "pair" else "")
     variables = ("v", "w")[: form.variables]
     effect = Effect("e", str(site), form.name, variables)
-    return _definition(effect, site, {name: variable_symbol(name) for name in ("v", "w")})
+    return _definition(effect, site, ("v", "w"))
 
 
 @pytest.mark.parametrize(("kind", "form"), PLAIN, ids=lambda each: getattr(each, "name", each))
@@ -66,7 +66,7 @@ def test_every_form_is_drawn_as_its_equation(kind, form):
 def test_a_difference_of_two_states_is_one_argument():
     effect = Effect("e", "pair a,b", "linear", ("a - b",))
     site = EffectSite("pair", "a", "b")
-    made = _definition(effect, site, {name: variable_symbol(name) for name in ("a", "b")})
+    made = _definition(effect, site, ("a", "b"))
     first, second = part_shapes(made)
     assert (first.argument, second.argument) == ("a - b", "a - b")
     values = np.array([0.7, 0.3])[: len(made.coefficients)]
@@ -76,16 +76,14 @@ def test_a_difference_of_two_states_is_one_argument():
 
 def test_a_switched_function_of_another_variable_is_drawn_for_one_direction():
     effect = Effect("e", "der(v)", "load_dependent_coulomb", ("v", "x"))
-    names = {name: variable_symbol(name) for name in ("x", "v")}
-    (part,) = part_shapes(_definition(effect, EffectSite("derivative", "v"), names))
+    (part,) = part_shapes(_definition(effect, EffectSite("derivative", "v"), ("x", "v")))
     assert (part.argument, part.positive) == ("x", "v")
     assert part.shape(X, np.array([0.5, 0.01])) == pytest.approx(-0.5 * np.abs(X))
 
 
 def own(equation: str) -> EffectDefinition:
     effect = Effect("e", "der(v)", equation=equation, coefficients=(("a", 0.0),))
-    names = {name: variable_symbol(name) for name in ("x", "v")}
-    return _definition(effect, EffectSite("derivative", "v"), names)
+    return _definition(effect, EffectSite("derivative", "v"), ("x", "v"))
 
 
 def test_an_equation_of_ones_own_is_a_function_of_what_stands_in_it():

@@ -8,7 +8,7 @@ import numpy as np
 import sympy as sp
 
 from workers.effects.expression import parse
-from workers.effects.plain_functions import Abs, Max, Min
+from workers.effects.plain_functions import Abs, Max, Min, simplified
 
 X, Y = sp.symbols("x y", real=True)
 
@@ -49,3 +49,7 @@ def test_derivatives_are_steps():
     slope = sp.lambdify((X, Y), sp.diff(read("max(x - y, 0)"), X))
     assert slope(2.0, 1.0) == 1.0
     assert slope(1.0, 2.0) == 0.0
+
+
+def test_sympy_looks_at_their_form_when_asked():
+    assert simplified(read("max(x^2, -1) + abs(2 * x)")) == X**2 + 2 * sp.Abs(X)
