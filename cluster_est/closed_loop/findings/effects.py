@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
+from cluster_est.results.output_errors import OutputError
 from cluster_est.results.tables.row_types import Estimate
 from workers.messages import Effect, Role
 
@@ -180,3 +182,20 @@ class ErrorChange:
     rmse_after: float
     normalised_before: float
     normalised_after: float
+
+    @classmethod
+    def between(
+        cls, before: OutputError, after: OutputError, normalised: tuple[float, float]
+    ) -> Self:
+        """Put the errors of two fits side by side; `normalised` are those over sigma."""
+        return cls(
+            experiment=before.experiment,
+            role=before.role,
+            output=before.output,
+            unit=before.unit,
+            samples=before.samples,
+            rmse_before=before.rmse_after,
+            rmse_after=after.rmse_after,
+            normalised_before=normalised[0],
+            normalised_after=normalised[1],
+        )

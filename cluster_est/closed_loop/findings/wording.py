@@ -83,20 +83,11 @@ def error_changes(
     rows = []
     for old, new in zip(before.errors, after.errors, strict=True):
         sigma = noise.get(old.output, np.nan)
-        given = workbench.sigma_declared
-        rows.append(
-            ErrorChange(
-                experiment=old.experiment,
-                role=old.role,
-                output=old.output,
-                unit=old.unit,
-                samples=old.samples,
-                rmse_before=old.rmse_after,
-                rmse_after=new.rmse_after,
-                normalised_before=old.normalised_after if given else _over(old.rmse_after, sigma),
-                normalised_after=new.normalised_after if given else _over(new.rmse_after, sigma),
-            )
-        )
+        if workbench.sigma_declared:
+            normalised = old.normalised_after, new.normalised_after
+        else:
+            normalised = _over(old.rmse_after, sigma), _over(new.rmse_after, sigma)
+        rows.append(ErrorChange.between(old, new, normalised))
     return tuple(rows)
 
 

@@ -143,20 +143,12 @@ def _error_changes(
 ) -> tuple[ErrorChange, ...]:
     """Errors of predictions in units, and innovations over what the noise explains."""
     sizes = [dict(_innovation_sizes(result)) for result in held]
-    return tuple(
-        ErrorChange(
-            experiment=old.experiment,
-            role=old.role,
-            output=old.output,
-            unit=old.unit,
-            samples=old.samples,
-            rmse_before=old.rmse_after,
-            rmse_after=new.rmse_after,
-            normalised_before=sizes[0].get((old.experiment, old.output), np.nan),
-            normalised_after=sizes[1].get((old.experiment, old.output), np.nan),
-        )
-        for old, new in zip(free[0].errors, free[1].errors, strict=True)
-    )
+    changes = []
+    for old, new in zip(free[0].errors, free[1].errors, strict=True):
+        key = old.experiment, old.output
+        normalised = sizes[0].get(key, np.nan), sizes[1].get(key, np.nan)
+        changes.append(ErrorChange.between(old, new, normalised))
+    return tuple(changes)
 
 
 def _innovation_sizes(result: Result) -> Iterator[tuple[tuple[str, str], float]]:
@@ -166,10 +158,7 @@ def _innovation_sizes(result: Result) -> Iterator[tuple[tuple[str, str], float]]
         residuals = simulation.outcome.residuals
         if residuals is None:
             continue
-        first = 0
-        for output in run.outputs:
-            last = first + len(output.times)
-            if last > first:
-                part = residuals[first:last]
+        parts = np.split(residuals, np.cumsum(run.counts)[:-1])
+        for output, part in zip(run.outputs, parts, strict=True):
+            if len(part):
                 yield (run.id, output.variable), float(np.sqrt(np.mean(part**2)))
-            first = last
