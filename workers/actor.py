@@ -6,6 +6,7 @@ import ray
 
 from workers.messages import Experiment, Limits, Model
 from workers.process.supervisor import SupervisedEvaluator
+from workers.process.template_client import share_template
 from workers.wire import OutcomeColumns, TaskBatch
 
 
@@ -19,9 +20,15 @@ class FmuActor:
     _evaluator: SupervisedEvaluator
 
     def __init__(
-        self, model: Model, experiments: tuple[Experiment, ...], limits: Limits, name: str
+        self,
+        model: Model,
+        experiments: tuple[Experiment, ...],
+        limits: Limits,
+        pool: str,
+        name: str,
     ) -> None:
         self._installation = model, experiments, name, limits
+        self._pool = pool
 
     def node(self) -> str:
         """Return the id of the node that it is on."""
@@ -31,6 +38,7 @@ class FmuActor:
         """Load the FMU as one of the pool's workers; raise what went wrong otherwise."""
         model, experiments, name, limits = self._installation
         model = model.of_worker(worker)
+        share_template(self._pool)
         self._evaluator = SupervisedEvaluator(model, experiments, name, limits)
         return True
 

@@ -11,6 +11,7 @@ workers.
 from __future__ import annotations
 
 import time
+import uuid
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Sequence
 from typing import Any, ClassVar, NamedTuple, Self
@@ -74,7 +75,8 @@ class RayPool(WorkerPool):
         self._fixed, self._model = workers, model
         self._seats = ActorSeats(model.seats)
         self._owns_ray = owns_ray
-        self._installation = ray.put(model), ray.put(experiments), limits
+        own = uuid.uuid4().hex[:12]
+        self._installation = ray.put(model), ray.put(experiments), limits, own
         self._backlog = TaskBacklog(shares=IN_FLIGHT * self.workers)
         self._starting: dict[Any, tuple[str, Any]] = {}
         self._actors: dict[str, Any] = {}

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import hashlib
 import os
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
+import uuid
 from collections.abc import Iterator, Sequence
 from multiprocessing import reduction
 from multiprocessing.connection import Connection
@@ -17,9 +20,12 @@ from pathlib import Path
 from workers.fmu.surroundings import READ_AT_START
 from workers.process.orders import Installation, StartOrder
 
+MOST_WAITING = 4096
+"""Programs that may wait for a shared template at once."""
+
 
 class TemplateClient:
-    """The template process of this program.
+    """The template process of this program, or one that it shares with others on this machine.
 
     It is started when it is needed first, and again if somebody has killed it or an environment
     variable has changed that it could only read when it started.
@@ -30,6 +36,21 @@ class TemplateClient:
         self._process: subprocess.Popen[bytes] | None = None
         self._orders: Connection | None = None
         self._read_at_start: dict[str, str] = {}
+        self._group = ""
+
+    def share(self, group: str) -> None:
+        """Share one template with all programs of a group on this machine, from now on.
+
+        Many workers are ready sooner and need less memory if not each has a template of its own.
+
+        Parameters
+        ----------
+        group
+            A name that nobody can guess who does not belong to it.
+        """
+        with self._lock:
+            self._close()
+            self._group = group
 
     def fork_server(self, installation: Installation, orders: int, progress: int) -> int:
         """Start a fork server.
@@ -74,39 +95,89 @@ class TemplateClient:
         self._close()
 
     def _ask(self, order: StartOrder, handles: tuple[int, ...]) -> int:
-        connection, process = self._started(order.environment)
+        connection = self._started(order.environment)
         try:
             connection.send(order)
             for handle in handles:
-                reduction.send_handle(connection, handle, process.pid)
+                reduction.send_handle(
+                    connection, handle, os.getpid()
+                )  # whose id needs no system that forks
             server: int = connection.recv()
         except BaseException:  # what it would answer is nobody's any more
             self._close()
             raise
         return server
 
-    def _started(self, environment: dict[str, str]) -> tuple[Connection, subprocess.Popen[bytes]]:
+    def _started(self, environment: dict[str, str]) -> Connection:
         read = {k: v for k, v in environment.items() if k.startswith(READ_AT_START)}
-        if self._orders is not None and self._process is not None and read == self._read_at_start:
-            return self._orders, self._process
+        if self._orders is not None and read == self._read_at_start:
+            return self._orders
         self._close()
+        address = shared_address(self._group, read) if self._group else None
+        self._orders = _joined(address) or self._own(environment, address)
+        self._read_at_start = read
+        return self._orders
+
+    def _own(self, environment: dict[str, str], address: Path | None) -> Connection:
+        """Start one, for all that have its address if it has one."""
         mine, theirs = socket.socketpair()
-        with theirs:
+        with theirs, contextlib.ExitStack() as until_started:
+            passed, words = [theirs.fileno()], [str(theirs.fileno())]
+            if address is not None and (listener := _listening(address)) is not None:
+                until_started.enter_context(listener)
+                passed.append(listener.fileno())
+                words += [str(listener.fileno()), str(address)]
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "workers.process.template", str(theirs.fileno())],
-                pass_fds=[theirs.fileno()],
+                [sys.executable, "-m", "workers.process.template", *words],
+                pass_fds=passed,
                 start_new_session=True,
                 env=environment,
             )
-        self._orders, self._read_at_start = Connection(mine.detach()), read
-        return self._orders, self._process
+        return Connection(mine.detach())
 
     def _close(self) -> None:
         if self._orders is not None:
             self._orders.close()
         if self._process is not None:
-            self._process.wait()
+            self._process.wait()  # a shared one has left it, and goes on for the others
         self._orders = self._process = None
+
+
+def shared_address(group: str, read_at_start: dict[str, str]) -> Path:
+    """Return where the template of a group listens whose environment holds such variables."""
+    kind = hashlib.sha256(repr(sorted(read_at_start.items())).encode()).hexdigest()[:8]
+    return Path(tempfile.gettempdir()) / f"cluster-est-{group}" / kind
+
+
+def _joined(address: Path | None) -> Connection | None:
+    """A connection to the template that listens there; None if none does."""
+    if address is None:
+        return None
+    joining = socket.socket(socket.AF_UNIX)
+    try:
+        joining.connect(str(address))
+    except OSError:
+        joining.close()
+        return None
+    return Connection(joining.detach())
+
+
+def _listening(address: Path) -> socket.socket | None:
+    """A socket that listens there, in place of one whose template has ended; None if none can.
+
+    It takes the address before its template runs, so that whoever comes next waits for this one.
+    """
+    listener = socket.socket(socket.AF_UNIX)
+    own = address.with_name(f"{address.name}-{uuid.uuid4().hex[:6]}")
+    try:
+        address.parent.mkdir(mode=0o700, exist_ok=True)
+        listener.bind(str(own))
+        listener.listen(MOST_WAITING)
+        own.rename(address)
+    except OSError:  # no such folder, or its name is too long for a socket: it is not shared
+        listener.close()
+        return None
+    return listener
 
 
 def _environment(given: Sequence[tuple[str, str]]) -> dict[str, str]:
@@ -140,6 +211,13 @@ def _folder() -> str:
 
 TEMPLATE = TemplateClient()
 """That of this program."""
+
+
+def share_template(group: str) -> None:
+    """Share this program's template with a group; see `TemplateClient.share`."""
+    TEMPLATE.share(group)
+
+
 atexit.register(TEMPLATE.close)
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=TEMPLATE.forget)

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from multiprocessing import reduction
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from workers.messages import Experiment, Input, Limits, Model, Outcome, Output, Task
+from workers.process.orders import END, FORK
 from workers.process.supervisor import SupervisedEvaluator
-from workers.process.template_client import TEMPLATE
+from workers.process.template_client import TEMPLATE, TemplateClient, shared_address
+from workers.process.watch import SharedProgress
 from workers.wire import TaskBatch
 
 TIMES = np.linspace(0.0, 2.0, 9)
@@ -68,3 +77,81 @@ def test_a_program_needs_no_standard_error(own_fmu: Callable[[str, int], Path]) 
     command = ["sh", "-c", CHECK, sys.executable, str(own_fmu("dahlquist", 2))]
     ended = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
     assert "no problem was found" in ended.stdout
+
+
+@contextmanager
+def fork_server(client: TemplateClient, model: Model) -> Iterator[tuple[int, Connection]]:
+    """A fork server of a client: its process, and the connection that it takes orders from."""
+    mine, theirs = socket.socketpair()
+    progress = SharedProgress()
+    with theirs:
+        installation = model, (EXPERIMENT,), "shared"
+        server = client.fork_server(installation, theirs.fileno(), progress.descriptor)
+    with Connection(mine.detach()) as orders:
+        yield server, orders
+        orders.send(END)
+    progress.close()
+
+
+def parent(process: int) -> int:
+    """The process that has forked another one."""
+    fields = Path(f"/proc/{process}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return int(fields[1])
+
+
+@pytest.fixture
+def group(tmp_path, monkeypatch) -> Iterator[list[TemplateClient]]:
+    """Two programs that share a template, as far as it knows."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    clients = [TemplateClient(), TemplateClient()]
+    for client in clients:
+        client.share("group")
+    yield clients
+    for client in clients:
+        client.close()
+
+
+def test_a_group_shares_one_that_is_nobody_s_child(model, group):
+    with fork_server(group[0], model) as (one, _), fork_server(group[1], model) as (other, _):
+        assert one != other
+        assert parent(one) == parent(other) != os.getpid()
+        assert group[1]._process is None
+        assert parent(parent(one)) != os.getpid()
+
+
+def test_a_shared_one_goes_on_for_the_others_and_ends_with_the_last(model, group, tmp_path):
+    with fork_server(group[0], model) as (one, _), fork_server(group[1], model):
+        template = parent(one)
+    group[0].close()
+    with fork_server(group[1], model) as (other, _):
+        assert parent(other) == template
+    group[1].close()
+    end = time.monotonic() + 30.0
+    while any(tmp_path.iterdir()) and time.monotonic() < end:
+        time.sleep(0.01)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_shared_one_that_was_killed_is_replaced_for_all(model, group):
+    with fork_server(group[0], model) as (one, _), fork_server(group[1], model) as (_, orders):
+        killed = parent(one)
+        os.kill(killed, signal.SIGKILL)
+        with fork_server(group[0], model) as (third, _), fork_server(group[1], model) as (last, _):
+            assert parent(third) == parent(last) != killed
+        orders.send(FORK)  # the fork server that came from it serves on
+        mine, theirs = socket.socketpair()
+        with mine, theirs:
+            reduction.send_handle(orders, theirs.fileno(), os.getpid())
+        assert orders.poll(30.0)
+        assert orders.recv() > 0
+
+
+def test_where_no_socket_can_be_each_has_its_own(model, group, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / ("long" * 30)))
+    with fork_server(group[0], model) as (one, _), fork_server(group[1], model) as (other, _):
+        assert parent(one) != parent(other)
+
+
+def test_what_is_read_at_start_decides_who_shares():
+    assert shared_address("g", {"OMP_A": "1"}) != shared_address("g", {"OMP_A": "2"})
+    assert shared_address("g", {}) != shared_address("h", {})
