@@ -217,8 +217,9 @@ class _BatchEvaluation:
     @cached_property
     def _countable(self) -> npt.NDArray[np.bool_]:
         """Whether all numbers of each point can be counted with; what is no number cannot."""
-        numbers = np.hstack([self.comparison.residuals, self.comparison.constraints])
-        return np.asarray((np.abs(numbers) < TOO_LARGE).all(axis=1))
+        residuals, constraints = self.comparison.residuals, self.comparison.constraints
+        countable = (np.abs(residuals) < TOO_LARGE).all(axis=1)
+        return np.asarray(countable & (np.abs(constraints) < TOO_LARGE).all(axis=1))
 
     def _failure(self, p: int) -> tuple[Status, str] | None:
         """Return the status and message of a point that failed, None for another."""

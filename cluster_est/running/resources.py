@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from cluster_est.running.records import Budget
 from workers.fmu.seats import program_seats
@@ -67,4 +69,10 @@ def one_blas_thread() -> Any:
     The matrices are small: threads would only wait for each other while the workers use the cores,
     and sums could round differently on machines with other numbers of cores.
     """
-    return threadpool_limits(limits=1, user_api="blas")
+    return _loaded_libraries(len(sys.modules)).limit(limits=1, user_api="blas")
+
+
+@lru_cache(maxsize=1)
+def _loaded_libraries(modules: int) -> ThreadpoolController:  # noqa: ARG001
+    """Look for libraries with threads, which takes milliseconds: again only after an import."""
+    return ThreadpoolController()

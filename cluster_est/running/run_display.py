@@ -20,7 +20,7 @@ class RunDisplay:
     Parameters
     ----------
     show
-        Called with each snapshot.
+        Called with each snapshot; None where nobody looks.
     executor, budget, pending
         Of the runner.
     clock
@@ -34,7 +34,7 @@ class RunDisplay:
 
     def __init__(
         self,
-        show: Show,
+        show: Show | None,
         executor: Executor,
         budget: BudgetWatch,
         pending: PendingTasks,
@@ -54,6 +54,8 @@ class RunDisplay:
 
     def show(self, searches: Sequence[SearchState]) -> None:
         """Show how far they are."""
+        if self._show is None:
+            return
         running = [s for s in searches if s.solution is None] or list(searches)
         busy = self._executor.busy
         left, at_most = self._left(searches)

@@ -73,9 +73,7 @@ class Runner:
         self._executor = executor
         self._budget = BudgetWatch(budget or Budget(), clock)
         self._pending = PendingTasks(executor, record or (lambda *_: None))
-        self.display = RunDisplay(
-            show or (lambda *_: None), executor, self._budget, self._pending, clock
-        )
+        self.display = RunDisplay(show, executor, self._budget, self._pending, clock)
         """Shows how far it is; a recipe tells it the phase."""
         self._note = note or (lambda *_: None)
         self._whole = whole

@@ -81,9 +81,9 @@ class _BatchRun:
         bounds: FloatArray | None = None,
     ) -> _BatchRun:
         """Allocate the results of some points."""
-        known = np.broadcast_to(bound.known_values, (len(values), len(bound.known_values)))
-        # hstack keeps columns together if its parts do; the loops need rows
-        rows = np.ascontiguousarray(np.hstack([values, known]))
+        given = values.shape[1]
+        rows = np.empty((len(values), given + len(bound.known_values)))
+        rows[:, :given], rows[:, given:] = values, bound.known_values
         result = SimulationBatch.empty(
             len(rows), len(bound.integration_grid.times), len(bound.outputs)
         )
