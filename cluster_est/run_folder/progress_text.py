@@ -14,6 +14,7 @@ FIT_TITLES = {
     "sample": "simulating between the bounds",
     "train": "searching",
     "screen": "screening the starts",
+    "starts": "evaluating the starts",
     "derivatives": "finding the intervals",
     "directions": "finding the intervals",
     "test": "fitting the test records",

@@ -55,6 +55,12 @@ class BudgetWatch:
         return most is None or self.evaluations + points <= most
 
     @property
+    def evaluations_left(self) -> float:
+        """Points that may be asked for still; infinite where their number ends nothing."""
+        most = self._budget.evaluations
+        return np.inf if most is None else max(most - self.evaluations, 0)
+
+    @property
     def counts_evaluations(self) -> bool:
         """True where it may end by the number of evaluations."""
         return self._budget.evaluations is not None

@@ -28,6 +28,10 @@ from workers.messages import FloatArray
 Sampler = Literal["sobol", "latin_hypercube", "uniform"]
 ATTEMPTS = 50
 """Samples drawn for each one that must satisfy the constraints on parameters."""
+ITERATIONS = 10
+"""Gradients, each with a step, or simplices, for which a search must have room to get anywhere."""
+SCREENED = 0.25
+"""Share of a budget that may go into evaluating starts, where it is too short for one search."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,8 @@ class Multistart:
         For each sampled start so many points are evaluated, all at once, and the best are taken.
     at_once
         Searches under way at the same time. A fixed number, so that no machine decides where a
-        budget of evaluations ends them; without one it decides nothing but speed.
+        budget of evaluations ends them; without one it decides nothing but speed. Fewer where a
+        budget is too short for all (see `plan_for_budget`).
     patience
         Stop after so many starts in a row that brought no new minimum; 0 for never.
     same
@@ -78,7 +83,7 @@ class MultistartResult:
     Attributes
     ----------
     starts : (searches, unknowns)
-        In search coordinates.
+        In search coordinates; the best first where a budget was too short for all.
     solutions
         Of each search.
     minima
@@ -111,7 +116,9 @@ def search_from_starts(
     ProblemError
         If samples are wanted but an unknown has no finite bounds.
     """
-    starts = make_starts(runner, suited(space, method), multistart)
+    suitable = suited(space, method)
+    starts = make_starts(runner, suitable, multistart)
+    starts, at_once = plan_for_budget(runner, suitable, starts, multistart.at_once)
     names = ["train"] if len(starts) == 1 else [f"start {i}" for i in range(len(starts))]
     requests = [
         SearchRequest(name, method, space.starting_at(x), seed)
@@ -121,9 +128,38 @@ def search_from_starts(
     def enough(solutions: Sequence[Solution]) -> bool:
         return _nothing_new(space, solutions, multistart)
 
-    solutions = runner.run(requests, multistart.at_once, enough)
+    solutions = runner.run(requests, at_once, enough)
     minima, minimum = cluster(space, solutions, multistart.same)
     return MultistartResult(starts[: len(solutions)], tuple(solutions), minima, minimum)
+
+
+def plan_for_budget(
+    runner: Runner, space: SearchSpace, starts: FloatArray, at_once: int
+) -> tuple[FloatArray, int]:
+    """Choose which starts come first, and how many searches are under way at the same time.
+
+    Where a budget has room for `ITERATIONS` gradients of each search, nothing changes. Where it has
+    not, searches that share it evenly would all end before they get anywhere. So the starts are
+    evaluated first, as many as leave room for a search, and searched from the best on, so few at
+    once that there is room for these.
+
+    Returns
+    -------
+    tuple
+        The starts in the order in which they are searched, and the number at once.
+    """
+    needed = ITERATIONS * (space.size + 2)
+    left = runner.evaluations_left
+    if len(starts) == 1 or left >= len(starts) * needed:
+        return starts, at_once
+    tried = min(len(starts), int(max(left - needed, SCREENED * left, 1)))
+    screen = GivenPoints(starts[:tried], "screen")
+    (found,) = runner.run([SearchRequest("starts", screen, space)])
+    if len(found.evaluations) < tried:  # interrupted: none of these searches begins any more
+        return starts, at_once
+    order = sorted(range(tried), key=lambda i: (found.evaluations[i].rank, i))
+    ordered = starts[[*order, *range(tried, len(starts))]]
+    return ordered, max(1, min(at_once, int(runner.evaluations_left // needed)))
 
 
 def check_starts(space: SearchSpace, multistart: Multistart) -> None:

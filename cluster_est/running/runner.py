@@ -87,6 +87,11 @@ class Runner:
         return self._budget.evaluations
 
     @property
+    def evaluations_left(self) -> float:
+        """Points that the budget has room for; infinite where it counts none."""
+        return self._budget.evaluations_left
+
+    @property
     def simulations(self) -> int:
         """Simulations that were run or found in a log."""
         return self._pending.simulations

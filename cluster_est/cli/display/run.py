@@ -66,7 +66,7 @@ def print_iterations(console: Console, run_folder: Path, search: str | None = No
     names = list(dict.fromkeys(row["search"] for row in rows))
     if search is None:
         ended = [row for row in rows if row["ending"] and row["cost"] is not None]
-        fits = [row for row in ended if row["search"] not in ("screen", "test")]
+        fits = [row for row in ended if row["search"] not in ("screen", "starts", "test")]
         search = min(fits, key=_final_rank)["search"] if fits else "train"
     if search not in names:
         from workers.fmu.description import nearest

@@ -447,3 +447,69 @@ def test_a_budget_ends_all_with_what_they_have():
     assert Ending.BUDGET in endings
     assert np.isfinite(found.best.cost)
     assert runner.evaluations < 30 + 16 * 8
+
+
+SHORT = 60
+"""Points: enough for three searches of two unknowns, as `plan_for_budget` counts them."""
+
+
+def begun(problem: FunctionProblem, evaluations: int, n: int, method: Method | None = None):
+    """The result with a budget, and the names of the searches in the order of their simulations."""
+    seen: list[str] = []
+    runner = Runner(
+        FunctionExecutor(problem.residuals, problem.constraints),
+        Budget(evaluations=evaluations),
+        record=lambda origin, _: seen.append(origin.search),
+    )
+    found = search_from_starts(
+        runner, space_of(problem), method or LeastSquares(), Multistart(n), 0
+    )
+    return found, list(dict.fromkeys(seen)), runner
+
+
+def test_a_budget_too_short_for_all_starts_goes_to_the_best_ones():
+    found, searches, runner = begun(HIMMELBLAU, SHORT, 20)
+    assert searches[0] == "starts"
+    costs = [float(np.sum(himmelblau(x) ** 2)) for x in found.starts]
+    assert costs == sorted(costs)
+    assert len(found.solutions) == len(found.starts) == 20
+    assert found.best.cost < 1e-6
+    assert {s.ending for s in found.solutions[-10:]} == {Ending.BUDGET}
+    assert runner.evaluations <= SHORT + 8
+
+
+@pytest.mark.parametrize("evaluations", [1, 2, 5, 12, 30])
+def test_a_budget_for_less_than_a_search_gives_the_best_of_the_starts_that_are_tried(evaluations):
+    found, _, _ = begun(PAIRS, evaluations, 64)
+    tried = [float(np.sum(three_pairs(x) ** 2)) for x in found.starts]
+    assert np.isfinite(found.best.cost)
+    assert found.best.cost <= min(tried[: max(1, evaluations // 4)])
+
+
+def test_a_budget_that_is_long_enough_changes_nothing():
+    found, searches, _ = begun(HIMMELBLAU, 10_000, 8)
+    assert "starts" not in searches
+    assert bits(found) == bits(search(HIMMELBLAU, Multistart(8)))
+
+
+def test_one_start_is_not_tried_before_its_search():
+    _, searches, _ = begun(HIMMELBLAU, 5, 1)
+    assert searches == ["train"]
+
+
+def test_starts_that_fail_come_last():
+    found, _, _ = begun(boxed(half_dead), SHORT, 16)
+    failed = [bool(x[0] > 0.0) for x in found.starts]
+    assert failed == sorted(failed)
+    assert found.best.cost < 1e-6
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 5))
+@settings(max_examples=15)
+def test_a_short_budget_ends_at_the_same_bits_whatever_order_answers_come_in(seed, workers):
+    def answer(task: Task) -> Outcome:
+        return Outcome(task.id, Status.OK, himmelblau(task.values), constraints=np.zeros(0))
+
+    runner = Runner(ShufflingExecutor(answer, seed, workers), Budget(evaluations=SHORT))
+    shuffled = search_from_starts(runner, space_of(HIMMELBLAU), LeastSquares(), Multistart(12), 0)
+    assert bits(shuffled) == bits(begun(HIMMELBLAU, SHORT, 12)[0])
