@@ -57,7 +57,8 @@ def _message(problem: ErrorDetails, raw: dict[str, Any], root: type[BaseModel]) 
     if kind == "extra_forbidden":
         section, _ = _walk(root, parts[:-1])
         known = section.model_fields if _is_section(section) else []
-        return f"unknown key {_path(parts, raw)}{nearest(str(parts[-1]), known)}"
+        elsewhere = _one_level_up(parts, raw, root)
+        return f"unknown key {_path(parts, raw)}{nearest(str(parts[-1]), known)}{elsewhere}"
     hint, meaning = _walk(root, parts)
     parent, _ = _walk(root, parts[:-1])
     one_of_pair = get_origin(parent) is tuple
@@ -74,6 +75,15 @@ def _message(problem: ErrorDetails, raw: dict[str, Any], root: type[BaseModel]) 
         return f"{path} is missing; add it ({meaning})"
     must = _MUST[kind].format(**problem.get("ctx", {})) if kind in _MUST else problem["msg"]
     return f"{path}: {must} but is {shown(value)}{_advice(kind, value, path)} ({meaning})"
+
+
+def _one_level_up(parts: Sequence[int | str], raw: dict[str, Any], root: type[BaseModel]) -> str:
+    """Say where a key belongs that stands too deep; "" where no enclosing section has it."""
+    for depth in range(len(parts) - 2, 0, -1):
+        section, _ = _walk(root, parts[:depth])
+        if _is_section(section) and parts[-1] in section.model_fields:
+            return f"; {str(parts[-1])!r} is a key of {_path(parts[:depth], raw)} itself"
+    return ""
 
 
 def _advice(kind: str, value: Any, path: str) -> str:

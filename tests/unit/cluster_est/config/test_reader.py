@@ -128,6 +128,13 @@ def test_an_unknown_key_is_named_with_the_nearest_known_one(path, shown, near):
     assert refusal({path: 1.0}) == f"c.toml: unknown key {shown}; did you mean {near}?"
 
 
+def test_a_key_that_stands_too_deep_is_shown_where_it_belongs():
+    said = refusal({f"{A}.outputs": {"x": {"column": "x", "sigma": 0.1}}})
+    assert ".outputs.x.sigma" in said
+    assert said.endswith("; 'sigma' is a key of experiments['a'] itself")
+    assert "itself" not in refusal({f"{A}.outputs": {"x": {"column": "x", "sgma": 0.1}}})
+
+
 @pytest.mark.parametrize(("path", "sentence"), MISSING)
 def test_a_missing_key_is_named_with_what_it_is_for(path, sentence):
     message = refusal({path: REMOVED})
