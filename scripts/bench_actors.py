@@ -57,7 +57,7 @@ def actors() -> list[int]:
                 words = (entry / "cmdline").read_bytes()
             except OSError:
                 continue
-            if words.startswith(b"ray::") and b"IDLE" not in words:
+            if words.startswith(b"ray::FmuActor"):  # a node ends with its agents
                 found.append(int(entry.name))
     return found
 
