@@ -132,12 +132,16 @@ class RunFolder:
         worker["busy_seconds"] += outcome.seconds
 
     def note(self, iteration: SearchIteration) -> None:
-        """Keep the last line that a search shows for each of its iterations, and its end."""
+        """Keep the last line that a search shows for each of its iterations, and its end.
+
+        Of searches of one name the best line is kept, whichever of them was quicker.
+        """
         progress = iteration.progress
         if np.isfinite(progress.cost) or progress.ending:
             key = (iteration.search, progress.iteration, progress.ending)
             row = {"search": iteration.search, **dataclasses.asdict(progress)}
-            self._iterations[key] = row | {"evaluations": iteration.evaluations}
+            row["evaluations"] = iteration.evaluations
+            self._iterations[key] = max(self._iterations.get(key, row), row, key=_lateness)
             self._progress.iteration(iteration)
 
     def show(self, snapshot: RunSnapshot) -> None:
@@ -276,3 +280,9 @@ def _remove_run(path: Path) -> None:
     for file in [*path.glob("*.parquet"), *texts]:
         if not file.is_dir():  # a folder of that name is not the run's
             file.unlink(missing_ok=True)
+
+
+def _lateness(row: Mapping[str, Any]) -> tuple[float, ...]:
+    """Order lines of an iteration: the later one of a search, the better one of two searches."""
+    worse = (row["violation"], row["cost"])
+    return (row["evaluations"], *(-np.nan_to_num(each, nan=np.inf) for each in worse))
