@@ -45,14 +45,13 @@ class BudgetWatch:
     @property
     def exhausted(self) -> bool:
         """True where nothing new may be asked for."""
-        most, longest = self._budget.evaluations, self._budget.seconds
-        enough = most is not None and self.evaluations >= most
-        return self.used_up or enough or (longest is not None and self.seconds >= longest)
+        longest = self._budget.seconds
+        late = longest is not None and self.seconds >= longest
+        return self.used_up or self.evaluations_left == 0 or late
 
     def has_room(self, points: int) -> bool:
         """Return whether so many points can be evaluated before it ends by their number."""
-        most = self._budget.evaluations
-        return most is None or self.evaluations + points <= most
+        return points <= self.evaluations_left
 
     @property
     def evaluations_left(self) -> float:
@@ -70,8 +69,8 @@ class BudgetWatch:
 
         `work` is what was done since the runner began, or since its last step did.
         """
-        most, longest = self._budget.evaluations, self._budget.seconds
-        points = None if most is None else max(most - self.evaluations, 0)
+        longest = self._budget.seconds
+        points = int(self.evaluations_left) if self.counts_evaluations else None
         time_limit = np.inf if longest is None else max(longest - self.seconds, 0.0)
         return float(np.fmin(time_limit, left_of_budget(work, points)))
 

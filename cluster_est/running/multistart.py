@@ -153,12 +153,7 @@ def plan_for_budget(
     if len(starts) == 1 or left >= len(starts) * needed:
         return starts, at_once
     tried = min(len(starts), int(max(left - needed, SCREENED * left, 1)))
-    screen = GivenPoints(starts[:tried], "screen")
-    (found,) = runner.run([SearchRequest("starts", screen, space)])
-    if len(found.evaluations) < tried:  # interrupted: none of these searches begins any more
-        return starts, at_once
-    order = sorted(range(tried), key=lambda i: (found.evaluations[i].rank, i))
-    ordered = starts[[*order, *range(tried, len(starts))]]
+    ordered = np.vstack([_best_first(runner, space, starts[:tried], "starts"), starts[tried:]])
     return ordered, max(1, min(at_once, int(runner.evaluations_left // needed)))
 
 
@@ -187,12 +182,16 @@ def make_starts(runner: Runner, space: SearchSpace, multistart: Multistart) -> F
     samples = sample(space, missing * multistart.screen, multistart)
     samples = with_best_sensors(runner, space, samples)
     if multistart.screen > 1:
-        (found,) = runner.run([SearchRequest("screen", GivenPoints(samples, "screen"), space)])
-        if not found.evaluations:  # interrupted: none of these searches begins any more
-            return np.vstack([*given, samples[:missing]])
-        order = sorted(range(len(samples)), key=lambda i: (found.evaluations[i].rank, i))
-        samples = samples[order[:missing]]
-    return np.vstack([*given, samples])
+        samples = _best_first(runner, space, samples, "screen")
+    return np.vstack([*given, samples[:missing]])
+
+
+def _best_first(runner: Runner, space: SearchSpace, points: FloatArray, name: str) -> FloatArray:
+    """Evaluate points as a search of this name; the points in the order of their ranks."""
+    (found,) = runner.run([SearchRequest(name, GivenPoints(points, "screen"), space)])
+    if not found.evaluations:  # interrupted: no search begins any more at any of them
+        return points
+    return points[sorted(range(len(points)), key=lambda i: (found.evaluations[i].rank, i))]
 
 
 def sample(space: SearchSpace, count: int, multistart: Multistart) -> FloatArray:

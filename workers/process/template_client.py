@@ -98,10 +98,8 @@ class TemplateClient:
         connection = self._started(order.environment)
         try:
             connection.send(order)
-            for handle in handles:
-                reduction.send_handle(
-                    connection, handle, os.getpid()
-                )  # whose id needs no system that forks
+            for handle in handles:  # the process's id matters on systems that cannot fork
+                reduction.send_handle(connection, handle, os.getpid())
             server: int = connection.recv()
         except BaseException:  # what it would answer is nobody's any more
             self._close()

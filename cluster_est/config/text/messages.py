@@ -57,8 +57,8 @@ def _message(problem: ErrorDetails, raw: dict[str, Any], root: type[BaseModel]) 
     if kind == "extra_forbidden":
         section, _ = _walk(root, parts[:-1])
         known = section.model_fields if _is_section(section) else []
-        elsewhere = _one_level_up(parts, raw, root)
-        return f"unknown key {_path(parts, raw)}{nearest(str(parts[-1]), known)}{elsewhere}"
+        belongs = _where_it_belongs(parts, raw, root)
+        return f"unknown key {_path(parts, raw)}{nearest(str(parts[-1]), known)}{belongs}"
     hint, meaning = _walk(root, parts)
     parent, _ = _walk(root, parts[:-1])
     one_of_pair = get_origin(parent) is tuple
@@ -77,7 +77,9 @@ def _message(problem: ErrorDetails, raw: dict[str, Any], root: type[BaseModel]) 
     return f"{path}: {must} but is {shown(value)}{_advice(kind, value, path)} ({meaning})"
 
 
-def _one_level_up(parts: Sequence[int | str], raw: dict[str, Any], root: type[BaseModel]) -> str:
+def _where_it_belongs(
+    parts: Sequence[int | str], raw: dict[str, Any], root: type[BaseModel]
+) -> str:
     """Say where a key belongs that stands too deep; "" where no enclosing section has it."""
     for depth in range(len(parts) - 2, 0, -1):
         section, _ = _walk(root, parts[:depth])
