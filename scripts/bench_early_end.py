@@ -36,7 +36,7 @@ def simulated(problem: ce.Problem, name: str, points: int, *, early: bool) -> tu
 
     def record(origin: TaskOrigin, outcome: Outcome) -> None:
         nonlocal seconds
-        run = problem.experiments[origin.experiment]
+        run = problem.experiments[origin.task.experiment]
         end = run.stop
         if outcome.status is Status.ENDED_EARLY:
             found = ENDED.search(outcome.message)

@@ -215,6 +215,13 @@ class _BatchEvaluation:
         )
 
     @cached_property
+    def _sound(self) -> list[bool]:
+        """Whether each point has reached its end, with numbers that can be counted with."""
+        finished = self.result.codes == failure.FINISHED
+        sound: list[bool] = (finished & self._countable).tolist()
+        return sound
+
+    @cached_property
     def _countable(self) -> npt.NDArray[np.bool_]:
         """Whether all numbers of each point can be counted with; what is no number cannot."""
         residuals, constraints = self.comparison.residuals, self.comparison.constraints
@@ -224,6 +231,8 @@ class _BatchEvaluation:
     def _failure(self, p: int) -> tuple[Status, str] | None:
         """Return the status and message of a point that failed, None for another."""
         result, comparison = self.result, self.comparison
+        if self._sound[p] and not comparison.failures and not result.linearisations:
+            return None
         if result.codes[p] == failure.ENDED_EARLY:
             return Status.ENDED_EARLY, result.messages[p]
         if result.codes[p] != failure.FINISHED:

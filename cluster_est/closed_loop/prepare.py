@@ -151,7 +151,7 @@ def _named(experiments: Sequence[Experiment], record: Record | None) -> Record |
     names = [(e.id, e.key) for e in experiments]
 
     def named(origin: TaskOrigin, outcome: Outcome) -> None:
-        record(replace(origin, installed=names[origin.experiment]), outcome)
+        record(replace(origin, installed=names[origin.task.experiment]), outcome)
 
     return named
 

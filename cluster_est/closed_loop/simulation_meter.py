@@ -26,6 +26,6 @@ class SimulationMeter:
         self.full = 0.0
 
     def __call__(self, origin: TaskOrigin, outcome: Outcome) -> None:
-        self.full += self._parts[origin.experiment]
+        self.full += self._parts[origin.task.experiment]
         if self._record is not None:
             self._record(origin, outcome)

@@ -9,7 +9,7 @@ from workers.messages import Outcome, Task
 from workers.wire import TaskBatch
 
 BATCH_SECONDS = 0.1
-FEW, FEW_SECONDS = 5, 0.5
+FEW, FEW_SECONDS = 9, 0.9
 """So many tasks travel together though they take longer than a batch, up to these seconds: where
 simulations take a tenth of a second, a message for each costs a small machine more than they do."""
 LEAST_SECONDS = 0.005

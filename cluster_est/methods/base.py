@@ -17,8 +17,9 @@ that the search has asked for. It may ask for no points, only to wait.
 from __future__ import annotations
 
 import enum
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -148,7 +149,7 @@ class Evaluation:
         The rules of K. Deb, Comput. Methods Appl. Mech. Engrg. 186 (2000) 311-338,
         doi:10.1016/S0045-7825(99)00389-8. Failed points come last.
         """
-        if not self.ok or np.isnan(self.cost):
+        if not self.ok or math.isnan(self.cost):
             return np.inf, np.inf
         return (0.0, self.cost) if self.feasible else (self.violation, self.cost)
 
@@ -159,7 +160,7 @@ class Evaluation:
         One number for each output instead, where the experiment is long and the method does not
         need every residual.
         """
-        return np.concatenate([np.zeros(0), *(_residuals(outcome) for outcome in self.outcomes)])
+        return joined_residuals(self.outcomes)
 
     @property
     def rows(self) -> list[slice]:
@@ -177,6 +178,11 @@ class Evaluation:
         """The status and message of the first simulation that failed; "" if none did."""
         failed = [outcome for outcome in self.outcomes if not outcome.ok]
         return f"{failed[0].status}: {failed[0].message}" if failed else ""
+
+
+def joined_residuals(outcomes: Sequence[Outcome]) -> FloatArray:
+    """Return the residuals of all outcomes, one after the other."""
+    return np.concatenate([np.zeros(0), *(_residuals(outcome) for outcome in outcomes)])
 
 
 def _residuals(outcome: Outcome) -> FloatArray:

@@ -44,23 +44,23 @@ def batch_of(
     """
     origins, outcomes, ended = zip(*rows, strict=True)
     paths = [outcome.trajectory if residuals else None for outcome in outcomes]
-    names = [origin.installed or experiments[origin.experiment] for origin in origins]
+    names = [origin.installed or experiments[origin.task.experiment] for origin in origins]
     keys = [
-        simulation_key(model_key, key, origin.effects, origin.values, origin.bound)
+        simulation_key(model_key, key, origin.task.effects, origin.task.values, origin.task.bound)
         for origin, (_, key) in zip(origins, names, strict=True)
     ]
     columns = [
         pa.array(keys),
-        pa.array([origin.want for origin in origins]),
+        pa.array([origin.task.want for origin in origins]),
         pa.array([origin.search for origin in origins]),
         pa.array([origin.evaluation for origin in origins], pa.int64()),
         pa.array([origin.purpose for origin in origins]),
         pa.array([name for name, _ in names]),
-        _lists([origin.values for origin in origins]),
-        pa.array([[effect.name for effect in origin.effects] for origin in origins]),
+        _lists([origin.task.values for origin in origins]),
+        pa.array([[effect.name for effect in origin.task.effects] for origin in origins]),
         pa.array([str(outcome.status) for outcome in outcomes]),
         pa.array([outcome.message for outcome in outcomes]),
-        pa.array([logged_cost(row.outcome, row.origin.want) for row in rows], pa.float64()),
+        pa.array([logged_cost(row.outcome, row.origin.task.want) for row in rows], pa.float64()),
         _lists([outcome.residuals if residuals else None for outcome in outcomes]),
         pa.array([residuals_hash(outcome.residuals) for outcome in outcomes], pa.string()),
         _lists([outcome.constraints if outcome.ok else None for outcome in outcomes]),
@@ -70,7 +70,7 @@ def batch_of(
         _lists([path and path.times for path in paths]),
         _lists([path and path.values.ravel() for path in paths]),
         pa.array(ended, pa.float64()),
-        pa.array([_finite(origin.bound) for origin in origins], pa.float64()),
+        pa.array([_finite(origin.task.bound) for origin in origins], pa.float64()),
     ]
     return pa.RecordBatch.from_arrays(columns, schema=SCHEMA)
 

@@ -157,7 +157,7 @@ class RunEnvironment:
             return None
 
         def told(origin: TaskOrigin, outcome: Outcome) -> None:
-            experiment = problem.experiments[origin.experiment]
+            experiment = problem.experiments[origin.task.experiment]
             record(replace(origin, installed=(experiment.id, experiment.key)), outcome)
 
         return told

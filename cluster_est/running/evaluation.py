@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.methods.base import Evaluation
+from cluster_est.methods.base import Evaluation, joined_residuals
 from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray, Outcome
 
@@ -26,10 +26,9 @@ def assemble_evaluation(
     index
         The number of the point among all that its search has asked for.
     """
-    joined = Evaluation(outcomes, np.nan, violation=np.nan, index=index)
-    if not joined.ok:
-        return joined
-    cost = space.problem.cost.value(joined.residuals, space.outputs)
+    if not all(outcome.ok for outcome in outcomes):
+        return Evaluation(outcomes, np.nan, violation=np.nan, index=index)
+    cost = space.problem.cost.value(joined_residuals(outcomes), space.outputs)
     if not space.constraint_names:
         return Evaluation(outcomes, cost, index=index)
     parts = [space.parameter_constraints(x), *(outcome.constraints for outcome in outcomes)]

@@ -6,6 +6,7 @@ The same simulation is never asked for twice while it is under way or remembered
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,10 +16,17 @@ from cluster_est.methods.base import Points
 from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.running.records import Record, TaskOrigin
 from cluster_est.running.search_state import OutcomeCache, Question, SearchState
-from workers.messages import REDUCTIONS, FloatArray, Outcome, Status, Task, Want
+from workers.messages import REDUCTIONS, Effect, FloatArray, Outcome, Status, Task, Want
 
 Slot = tuple[SearchState, int, int]
 """A search, the index of its point, and the position of the experiment: where an outcome goes."""
+
+
+class _Asked(NamedTuple):
+    """A task that was asked for, and what it answers."""
+
+    origin: TaskOrigin
+    question: Question
 
 
 class PendingTasks:
@@ -41,7 +49,7 @@ class PendingTasks:
         self._executor = executor
         self._record = record
         self._next_task = 0
-        self._origins: dict[int, TaskOrigin] = {}
+        self._under_way: dict[int, _Asked] = {}
         self._waiting: dict[Question, list[Slot]] = {}
         self._known = OutcomeCache()
         self._sizes: dict[tuple[int, bool], int] = {}
@@ -51,14 +59,28 @@ class PendingTasks:
     @property
     def under_way(self) -> int:
         """Tasks that were made and have not been answered."""
-        return len(self._origins)
+        return len(self._under_way)
 
-    def task(self, origin: TaskOrigin, want: Want) -> Task:
-        """A new task; the caller submits it."""
-        values, effects, bound = origin.values, origin.effects, origin.bound
-        task = Task(self._next_task, origin.experiment, values, want, effects, bound)
+    def task(
+        self,
+        name: str,
+        want: Want,
+        experiment: int,
+        values: FloatArray,
+        effects: tuple[Effect, ...],
+    ) -> Task:
+        """A new task for a simulation outside any search; the caller submits it."""
+        return self._make(
+            (experiment, values.tobytes(), effects, want, np.inf), values, name, 0, want
+        )
+
+    def _make(
+        self, question: Question, values: FloatArray, name: str, index: int, purpose: str
+    ) -> Task:
+        experiment, _, effects, want, bound = question
+        task = Task(self._next_task, experiment, values, want, effects, bound)
         self._next_task += 1
-        self._origins[task.id] = origin
+        self._under_way[task.id] = _Asked(TaskOrigin(task, name, index, purpose), question)
         return task
 
     def request(self, search: SearchState, points: Points) -> Iterator[Task]:
@@ -68,14 +90,18 @@ class PendingTasks:
         """
         space = search.request.space
         first = search.expect(points)
-        bounds = _bounds(space, points)
+        bounds = _bounds(space, points).tolist()
         values = [space.physical(x) for x in points.x]
+        finite = [bool(np.isfinite(each).all()) for each in values]
         places = [(p, e) for e in range(len(space.experiments)) for p in range(len(points.x))]
         if points.asynchronous:  # a point is answered when it is complete, so one after the other
             places.sort()
         for p, e in places:
-            slot, bound = (search, first + p, e), float(bounds[p])
-            task = self._ask(slot, space.experiments[e], values[p][e], bound)
+            slot = search, first + p, e
+            if not finite[p] and not np.isfinite(values[p][e]).all():
+                _place(slot, _no_values(space, values[p][e]))
+                continue
+            task = self._ask(slot, space.experiments[e], values[p][e], bounds[p])
             if task is not None:
                 yield task
 
@@ -86,9 +112,6 @@ class PendingTasks:
         effects, want = space.problem.effects, space.wants[place]
         want = "sensitivities" if search.sensitivities else want
         question = (experiment, values.tobytes(), effects, want, bound)
-        if not np.isfinite(values).all():
-            _place(slot, _no_values(space, values))
-            return None
         if (known := self._known.get(question)) is not None:
             _place(slot, known)
             return None
@@ -96,19 +119,14 @@ class PendingTasks:
             self._waiting[question].append(slot)
             return None
         self._waiting[question] = [slot]
-        name, purpose = search.request.name, search.purpose
-        origin = TaskOrigin(
-            name, index, purpose, experiment, values, effects, want=want, bound=bound
-        )
-        return self.task(origin, want)
+        return self._make(question, values, search.request.name, index, search.purpose)
 
     def receive(self, outcome: Outcome) -> Iterator[SearchState]:
         """Fill the slots that wait for an outcome, one by one; after each, whose it was."""
-        origin = self._origins.get(outcome.task)
-        if origin is None:
+        asked = self._under_way.get(outcome.task)
+        if asked is None:
             return
-        outcome = self.note(outcome)
-        question = _question(origin)
+        outcome, question = self.note(outcome), asked.question
         self._known.remember(question, outcome)
         for slot in self._waiting.pop(question, []):
             _place(slot, outcome)
@@ -116,10 +134,10 @@ class PendingTasks:
 
     def note(self, outcome: Outcome) -> Outcome:
         """Count and record the outcome of a task; what it is taken for."""
-        origin = self._origins.pop(outcome.task)
+        origin = self._under_way.pop(outcome.task).origin
         if outcome.residuals is not None:
             found = len(outcome.residuals)
-            kind = origin.experiment, origin.want in REDUCTIONS
+            kind = origin.task.experiment, origin.task.want in REDUCTIONS
             wanted = self._sizes.setdefault(kind, found)
             if found != wanted:  # of a user's function, on a worker that saw no other point yet
                 message = f"there are {found} residuals but there were {wanted} at the first point"
@@ -139,25 +157,20 @@ class PendingTasks:
             for question, slots in self._waiting.items()
             if not any(index in owner.pending for owner, index, _ in slots)
         }
-        self._cancel([t for t, origin in self._origins.items() if _question(origin) in unwanted])
+        self._cancel([t for t, asked in self._under_way.items() if asked.question in unwanted])
 
     def drop_all(self) -> None:
         """Take back all that no worker has begun."""
-        self._cancel(list(self._origins))
+        self._cancel(list(self._under_way))
 
     def _cancel(self, tasks: list[int]) -> None:
         for task in self._executor.cancel(tasks):
-            self._waiting.pop(_question(self._origins.pop(task)), None)
+            self._waiting.pop(self._under_way.pop(task).question, None)
 
 
 def _place(slot: Slot, outcome: Outcome) -> None:
     search, index, e = slot
     search.place(index, e, outcome)
-
-
-def _question(origin: TaskOrigin) -> Question:
-    values = origin.values.tobytes()
-    return origin.experiment, values, origin.effects, origin.want, origin.bound
 
 
 def _bounds(space: SearchSpace, points: Points) -> FloatArray:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from cluster_est.methods.base import Progress
-from workers.messages import Effect, FloatArray, Outcome, Want
+from workers.messages import Outcome, Task
 
 
 @dataclass(frozen=True)
@@ -20,21 +20,16 @@ class Budget:
 
 @dataclass(frozen=True)
 class TaskOrigin:
-    """Who asked for a task: what the log says of it besides its outcome.
+    """A task and who asked for it: what the log says of it besides its outcome.
 
-    `installed` is (id, key) of the experiment where it is none of the problem's own; `bound` is
-    that of the task.
+    `installed` is (id, key) of the experiment where it is none of the problem's own.
     """
 
+    task: Task
     search: str
     evaluation: int
     purpose: str
-    experiment: int
-    values: FloatArray
-    effects: tuple[Effect, ...] = ()
     installed: tuple[str, str] | None = None
-    want: Want = "residuals"
-    bound: float = math.inf
 
 
 @dataclass(frozen=True)

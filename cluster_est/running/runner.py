@@ -26,7 +26,6 @@ from cluster_est.running.records import (
     Record,
     SearchIteration,
     Show,
-    TaskOrigin,
 )
 from cluster_est.running.run_display import RunDisplay
 from cluster_est.running.search_state import SearchRequest, SearchState, suited
@@ -253,8 +252,7 @@ class Runner:
         """
         tasks = []
         for row, experiment in zip(values, experiments, strict=True):
-            origin = TaskOrigin(name, 0, want, experiment, row, effects, want=want)
-            tasks.append(self._pending.task(origin, want))
+            tasks.append(self._pending.task(name, want, experiment, row, effects))
         own = {task.id for task in tasks}
         answers: dict[int, Outcome] = {}
         self._executor.submit(tasks)

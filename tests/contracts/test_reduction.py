@@ -147,7 +147,7 @@ def test_a_method_goes_the_same_way(entry, cost, monkeypatch):
         asked, sizes = [], set()
 
         def record(origin, outcome, asked=asked, sizes=sizes):
-            asked.append(origin.values.tolist())
+            asked.append(origin.task.values.tolist())
             sizes.add(len(outcome.residuals))
 
         runner = Runner(CurveExecutor(curves), Budget(evaluations=1000), record)
@@ -177,7 +177,8 @@ def test_whole_and_reduced_answers_do_not_stand_in_for_each_other():
     """Else bits of a search would depend on which other search was faster."""
     curves, asked = decays("sse"), []
     runner = Runner(
-        CurveExecutor(curves), record=lambda origin, _: asked.append((origin.search, origin.want))
+        CurveExecutor(curves),
+        record=lambda origin, _: asked.append((origin.search, origin.task.want)),
     )
     look = GivenPoints(curves.space().start[None, :], "whole")
     search = PatternSearch(max_iterations=1)
@@ -274,7 +275,9 @@ class TestFit:
     def test_points_that_only_compete_are_asked_for_like_those_that_follow(self, method):
         """So that the start of a search, which was among them, is remembered."""
         curves, wants = decays("sse"), []
-        runner = Runner(CurveExecutor(curves), record=lambda origin, _: wants.append(origin.want))
+        runner = Runner(
+            CurveExecutor(curves), record=lambda origin, _: wants.append(origin.task.want)
+        )
         search_from_starts(runner, curves.space(), method, Multistart(2, screen=4), 0)
         assert set(wants) == {"squares" if method is self.METHOD else "residuals"}
 

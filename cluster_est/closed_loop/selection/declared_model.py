@@ -108,7 +108,7 @@ def _distinct(fits: Sequence[FittedModel], distance: float) -> list[FittedModel]
     """Fits at different points, the best of each."""
     kept: list[FittedModel] = []
     for fit in fits:
-        log = np.array([unknown.log for unknown in fit.space.unknowns], bool)
+        log = fit.space.logarithmic
         sizes = np.where(log, 1.0, np.maximum(np.abs(fit.x), fit.space.typical))
         if all(np.abs((fit.x - other.x) / sizes).max() > distance for other in kept):
             kept.append(fit)

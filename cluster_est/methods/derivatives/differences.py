@@ -100,8 +100,7 @@ def difference_steps(
     """
     if relative <= 0.0:
         relative = suitable_step(space, scheme)
-    logarithmic = np.array([unknown.log for unknown in space.unknowns], dtype=bool)
-    size = np.where(logarithmic, 1.0, np.maximum(np.abs(x), space.typical))
+    size = np.where(space.logarithmic, 1.0, np.maximum(np.abs(x), space.typical))
     distance = np.maximum(space.upper - x, x - space.lower)
     steps = np.minimum(relative * size, 0.5 * distance)
     steps = (x + steps) - x
@@ -179,7 +178,7 @@ def _assemble(
                 frozen[i] = True
                 continue
             blocks[e][:, j] = (plus.residuals - minus.residuals) / width
-            if constraint_rows[e].stop > constraint_rows[e].start:
+            if len(plus.constraints):
                 constraints[constraint_rows[e], i] = (plus.constraints - minus.constraints) / width
     for block, columns in zip(blocks, space.acting, strict=True):
         block[:, frozen[columns]] = 0.0

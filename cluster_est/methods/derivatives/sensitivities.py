@@ -205,8 +205,7 @@ def _check_points(
     space: SearchSpace, x: FloatArray, found: ResidualJacobian
 ) -> tuple[FloatArray, FloatArray]:
     """Return two points between which each unknown that matters changes the residuals as much."""
-    logarithmic = np.array([unknown.log for unknown in space.unknowns], dtype=bool)
-    sizes = np.where(logarithmic, 1.0, np.maximum(np.abs(x), space.typical))
+    sizes = np.where(space.logarithmic, 1.0, np.maximum(np.abs(x), space.typical))
     effects = np.sqrt(np.add.reduce(found.matrix**2, axis=0)) * sizes
     effects = np.maximum(effects, LEAST_EFFECT * effects.max(initial=0.0))
     shares = effects.min(initial=np.inf) / effects if effects.all() else np.ones(space.size)

@@ -49,8 +49,10 @@ class StepSolver:
         """Return the step for one lambda; it is zero for unknowns whose column is zero."""
         size = len(self._scale)
         factor, right = self._triangle[:, :size], -self._triangle[:, size]
-        system = np.vstack([factor, np.sqrt(damping) * np.diag(self._scale)])
-        target = np.concatenate([right, np.zeros(size)])
+        rows = len(factor)
+        system, target = np.zeros((rows + size, size)), np.zeros(rows + size)
+        system[:rows], target[:rows] = factor, right
+        np.fill_diagonal(system[rows:], np.sqrt(damping) * self._scale)
         free = np.linalg.lstsq(system, target, rcond=None)[0]
         if (free >= self._lower).all() and (free <= self._upper).all():
             return np.asarray(free / self._units)

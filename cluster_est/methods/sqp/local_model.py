@@ -68,7 +68,6 @@ class SqpLocalModel:
     def __init__(self, space: SearchSpace, hessian: Hessian, feasibility_only: bool) -> None:
         self._space, self._feasibility_only = space, feasibility_only
         self._equality = space.equality
-        self._logarithmic = np.array([unknown.log for unknown in space.unknowns], dtype=bool)
         self._hessian = HessianApproximations(hessian)
         self._history = LinearisationHistory(self._equality, 2 * space.size)
         self._sizes = space.typical
@@ -90,7 +89,9 @@ class SqpLocalModel:
             x, at.constraints, derivatives.constraint_jacobian
         )
         self._at, self.derivatives = at, derivatives
-        self._sizes = np.where(self._logarithmic, 1.0, np.maximum(np.abs(x), self._space.typical))
+        self._sizes = np.where(
+            self._space.logarithmic, 1.0, np.maximum(np.abs(x), self._space.typical)
+        )
         self._hessian.update(x, derivatives, multipliers, self._sizes)
         self.penalty.initialise(at.cost, float(np.abs(self._sizes * derivatives.gradient).max()))
 

@@ -287,13 +287,14 @@ class SearchSpace:
         return rows, np.repeat(columns, counts), counts
 
     @cached_property
-    def _logarithmic(self) -> IntArray:
-        return np.array([i for i, u in enumerate(self.unknowns) if u.log], np.intp)
+    def logarithmic(self) -> npt.NDArray[np.bool_]:
+        """(unknowns,): whether each is searched by its logarithm."""
+        return np.array([unknown.log for unknown in self.unknowns], dtype=bool)
 
     def _physical(self, x: FloatArray) -> FloatArray:
         """(unknowns,): physical values."""
         values = x.astype(np.float64)
-        for i in self._logarithmic.tolist():
+        for i in np.flatnonzero(self.logarithmic).tolist():
             values[i] = self.unknowns[i].to_physical(float(x[i]))
         return values
 

@@ -23,9 +23,8 @@ ABOUT_ZERO = 0.01
 
 def relative_sizes(space: SearchSpace, x: FloatArray) -> FloatArray:
     """Return the size to which a change of each unknown is relative: itself, unless about 0."""
-    logarithmic = np.array([unknown.log for unknown in space.unknowns], dtype=bool)
     own = np.where(np.abs(x) > ABOUT_ZERO * space.typical, np.abs(x), space.typical)
-    return np.where(logarithmic, 1.0, own)
+    return np.where(space.logarithmic, 1.0, own)
 
 
 def column_errors(

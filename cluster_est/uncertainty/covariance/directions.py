@@ -91,10 +91,9 @@ def direction(
         True if the data do not determine it at all.
     """
     values = np.array(list(space.estimates(x).values()))
-    logarithmic = np.array([u.log for u in space.unknowns], dtype=bool)
-    shift = np.where(logarithmic, values * move, move)
+    shift = np.where(space.logarithmic, values * move, move)
     sizes = np.where(np.abs(values) > 1e-3 * space.typical, np.abs(values), space.typical)
-    sizes = np.where(logarithmic, np.abs(values), sizes)
+    sizes = np.where(space.logarithmic, np.abs(values), sizes)
     parts = np.abs(shift) / sizes
     chosen = np.flatnonzero(parts > NAMED * parts.max())
     shift, values = shift[chosen], values[chosen]

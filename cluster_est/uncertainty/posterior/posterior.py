@@ -119,9 +119,8 @@ def _starts(
     x = solution.x
     values = np.array(list(space.estimates(x).values()))
     errors = np.array([each.std_error for each in intervals])
-    logarithmic = np.array([u.log for u in space.unknowns], dtype=bool)
     with np.errstate(divide="ignore", invalid="ignore"):
-        errors = np.where(logarithmic, errors / values, errors)
+        errors = np.where(space.logarithmic, errors / values, errors)
     known = np.isfinite(errors) & (errors > 0.0)
     ranges = np.where(np.isfinite(space.upper - space.lower), space.upper - space.lower, np.inf)
     sizes = np.where(known, errors, SPREAD * np.minimum(space.typical, ranges))

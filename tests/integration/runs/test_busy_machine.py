@@ -33,8 +33,8 @@ class Recorder:
 
     def __call__(self, origin: object, outcome: Outcome) -> None:
         found = b"" if outcome.residuals is None else outcome.residuals.tobytes()
-        values = origin.values.tobytes()  # type: ignore[attr-defined]
-        self.rows.append((origin.search, origin.experiment, values, outcome.status, found))  # type: ignore[attr-defined]
+        values = origin.task.values.tobytes()  # type: ignore[attr-defined]
+        self.rows.append((origin.search, origin.task.experiment, values, outcome.status, found))  # type: ignore[attr-defined]
 
 
 def twice(run: Callable[[Recorder], object], monkeypatch: pytest.MonkeyPatch) -> list[object]:

@@ -24,7 +24,7 @@ from cluster_est.report.watch_printing import WatchTable, rendered
 from cluster_est.run_folder.folder import RunFolder
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from cluster_est.running.records import Budget, RunSnapshot, SearchIteration, TaskOrigin
-from workers.messages import Outcome, Status
+from workers.messages import Outcome, Status, Task
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,9 @@ def fill(folder: RunFolder, numbers: range, problem) -> None:
     """Log simulations, every third of which failed."""
     for number in numbers:
         good = number % 3 != 0
-        origin = TaskOrigin("train", number, "point", 0, np.zeros(len(problem.parameters)))
+        origin = TaskOrigin(
+            Task(number, 0, np.zeros(len(problem.parameters))), "train", number, "point"
+        )
         status = Status.OK if good else Status.TIMEOUT
         message = "" if good else f"took longer than {number} s"
         folder.record(origin, Outcome(number, status, None, None, message, 0.1, "w0"))

@@ -94,9 +94,21 @@ ENTRIES = [
         DifferentialEvolution(), (SMOOTH, ROUGHNESS, INEQUALITY), 1e-3, boxed=True, constrained=1e-5
     ),
     Entry(Cmaes(), (SMOOTH, ROUGHNESS, INEQUALITY), 1e-3, boxed=True, constrained=1e-5),
-    Entry(ParticleSwarm(), (SMOOTH, ROUGHNESS, INEQUALITY), 1e-2, boxed=True, constrained=1e-4),
-    Entry(GeneticAlgorithm(), (SMOOTH, ROUGHNESS, INEQUALITY), 0.03, boxed=True, constrained=0.02),
-    Entry(Isres(), CONSTRAINTS, 1e-3, boxed=True, constrained=1e-5),
+    Entry(
+        ParticleSwarm(max_generations=150),
+        (SMOOTH, ROUGHNESS, INEQUALITY),
+        1e-2,
+        boxed=True,
+        constrained=1e-4,
+    ),
+    Entry(
+        GeneticAlgorithm(max_generations=80),
+        (SMOOTH, ROUGHNESS, INEQUALITY),
+        0.03,
+        boxed=True,
+        constrained=0.02,
+    ),
+    Entry(Isres(max_generations=300), CONSTRAINTS, 1e-3, boxed=True, constrained=1e-5),
     # gives a front instead of a minimum; its own tests are in test_populations.py
     Entry(Nsga2(), (), np.nan, boxed=True),
 ]

@@ -37,5 +37,5 @@ def longest_step(space: SearchSpace, x: FloatArray, largest: float) -> FloatArra
     largest
         Of a parameter: in logarithms, or as a share of its value.
     """
-    log = np.array([u.log for u in space.unknowns], bool)
+    log = space.logarithmic
     return largest * np.where(log, 1.0, np.maximum(np.abs(x), space.typical))

@@ -21,7 +21,7 @@ from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.synthetic_experiments import ShortenedCopy
 from cluster_est.closed_loop.workbench import FitStart
 from cluster_est.running.records import TaskOrigin
-from workers.messages import Outcome, Status
+from workers.messages import Outcome, Status, Task
 
 NAME = "mass_spring_damper"
 SETTINGS = LoopSettings(forms=("coulomb", "constant"), sites=("der(v)",))
@@ -97,9 +97,9 @@ def test_a_fit_that_cannot_be_simulated_is_none(bench):
 def test_a_meter_counts_parts_of_experiments(bench):
     heard = []
     runs = bench.everything.experiments
-    meter = SimulationMeter(runs, lambda origin, outcome: heard.append(origin.experiment))
+    meter = SimulationMeter(runs, lambda origin, outcome: heard.append(origin.task.experiment))
     for i in (0, 2, 2, 4):
-        meter(TaskOrigin("s", 0, "p", i, np.zeros(0)), Outcome(i, Status.OK))
+        meter(TaskOrigin(Task(i, i, np.zeros(0)), "s", 0, "p"), Outcome(i, Status.OK))
     expected = sum((runs[i].stop - runs[i].start) / 6.0 for i in (0, 2, 2, 4))
     assert meter.full == pytest.approx(expected, rel=1e-6)
     assert heard == [0, 2, 2, 4]

@@ -56,8 +56,7 @@ def tasks(*values: float, want: str = "residuals") -> list[Task]:
 
 
 def origin(task: Task) -> TaskOrigin:
-    asked = task.experiment, task.values, task.effects
-    return TaskOrigin("train", 0, "trial", *asked, want=task.want)
+    return TaskOrigin(task, "train", 0, "trial")
 
 
 def log_of(folder: Path, *, settings: LogSettings | None = None) -> EvaluationLog:

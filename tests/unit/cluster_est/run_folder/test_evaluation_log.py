@@ -15,7 +15,7 @@ from cluster_est.run_folder.evaluation_log import SCHEMA, EvaluationLog, LogSett
 from cluster_est.run_folder.log_format import END_OF_STREAM, LARGE, mend
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.running.records import TaskOrigin
-from workers.messages import Effect, Outcome, Status, Trajectory
+from workers.messages import Effect, Outcome, Status, Task, Trajectory
 
 EXPERIMENTS = [("first", "key1"), ("second", "key2")]
 METADATA = {"config_hash": "abc", "format": "1"}
@@ -33,7 +33,7 @@ def rows(count: int) -> list[Row]:
     """Simulations, every third of which failed."""
     made = []
     for i in range(count):
-        origin = TaskOrigin("train", i // 2, "trial", i % 2, np.array([0.1 * i, -1.0]))
+        origin = TaskOrigin(Task(i, i % 2, np.array([0.1 * i, -1.0])), "train", i // 2, "trial")
         outcome = Outcome(i, Status.OK, np.array([0.5, -i, 1e-300][: 2 + i % 2]), seconds=0.25)
         if i % 3 == 2:
             outcome = Outcome(i, Status.SOLVER_FAILURE, message=f"at {i}", worker="local-1")
@@ -62,8 +62,8 @@ def check(table: pa.Table, recorded: list[Row]) -> None:
         assert row["search"] == origin.search
         assert row["evaluation"] == origin.evaluation
         assert row["purpose"] == origin.purpose
-        assert row["experiment"] == EXPERIMENTS[origin.experiment][0]
-        assert row["values"] == origin.values.tolist()
+        assert row["experiment"] == EXPERIMENTS[origin.task.experiment][0]
+        assert row["values"] == origin.task.values.tolist()
         assert (row["status"], row["message"]) == (str(outcome.status), outcome.message)
         assert (row["seconds"], row["worker"]) == (outcome.seconds, outcome.worker)
         if outcome.residuals is None:
@@ -93,7 +93,8 @@ def test_failures_alone_have_null_residuals(tmp_path: Path) -> None:
 def test_a_row_says_its_effects_and_what_else_was_installed(tmp_path: Path) -> None:
     origin, outcome = rows(1)[0]
     effect = Effect("friction", "der(v)", "coulomb", ("v",))
-    rehearsal = replace(origin, experiment=7, effects=(effect,), installed=("first (15%)", "key7"))
+    task = replace(origin.task, experiment=7, effects=(effect,))
+    rehearsal = replace(origin, task=task, installed=("first (15%)", "key7"))
     write(tmp_path, [(origin, outcome), (rehearsal, outcome)], 2).close()
     own, other = read_log(tmp_path).to_pylist()
     assert (own["experiment"], own["effects"]) == ("first", [])
@@ -264,9 +265,8 @@ def test_a_log_that_cannot_be_written_is_said_with_the_next_row(
 def trajectories(count: int) -> list[Row]:
     found = []
     for i in range(count):
-        origin = TaskOrigin(
-            "before", 0, "trajectory", i % 2, np.array([float(i)]), want="trajectory"
-        )
+        task = Task(i, i % 2, np.array([float(i)]), "trajectory")
+        origin = TaskOrigin(task, "before", 0, "trajectory")
         path = Trajectory(("y", "z"), np.arange(40.0), np.arange(80.0).reshape(40, 2) + i)
         found.append((origin, Outcome(i, Status.OK, np.arange(30.0), path)))
     return found

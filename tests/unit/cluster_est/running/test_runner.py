@@ -133,8 +133,8 @@ def fitted(seed: int) -> tuple[list[tuple[bytes, float, Ending, int]], list[tupl
 
     def record(origin: TaskOrigin, outcome: Outcome) -> None:
         asked.append(
-            (origin.search, origin.evaluation, origin.experiment, origin.purpose,
-             origin.values.tobytes())
+            (origin.search, origin.evaluation, origin.task.experiment, origin.purpose,
+             origin.task.values.tobytes())
         )  # fmt: skip
 
     requests = [
