@@ -9,7 +9,8 @@ simulation of a second, most of it asleep, would be asked for as often. Printed 
 starts in which every parameter is 10 to 60 % off.
 
 With `--budget`, only what `least_squares` makes of so many points: the cost at the end, beside that
-of the same method which does not know that the budget has no room for a Jacobian and a step.
+of the same method which does not know that the budget has no room for a Jacobian and a step; and
+that of ten starts among which the budget is planned, beside the best of ten that share it evenly.
 """
 
 from __future__ import annotations
@@ -33,10 +34,12 @@ from scipy.optimize import least_squares
 
 import cluster_est as ce
 from cluster_est.methods.base import Method, Search
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.running.multistart import Multistart, sample
 
 Array = NDArray[np.float64]
 TANKS, NOISE, CLOSE = 10, 0.01, 1.05
+STARTS = 10
 SEEN = (2, 5, 9)
 WAYS: dict[str, dict[str, object]] = {
     "ours, defaults": {},
@@ -216,6 +219,27 @@ def with_budget(fmu: Path, starts: int, budget: int) -> None:
         )
 
 
+def with_starts(fmu: Path, starts: int, budget: int) -> None:
+    """Print what the plan for a budget of many starts is worth."""
+    ratios = []
+    for seed in range(starts):
+        problem, _ = made_problem(fmu, seed)
+        resources = ce.Resources(workers=1, budget=ce.Budget(evaluations=budget))
+        share = ce.Resources(workers=1, budget=ce.Budget(evaluations=budget // STARTS))
+        planned = ce.fit(problem, ce.LeastSquares(), resources, multistart=Multistart(STARTS))
+        space, alone = make_space(problem, (0,)), []
+        for x in (space.start, *sample(space, STARTS - 1, Multistart(STARTS))):
+            values = space.estimates(x)
+            begun = tuple(replace(p, start=values[p.name]) for p in problem.parameters)
+            found = ce.fit(replace(problem, parameters=begun), ce.LeastSquares(), share)
+            alone.append(found.solution.cost)
+        ratios.append(planned.solution.cost / min(alone))
+    print(
+        f"{f'{STARTS} starts, planned':32s} cost {np.median(ratios):.3g} times that of the best of "
+        f"{STARTS} that share it evenly (median; {min(ratios):.3g} to {max(ratios):.3g})"
+    )
+
+
 def until(costs: list[float], best: float) -> float:
     """How many simulations it took to come within 5 % of the best cost; infinite if never."""
     near = np.flatnonzero(np.array(costs) <= CLOSE * best)
@@ -233,6 +257,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             fmu = build(write_model(Path(folder)), Path(folder))
             with_budget(fmu, given.starts, given.budget)
+            with_starts(fmu, given.starts, given.budget)
         return
     ways: dict[str, Callable[[ce.Problem], list[float]]] = {
         name: partial(of_ours, options=options) for name, options in WAYS.items()

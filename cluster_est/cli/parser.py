@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from workers.fmu.description import nearest
@@ -21,6 +22,14 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     if rest:
         options.overrides = [*options.overrides, *rest]
     return options
+
+
+def _version() -> str:
+    """Return the name of the program and its version."""
+    try:
+        return f"cluster-est {version('cluster-est')}"
+    except PackageNotFoundError:
+        return "cluster-est, run from a folder in which it is not installed"
 
 
 def _suggest(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> None:
@@ -40,6 +49,7 @@ def make_parser() -> argparse.ArgumentParser:
         epilog="KEY=VALUE overrides a key of the config, as in method.options.trials=8. "
         "Exit codes: 0 done, 1 no solution, 2 bad input, 130 interrupted.",
     )
+    parser.add_argument("--version", action="version", version=_version())
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
 
     _add_init(commands)
