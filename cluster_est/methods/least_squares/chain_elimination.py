@@ -15,12 +15,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from cluster_est.methods.block_matrix import BlockMatrix
+from cluster_est.methods.least_squares.sparse_step import Mask
 from workers.messages import FloatArray, IntArray
-
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

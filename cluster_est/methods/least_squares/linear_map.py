@@ -9,9 +9,10 @@ import numpy as np
 
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.derivatives.differences import ResidualJacobian
-from cluster_est.methods.least_squares.block_step import BlockStepSolver
 from cluster_est.methods.least_squares.bounded_step import StepSolver
-from cluster_est.methods.least_squares.chain_step import ChainStepSolver
+from cluster_est.methods.least_squares.factored_blocks import FactoredBlocks
+from cluster_est.methods.least_squares.factored_chains import FactoredChains
+from cluster_est.methods.least_squares.sparse_step import SparseStepSolver
 from workers.messages import FloatArray
 
 
@@ -33,7 +34,7 @@ class LinearMap(ABC):
     @abstractmethod
     def solver(
         self, residuals: FloatArray, scale: FloatArray, lower: FloatArray, upper: FloatArray
-    ) -> StepSolver | BlockStepSolver | ChainStepSolver:
+    ) -> StepSolver | SparseStepSolver:
         """Return a solver of steps; see `StepSolver`."""
 
 
@@ -80,6 +81,6 @@ class _BlockMap(LinearMap):
 
     def solver(
         self, residuals: FloatArray, scale: FloatArray, lower: FloatArray, upper: FloatArray
-    ) -> BlockStepSolver | ChainStepSolver:
-        kind = ChainStepSolver if self._matrix.links.any() else BlockStepSolver
-        return kind(self._matrix, residuals, scale, lower, upper)
+    ) -> SparseStepSolver:
+        factor = FactoredChains if self._matrix.links.any() else FactoredBlocks
+        return SparseStepSolver(factor, self._matrix, residuals, scale, lower, upper)

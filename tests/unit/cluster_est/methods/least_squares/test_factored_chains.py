@@ -8,7 +8,8 @@ import pytest
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.least_squares.bounded_step import StepSolver
 from cluster_est.methods.least_squares.chain_elimination import eliminate, make_chains
-from cluster_est.methods.least_squares.chain_step import ChainStepSolver
+from cluster_est.methods.least_squares.factored_chains import FactoredChains
+from cluster_est.methods.least_squares.sparse_step import SparseStepSolver
 
 DAMPINGS = (1e-12, 1e-3, 1.0)
 
@@ -40,7 +41,7 @@ def test_steps_are_those_of_the_whole_matrix(seed, damping, width):
     matrix, residuals = chained_matrix(seed, rows=9 if seed else 4)
     bounds = np.full(matrix.size, -width), np.full(matrix.size, width)
     scale = matrix.norms()
-    chain = ChainStepSolver(matrix, residuals, scale, *bounds)
+    chain = SparseStepSolver(FactoredChains, matrix, residuals, scale, *bounds)
     dense = StepSolver(matrix.dense(), residuals, scale, *bounds)
     step = chain.step(damping)
     np.testing.assert_allclose(

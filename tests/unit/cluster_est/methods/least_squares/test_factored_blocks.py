@@ -7,7 +7,8 @@ import pytest
 
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.least_squares.active_set import within_bounds
-from cluster_est.methods.least_squares.block_step import BlockStepSolver
+from cluster_est.methods.least_squares.factored_blocks import FactoredBlocks
+from cluster_est.methods.least_squares.sparse_step import SparseStepSolver
 
 DAMPINGS = (1e-14, 1e-6, 1e-3, 1.0, 1e6)
 
@@ -73,7 +74,7 @@ def test_steps_without_bounds_are_those_of_the_whole_matrix(seed, shape):
     matrix, residuals, generator = random_matrix(seed, **shape)
     far = np.full(matrix.size, np.inf)
     scale = generator.uniform(0.1, 10.0, matrix.size)
-    solver = BlockStepSolver(matrix, residuals, scale, -far, far)
+    solver = SparseStepSolver(FactoredBlocks, matrix, residuals, scale, -far, far)
     whole = matrix.dense()
     for damping in DAMPINGS[1:] if "rows" in shape else DAMPINGS:
         expected = least_squares(whole, residuals, scale, damping)
@@ -92,7 +93,7 @@ def test_steps_within_bounds_are_optimal(seed, width):
     bounds[0][::5] = 0.0  # they stand at a bound already
     bounds[1][::7] = np.inf
     bounds[0][::11] = bounds[1][::11] = 0.0  # they cannot move at all
-    solver = BlockStepSolver(matrix, residuals, scale, *bounds)
+    solver = SparseStepSolver(FactoredBlocks, matrix, residuals, scale, *bounds)
     for damping in DAMPINGS:
         step = solver.step(damping)
         far = far_from_optimal(matrix.dense(), residuals, scale, damping, bounds, step)
@@ -103,9 +104,9 @@ def test_columns_of_any_size_count():
     matrix, residuals, generator = random_matrix(3)
     sizes = 10.0 ** generator.uniform(-150.0, 150.0, matrix.size)
     far = np.full(matrix.size, np.inf)
-    plain = BlockStepSolver(matrix, residuals, matrix.norms(), -far, far)
+    plain = SparseStepSolver(FactoredBlocks, matrix, residuals, matrix.norms(), -far, far)
     scaled = matrix.divided_columns(1.0 / sizes)
-    solver = BlockStepSolver(scaled, residuals, matrix.norms() * sizes, -far, far)
+    solver = SparseStepSolver(FactoredBlocks, scaled, residuals, matrix.norms() * sizes, -far, far)
     np.testing.assert_allclose(solver.step(1e-3) * sizes, plain.step(1e-3), rtol=1e-9)
 
 
@@ -117,7 +118,7 @@ def test_frozen_unknowns_stay():
         part[:, frozen[columns]] = 0.0
     scale = np.where(frozen, 1.0, matrix.norms())
     far = np.full(matrix.size, np.inf)
-    solver = BlockStepSolver(matrix, residuals, scale, -far, far)
+    solver = SparseStepSolver(FactoredBlocks, matrix, residuals, scale, -far, far)
     expected = least_squares(matrix.dense(), residuals, scale, 1e-3)
     assert (solver.step(1e-3)[frozen] == 0.0).all()
     np.testing.assert_allclose(solver.step(1e-3), expected, atol=1e-12)
@@ -134,8 +135,10 @@ def test_the_order_of_experiments_does_not_matter():
     )
     moved = np.concatenate([residuals[matrix.rows[e]] for e in order])
     limit = np.full(matrix.size, 0.1)
-    one = BlockStepSolver(matrix, residuals, matrix.norms(), -limit, limit).step(1e-6)
-    two = BlockStepSolver(other, moved, matrix.norms(), -limit, limit).step(1e-6)
+    one = SparseStepSolver(FactoredBlocks, matrix, residuals, matrix.norms(), -limit, limit).step(
+        1e-6
+    )
+    two = SparseStepSolver(FactoredBlocks, other, moved, matrix.norms(), -limit, limit).step(1e-6)
     np.testing.assert_allclose(one, two, atol=1e-12)
 
 

@@ -1,26 +1,22 @@
-"""The damped Gauss-Newton step within bounds, experiment by experiment.
+"""A Jacobian that is factored experiment by experiment, where each has unknowns of its own.
 
-The unknowns of one experiment alone are eliminated from its rows by an orthogonal factorisation;
-the other rows of the factor hold all information of the experiment on the shared unknowns. These
-are solved for together, and the others follow by back substitution (A. Bjorck, Numerical Methods
-for Least Squares Problems (1996), doi:10.1137/1.9781611971484, section 6.3). Time and memory grow
-with the number of experiments, not with its square. Symbols: J the Jacobian, r the residuals, D the
-scaling, R a triangular factor, p the step, lambda the damping.
+The unknowns of one experiment alone are eliminated from its rows; the other rows of the factor hold
+all information of the experiment on the shared unknowns. Time and memory grow with the number of
+experiments, not with its square. Symbols as in `sparse_step`; R is a triangular factor.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import final
 
 import numpy as np
-import numpy.typing as npt
+from typing_extensions import override
 
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.methods.least_squares.active_set import within_bounds
+from cluster_est.methods.least_squares.sparse_step import FactoredJacobian, Mask, solve_shared
 from workers.messages import FloatArray, IntArray
-
-Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -62,8 +58,9 @@ class _BlockGroup:
         return np.asarray(np.linalg.qr(system, mode="r"))
 
 
-class BlockStepSolver:
-    """Minimises |J p + r|^2 + lambda |D p|^2 subject to lower <= p <= upper.
+@final
+class FactoredBlocks(FactoredJacobian):
+    """J and r of experiments that share unknowns, if any, with all others.
 
     Parameters
     ----------
@@ -71,54 +68,24 @@ class BlockStepSolver:
         J.
     residuals : (residuals,)
         r.
-    scale : (unknowns,)
-        D, the diagonal; positive.
-    lower, upper : (unknowns,)
-        Bounds of the step; 0 lies between them.
     """
 
-    def __init__(
-        self,
-        matrix: BlockMatrix,
-        residuals: FloatArray,
-        scale: FloatArray,
-        lower: FloatArray,
-        upper: FloatArray,
-    ) -> None:
-        # powers of two bring the columns to one size and change no digit
-        self._units = np.asarray(2.0 ** np.round(np.log2(scale)), np.float64)
-        self._scale = scale / self._units
-        self._lower, self._upper = lower * self._units, upper * self._units
-        counts = np.zeros(matrix.size, np.int64)
-        for columns in matrix.columns:
-            counts[columns] += 1
-        self._shared = np.flatnonzero(counts > 1)
-        self._groups = _grouped(matrix.divided_columns(self._units), residuals, counts > 1)
+    def __init__(self, matrix: BlockMatrix, residuals: FloatArray) -> None:
+        shared = matrix.counts > 1
+        self._shared = np.flatnonzero(shared)
+        self._groups = _grouped(matrix, residuals, shared)
 
-    def step(self, damping: float) -> FloatArray:
-        """Return the step for lambda above 0; it is zero for unknowns without any effect."""
-        roots = np.sqrt(damping) * self._scale
+    @override
+    def products(self, step: FloatArray) -> Iterator[FloatArray]:
+        return (group.products(step) for group in self._groups)
 
-        def solve(fixed: Mask, values: FloatArray) -> FloatArray:
-            return self._solve(fixed, values, roots)
-
-        def gradient(step: FloatArray) -> tuple[FloatArray, float]:
-            return self._gradient(step, roots)
-
-        step = within_bounds(solve, gradient, self._lower, self._upper)
-        return np.asarray(step / self._units)
-
-    def predicted_cost(self, step: FloatArray) -> float:
-        """Return |J p + r|^2, the cost that the linear model predicts after a step."""
-        parts = [group.products(step * self._units) for group in self._groups]
-        return float(sum(float(np.add.reduce((part * part).ravel())) for part in parts))
-
-    def _solve(self, fixed: Mask, values: FloatArray, roots: FloatArray) -> FloatArray:
-        """Return the step with given values of its fixed unknowns."""
+    @override
+    def solve(self, fixed: Mask, values: FloatArray, roots: FloatArray) -> FloatArray:
         step = np.where(fixed, values, 0.0)
         factors = [group.eliminated(fixed, values, roots) for group in self._groups]
-        shared = self._shared[~fixed[self._shared]]  # rounding would move the others
-        step[shared] = self._solve_shared(factors, roots)[~fixed[self._shared]]
+        free = ~fixed[self._shared]  # rounding would move the others
+        found = solve_shared(self._shared, roots, self._left(factors))
+        step[self._shared[free]] = found[free]
         for group, factor in zip(self._groups, factors, strict=True):
             local, width = group.local, group.columns.shape[1]
             p = np.zeros((len(factor), width))
@@ -132,29 +99,16 @@ class BlockStepSolver:
             step[group.columns[:, :local]] = p[:, :local]
         return np.where(fixed, values, step)
 
-    def _solve_shared(self, factors: Sequence[FloatArray], roots: FloatArray) -> FloatArray:
-        """Return the shared unknowns, from the rows that the elimination left; 0 for fixed ones."""
-        count = len(self._shared)
-        if not count:
-            return np.zeros(0)
-        system = np.zeros((count, count + 1))
-        system[:, :count] = np.diag(roots[self._shared])
-        parts = [system]
+    def _left(self, factors: Sequence[FloatArray]) -> Iterator[tuple[IntArray, FloatArray]]:
+        """Give the shared unknowns of each group, and all that its experiments say of them."""
         for group, factor in zip(self._groups, factors, strict=True):
             rest = factor[:, group.local :, group.local :]
             stacked = rest.reshape(-1, rest.shape[2])
             triangle = np.asarray(np.linalg.qr(stacked, mode="r"), np.float64)
-            part = np.zeros((len(triangle), count + 1))
-            part[:, np.searchsorted(self._shared, group.columns[0, group.local :])] = triangle[
-                :, :-1
-            ]
-            part[:, -1] = triangle[:, -1]
-            parts.append(part)
-        joined = np.vstack(parts)
-        return np.asarray(np.linalg.lstsq(joined[:, :count], -joined[:, count], rcond=None)[0])
+            yield group.columns[0, group.local :], triangle
 
-    def _gradient(self, step: FloatArray, roots: FloatArray) -> tuple[FloatArray, float]:
-        """Return half the gradient of the damped model, and the size of its terms."""
+    @override
+    def gradient(self, step: FloatArray, roots: FloatArray) -> tuple[FloatArray, float]:
         result = roots * roots * step
         size = 0.0
         for group in self._groups:
