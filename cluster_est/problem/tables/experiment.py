@@ -10,6 +10,7 @@ from typing import Any, get_args
 
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.files import MeasuredTable
+from cluster_est.problem.tables.grades import with_grades
 from cluster_est.problem.tables.measured import (
     ColumnChange,
     MeasuredColumns,
@@ -32,8 +33,12 @@ from workers.messages.checks import (
     shown,
 )
 
-Columns = Mapping[str, str | Mapping[str, str]] | Sequence[str]
-"""Variables of the FMU, each with its column; or names that both have."""
+Columns = Mapping[str, str | Mapping[str, Any]] | Sequence[str]
+"""Variables of the FMU, each with its column, or its column and more; or names that both have."""
+OF_INPUTS = ("column", "interpolation")
+OBSERVED = ("free_scale", "free_offset", "detection_limit", "ordinal")
+OF_OUTPUTS = ("column", *OBSERVED)
+"""What may be said of an input or an output, in place of its column alone."""
 
 
 def experiment_from_table(
@@ -74,7 +79,10 @@ def experiment_from_table(
     id
         Name of the experiment.
     outputs
-        {FMU output: column}, or a list of names that both have.
+        {FMU output: column}, a list of names that both have, or {FMU output: {"column": ...,
+        "free_scale": True}}. Besides `free_scale` there are `free_offset`, `detection_limit` and
+        `ordinal`, as in `Output`; `ordinal` may be a list of words too, the lowest first, if these
+        stand in the column.
     time
         Column with the time in seconds.
     sample_time
@@ -107,7 +115,7 @@ def experiment_from_table(
     check_name(id, "experiment.id", DataError)
     where = f"experiment {id!r}"
     wanted = {
-        key: _named(given, f"{where}.{key}")
+        key: _named(given, f"{where}.{key}", OF_OUTPUTS if key == "outputs" else OF_INPUTS)
         for key, given in (("outputs", outputs), ("inputs", inputs), ("signals", signals))
     }
     if not wanted["outputs"]:
@@ -121,11 +129,11 @@ def experiment_from_table(
     reader = MeasuredColumns(
         _table(table, where), where, _rows(rows, where), _changes(columns, where)
     )
-    counted = next(iter(wanted["outputs"].values()))[0]
+    counted = next(iter(wanted["outputs"].values()))["column"]
     times = reader.times(time, sample_time, counted)
     measured = [
-        reader.output(times, name, column, sigmas[name], parts[name])
-        for name, (column, _) in wanted["outputs"].items()
+        _output(reader, times, name, given, (sigmas[name], parts[name]))
+        for name, given in wanted["outputs"].items()
     ]
     start, stop = interval(start, stop, times, measured, where)
     driving = {key: _driving(reader, times, wanted[key], key) for key in ("inputs", "signals")}
@@ -146,32 +154,47 @@ def _table(table: Any, where: str) -> MeasuredTable:
     return table_of(Path(table) if isinstance(table, str) else table, where)
 
 
-def _named(given: Columns, where: str) -> dict[str, tuple[str, Interpolation]]:
-    """Column and interpolation of each variable."""
+def _named(given: Columns, where: str, known: tuple[str, ...]) -> dict[str, Mapping[str, Any]]:
+    """The column of each variable, and what is said of it besides."""
     if not isinstance(given, Mapping):
         names = as_tuple(given, str, where, DataError)
         check_once(names, where, DataError)
-        return {name: (name, "linear") for name in names}
-    found: dict[str, tuple[str, Interpolation]] = {}
+        return {name: {"column": name} for name in names}
+    found: dict[str, Mapping[str, Any]] = {}
     for name, each in given.items():
         check_name(name, f"{where}: a variable", DataError)
         entry = {"column": each} if isinstance(each, str) else each
         if not isinstance(entry, Mapping) or "column" not in entry:
             raise DataError(
-                f"{where}.{name}: must be a column's name or {{column, interpolation}} but is "
+                f"{where}.{name}: must be a column's name or {{{', '.join(known)}}} but is "
                 f"{shown(each)}"
             )
         for key in entry:
-            if key not in ("column", "interpolation"):
-                raise DataError(
-                    f"{where}.{name}: unknown key {key}"
-                    f"{nearest(str(key), ['column', 'interpolation'])}"
-                )
+            if key not in known:
+                raise DataError(f"{where}.{name}: unknown key {key}{nearest(str(key), known)}")
         check_name(entry["column"], f"{where}.{name}.column", DataError)
         how = entry.get("interpolation", "linear")
         check_choice(how, get_args(Interpolation), f"{where}.{name}.interpolation", DataError)
-        found[name] = entry["column"], how  # type: ignore[assignment]
+        found[name] = entry
     return found
+
+
+def _output(
+    reader: MeasuredColumns,
+    times: FloatArray,
+    name: str,
+    given: Mapping[str, Any],
+    sigmas: tuple[float, float],
+) -> Output:
+    """A measured output, with what is said of how it was observed."""
+    observed = {key: given[key] for key in OBSERVED if key in given}
+    words = observed.get("ordinal")
+    if isinstance(words, Sequence) and not isinstance(words, str):
+        where = f"{reader.where}.outputs.{name}"
+        grades = as_tuple(words, str, f"{where}.ordinal", DataError)
+        graded = with_grades(reader.table, given["column"], grades, where)
+        reader, observed = replace(reader, table=graded), observed | {"ordinal": True}
+    return replace(reader.output(times, name, given["column"], *sigmas), **observed)
 
 
 def _of_outputs(
@@ -247,12 +270,12 @@ def _check_times(
 def _driving(
     reader: MeasuredColumns,
     times: FloatArray,
-    wanted: Mapping[str, tuple[str, Interpolation]],
+    wanted: Mapping[str, Mapping[str, Any]],
     key: str,
 ) -> tuple[Input, ...]:
     return tuple(
-        reader.driving(times, name, column, interpolation, key)
-        for name, (column, interpolation) in wanted.items()
+        reader.driving(times, name, given["column"], given.get("interpolation", "linear"), key)
+        for name, given in wanted.items()
     )
 
 

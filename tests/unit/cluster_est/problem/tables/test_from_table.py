@@ -93,6 +93,31 @@ def test_its_options_are_those_of_a_config():
     )
 
 
+def test_an_output_says_how_it_was_observed():
+    given = {"column": "position", "free_scale": True, "free_offset": True}
+    found = ce.Experiment.from_table(COLUMNS, **GIVEN | {"outputs": {"y": given}})
+    (output,) = found.outputs
+    assert (output.free_scale, output.free_offset, output.ordinal) == (True, True, False)
+    assert output.values.tolist() == [0.0, 0.2, 0.3]
+    limited = {"column": "position", "detection_limit": 0.25}
+    found = ce.Experiment.from_table(COLUMNS, **GIVEN | {"outputs": {"y": limited}})
+    assert found.outputs[0].values.tolist() == [0.25, 0.25, 0.3]
+
+
+@pytest.mark.parametrize("words", [["low", "middle", "high"], ("low", "middle", "high")])
+def test_words_are_places_among_the_grades(words):
+    graded = {"t": [0.0, 1.0, 2.0], "state": ["middle", "high", "low"]}
+    given = {"column": "state", "ordinal": words}
+    found = ce.Experiment.from_table(graded, id="a", time="t", outputs={"y": given})
+    assert found.outputs[0].ordinal is True
+    assert found.outputs[0].values.tolist() == [2.0, 3.0, 1.0]
+
+
+def of_y(**more):
+    """The output's column and more."""
+    return {"outputs": {"y": {"column": "position", **more}}}
+
+
 REFUSED = [
     ({"outputs": {"y": "positon"}}, "has no column 'positon'; did you mean 'position'?"),
     ({"outputs": {"y": "words"}}, "column 'words', row 3: must be a number but is 'x'"),
@@ -122,7 +147,7 @@ REFUSED = [
     ({"time": 3}, "time: must be text but is 3"),
     ({"outputs": ["position"] * 2}, "outputs 'position': must appear once but appears twice"),
     ({"outputs": {3: "position"}}, "outputs: a variable: must be text but is 3"),
-    ({"outputs": {"y": {3: "position"}}}, "outputs.y: must be a column's name or {column, interp"),
+    ({"outputs": {"y": {3: "position"}}}, "outputs.y: must be a column's name or {column, free_s"),
     ({"inputs": {"F": {"column": "force", 3: 4}}}, "inputs.F: unknown key 3"),
     ({"sigma": {3: 1.0}}, "sigma: an output: must be text but is 3"),
     ({"sigma": 10**400}, "sigma.y: must be a finite number of a usual size but is 1000"),
@@ -140,6 +165,13 @@ REFUSED = [
     ({"inputs": {"F": 3}}, "inputs.F: must be a column's name or {column, interpolation} but is 3"),
     ({"inputs": {"F": {"column": "force", "how": 1}}}, "inputs.F: unknown key how"),
     ({"id": ""}, "experiment.id: must not be empty"),
+    (of_y(interpolation="hold"), "outputs.y: unknown key interpolation"),
+    (of_y(free_scale="shared"), "output 'y'.free_scale: must be true or false but is 'shared'"),
+    (of_y(detection_limit="0"), "output 'y'.detection_limit: must be a number but is '0'"),
+    (of_y(ordinal=True, free_scale=True), "ordinal: must not go with free_scale"),
+    (of_y(ordinal="low"), "ordinal: must be true or false but is 'low'"),
+    (of_y(ordinal=["low", 3]), "outputs.y.ordinal[1]: must be text but is 3"),
+    (of_y(ordinal=["low", "high"]), "must hold the words that are listed but holds numbers"),
 ]
 
 
