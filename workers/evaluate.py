@@ -101,11 +101,13 @@ class Evaluator:
     def evaluate(self, batch: TaskBatch) -> list[Outcome]:
         """Answer every task of a batch, in its order."""
         answers: dict[int, Outcome] = {}
-        for experiment in np.unique(batch.experiments):
-            chosen = np.flatnonzero(batch.experiments == experiment)
-            for part in self._parts(int(experiment), chosen):
-                outcomes = self._simulate(int(experiment), part, batch)
-                answers.update(zip(part.tolist(), outcomes, strict=True))
+        positions: dict[int, list[int]] = {}
+        for position, experiment in enumerate(batch.experiments.tolist()):
+            positions.setdefault(experiment, []).append(position)
+        for experiment in sorted(positions):
+            for part in self._parts(experiment, positions[experiment]):
+                outcomes = self._simulate(experiment, part, batch)
+                answers.update(zip(part, outcomes, strict=True))
         return [answers[i] for i in range(len(batch.ids))]
 
     def free_instance(self) -> None:
@@ -121,14 +123,14 @@ class Evaluator:
         """Free the FMU."""
         self._simulator.close()
 
-    def _parts(self, experiment: int, chosen: IntArray) -> list[IntArray]:
+    def _parts(self, experiment: int, chosen: list[int]) -> list[list[int]]:
         """Cut a batch so that its outputs fit into memory."""
         bound = self._simulator.bound_experiment(experiment)
         size = max(1, len(bound.grid.times) * len(bound.outputs))
         most = max(1, MAX_VALUES // size)
         return [chosen[first : first + most] for first in range(0, len(chosen), most)]
 
-    def _simulate(self, experiment: int, part: IntArray, batch: TaskBatch) -> list[Outcome]:
+    def _simulate(self, experiment: int, part: list[int], batch: TaskBatch) -> list[Outcome]:
         ids, values = batch.ids[part], batch.values[part]
         bound = self._simulator.bound_experiment(experiment)
         start = time.perf_counter()
@@ -226,7 +228,9 @@ class _BatchEvaluation:
         """Whether all numbers of each point can be counted with; what is no number cannot."""
         residuals, constraints = self.comparison.residuals, self.comparison.constraints
         countable = (np.abs(residuals) < TOO_LARGE).all(axis=1)
-        return np.asarray(countable & (np.abs(constraints) < TOO_LARGE).all(axis=1))
+        if constraints.shape[1]:
+            countable &= (np.abs(constraints) < TOO_LARGE).all(axis=1)
+        return np.asarray(countable)
 
     def _failure(self, p: int) -> tuple[Status, str] | None:
         """Return the status and message of a point that failed, None for another."""

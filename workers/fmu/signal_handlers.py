@@ -8,10 +8,9 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from typing import Any
 
-KEPT = (signal.SIGINT, signal.SIGTERM)
+KEPT = (int(signal.SIGINT), int(signal.SIGTERM))
 ROOM = 512
 """Bytes: more than a struct sigaction has on any system."""
 ADDRESS = ctypes.sizeof(ctypes.c_void_p)
@@ -36,7 +35,7 @@ class _HandlersAtTheBeginning:
         self._entered = threading.Event()
         self._guard: threading.Thread | None = None
 
-    def enter(self) -> None:
+    def __enter__(self) -> None:
         """Remember the handlers, if no other thread is inside."""
         with self._lock:
             if self._inside == 0:
@@ -44,7 +43,7 @@ class _HandlersAtTheBeginning:
             self._inside += 1
             self._entered.set()
 
-    def leave(self) -> None:
+    def __exit__(self, *_: object) -> None:
         """Put the handlers back, and see to it that they are guarded if they were others."""
         with self._lock:
             self._inside -= 1
@@ -57,10 +56,12 @@ class _HandlersAtTheBeginning:
 
     def _put_back(self) -> bool:
         """Put the handlers back; return whether there were others."""
-        _read(self._found)
+        replaced = False
         for number, room in self._handlers.items():
-            _sigaction(number, room, None)
-        return any(self._found[n][:ADDRESS] != self._handlers[n][:ADDRESS] for n in KEPT)
+            found = self._found[number]
+            _sigaction(number, room, found)
+            replaced |= found[:ADDRESS] != room[:ADDRESS]
+        return replaced
 
     def _stay(self) -> None:
         while True:
@@ -71,16 +72,16 @@ class _HandlersAtTheBeginning:
             time.sleep(PAUSE)
 
 
-def _sigaction(number: signal.Signals, given: Any, found: Any) -> None:
+def _sigaction(number: int, given: Any, found: Any) -> None:
     if _C_LIBRARY is not None:
-        _C_LIBRARY.sigaction(int(number), given, found)
+        _C_LIBRARY.sigaction(number, given, found)
 
 
-def _rooms() -> dict[signal.Signals, Any]:
+def _rooms() -> dict[int, Any]:
     return {number: ctypes.create_string_buffer(ROOM) for number in KEPT}
 
 
-def _read(rooms: dict[signal.Signals, Any]) -> None:
+def _read(rooms: dict[int, Any]) -> None:
     """Read the handlers of now."""
     for number, room in rooms.items():
         _sigaction(number, None, room)
@@ -89,20 +90,12 @@ def _read(rooms: dict[signal.Signals, Any]) -> None:
 _BEFORE = _HandlersAtTheBeginning()
 
 
-@contextlib.contextmanager
-def kept_signal_handlers() -> Iterator[None]:
-    """Put the handlers back at the end that were there at the beginning.
+def kept_signal_handlers() -> contextlib.AbstractContextManager[None]:
+    """Return a context that puts the handlers back at its end that were there at its beginning.
 
     From Python only the main thread could, and would not see what C code has changed. Where several
     threads are inside, the beginning is that of the first: a later one would take an FMU's handlers
     for those of the process. From the second time on that an FMU replaces them they are put back
     while it runs, too.
     """
-    if _C_LIBRARY is None:
-        yield
-        return
-    _BEFORE.enter()
-    try:
-        yield
-    finally:
-        _BEFORE.leave()
+    return contextlib.nullcontext() if _C_LIBRARY is None else _BEFORE

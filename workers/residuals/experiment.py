@@ -93,6 +93,8 @@ def _constraints(experiment: Experiment, parameters: tuple[str, ...]) -> list[Co
 def _joined(
     comparisons: list[Comparison], simulated: SimulatedOutputs, failures: dict[int, str]
 ) -> FloatArray:
+    if not comparisons:
+        return np.zeros((len(simulated.outputs), 0))
     parts = []
     for comparison in comparisons:
         compared = comparison.compare(simulated)

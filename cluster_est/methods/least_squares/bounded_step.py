@@ -64,7 +64,9 @@ class StepSolver:
 
     def predicted_cost(self, step: FloatArray) -> float:
         """Return |J p + r|^2, the cost that the linear model predicts after a step."""
-        values = self._triangle @ np.append(step * self._units, 1.0)
+        moved = np.ones(len(step) + 1)
+        moved[:-1] = step * self._units
+        values = self._triangle @ moved
         return float(values @ values)
 
 

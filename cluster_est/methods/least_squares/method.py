@@ -149,7 +149,8 @@ class LeastSquares(Method):
         secant, updates, most = None, 0, self.secant_updates
         before_step: tuple[ResidualJacobian, IterationState] | None = None
         while True:
-            scaled = _with_current_sizes(space, state.x)
+            refined = provider.exact or compared is not None
+            scaled = _with_current_sizes(space, state.x) if refined else space
             requests = provider.jacobian(scaled, state.x, state.at, state.progress)
             jacobian = secant or (yield from within_budget(requests, 1))
             if jacobian is None:
