@@ -9,7 +9,7 @@ from workers.messages import Outcome, Task
 from workers.wire import TaskBatch
 
 BATCH_SECONDS = 0.1
-FEW, FEW_SECONDS = 9, 0.9
+FEW, FEW_SECONDS = 9, 0.5
 """So many tasks travel together though they take longer than a batch, up to these seconds: where
 simulations take a tenth of a second, a message for each costs a small machine more than they do."""
 LEAST_SECONDS = 0.005
@@ -27,12 +27,14 @@ class TaskBacklog:
     shares
         Into how many batches the whole queue is cut at least, so that no worker waits while
         another holds everything.
+    few_seconds
+        For which a few tasks may travel together though they take longer than a batch.
     """
 
-    def __init__(self, shares: int) -> None:
+    def __init__(self, shares: int, few_seconds: float = FEW_SECONDS) -> None:
         self._tasks: deque[Task] = deque()
         self._seconds: dict[int, float] = {}
-        self._shares = shares
+        self._shares, self._few_seconds = shares, few_seconds
 
     def __len__(self) -> int:
         return len(self._tasks)
@@ -81,7 +83,7 @@ class TaskBacklog:
         """Whether the next task joins a batch of so many, which take so long."""
         if count >= most:
             return seconds < LEAST_SECONDS
-        few = 0 < count < FEW and seconds + self.next_seconds <= FEW_SECONDS
+        few = 0 < count < FEW and seconds + self.next_seconds <= self._few_seconds
         return seconds < BATCH_SECONDS or few
 
     def learn(self, batch: TaskBatch, outcomes: Sequence[Outcome]) -> None:

@@ -29,6 +29,9 @@ from workers.messages import Experiment, Limits, Model, Outcome, Status, Task
 from workers.wire import OutcomeColumns, TaskBatch
 
 IN_FLIGHT = 2
+FEW_SECONDS = 0.9
+"""For which a few tasks travel together: longer than elsewhere, for a message to an actor costs
+milliseconds of its core and of the coordinator's."""
 LOOK_SECONDS = 0.5
 """How often stragglers are looked for while nothing comes back."""
 CLUSTER_SECONDS = 5.0
@@ -77,7 +80,7 @@ class RayPool(WorkerPool):
         self._owns_ray = owns_ray
         own = uuid.uuid4().hex[:12]
         self._installation = ray.put(model), ray.put(experiments), limits, own
-        self._backlog = TaskBacklog(shares=IN_FLIGHT * self.workers)
+        self._backlog = TaskBacklog(IN_FLIGHT * self.workers, FEW_SECONDS)
         self._starting: dict[Any, tuple[str, Any]] = {}
         self._actors: dict[str, Any] = {}
         self._flying: dict[Any, _BatchInFlight] = {}

@@ -32,7 +32,7 @@ from cluster_est.running.search_state import SearchRequest, SearchState, suited
 from workers.messages import Effect, FloatArray, Outcome, ResetPolicy, Status, Task, Want
 
 SUBMITTED_AT_ONCE = 1000
-HURRY_SECONDS = 2.0
+HURRY_SECONDS = 3.0
 Enough = Callable[[Sequence[Solution]], bool]
 
 
