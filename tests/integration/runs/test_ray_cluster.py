@@ -1,18 +1,22 @@
-"""A fit on two Ray nodes, of which one is killed in the middle and another one joins."""
+"""Fits on two Ray nodes: in other folders than the program, and where one of them is lost."""
 
 from __future__ import annotations
 
 import os
+import shutil
 import time
 from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 import ray
 from ray.cluster_utils import Cluster
-from support.problems.springs import spring_problem
+from support.descendants import ray_actors
+from support.problems.springs import ROOT, spring_problem
 
+import cluster_est as ce
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.executors.ray_pool import RayPool
 from cluster_est.methods.least_squares.method import LeastSquares
@@ -64,3 +68,37 @@ def test_a_lost_node_and_a_new_one_change_no_bit(cluster, monkeypatch):
             if len(seen) >= 3:
                 break
     assert len(seen) >= 3
+
+
+def test_nodes_that_work_in_other_folders_need_no_files(tmp_path, monkeypatch):
+    """Relative paths are those of the program; the FMU and what was measured travel by content."""
+    folders = {name: tmp_path / name for name in ("head", "second", "program")}
+    for folder in folders.values():
+        folder.mkdir()
+    monkeypatch.setenv("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    monkeypatch.chdir(folders["head"])  # a node works where it was started
+    cluster = Cluster(
+        initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}
+    )
+    try:
+        monkeypatch.chdir(folders["second"])
+        cluster.add_node(num_cpus=1)
+        monkeypatch.chdir(folders["program"])
+        shutil.copytree(ROOT / "configs", "configs")
+        problem = ce.read_problem("configs/mass_spring_damper.toml")
+        requests = [
+            SearchRequest(f"start {experiment}", LeastSquares(), make_space(problem, (experiment,)))
+            for experiment in problem.indices("train")
+        ]
+        with LocalExecutor.open(problem.model, problem.experiments, 1, None) as executor:
+            expected = Runner(executor).run(requests)
+        with RayPool.open(problem.model, problem.experiments, 2, cluster.address) as pool:
+            pool.free_instances(2)  # waits until both have begun
+            at_work = {Path(os.readlink(f"/proc/{process}/cwd")) for process in ray_actors()}
+            found = Runner(pool).run(requests)
+        assert at_work == {folders["head"], folders["second"]}
+        assert [s.x.tobytes() for s in found] == [s.x.tobytes() for s in expected]
+        assert not any((*folders["head"].iterdir(), *folders["second"].iterdir()))
+    finally:
+        ray.shutdown()
+        cluster.shutdown()
