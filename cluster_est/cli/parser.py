@@ -24,12 +24,16 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     return options
 
 
-def _version() -> str:
-    """Return the name of the program and its version."""
-    try:
-        return f"cluster-est {version('cluster-est')}"
-    except PackageNotFoundError:
-        return "cluster-est, run from a folder in which it is not installed"
+class _ShowVersion(argparse.Action):
+    """Print the name of the program and its version, which is looked up only then."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        try:
+            said = version("cluster-est")
+        except PackageNotFoundError:
+            said = "is run from a folder in which it is not installed"
+        sys.stdout.write(f"{parser.prog} {said}\n")
+        parser.exit()
 
 
 def _suggest(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> None:
@@ -49,7 +53,7 @@ def make_parser() -> argparse.ArgumentParser:
         epilog="KEY=VALUE overrides a key of the config, as in method.options.trials=8. "
         "Exit codes: 0 done, 1 no solution, 2 bad input, 130 interrupted.",
     )
-    parser.add_argument("--version", action="version", version=_version())
+    parser.add_argument("--version", action=_ShowVersion, nargs=0, help="show the version and exit")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
 
     _add_init(commands)

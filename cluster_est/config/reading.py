@@ -84,9 +84,7 @@ class ExperimentReader:
         how = self._section.outputs[variable]
         columns = self._columns
         if isinstance(how.ordinal, list):
-            where = f"{columns.where}.outputs.{variable}"
-            graded = with_grades(columns.table, column, how.ordinal, where)
-            columns = replace(columns, table=graded)
+            columns = with_grades(columns, variable, column, how.ordinal)
         output = columns.output(times, variable, column, sigma, relative)
         return replace(
             output,

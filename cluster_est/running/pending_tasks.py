@@ -92,13 +92,13 @@ class PendingTasks:
         first = search.expect(points)
         bounds = _bounds(space, points).tolist()
         values = [space.physical(x) for x in points.x]
-        finite = [bool(np.isfinite(each).all()) for each in values]
+        finite = [np.asarray(np.isfinite(each).all(axis=1)) for each in values]
         places = [(p, e) for e in range(len(space.experiments)) for p in range(len(points.x))]
         if points.asynchronous:  # a point is answered when it is complete, so one after the other
             places.sort()
         for p, e in places:
             slot = search, first + p, e
-            if not finite[p] and not np.isfinite(values[p][e]).all():
+            if not finite[p][e]:
                 _place(slot, _no_values(space, values[p][e]))
                 continue
             task = self._ask(slot, space.experiments[e], values[p][e], bounds[p])

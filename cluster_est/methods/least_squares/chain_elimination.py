@@ -11,7 +11,6 @@ K. J. Plitt, IFAC Proc. Vol. 17 (1984) 1603-1608, doi:10.1016/S1474-6670(17)6120
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -188,10 +187,3 @@ def eliminate(chain: Chain, fixed: Mask, values: FloatArray, roots: FloatArray) 
         kept.append(triangle[:n])
         carried = triangle[n:, n:]
     return EliminatedChain(chain, tuple(kept), carried)
-
-
-def all_chains(
-    chains: Sequence[Chain], fixed: Mask, values: FloatArray, roots: FloatArray
-) -> list[EliminatedChain]:
-    """Eliminate each chain."""
-    return [eliminate(chain, fixed, values, roots) for chain in chains]

@@ -13,7 +13,7 @@ import numpy as np
 from typing_extensions import override
 
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.methods.least_squares.chain_elimination import all_chains, make_chains
+from cluster_est.methods.least_squares.chain_elimination import eliminate, make_chains
 from cluster_est.methods.least_squares.sparse_step import FactoredJacobian, Mask, solve_shared
 from workers.messages import FloatArray
 
@@ -42,7 +42,7 @@ class FactoredChains(FactoredJacobian):
     @override
     def solve(self, fixed: Mask, values: FloatArray, roots: FloatArray) -> FloatArray:
         step = np.where(fixed, values, 0.0)
-        chains = all_chains(self._chains, fixed, values, roots)
+        chains = [eliminate(chain, fixed, values, roots) for chain in self._chains]
         free = ~fixed[self._shared]  # rounding would move the others
         left = ((each.chain.border, each.rest) for each in chains)
         step[self._shared[free]] = solve_shared(self._shared, roots, left)[free]

@@ -190,10 +190,9 @@ def _output(
     observed = {key: given[key] for key in OBSERVED if key in given}
     words = observed.get("ordinal")
     if isinstance(words, Sequence) and not isinstance(words, str):
-        where = f"{reader.where}.outputs.{name}"
-        grades = as_tuple(words, str, f"{where}.ordinal", DataError)
-        graded = with_grades(reader.table, given["column"], grades, where)
-        reader, observed = replace(reader, table=graded), observed | {"ordinal": True}
+        words = as_tuple(words, str, f"{reader.where}.outputs.{name}.ordinal", DataError)
+        reader = with_grades(reader, name, given["column"], words)
+        observed["ordinal"] = True
     return replace(reader.output(times, name, given["column"], *sigmas), **observed)
 
 

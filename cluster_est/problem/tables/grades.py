@@ -11,29 +11,30 @@ import pyarrow as pa
 
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.cells import is_text, trimmed_cells
-from cluster_est.problem.tables.files import MeasuredTable
+from cluster_est.problem.tables.measured import MeasuredColumns
 from workers.fmu.description import nearest
 
 
 def with_grades(
-    table: MeasuredTable, column: str, grades: Sequence[str], where: str
-) -> MeasuredTable:
-    """Return the table with the words of a column as their places among the grades, from 1 on.
+    columns: MeasuredColumns, variable: str, column: str, grades: Sequence[str]
+) -> MeasuredColumns:
+    """Return columns with the words of one as their places among the grades, from 1 on.
 
     Parameters
     ----------
-    table, column
-        What is read.
+    columns
+        Of the experiment's table.
+    variable, column
+        The output that was measured, and its column.
     grades
         All words, the lowest first.
-    where
-        Opens each message.
 
     Raises
     ------
     DataError
         If a word is given twice or is none of the grades, or the column has no words.
     """
+    table, where = columns.table, f"{columns.where}.outputs.{variable}"
     repeated = [word for word, count in Counter(grades).items() if count > 1]
     if repeated:
         raise DataError(
@@ -59,4 +60,4 @@ def with_grades(
                 f"one of the grades that are listed but is {word!r}{nearest(word, grades)}"
             )
     numbers = np.array([np.nan if w is None else places[w] for w in words], np.float64)
-    return replace(table, columns={**table.columns, column: numbers})
+    return replace(columns, table=replace(table, columns={**table.columns, column: numbers}))

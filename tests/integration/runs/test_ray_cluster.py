@@ -70,35 +70,34 @@ def test_a_lost_node_and_a_new_one_change_no_bit(cluster, monkeypatch):
     assert len(seen) >= 3
 
 
-def test_nodes_that_work_in_other_folders_need_no_files(tmp_path, monkeypatch):
-    """Relative paths are those of the program; the FMU and what was measured travel by content."""
-    folders = {name: tmp_path / name for name in ("head", "second", "program")}
-    for folder in folders.values():
+@pytest.fixture
+def folders(tmp_path, monkeypatch) -> list[Path]:
+    """Of the first node, which works where it is started, of the second one and the program."""
+    made = [tmp_path / name for name in ("head", "second", "program")]
+    for folder in made:
         folder.mkdir()
-    monkeypatch.setenv("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-    monkeypatch.chdir(folders["head"])  # a node works where it was started
-    cluster = Cluster(
-        initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}
-    )
-    try:
-        monkeypatch.chdir(folders["second"])
-        cluster.add_node(num_cpus=1)
-        monkeypatch.chdir(folders["program"])
-        shutil.copytree(ROOT / "configs", "configs")
-        problem = ce.read_problem("configs/mass_spring_damper.toml")
-        requests = [
-            SearchRequest(f"start {experiment}", LeastSquares(), make_space(problem, (experiment,)))
-            for experiment in problem.indices("train")
-        ]
-        with LocalExecutor.open(problem.model, problem.experiments, 1, None) as executor:
-            expected = Runner(executor).run(requests)
-        with RayPool.open(problem.model, problem.experiments, 2, cluster.address) as pool:
-            pool.free_instances(2)  # waits until both have begun
-            at_work = {Path(os.readlink(f"/proc/{process}/cwd")) for process in ray_actors()}
-            found = Runner(pool).run(requests)
-        assert at_work == {folders["head"], folders["second"]}
-        assert [s.x.tobytes() for s in found] == [s.x.tobytes() for s in expected]
-        assert not any((*folders["head"].iterdir(), *folders["second"].iterdir()))
-    finally:
-        ray.shutdown()
-        cluster.shutdown()
+    monkeypatch.chdir(made[0])
+    return made
+
+
+def test_nodes_that_work_in_other_folders_need_no_files(folders, cluster, monkeypatch):
+    """Relative paths are those of the program; the FMU and what was measured travel by content."""
+    *of_nodes, program = folders
+    monkeypatch.chdir(of_nodes[1])
+    cluster.add_node(num_cpus=1)
+    monkeypatch.chdir(program)
+    shutil.copytree(ROOT / "configs", "configs")
+    problem = ce.read_problem("configs/mass_spring_damper.toml")
+    requests = [
+        SearchRequest(f"start {experiment}", LeastSquares(), make_space(problem, (experiment,)))
+        for experiment in problem.indices("train")
+    ]
+    with LocalExecutor.open(problem.model, problem.experiments, 1, None) as executor:
+        expected = Runner(executor).run(requests)
+    with RayPool.open(problem.model, problem.experiments, 2, cluster.address) as pool:
+        pool.free_instances(2)  # waits until both have begun
+        at_work = {Path(os.readlink(f"/proc/{process}/cwd")) for process in ray_actors()}
+        found = Runner(pool).run(requests)
+    assert at_work == set(of_nodes)
+    assert [s.x.tobytes() for s in found] == [s.x.tobytes() for s in expected]
+    assert not any(list(folder.iterdir()) for folder in of_nodes)
