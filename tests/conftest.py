@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import signal
+import subprocess
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import build_fmus
 import fmpy
 import pytest
-from build_fmus import build
+from build_fmus import SCAFFOLD
 from fmus import build as own
 from hypothesis import settings
 
@@ -55,30 +59,49 @@ def loops_count_as_compiled() -> None:
 
 
 @pytest.fixture(scope="session")
-def built_fmu(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], bytes]:
-    """Give the FMU of a folder in `tests/fmus/lenient_models`, built once a session."""
+def kept_fmus(pytestconfig: pytest.Config) -> Path:
+    """A folder for FMUs built from the sources as they are, for all processes and later runs."""
     if shutil.which("cc") is None or fmpy.platform != "linux64":
         pytest.skip("building with the system's compiler needs cc on a 64-bit Linux")
-    folder = tmp_path_factory.mktemp("fmus")
+    own_folder, examples = Path(own.__file__).parent, SCAFFOLD
+    sources = [build_fmus.__file__, *own_folder.rglob("*.*"), *examples.rglob("*.*")]
+    texts = [Path(file).read_bytes() for file in sorted(map(str, sources)) if "pycache" not in file]
+    texts.append(subprocess.run(["cc", "--version"], capture_output=True, check=True).stdout)
+    digest = hashlib.sha256(b"\0".join(texts)).hexdigest()[:16]
+    cache = pytestconfig.cache
+    assert cache is not None
+    return cache.mkdir(f"fmus-{digest}")
+
+
+def _kept(path: Path, make: Callable[[Path], Path]) -> Path:
+    """The file at this path, made if it is not there; two processes may make it at once."""
+    if not path.exists():
+        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+            make(Path(folder)).replace(path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def built_fmu(kept_fmus: Path) -> Callable[[str], bytes]:
+    """Give the FMU of a folder in `tests/fmus/lenient_models`, built once."""
     models = Path(__file__).parent / "fmus" / "lenient_models"
 
     def give(name: str) -> bytes:
-        path = folder / f"{name}.fmu"
-        return (path if path.exists() else build(models / name, folder)).read_bytes()
+        made = _kept(
+            kept_fmus / f"{name}.fmu", lambda folder: build_fmus.build(models / name, folder)
+        )
+        return made.read_bytes()
 
     return give
 
 
 @pytest.fixture(scope="session")
-def own_fmu(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], Path]:
-    """Give a model of `tests/fmus/models` for a version of the FMI, built once a session."""
-    if shutil.which("cc") is None or fmpy.platform != "linux64":
-        pytest.skip("building with the system's compiler needs cc on a 64-bit Linux")
-    folder = tmp_path_factory.mktemp("own_fmus")
+def own_fmu(kept_fmus: Path) -> Callable[[str, int], Path]:
+    """Give a model of `tests/fmus/models` for a version of the FMI, built once."""
 
     def give(name: str, fmi: int) -> Path:
-        path = folder / f"{name}_fmi{fmi}.fmu"
-        return path if path.exists() else own.build(name, fmi, folder)
+        path = kept_fmus / f"{name}_fmi{fmi}.fmu"
+        return _kept(path, lambda folder: own.build(name, fmi, folder))
 
     return give
 
