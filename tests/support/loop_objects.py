@@ -13,24 +13,25 @@ import numpy as np
 from support.problems.functions import FunctionExecutor
 from support.problems.springs import FMU
 
-from cluster_est import Experiment, Model, Output, Parameter, Problem, Solver
+from cluster_est import Experiment, LoopSettings, Model, Output, Parameter, Problem, Result, Solver
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.screening.directions import CandidatePoint
 from cluster_est.closed_loop.screening.ranking import CandidateRanking
 from cluster_est.closed_loop.screening.screen import ScreeningResult
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
+from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
+from cluster_est.closed_loop.selection.refinement.visited_models import VisitedModels
 from cluster_est.closed_loop.selection.rounds import (
     RejectionReason,
+    RoundStart,
     SelectionResult,
     SelectionRound,
 )
-from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.simulation_meter import SimulationMeter
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.methods.base import Ending, Solution
 from cluster_est.problem.search_space.space import make_space
 from cluster_est.results.output_errors import OutputError
-from cluster_est.results.result import Result
 from cluster_est.running.runner import Runner
 from cluster_est.statistics.omnibus import OmnibusTest
 from cluster_est.statistics.projection import OrthogonalProjection, ProjectedResidual
@@ -162,9 +163,28 @@ def made_screening(
     )
 
 
-def made_round(why: RejectionReason, screening: ScreeningResult) -> SelectionRound:
+def made_round(why: RejectionReason | None, screening: ScreeningResult) -> SelectionRound:
     """A round in which nothing was added."""
     return SelectionRound(screening, (), why)
+
+
+def made_refit(fitted: FittedModel, criterion: float) -> RefittedCandidate:
+    """A larger structure, refitted to convergence."""
+    return RefittedCandidate(fitted, criterion, True)
+
+
+def made_start(
+    base: FittedModel,
+    screening: ScreeningResult,
+    *,
+    predicted: float,
+    floor: float,
+    numerical: float = 0.0,
+) -> RoundStart:
+    """A round that begins at the declared model."""
+    prediction = LeaveOneOutPrediction(np.array([predicted]))
+    visited = VisitedModels(1.0)
+    return RoundStart(base, base, prediction, screening, visited, floor, numerical=numerical)
 
 
 def made_selection(

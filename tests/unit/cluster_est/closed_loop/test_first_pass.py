@@ -10,15 +10,10 @@ import numpy as np
 import pytest
 from support.truth.systems_with_missing_effects import measured, missing_effect_problem
 
-from cluster_est import Problem
-from cluster_est.closed_loop.first_pass import (
-    _after_jumps,
-    _in_records,
-    open_checked_workbench,
-)
+from cluster_est import LoopSettings, Problem, detect
+from cluster_est.closed_loop.first_pass import open_checked_workbench
 from cluster_est.closed_loop.prepare import LoopRequest
 from cluster_est.closed_loop.workbench import LoopWorkbench
-from cluster_est.statistics.noise.outliers import isolated_outliers
 from workers.messages import FloatArray
 
 NOISE = 0.01
@@ -144,36 +139,44 @@ def test_noise_that_is_declared_to_grow_is_as_declared(clean: Problem) -> None:
         assert not [each for each in bench.notes if "grows" in each]
 
 
-def test_samples_after_a_jump_of_an_input_are_no_outliers(clean: Problem) -> None:
-    """The jumps are just before some samples that stand alone."""
-    run = clean.experiments[0]
-    times = run.outputs[0].times
-    at = np.array([40, 200, 420])
-    steps = np.searchsorted(at, np.arange(len(times)), side="right") % 2
-    driven = replace(run, inputs=(replace(run.inputs[0], times=times, values=1.0 * steps),))
-    after = np.flatnonzero(_after_jumps(driven, "y"))
-    assert set(at) <= set(after)
-    assert set(after) <= {i + late for i in at for late in range(-1, 3)}
-    assert not _after_jumps(run, "y").any()
-
-
-def test_what_is_excepted_stays() -> None:
-    jumps = 60 * np.arange(1, 10)
-    signal = np.random.default_rng(5).normal(0.0, NOISE, 601)
-    signal[jumps] += 15.0 * NOISE
-    excepted = np.zeros(601, bool)
-    excepted[jumps] = True
-    assert isolated_outliers(signal, NOISE).mask[jumps].all()
-    assert not isolated_outliers(signal, NOISE, excepted=excepted).mask.any()
-
-
 @pytest.mark.parametrize(("answers", "found"), [(True, 0), (False, 9)])
-def test_outliers_that_follow_jumps_are_answers_to_them(answers: bool, found: int) -> None:
-    """Nine samples stand alone: all of them just after a jump, or one as it happens."""
-    jumps = np.zeros(601, bool)
-    jumps[(60 * np.arange(1, 10))[:, None] + np.arange(3)] = True
-    signal = np.random.default_rng(5).normal(0.0, NOISE, 601)
-    at = 60 * np.arange(1, 10) + (0 if answers else np.array([0, *range(10, 26, 2)]))
-    signal[at] += 15.0 * NOISE
-    outliers = _in_records({0: signal}, {0: jumps}, NOISE)[0]
-    assert outliers.mask.sum() == found
+def test_outliers_that_follow_jumps_are_answers_to_them(
+    clean: Problem, answers: bool, found: int
+) -> None:
+    """Nine samples stand alone: all of them just after a jump of the force, or one by chance."""
+    times = clean.experiments[0].outputs[0].times
+    jumps = 60 * np.arange(1, 10)
+    steps = 1.0 * (np.searchsorted(jumps, np.arange(601), side="right") % 2)
+    runs = [
+        replace(run, inputs=(replace(run.inputs[0], times=times, values=steps),))
+        for run in missing_effect_problem("mass_spring_damper").experiments
+    ]
+    driven = measured(replace(clean, experiments=tuple(runs)), NOISE)
+    off = np.zeros(601)
+    off[jumps + (0 if answers else np.array([0, *range(10, 26, 2)]))] = 15.0 * NOISE
+    with checked(changed(driven, off, np.zeros(601))) as bench:
+        assert 601 - len(bench.problem.experiments[0].outputs[0].times) == found
+
+
+@pytest.mark.parametrize(
+    ("sigma", "expected"),
+    [pytest.param(0.5, 0.5, id="given"), pytest.param(1.0, 10.0, id="not given")],
+)
+def test_records_too_short_to_show_their_noise_have_the_sigma_that_is_given(
+    clean: Problem, sigma: float, expected: float
+) -> None:
+    """Four records of nine samples in which the model leaves ten units."""
+    times = np.arange(9) * 0.1
+    residual = np.random.default_rng(3).standard_normal((4, 9))
+    residual *= 10.0 / np.sqrt(np.mean(residual**2))
+    runs = []
+    for e, part in enumerate(residual):
+        run = clean.experiments[0]
+        (output,) = run.outputs
+        values = np.interp(times, output.times, output.values) + part
+        output = replace(output, times=times, values=values, sigma=sigma)
+        runs.append(replace(run, id=f"e{e}", outputs=(output,)))
+    fixed = tuple(replace(p, fixed=p.name != "m") for p in clean.parameters)
+    problem = replace(clean, experiments=tuple(runs), parameters=fixed)
+    settings = LoopSettings(forms=("constant",), sites=("der(v)",), draws=100)
+    assert detect(problem, settings=settings).noise["y"] == pytest.approx(expected, rel=0.1)
