@@ -20,7 +20,6 @@ from cluster_est.closed_loop.screening.ranking import CandidateRanking
 from cluster_est.closed_loop.screening.screen import ScreeningResult
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
-from cluster_est.closed_loop.selection.refinement.visited_models import VisitedModels
 from cluster_est.closed_loop.selection.rounds import (
     RejectionReason,
     RoundStart,
@@ -181,10 +180,9 @@ def made_start(
     floor: float,
     numerical: float = 0.0,
 ) -> RoundStart:
-    """A round that begins at the declared model."""
+    """A round that begins at the declared model, from which nothing has been grown yet."""
     prediction = LeaveOneOutPrediction(np.array([predicted]))
-    visited = VisitedModels(1.0)
-    return RoundStart(base, base, prediction, screening, visited, floor, numerical=numerical)
+    return RoundStart(base, base, prediction, screening, None, floor, numerical=numerical)  # type: ignore[arg-type]
 
 
 def made_selection(
