@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.truth.systems_with_missing_effects import measured, missing_effect_problem
 
-from cluster_est import LoopSettings, Problem, detect
-from cluster_est.closed_loop.first_pass import open_checked_workbench
-from cluster_est.closed_loop.prepare import LoopRequest
-from cluster_est.closed_loop.workbench import LoopWorkbench
+from cluster_est import LoopResult, LoopSettings, Problem, close_loop, detect
 from workers.messages import FloatArray
 
 NOISE = 0.01
+SETTINGS = LoopSettings(
+    forms=("constant",), sites=("der(v)",), draws=100, max_effects=1, pairs=False
+)
 
 
 @pytest.fixture(scope="module")
@@ -44,31 +42,30 @@ def spikes(count: int, seed: int) -> FloatArray:
     return off
 
 
-@contextmanager
-def checked(problem: Problem) -> Iterator[LoopWorkbench]:
-    with open_checked_workbench(LoopRequest(problem)) as bench:
-        yield bench
+def closed(problem: Problem) -> LoopResult:
+    """A loop that looks for next to nothing."""
+    return close_loop(problem, settings=SETTINGS)
 
 
 def test_nothing_is_set_aside_where_nothing_is_off(clean: Problem) -> None:
-    with checked(clean) as bench:
-        assert bench.problem.experiments == clean.experiments
-        assert not any("outlier" in note or "grows" in note for note in bench.notes)
+    found = closed(clean)
+    assert found.before.problem.experiments == clean.experiments
+    assert not any("outlier" in note or "grows" in note for note in found.notes)
 
 
 def test_outliers_are_left_out_and_counted(clean: Problem) -> None:
     off = (spikes(6, 1), spikes(3, 2))
     spoiled = changed(clean, *off)
-    with checked(spoiled) as bench:
-        for run, all_of_it, where in zip(
-            bench.problem.experiments, spoiled.experiments, off, strict=True
-        ):
-            kept = where == 0.0
-            assert run.outputs[0].times.tolist() == all_of_it.outputs[0].times[kept].tolist()
-            assert run.outputs[0].values.tolist() == all_of_it.outputs[0].values[kept].tolist()
-            assert run.inputs == all_of_it.inputs
-        assert bench.size == 601 - 6
-        training, held_out = (note for note in bench.notes if "outlier" in note)
+    found = closed(spoiled)
+    for run, all_of_it, where in zip(
+        found.before.problem.experiments, spoiled.experiments, off, strict=True
+    ):
+        kept = where == 0.0
+        assert run.outputs[0].times.tolist() == all_of_it.outputs[0].times[kept].tolist()
+        assert run.outputs[0].values.tolist() == all_of_it.outputs[0].values[kept].tolist()
+        assert run.inputs == all_of_it.inputs
+    assert found.before.problem.experiments[0].size == 601 - 6
+    training, held_out = (note for note in found.notes if "outlier" in note)
     assert training.startswith("1 % of the samples of y are outliers: 6 of 601, up to 1")
     assert held_out.startswith("held out: 0.5 % of the samples of y are outliers: 3 of 601, ")
     assert [len(run.outputs[0].times) for run in spoiled.experiments] == [601, 601]
@@ -78,9 +75,9 @@ def test_too_many_are_kept_and_said(clean: Problem) -> None:
     generator = np.random.default_rng(3)
     many = np.where(generator.uniform(size=601) < 0.09, generator.choice([-0.3, 0.3], 601), 0.0)
     spoiled = changed(clean, many, np.zeros(601))
-    with checked(spoiled) as bench:
-        assert bench.problem.experiments == spoiled.experiments
-        (note,) = (each for each in bench.notes if "stand alone" in each)
+    found = closed(spoiled)
+    assert found.before.problem.experiments == spoiled.experiments
+    (note,) = (each for each in found.notes if "stand alone" in each)
     assert "too many to be a sensor's faults, so all were kept" in note
 
 
@@ -88,8 +85,8 @@ def test_the_same_is_set_aside_each_time(clean: Problem) -> None:
     spoiled = changed(clean, spikes(6, 1), spikes(3, 2))
     keys = []
     for _ in range(2):
-        with checked(spoiled) as bench:
-            keys.append([run.key for run in bench.everything.experiments])
+        found = closed(spoiled)
+        keys.append([run.key for run in found.before.problem.experiments])
     assert keys[0] == keys[1]
 
 
@@ -102,10 +99,10 @@ def test_noise_that_grows_weights_each_sample_unless_a_sigma_is_given(clean: Pro
         replace(run, outputs=(replace(run.outputs[0], sigma=1.0),)) for run in clean.experiments
     )
     spoiled = changed(replace(clean, experiments=undeclared), *louder)
-    with checked(spoiled) as bench:
-        (note,) = (each for each in bench.notes if "grows" in each)
-        outputs = [run.outputs[0] for run in bench.problem.experiments]
-        assert not bench.sigma_declared
+    found = closed(spoiled)
+    (note,) = (each for each in found.notes if "grows" in each)
+    outputs = [run.outputs[0] for run in found.before.problem.experiments]
+    assert found.errors_over == "estimated noise"
     assert note.startswith("the noise of y grows with the signal: in the third of its samples")
     assert "so each sample was weighted with its own; write sigma.y = 0.0" in note
     for output in outputs:
@@ -118,9 +115,9 @@ def test_noise_that_grows_weights_each_sample_unless_a_sigma_is_given(clean: Pro
     declared = tuple(
         replace(run, outputs=(replace(run.outputs[0], sigma=0.01),)) for run in spoiled.experiments
     )
-    with checked(replace(spoiled, experiments=declared)) as bench:
-        (note,) = (each for each in bench.notes if "grows" in each)
-        assert [run.outputs[0].relative_sigma for run in bench.problem.experiments] == [0.0] * 2
+    found = closed(replace(spoiled, experiments=declared))
+    (note,) = (each for each in found.notes if "grows" in each)
+    assert [run.outputs[0].relative_sigma for run in found.before.problem.experiments] == [0.0] * 2
     assert "relative_sigma.y = " in note
     assert note.endswith("would give each sample its own")
 
@@ -135,13 +132,13 @@ def test_noise_that_is_declared_to_grow_is_as_declared(clean: Problem) -> None:
         replace(run, outputs=(replace(run.outputs[0], sigma=2e-3, relative_sigma=0.05),))
         for run in changed(clean, *noise).experiments
     )
-    with checked(replace(clean, experiments=runs)) as bench:
-        assert not [each for each in bench.notes if "grows" in each]
+    found = closed(replace(clean, experiments=runs))
+    assert not [each for each in found.notes if "grows" in each]
 
 
-@pytest.mark.parametrize(("answers", "found"), [(True, 0), (False, 9)])
+@pytest.mark.parametrize(("answers", "count"), [(True, 0), (False, 9)])
 def test_outliers_that_follow_jumps_are_answers_to_them(
-    clean: Problem, answers: bool, found: int
+    clean: Problem, answers: bool, count: int
 ) -> None:
     """Nine samples stand alone: all of them just after a jump of the force, or one by chance."""
     times = clean.experiments[0].outputs[0].times
@@ -154,8 +151,8 @@ def test_outliers_that_follow_jumps_are_answers_to_them(
     driven = measured(replace(clean, experiments=tuple(runs)), NOISE)
     off = np.zeros(601)
     off[jumps + (0 if answers else np.array([0, *range(10, 26, 2)]))] = 15.0 * NOISE
-    with checked(changed(driven, off, np.zeros(601))) as bench:
-        assert 601 - len(bench.problem.experiments[0].outputs[0].times) == found
+    found = closed(changed(driven, off, np.zeros(601)))
+    assert 601 - len(found.before.problem.experiments[0].outputs[0].times) == count
 
 
 @pytest.mark.parametrize(
@@ -178,5 +175,4 @@ def test_records_too_short_to_show_their_noise_have_the_sigma_that_is_given(
         runs.append(replace(run, id=f"e{e}", outputs=(output,)))
     fixed = tuple(replace(p, fixed=p.name != "m") for p in clean.parameters)
     problem = replace(clean, experiments=tuple(runs), parameters=fixed)
-    settings = LoopSettings(forms=("constant",), sites=("der(v)",), draws=100)
-    assert detect(problem, settings=settings).noise["y"] == pytest.approx(expected, rel=0.1)
+    assert detect(problem, settings=SETTINGS).noise["y"] == pytest.approx(expected, rel=0.1)
