@@ -65,7 +65,7 @@ def experiment(number):
 @pytest.fixture(
     scope="module",
     params=[
-        pytest.param(("pair v_body,v_wheel", "der(v_body)"), id="two sites"),
+        pytest.param(("pair v_body,v_wheel",), id="one site"),
         pytest.param((), id="all sites", marks=pytest.mark.slow),
     ],
 )

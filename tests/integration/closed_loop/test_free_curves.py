@@ -43,26 +43,29 @@ def closed(slope, swing, noise, seed, runs, sites, forms):
     return ce.close_loop(problem, settings=settings)
 
 
-def few_and_all(*forms):
-    """By default some forms of the library, by the full run all of it."""
+def few_and_all(site, forms, beside):
+    """By default some forms of the library at the site, by the full run all of it, and beside."""
     return [
-        pytest.param(forms, id="few forms"),
-        pytest.param((), id="all forms", marks=pytest.mark.slow),
+        pytest.param(((site,), forms), id="few forms"),
+        pytest.param(((site, *beside), ()), id="all forms", marks=pytest.mark.slow),
     ]
 
 
 @pytest.fixture(
-    scope="module", params=few_and_all("characteristic", "table", "gain", "square", "cubic")
+    scope="module",
+    params=few_and_all(
+        "input F", ("characteristic", "gain", "square", "cubic"), ("der(v)", "output y")
+    ),
 )
 def amplifier(request):
-    sites = ("input F", "der(v)", "output y")
-    return closed(lambda t, x, f: plain(t, x, f + bent(f)), 6.0, 5e-3, 11, 4, sites, request.param)
+    return closed(lambda t, x, f: plain(t, x, f + bent(f)), 6.0, 5e-3, 11, 4, *request.param)
 
 
-@pytest.fixture(scope="module", params=few_and_all("table", "coulomb", "cubic", "periodic"))
+@pytest.fixture(
+    scope="module", params=few_and_all("der(v)", ("table", "cubic", "periodic"), ("output y",))
+)
 def rail(request):
-    slope = pushed(lambda t, x, force: detents(x[0]))
-    return closed(slope, 3.0, 2e-3, 3, 7, ("der(v)", "output y"), request.param)
+    return closed(pushed(lambda t, x, force: detents(x[0])), 3.0, 2e-3, 3, 7, *request.param)
 
 
 def test_a_curve_is_found_at_its_place(amplifier):

@@ -179,7 +179,7 @@ def test_a_limit_is_drawn_over_what_was_measured_before_it():
 @pytest.mark.parametrize(
     "forms",
     [
-        ("coulomb", "stribeck", "viscous", "cubic", "lag", "gain"),
+        ("coulomb", "stribeck", "cubic", "lag"),
         pytest.param((), id="all forms", marks=pytest.mark.slow),
     ],
 )

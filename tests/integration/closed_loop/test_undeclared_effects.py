@@ -203,8 +203,8 @@ def distance(parameters: dict[str, float]) -> float:
     return float(np.sqrt(np.mean([np.log(parameters[n] / TRUE[n]) ** 2 for n in TRUE])))
 
 
-SLOW = ("friction, sigma unknown", "slow sensor", "hardening")
-"""Beside one case by default for each kind of site, half of them without a given sigma."""
+SLOW = ("friction", "slow sensor", "dead zone", "hardening")
+"""Beside one case by default for each kind of site; those of inputs are in small searches too."""
 each_case = pytest.mark.parametrize(
     "name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in CASES]
 )

@@ -61,16 +61,16 @@ def test_a_disturbance_that_was_logged_is_named(tmp_path):
 
 
 def test_columns_that_have_nothing_to_do_with_it_are_hardly_ever_named(tmp_path):
-    """20 draws with 6 columns each, at 1 % for all of them together."""
+    """10 draws with 6 columns each, at 1 % for all of them together."""
     rng = np.random.default_rng(11)
     named = 0
-    for draw in range(20):
+    for draw in range(10):
         folder = tmp_path / str(draw)
         folder.mkdir()
         columns = {f"c{i}": drawn(rng, 0.97) for i in range(6)}
         residuals = np.concatenate(drawn(rng, 0.97))
         named += bool(varying_columns(bench(folder, **columns), residuals))
-    assert named <= 2
+    assert named <= 1
 
 
 def test_a_copy_of_what_is_used_is_not_named(tmp_path):
