@@ -21,6 +21,8 @@ FREQUENCIES = (3.0, 9.0, 17.0)
 SIGMAS = {"velocity": 4e-3, "travel": 4e-4}
 ROLES = ("train", "test", "train", "train")
 
+pytestmark = pytest.mark.slow
+
 
 def damper(speed):
     return FORCE * (speed / SUMMIT) * np.exp(0.5 - 0.5 * (speed / SUMMIT) ** 2)
@@ -62,14 +64,8 @@ def experiment(number):
     )
 
 
-@pytest.fixture(
-    scope="module",
-    params=[
-        pytest.param(("pair v_body,v_wheel",), id="one site"),
-        pytest.param((), id="all sites", marks=pytest.mark.slow),
-    ],
-)
-def found(request):
+@pytest.fixture(scope="module")
+def found():
     names = ("k_spring", "c_damper")
     solver = ce.Solver("dormand_prince")
     model = ce.Model(FMU.name, FMU.read_bytes(), "model_exchange", solver, names)
@@ -78,7 +74,7 @@ def found(request):
         ce.Parameter("c_damper", 1.2 * DAMPER, 0.1 * DAMPER, 10.0 * DAMPER),
     )
     runs = tuple(experiment(number) for number in range(len(ROLES)))
-    only = ce.LoopSettings(forms=("table",), sites=request.param)
+    only = ce.LoopSettings(forms=("table",))
     return ce.close_loop(ce.Problem(model, parameters, runs), settings=only)
 
 
