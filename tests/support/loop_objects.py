@@ -8,29 +8,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 from support.problems.functions import FunctionExecutor
 from support.problems.springs import FMU
 
-from cluster_est import Experiment, Model, Output, Parameter, Problem, Solver
+from cluster_est import Experiment, LoopSettings, Model, Output, Parameter, Problem, Result, Solver
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.screening.directions import CandidatePoint
 from cluster_est.closed_loop.screening.ranking import CandidateRanking
 from cluster_est.closed_loop.screening.screen import ScreeningResult
 from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
+from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import (
     RejectionReason,
+    RoundStart,
     SelectionResult,
     SelectionRound,
 )
-from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.simulation_meter import SimulationMeter
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.methods.base import Ending, Solution
 from cluster_est.problem.search_space.space import make_space
 from cluster_est.results.output_errors import OutputError
-from cluster_est.results.result import Result
 from cluster_est.running.runner import Runner
 from cluster_est.statistics.omnibus import OmnibusTest
 from cluster_est.statistics.projection import OrthogonalProjection, ProjectedResidual
@@ -71,7 +71,6 @@ def made_problem(
 def made_bench(problem: Problem) -> LoopWorkbench:
     """A workbench on its training experiments, with the settings that a user gets."""
     train = problem.indices("train")
-    meter = SimulationMeter(problem.experiments, None)
     return LoopWorkbench(
         runner=Runner(FunctionExecutor(_never)),
         problem=problem,
@@ -82,7 +81,7 @@ def made_bench(problem: Problem) -> LoopWorkbench:
         records=make_records([problem.experiments[e] for e in train]),
         synthetic={},
         everything=problem,
-        meter=meter,
+        meter=SimpleNamespace(full=0.0),  # type: ignore[arg-type]
         sites=(),
         notes=(),
         sigma_declared=any(o.sigma != 1.0 for e in problem.experiments for o in e.outputs),
@@ -162,9 +161,27 @@ def made_screening(
     )
 
 
-def made_round(why: RejectionReason, screening: ScreeningResult) -> SelectionRound:
+def made_round(why: RejectionReason | None, screening: ScreeningResult) -> SelectionRound:
     """A round in which nothing was added."""
     return SelectionRound(screening, (), why)
+
+
+def made_refit(fitted: FittedModel, criterion: float) -> RefittedCandidate:
+    """A larger structure, refitted to convergence."""
+    return RefittedCandidate(fitted, criterion, True)
+
+
+def made_start(
+    base: FittedModel,
+    screening: ScreeningResult,
+    *,
+    predicted: float,
+    floor: float,
+    numerical: float = 0.0,
+) -> RoundStart:
+    """A round that begins at the declared model, from which nothing has been grown yet."""
+    prediction = LeaveOneOutPrediction(np.array([predicted]))
+    return RoundStart(base, base, prediction, screening, None, floor, numerical=numerical)  # type: ignore[arg-type]
 
 
 def made_selection(

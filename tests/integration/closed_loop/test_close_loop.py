@@ -5,10 +5,9 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import os
 import signal
-import subprocess
-import sys
-import time
+import threading
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -208,21 +207,24 @@ def test_no_result_is_exit_code_1(closed, tmp_path, capsys, override, phrase):
     assert phrase in capsys.readouterr().out
 
 
-def test_an_interrupt_ends_it_with_a_sentence(closed, tmp_path):
-    run = tmp_path / "run"
-    code = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    code += "from cluster_est.cli import main; sys.exit(main(sys.argv[1:]))"
+def test_an_interrupt_ends_it_with_a_sentence(closed, tmp_path, capsys):
+    run, over = tmp_path / "run", threading.Event()
+
+    def interrupt():
+        while not (run / "evaluations" / "00000.arrows").is_file() and not over.wait(0.02):
+            pass
+        if not over.is_set():
+            os.kill(os.getpid(), signal.SIGINT)
+
+    watching = threading.Thread(target=interrupt)
+    watching.start()
     endless = ["closed_loop.effects=[]", "closed_loop.sites=[]", "closed_loop.trials=1000"]
     endless += ["closed_loop.draws=200000"]
-    arguments = ["close-loop", str(closed[0]), "--out", str(run), *endless]
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, *arguments], stderr=subprocess.PIPE, text=True
-    )
-    while not (run / "evaluations" / "00000.arrows").is_file() and process.poll() is None:
-        time.sleep(0.05)
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60)
-    assert process.returncode == 130, said
+    code = main(["close-loop", str(closed[0]), "--out", str(run), *endless])
+    over.set()
+    watching.join()
+    said = capsys.readouterr().err
+    assert code == 130, said
     assert "cluster-est: interrupted; stopped while " in said
     assert "Traceback" not in said
     assert facts(run)["status"] == "interrupted"

@@ -15,9 +15,8 @@ from cluster_est.cli import main
 from cluster_est.run_folder.evaluation_log import read_log
 
 TABLES = ("parameters", "errors", "effects", "findings", "residuals", "trajectories")
-WHOLE_LIBRARY = ["closed_loop.effects=[]", "closed_loop.sites=[]"]
+LIBRARY = ['closed_loop.effects=["coulomb", "cubic", "table", "lag"]', "closed_loop.sites=[]"]
 WORKERS = {
-    "1 worker": [],
     "2 threads": ["executor.workers=2"],
     "2 of Ray": ["executor.name=ray", "executor.workers=2"],
 }
@@ -34,20 +33,35 @@ def config(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def runs(config, tmp_path_factory) -> dict[str, Path]:
-    """One run folder for each way to run it: other workers here, other processes there."""
-    folder = tmp_path_factory.mktemp("runs")
-    for name, overrides in WORKERS.items():
-        assert main(arguments(config, folder / name, *overrides)) == 0
+def alone(config, tmp_path_factory) -> Path:
+    """The run folder of one worker."""
+    run = tmp_path_factory.mktemp("runs") / "run"
+    assert main(arguments(config, run)) == 0
+    return run
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        "2 threads",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("2 of Ray", *PROCESSES)),
+    ],
+)
+def other(request, config, tmp_path_factory) -> Path:
+    """The same with other workers here, or in a process of another kind."""
+    run = tmp_path_factory.mktemp("runs") / "run"
+    if request.param in WORKERS:
+        assert main(arguments(config, run, *WORKERS[request.param])) == 0
+        return run
     code = "import sys; from cluster_est.cli import main; sys.exit(main(sys.argv[1:]))"
-    for name, environment in PROCESSES.items():
-        command = [sys.executable, "-c", code, *arguments(config, folder / name)]
-        subprocess.run(command, env=os.environ | environment, check=True, capture_output=True)
-    return {name: folder / name for name in (*WORKERS, *PROCESSES)}
+    command = [sys.executable, "-c", code, *arguments(config, run)]
+    environment = os.environ | PROCESSES[request.param]
+    subprocess.run(command, env=environment, check=True, capture_output=True)
+    return run
 
 
 def arguments(config: Path, run: Path, *overrides: str) -> list[str]:
-    return ["close-loop", str(config), "--out", str(run), *WHOLE_LIBRARY, *overrides]
+    return ["close-loop", str(config), "--out", str(run), *LIBRARY, *overrides]
 
 
 def said(run: Path) -> str:
@@ -63,33 +77,31 @@ def evaluations(run: Path) -> list[dict]:
     return table.sort_by([(name, "ascending") for name in columns[:5]]).to_pylist()
 
 
-def test_it_found_something(runs):
-    facts = json.loads((runs["1 worker"] / "run.json").read_text())
+def test_it_found_something(alone):
+    facts = json.loads((alone / "run.json").read_text())
     (effect,) = facts["effects"]
     assert (facts["verdict"], effect["form"]) == ("found", "coulomb")
 
 
-@pytest.mark.parametrize("other", [*WORKERS, *PROCESSES][1:])
-def test_all_that_is_said_is_the_same(runs, other):
-    assert said(runs["1 worker"]) == said(runs[other])
+def test_all_that_is_said_is_the_same(alone, other):
+    assert said(alone) == said(other)
 
 
-@pytest.mark.parametrize("other", [*WORKERS, *PROCESSES][1:])
 @pytest.mark.parametrize("table", TABLES)
-def test_tables_are_byte_identical(runs, table, other):
-    first, second = (runs[name] / f"{table}.parquet" for name in ("1 worker", other))
+def test_tables_are_byte_identical(alone, other, table):
+    first, second = (run / f"{table}.parquet" for run in (alone, other))
     assert first.read_bytes() == second.read_bytes()
 
 
-@pytest.mark.parametrize("other", [*WORKERS, *PROCESSES][1:])
-def test_evaluations_are_identical(runs, other):
-    assert evaluations(runs["1 worker"]) == evaluations(runs[other])
+def test_evaluations_are_identical(alone, other):
+    assert evaluations(alone) == evaluations(other)
 
 
-def test_another_seed_finds_the_same_effect(config, runs, tmp_path):
+@pytest.mark.slow
+def test_another_seed_finds_the_same_effect(config, alone, tmp_path):
     """Its Monte-Carlo draws are others, so a p-value may differ; what is missing may not."""
     assert main(arguments(config, tmp_path / "run", "closed_loop.seed=5")) == 0
-    folders = runs["1 worker"], tmp_path / "run"
+    folders = alone, tmp_path / "run"
     one, other = (json.loads((folder / "run.json").read_text()) for folder in folders)
     assert (one["seed"], other["seed"]) == (0, 5)
     assert one["verdict"] == other["verdict"]

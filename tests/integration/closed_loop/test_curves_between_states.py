@@ -5,8 +5,6 @@ Named forms would patch it; here only curves are asked for. The data come from S
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -22,6 +20,8 @@ TIMES = np.arange(500) * 0.01
 FREQUENCIES = (3.0, 9.0, 17.0)
 SIGMAS = {"velocity": 4e-3, "travel": 4e-4}
 ROLES = ("train", "test", "train", "train")
+
+pytestmark = pytest.mark.slow
 
 
 def damper(speed):
@@ -65,25 +65,20 @@ def experiment(number):
 
 
 @pytest.fixture(scope="module")
-def closed():
-    def close():
-        names = ("k_spring", "c_damper")
-        model = ce.Model(
-            FMU.name, FMU.read_bytes(), "model_exchange", ce.Solver("dormand_prince"), names
-        )
-        parameters = (
-            ce.Parameter("k_spring", 1.2 * SPRING, 0.1 * SPRING, 10.0 * SPRING),
-            ce.Parameter("c_damper", 1.2 * DAMPER, 0.1 * DAMPER, 10.0 * DAMPER),
-        )
-        runs = tuple(experiment(number) for number in range(len(ROLES)))
-        only = ce.LoopSettings(forms=("table",))
-        return ce.close_loop(ce.Problem(model, parameters, runs), settings=only)
-
-    return cache(close)
+def found():
+    names = ("k_spring", "c_damper")
+    solver = ce.Solver("dormand_prince")
+    model = ce.Model(FMU.name, FMU.read_bytes(), "model_exchange", solver, names)
+    parameters = (
+        ce.Parameter("k_spring", 1.2 * SPRING, 0.1 * SPRING, 10.0 * SPRING),
+        ce.Parameter("c_damper", 1.2 * DAMPER, 0.1 * DAMPER, 10.0 * DAMPER),
+    )
+    runs = tuple(experiment(number) for number in range(len(ROLES)))
+    only = ce.LoopSettings(forms=("table",))
+    return ce.close_loop(ce.Problem(model, parameters, runs), settings=only)
 
 
-def test_the_curve_is_found_between_the_masses(closed):
-    found = closed()
+def test_the_curve_is_found_between_the_masses(found):
     assert found.verdict == Verdict.FOUND
     (effect,) = found.effects
     assert effect.site == "pair v_body,v_wheel"
@@ -92,7 +87,6 @@ def test_the_curve_is_found_between_the_masses(closed):
     assert ratio == pytest.approx(M_BODY / M_WHEEL, rel=0.05)
 
 
-def test_held_out_errors_fall_close_to_the_noise(closed):
-    found = closed()
+def test_held_out_errors_fall_close_to_the_noise(found):
     assert found.rms("test", "before") > 3.0
     assert found.rms("test", "after") < 1.2

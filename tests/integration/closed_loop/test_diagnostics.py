@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import re
-import zipfile
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from support.problems.springs import FMU
+from support.spoiled import XML, spoiled_fmu
 from support.truth.springs_with_friction import FRICTION, write_config
+from support.truth.systems_with_missing_effects import opened
 
 import cluster_est as ce
-from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
 from cluster_est.errors import ProblemError
 
 SETTINGS = ce.LoopSettings(
@@ -34,12 +31,36 @@ def problem(tmp_path_factory):
     return read(tmp_path_factory.mktemp("parts"))
 
 
-def test_detect_sees_that_something_is_missing(problem):
-    seen = ce.detect(problem, settings=SETTINGS)
+@pytest.fixture(scope="module")
+def seen(problem):
+    return ce.detect(problem, settings=SETTINGS)
+
+
+def test_detect_sees_that_something_is_missing(seen):
     assert seen.missing
     assert max(seen.p, seen.p_white, seen.p_structure) <= 0.01
     assert seen.rms["y"] > 3.0 * seen.noise["y"]
     assert "something is missing" in seen.sentence
+
+
+@pytest.mark.parametrize(
+    ("p", "p_white", "p_structure", "candidates", "said"),
+    [
+        (1e-5, 1e-5, 0.0025, 40, "something is missing (p = 1e-05 among 40 candidates)"),
+        (0.0, 0.0, 0.0025, 1, "something is missing (p < 1e-300 among 1 candidate)"),
+        (1e-5, 0.3, 0.0025, 40, "the residual is autocorrelated, tied to no candidate (p = 0.3)"),
+        (0.3, 0.3, 0.0025, 40, "the residual has smooth structure (p = 0.0025)"),
+        (0.3, 0.3, 0.5, 40, "nothing is missing that could be seen (p = 0.3)"),
+        (1.0, 1.0, 0.5, 0, "the residual looks like noise (p = 0.5), but no candidate was"),
+        (1.0, 1.0, 0.0025, 0, "has smooth structure (p = 0.0025), but no candidate was compared"),
+    ],
+)
+def test_what_a_detection_says(seen, p, p_white, p_structure, candidates, said):
+    values = {"p": p, "p_white": p_white, "p_structure": p_structure, "candidates": candidates}
+    assert said in replace(seen, **values).sentence
+    hidden = replace(seen, **values, numerical_error="the step is too long")
+    assert not hidden.missing
+    assert hidden.sentence == "the step is too long"
 
 
 def test_detect_sees_nothing_in_noise(tmp_path):
@@ -57,6 +78,15 @@ def test_locate_ranks_the_candidates(problem):
     }
     assert first.log_p <= second.log_p < min(f.log_p for f in rest)
     assert {f.form for f in rest} == {"cubic", "constant"}
+    with pytest.warns(DeprecationWarning, match="confounded_with"):
+        assert first.imitated_by == first.confounded_with == ""
+
+
+def test_what_a_parameter_does_as_well_is_set_aside(problem):
+    """A force in proportion to the speed is what the damper's parameter says already."""
+    (found,) = ce.locate(problem, settings=replace(SETTINGS, forms=("viscous",)))
+    assert (found.stage, found.confounded_with) == ("set aside", "c")
+    assert found.distinct < 1e-3
 
 
 def test_an_effect_that_was_added_is_fitted(problem):
@@ -103,7 +133,7 @@ def test_outputs_without_sigma_are_weighted_and_the_reader_is_told(problem):
         speed = ce.Output("v", y.times, 1e3 * np.gradient(y.values, y.times), 1.0)
         runs.append(replace(run, outputs=(y, speed)))
     both = replace(problem, experiments=tuple(runs))
-    with open_workbench(LoopRequest(both, settings=SETTINGS)) as bench:
+    with opened(both, SETTINGS) as bench:
         (note,) = bench.notes
         sigmas = {o.variable: o.sigma for o in bench.problem.experiments[0].outputs}
     assert sigmas["y"] < 0.01 < sigmas["v"]
@@ -117,31 +147,24 @@ def test_the_public_names_are_few_and_there():
         _ = ce.colse_loop
 
 
-@pytest.fixture
-def fixed_mass(tmp_path):
+@pytest.fixture(scope="module")
+def fixed_mass(problem):
     """A problem whose FMU does not allow its mass to change while it runs."""
-    source, changed = Path(FMU), tmp_path / "fixed_mass.fmu"
-    with zipfile.ZipFile(source) as old, zipfile.ZipFile(changed, "w") as new:
-        for entry in old.infolist():
-            content = old.read(entry)
-            if entry.filename == "modelDescription.xml":
-                content, count = TUNABLE_MASS.subn(rb"\1fixed", content)
-                assert count == 1
-            new.writestr(entry, content)
-    config = write_config(tmp_path)
-    text = config.read_text(encoding="utf-8")
-    assert json.dumps(str(source)) in text
-    config.write_text(text.replace(json.dumps(str(source)), '"fixed_mass.fmu"'), encoding="utf-8")
-    return ce.build_problem(ce.read_config(config), tmp_path)
+
+    def change(entries):
+        entries[XML], count = TUNABLE_MASS.subn(rb"\1fixed", entries[XML])
+        assert count == 1
+
+    return replace(problem, model=replace(problem.model, archive=spoiled_fmu(change)))
 
 
 def test_a_parameter_that_the_fmu_declares_fixed_is_said_to_be_closed(problem, fixed_mass):
-    with open_workbench(LoopRequest(fixed_mass, settings=SETTINGS)) as workbench:
+    with opened(fixed_mass, SETTINGS) as workbench:
         (note,) = (n for n in workbench.notes if n.startswith("closed to effects"))
         assert "closed to effects: m, because" in note
         assert "parameter m" not in workbench.sites
         assert "parameter c" in workbench.sites
-    with open_workbench(LoopRequest(problem, settings=SETTINGS)) as workbench:
+    with opened(problem, SETTINGS) as workbench:
         assert not any("closed to effects" in note for note in workbench.notes)
 
 

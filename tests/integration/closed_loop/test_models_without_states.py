@@ -39,7 +39,7 @@ def measured(law, interface="model_exchange") -> ce.Problem:
     return ce.Problem(model, parameters, tuple(runs))
 
 
-@pytest.mark.parametrize("form", LAWS)
+@pytest.mark.parametrize("form", ["coulomb", pytest.param("quadratic", marks=pytest.mark.slow)])
 def test_a_term_that_its_balance_lacks_has_its_own_name(form):
     size, law = LAWS[form]
     result = ce.close_loop(measured(law))
@@ -50,14 +50,46 @@ def test_a_term_that_its_balance_lacks_has_its_own_name(form):
     assert result.rms("test", "after") < 1.1
 
 
-def test_in_co_simulation_the_outputs_say_on_which_inputs_they_depend():
+@pytest.mark.parametrize(
+    "forms",
+    [
+        ("quadratic", "magnitude", "cubic", "drift"),
+        pytest.param((), id="all forms", marks=pytest.mark.slow),
+    ],
+)
+def test_in_co_simulation_the_outputs_say_on_which_inputs_they_depend(forms):
     """What grows with the square of a speed is a friction that grows with the speed, too."""
-    result = ce.close_loop(measured(LAWS["quadratic"][1], "co_simulation"))
+    problem = measured(LAWS["quadratic"][1], "co_simulation")
+    result = ce.close_loop(problem, settings=ce.LoopSettings(forms=forms))
     assert result.verdict == Verdict.FOUND
     (effect,) = result.effects
     named = {(effect.site, effect.form), *((a.site, a.form) for a in effect.alternatives)}
     assert {("output i", "quadratic"), ("parameter Fv", "magnitude")} <= named
     assert result.rms("test", "after") < 1.1
+
+
+def test_two_terms_are_found_together():
+    def law(speed):
+        return LAWS["coulomb"][1](speed) + LAWS["quadratic"][1](speed)
+
+    few = ce.LoopSettings(forms=("coulomb", "quadratic", "cubic"), sites=("output i",))
+    result = ce.close_loop(measured(law), settings=few)
+    assert result.verdict == Verdict.FOUND
+    assert {effect.form for effect in result.effects} == set(LAWS)
+    for effect in result.effects:
+        assert effect.coefficients[0].value == pytest.approx(LAWS[effect.form][0], rel=0.03)
+    assert "the effects close 100%" in result.summary
+    assert any("are functions of qd at output i" in note for note in result.notes)
+
+
+def test_a_power_law_has_its_exponent_at_a_reference_that_is_held():
+    """Its strength is that at the reference: with both free, neither would be determined."""
+    few = ce.LoopSettings(forms=("power", "coulomb"), sites=("output i",))
+    problem = measured(lambda speed: 0.2 * np.sign(speed) * np.abs(speed) ** 1.6)
+    (effect,) = ce.close_loop(problem, settings=few).effects
+    known = {c.label.rpartition(".")[2]: c for c in effect.coefficients}
+    assert known["n"].value == pytest.approx(1.6, rel=0.05)
+    assert known["ref"].estimated_on == "known"
 
 
 def test_nothing_is_found_where_nothing_is_missing():

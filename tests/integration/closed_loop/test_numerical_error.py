@@ -5,13 +5,13 @@ The truth of an error is another solver's solution with a tight tolerance.
 
 from __future__ import annotations
 
-import io
-import zipfile
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.loop_objects import made_candidate
+from support.spoiled import spoiled_fmu
 from support.truth.systems_with_missing_effects import (
     measured,
     missing_effect_problem,
@@ -20,15 +20,13 @@ from support.truth.systems_with_missing_effects import (
 )
 
 import cluster_est as ce
-from cluster_est import Solver
+from cluster_est import Resources, Solver
 from cluster_est.closed_loop.findings.effects import Verdict
-from cluster_est.closed_loop.loop import close_loop
 from cluster_est.closed_loop.numerical_error.measure import (
     error_with_effects,
     measure_numerical_error,
 )
 from cluster_est.errors import ProblemError
-from cluster_est.running.resources import Resources
 
 NOISE = 0.004
 TIGHT = missing_effect_problem("mass_spring_damper", signals=())
@@ -45,24 +43,12 @@ COMMUNICATION = 0.1
 INTERVAL = 0.05
 
 
-def with_fixed_steps(archive: bytes) -> bytes:
-    """The FMU, declared to hold its inputs over communication steps of one length."""
-    found = io.BytesIO()
-    with zipfile.ZipFile(io.BytesIO(archive)) as old, zipfile.ZipFile(found, "w") as new:
-        for item in old.infolist():
-            text = old.read(item)
-            if item.filename == "modelDescription.xml":
-                for name in (b"canHandleVariableCommunicationStepSize", b"canInterpolateInputs"):
-                    text = text.replace(name + b'="true"', name + b'="false"')
-            new.writestr(item, text)
-    return found.getvalue()
-
-
 def coarse(problem, step):
-    """The same experiments, simulated in communication steps that are too long."""
+    """The same experiments in communication steps that are too long, over which inputs are held."""
+    abilities = ("canHandleVariableCommunicationStepSize", "canInterpolateInputs")
     model = replace(
         problem.model,
-        archive=with_fixed_steps(problem.model.archive),
+        archive=spoiled_fmu(xml={f'{name}="true"': f'{name}="false"' for name in abilities}),
         interface="co_simulation",
         solver=Solver("fmu", step=step),
     )
@@ -118,7 +104,7 @@ def test_the_error_of_held_inputs_is_that_to_inputs_between_samples():
 
 
 def test_a_communication_step_that_is_too_long_is_no_missing_effect():
-    found = close_loop(coarse(DATA, COMMUNICATION))
+    found = ce.close_loop(coarse(DATA, COMMUNICATION))
     assert found.verdict is Verdict.UNEXPLAINED
     assert found.effects == ()
     assert found.after is found.before
@@ -178,3 +164,73 @@ def test_a_limit_that_is_reached_between_two_communication_points_has_an_error()
 def test_a_tolerance_keeps_the_error_of_an_effect_small():
     small, found = with_error_of_effects(thinned(DATA, 10))
     assert found is small
+
+
+@pytest.fixture(scope="module")
+def of_a_step():
+    return error_and_truth(coarse(DATA, COMMUNICATION), DATA)[0]
+
+
+def sized(found, rms, residual, order=1.0, noise=1.0):
+    """An error of some size at the second of two outputs, beside its noise and residual."""
+    sizes = {"rms": rms, "noise": noise, "residual": residual}
+    arrays = {name: np.array([0.0, size]) for name, size in sizes.items()}
+    return replace(found, outputs=("x", "y"), squares=rms**2 * 100.0, order=order, **arrays)
+
+
+@pytest.mark.parametrize(
+    ("rms", "residual", "noise", "hides"),
+    [
+        (0.4, 1.0, 1.0, False),
+        (0.6, 1.2, 1.0, True),
+        (4.3, 4.4, 1.0, True),
+        (4.3, 100.0, 1.0, False),
+        (0.6, 7.0, 1.0, False),
+        (1e-9, 1e-9, 0.0, True),
+        (1e-9, 1.0, 0.0, False),
+        (1e-9, 0.0, 0.0, False),
+    ],
+)
+def test_an_error_hides_effects_that_is_large_beside_noise_and_residual(
+    of_a_step, rms, residual, noise, hides
+):
+    """Where there is no noise the residual decides."""
+    assert sized(of_a_step, rms, residual, noise=noise).hides_effects is hides
+
+
+def test_the_refusal_says_how_large_and_what_to_set(of_a_step):
+    found = sized(of_a_step, 4.3, 4.4)
+    said = "communication step of 0.1 s.*4.3 times the noise.*at y, of order 1.*"
+    said += "no missing effect can be distinguished.*set model.step = 0.0007813.* first"
+    assert re.search(said, found.refusal)
+    assert found.notes[0].startswith("no effect was looked for, because the commun")
+    assert "1 times all that is left" in sized(of_a_step, 1e-9, 1e-9, noise=0.0).refusal
+
+
+@pytest.mark.parametrize(
+    ("rms", "noise", "order", "said"),
+    [
+        (0.12, 1.0, 2.0, ("0.12 times the noise", "model.step = 0.05", "makes it negligible")),
+        (1e-9, 0.0, 1.0, ("an error of 1e-09 times all that is left",)),
+        (0.04, 1.0, 1.0, ()),
+        (0.0, 0.0, 1.0, ()),
+    ],
+)
+def test_a_smaller_error_is_a_note_and_a_negligible_one_is_none(of_a_step, rms, noise, order, said):
+    notes = sized(of_a_step, rms, 1.0, order, noise).notes
+    assert len(notes) == bool(said)
+    assert all(part in notes[0] for part in said)
+
+
+def test_a_loose_tolerance_is_spoken_of_however_small_its_error_is_here():
+    solver = Solver("dormand_prince", rtol=1e-3)
+    found, _ = error_and_truth(replace(DATA, model=replace(DATA.model, solver=solver)), DATA)
+    (note,) = sized(found, 1e-5, 1.0, np.nan).notes
+    assert "1e-05 times the noise" in note
+    assert "negligible here; model.rtol = 1e-04 keeps it so elsewhere" in note
+
+
+def test_what_could_not_be_measured_is_said(of_a_step):
+    found = replace(sized(of_a_step, 0.0, 0.0), why_not="it communicates in a fixed step")
+    assert "could not be measured: it communicates in a fixed step" in found.notes[-1]
+    assert not found.hides_effects

@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.truth.systems_with_missing_effects import measured, missing_effect_problem
 
-from cluster_est import Problem
-from cluster_est.closed_loop.first_pass import (
-    _after_jumps,
-    _in_records,
-    open_checked_workbench,
-)
-from cluster_est.closed_loop.prepare import LoopRequest
-from cluster_est.closed_loop.workbench import LoopWorkbench
-from cluster_est.statistics.noise.outliers import isolated_outliers
+from cluster_est import LoopResult, LoopSettings, Problem, close_loop, detect
 from workers.messages import FloatArray
 
 NOISE = 0.01
+SETTINGS = LoopSettings(
+    forms=("constant",), sites=("der(v)",), draws=100, max_effects=1, pairs=False
+)
 
 
 @pytest.fixture(scope="module")
@@ -49,31 +42,30 @@ def spikes(count: int, seed: int) -> FloatArray:
     return off
 
 
-@contextmanager
-def checked(problem: Problem) -> Iterator[LoopWorkbench]:
-    with open_checked_workbench(LoopRequest(problem)) as bench:
-        yield bench
+def closed(problem: Problem) -> LoopResult:
+    """A loop that looks for next to nothing."""
+    return close_loop(problem, settings=SETTINGS)
 
 
 def test_nothing_is_set_aside_where_nothing_is_off(clean: Problem) -> None:
-    with checked(clean) as bench:
-        assert bench.problem.experiments == clean.experiments
-        assert not any("outlier" in note or "grows" in note for note in bench.notes)
+    found = closed(clean)
+    assert found.before.problem.experiments == clean.experiments
+    assert not any("outlier" in note or "grows" in note for note in found.notes)
 
 
 def test_outliers_are_left_out_and_counted(clean: Problem) -> None:
     off = (spikes(6, 1), spikes(3, 2))
     spoiled = changed(clean, *off)
-    with checked(spoiled) as bench:
-        for run, all_of_it, where in zip(
-            bench.problem.experiments, spoiled.experiments, off, strict=True
-        ):
-            kept = where == 0.0
-            assert run.outputs[0].times.tolist() == all_of_it.outputs[0].times[kept].tolist()
-            assert run.outputs[0].values.tolist() == all_of_it.outputs[0].values[kept].tolist()
-            assert run.inputs == all_of_it.inputs
-        assert bench.size == 601 - 6
-        training, held_out = (note for note in bench.notes if "outlier" in note)
+    found = closed(spoiled)
+    for run, all_of_it, where in zip(
+        found.before.problem.experiments, spoiled.experiments, off, strict=True
+    ):
+        kept = where == 0.0
+        assert run.outputs[0].times.tolist() == all_of_it.outputs[0].times[kept].tolist()
+        assert run.outputs[0].values.tolist() == all_of_it.outputs[0].values[kept].tolist()
+        assert run.inputs == all_of_it.inputs
+    assert found.before.problem.experiments[0].size == 601 - 6
+    training, held_out = (note for note in found.notes if "outlier" in note)
     assert training.startswith("1 % of the samples of y are outliers: 6 of 601, up to 1")
     assert held_out.startswith("held out: 0.5 % of the samples of y are outliers: 3 of 601, ")
     assert [len(run.outputs[0].times) for run in spoiled.experiments] == [601, 601]
@@ -83,9 +75,9 @@ def test_too_many_are_kept_and_said(clean: Problem) -> None:
     generator = np.random.default_rng(3)
     many = np.where(generator.uniform(size=601) < 0.09, generator.choice([-0.3, 0.3], 601), 0.0)
     spoiled = changed(clean, many, np.zeros(601))
-    with checked(spoiled) as bench:
-        assert bench.problem.experiments == spoiled.experiments
-        (note,) = (each for each in bench.notes if "stand alone" in each)
+    found = closed(spoiled)
+    assert found.before.problem.experiments == spoiled.experiments
+    (note,) = (each for each in found.notes if "stand alone" in each)
     assert "too many to be a sensor's faults, so all were kept" in note
 
 
@@ -93,8 +85,8 @@ def test_the_same_is_set_aside_each_time(clean: Problem) -> None:
     spoiled = changed(clean, spikes(6, 1), spikes(3, 2))
     keys = []
     for _ in range(2):
-        with checked(spoiled) as bench:
-            keys.append([run.key for run in bench.everything.experiments])
+        found = closed(spoiled)
+        keys.append([run.key for run in found.before.problem.experiments])
     assert keys[0] == keys[1]
 
 
@@ -107,10 +99,10 @@ def test_noise_that_grows_weights_each_sample_unless_a_sigma_is_given(clean: Pro
         replace(run, outputs=(replace(run.outputs[0], sigma=1.0),)) for run in clean.experiments
     )
     spoiled = changed(replace(clean, experiments=undeclared), *louder)
-    with checked(spoiled) as bench:
-        (note,) = (each for each in bench.notes if "grows" in each)
-        outputs = [run.outputs[0] for run in bench.problem.experiments]
-        assert not bench.sigma_declared
+    found = closed(spoiled)
+    (note,) = (each for each in found.notes if "grows" in each)
+    outputs = [run.outputs[0] for run in found.before.problem.experiments]
+    assert found.errors_over == "estimated noise"
     assert note.startswith("the noise of y grows with the signal: in the third of its samples")
     assert "so each sample was weighted with its own; write sigma.y = 0.0" in note
     for output in outputs:
@@ -123,9 +115,9 @@ def test_noise_that_grows_weights_each_sample_unless_a_sigma_is_given(clean: Pro
     declared = tuple(
         replace(run, outputs=(replace(run.outputs[0], sigma=0.01),)) for run in spoiled.experiments
     )
-    with checked(replace(spoiled, experiments=declared)) as bench:
-        (note,) = (each for each in bench.notes if "grows" in each)
-        assert [run.outputs[0].relative_sigma for run in bench.problem.experiments] == [0.0] * 2
+    found = closed(replace(spoiled, experiments=declared))
+    (note,) = (each for each in found.notes if "grows" in each)
+    assert [run.outputs[0].relative_sigma for run in found.before.problem.experiments] == [0.0] * 2
     assert "relative_sigma.y = " in note
     assert note.endswith("would give each sample its own")
 
@@ -140,40 +132,47 @@ def test_noise_that_is_declared_to_grow_is_as_declared(clean: Problem) -> None:
         replace(run, outputs=(replace(run.outputs[0], sigma=2e-3, relative_sigma=0.05),))
         for run in changed(clean, *noise).experiments
     )
-    with checked(replace(clean, experiments=runs)) as bench:
-        assert not [each for each in bench.notes if "grows" in each]
+    found = closed(replace(clean, experiments=runs))
+    assert not [each for each in found.notes if "grows" in each]
 
 
-def test_samples_after_a_jump_of_an_input_are_no_outliers(clean: Problem) -> None:
-    """The jumps are just before some samples that stand alone."""
-    run = clean.experiments[0]
-    times = run.outputs[0].times
-    at = np.array([40, 200, 420])
-    steps = np.searchsorted(at, np.arange(len(times)), side="right") % 2
-    driven = replace(run, inputs=(replace(run.inputs[0], times=times, values=1.0 * steps),))
-    after = np.flatnonzero(_after_jumps(driven, "y"))
-    assert set(at) <= set(after)
-    assert set(after) <= {i + late for i in at for late in range(-1, 3)}
-    assert not _after_jumps(run, "y").any()
-
-
-def test_what_is_excepted_stays() -> None:
+@pytest.mark.parametrize(("answers", "count"), [(True, 0), (False, 9)])
+def test_outliers_that_follow_jumps_are_answers_to_them(
+    clean: Problem, answers: bool, count: int
+) -> None:
+    """Nine samples stand alone: all of them just after a jump of the force, or one by chance."""
+    times = clean.experiments[0].outputs[0].times
     jumps = 60 * np.arange(1, 10)
-    signal = np.random.default_rng(5).normal(0.0, NOISE, 601)
-    signal[jumps] += 15.0 * NOISE
-    excepted = np.zeros(601, bool)
-    excepted[jumps] = True
-    assert isolated_outliers(signal, NOISE).mask[jumps].all()
-    assert not isolated_outliers(signal, NOISE, excepted=excepted).mask.any()
+    steps = 1.0 * (np.searchsorted(jumps, np.arange(601), side="right") % 2)
+    runs = [
+        replace(run, inputs=(replace(run.inputs[0], times=times, values=steps),))
+        for run in missing_effect_problem("mass_spring_damper").experiments
+    ]
+    driven = measured(replace(clean, experiments=tuple(runs)), NOISE)
+    off = np.zeros(601)
+    off[jumps + (0 if answers else np.array([0, *range(10, 26, 2)]))] = 15.0 * NOISE
+    found = closed(changed(driven, off, np.zeros(601)))
+    assert 601 - len(found.before.problem.experiments[0].outputs[0].times) == count
 
 
-@pytest.mark.parametrize(("answers", "found"), [(True, 0), (False, 9)])
-def test_outliers_that_follow_jumps_are_answers_to_them(answers: bool, found: int) -> None:
-    """Nine samples stand alone: all of them just after a jump, or one as it happens."""
-    jumps = np.zeros(601, bool)
-    jumps[(60 * np.arange(1, 10))[:, None] + np.arange(3)] = True
-    signal = np.random.default_rng(5).normal(0.0, NOISE, 601)
-    at = 60 * np.arange(1, 10) + (0 if answers else np.array([0, *range(10, 26, 2)]))
-    signal[at] += 15.0 * NOISE
-    outliers = _in_records({0: signal}, {0: jumps}, NOISE)[0]
-    assert outliers.mask.sum() == found
+@pytest.mark.parametrize(
+    ("sigma", "expected"),
+    [pytest.param(0.5, 0.5, id="given"), pytest.param(1.0, 10.0, id="not given")],
+)
+def test_records_too_short_to_show_their_noise_have_the_sigma_that_is_given(
+    clean: Problem, sigma: float, expected: float
+) -> None:
+    """Four records of nine samples in which the model leaves ten units."""
+    times = np.arange(9) * 0.1
+    residual = np.random.default_rng(3).standard_normal((4, 9))
+    residual *= 10.0 / np.sqrt(np.mean(residual**2))
+    runs = []
+    for e, part in enumerate(residual):
+        run = clean.experiments[0]
+        (output,) = run.outputs
+        values = np.interp(times, output.times, output.values) + part
+        output = replace(output, times=times, values=values, sigma=sigma)
+        runs.append(replace(run, id=f"e{e}", outputs=(output,)))
+    fixed = tuple(replace(p, fixed=p.name != "m") for p in clean.parameters)
+    problem = replace(clean, experiments=tuple(runs), parameters=fixed)
+    assert detect(problem, settings=SETTINGS).noise["y"] == pytest.approx(expected, rel=0.1)

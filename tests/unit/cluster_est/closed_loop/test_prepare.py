@@ -6,12 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.loop_objects import made_bench, made_problem
 from support.truth.systems_with_missing_effects import measured, missing_effect_problem, opened
 
-from cluster_est.closed_loop.loop import close_loop
-from cluster_est.closed_loop.prepare import _short_notes, _weight_note, _weighted
-from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est import LoopSettings, close_loop
 from cluster_est.errors import ProblemError
 
 SPRING = missing_effect_problem("mass_spring_damper")
@@ -55,18 +52,20 @@ def test_states_are_closed_in_co_simulation():
         assert any("state derivatives were closed" in note for note in bench.notes)
 
 
+def shortened(*samples, sigma=0.5):
+    """Springs of which only so many measurements are left, the first ones."""
+    runs = []
+    for run, count in zip(SPRING.experiments, samples, strict=True):
+        (output,) = run.outputs
+        kept = {"times": output.times[:count], "values": output.values[:count], "sigma": sigma}
+        runs.append(replace(run, outputs=(replace(output, **kept),)))
+    return replace(SPRING, experiments=tuple(runs))
+
+
 @pytest.mark.parametrize("samples", [3, 7])
 def test_too_few_measurements(samples):
-    runs = [
-        replace(e, outputs=(replace(e.outputs[0], times=e.outputs[0].times[:samples],
-                                    values=e.outputs[0].values[:samples]),))
-        for e in SPRING.experiments
-    ]  # fmt: skip
     sentence = f"at least 16 measured values .* 3 parameters but have {2 * samples}"
-    with (
-        pytest.raises(ProblemError, match=sentence),
-        opened(replace(SPRING, experiments=tuple(runs))),
-    ):
+    with pytest.raises(ProblemError, match=sentence), opened(shortened(samples, samples)):
         pass
 
 
@@ -101,22 +100,27 @@ def test_outputs_without_sigma_are_weighted_with_their_noise():
         assert any("sigma = { motor_speed = 0.0" in note for note in bench.notes)
 
 
-@pytest.mark.parametrize("silent", [0.0, np.nan])
-def test_an_output_without_known_noise_is_not_said_to_be_weighted_with_it(silent):
-    noise = {"y0": 0.3, "y1": silent}
-    note = _weight_note(_weighted(made_problem(20, outputs=2), noise), noise)
-    assert "with its estimated noise, but for y1, of which no noise is known; write" in note
-    assert "sigma = { y0 = 0.3, y1 = 1 }" in note
+def test_an_output_without_known_noise_is_not_said_to_be_weighted_with_it():
+    """Nothing was measured of one of them."""
+    problem = two_units(1.0)
+    runs = []
+    for run in problem.experiments:
+        motor, load = run.outputs
+        nothing = replace(load, times=np.zeros(0), values=np.zeros(0))
+        runs.append(replace(run, outputs=(motor, nothing)))
+    with opened(replace(problem, experiments=tuple(runs))) as bench:
+        (note,) = (note for note in bench.notes if "sigma" in note)
+    assert "noise, but for load_speed, of which no noise is known; write" in note
+    assert "load_speed = 1 }" in note
 
 
 @pytest.mark.parametrize(
-    ("lengths", "sigma", "said"),
-    [((9, 9, 9), 1.0, True), ((9, 10, 9), 1.0, False), ((9, 9, 9), 0.1, False)],
+    ("samples", "sigma", "said"), [((9, 9), 1.0, True), ((9, 10), 1.0, False), ((9, 9), 0.1, False)]
 )
-def test_records_too_short_to_know_their_noise_are_named(lengths, sigma, said):
-    """`estimate_noise` then takes the whole residual of the declared model."""
-    notes = _short_notes(made_bench(made_problem(*lengths, outputs=2, sigma=sigma)))
-    assert any("no record of y0, y1 has 10 samples" in note for note in notes) is said
+def test_records_too_short_to_know_their_noise_are_named(samples, sigma, said):
+    """The whole residual of the declared model is taken for noise then."""
+    with opened(shortened(*samples, sigma=sigma)) as bench:
+        notes = [note for note in bench.notes if "no record of y has 10 samples" in note]
     assert bool(notes) is said
 
 

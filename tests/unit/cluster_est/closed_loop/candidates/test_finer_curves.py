@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from cluster_est.closed_loop.candidates.denser_grid import denser_grid
 from cluster_est.closed_loop.candidates.finer_curves import finer_form, in_finer_form, refined
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from workers.effects.forms import FORMS
@@ -83,24 +82,3 @@ def test_there_are_three_resolutions_and_none_finer():
         sizes.append(coarse.form.values)
     assert sizes == [7, 13, 25]
     assert coarse.effect.form == "table_25"
-
-
-def test_where_an_effect_begins_is_looked_for_all_over_its_range():
-    hinge = candidate("derivative", "hinge", "der(v)", ("x",), ((0.0, 5.0), (0.0, 6.0)))
-    dense = denser_grid(hinge, [Course(np.linspace(0.0, 10.0, 1001))])
-    assert {values[0] for values in dense} == {0.0}
-    places = [values[1] for values in dense]
-    assert min(places) == pytest.approx(0.4)
-    assert max(places) == pytest.approx(9.6)
-
-
-def test_a_grid_of_a_size_is_dense_between_its_ends():
-    half = candidate("derivative", "saturating", "der(v)", ("x",), ((0.0, 1.0), (0.0, 4.0)))
-    dense = [values[1] for values in denser_grid(half, [Course(np.zeros(3))])]
-    np.testing.assert_allclose(dense, [1.0, 2.0**0.5, 2.0, 2.0**1.5, 4.0])
-
-
-def test_a_grid_in_two_coefficients_stays_as_it_is():
-    grid = ((0.0, 1.0, 1.0), (0.0, 2.0, 2.0))
-    contact = candidate("derivative", "exponential", "der(v)", ("x",), grid)
-    assert denser_grid(contact, [Course(np.zeros(3))]) == list(grid)

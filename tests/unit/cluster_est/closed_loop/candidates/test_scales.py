@@ -1,121 +1,145 @@
-"""What the data say about where coefficients could lie."""
+"""What the data say about where the coefficients of a candidate could lie: sines, worked out."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from support.truth.systems_with_missing_effects import missing_effect_problem, opened, unfitted
 
-from cluster_est.closed_loop.candidates.scales import SignalScales, oscillates
-from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
-from workers.effects.forms import FORMS, FormCoefficient, GridScale
-from workers.effects.site import EffectSite
+from cluster_est import LoopSettings, Solver
+from cluster_est.closed_loop.candidates.make import make_candidates
+from workers.effects.forms import FORMS
+from workers.effects.site import parse_site
 
-T = np.linspace(0.0, 10.0, 2001)
+PROBLEM = missing_effect_problem("mass_spring_damper", signals=())
 RATE = 2.0 * np.pi
-DER, OUT = EffectSite("derivative", "v"), EffectSite("output", "y")
+"""Of six turns in a record, of 6 s with 0.01 s between two samples."""
+SIZE = 3.0
+RMS = SIZE / np.sqrt(2.0)
 
 
-def course(times=T, **signals):
-    zeros = np.zeros(len(times))
-    columns = {name: np.broadcast_to(s, len(times)) for name, s in signals.items()}
-    return LinearisedTrajectory(times, columns, zeros[:, None], ("y",), None, np.zeros(0, int),
-                  np.zeros(0, int), np.zeros(0))  # fmt: skip
+@pytest.fixture(scope="module")
+def spring():
+    with opened(PROBLEM) as bench:
+        return bench.description, bench.trajectories(unfitted(bench))
 
 
-SWING = 3.0 * np.sin(RATE * T)
-SCALES = SignalScales([course(v=SWING, y=SWING + 1.0), course(v=SWING, y=SWING + 1.0)], (2.5, 7.0))
+@pytest.fixture
+def candidates(spring):
+    """Those of a spring whose signals are given, as functions of time."""
+
+    def made(problem=PROBLEM, **signals):
+        description, runs = spring
+        given = [
+            replace(
+                run,
+                signals=dict(run.signals)
+                | {n: np.broadcast_to(f(run.times), len(run.times)) for n, f in signals.items()},
+            )
+            for run in runs
+        ]
+        found = make_candidates(problem, description, given, (2.5, 7.0), LoopSettings())
+        return {(str(c.site), c.form.name, *c.effect.variables): c for c in found}
+
+    return made
 
 
-def grid(scale, *entries, site=DER):
-    return SCALES.grid(
-        FormCoefficient("c", None, scale=GridScale(scale), grid=entries), site, ("v",)
-    )
+def sine(t):
+    return SIZE * np.sin(RATE * t)
 
 
-@pytest.mark.parametrize(
-    ("scale", "entry", "expected"),
-    [
-        ("rms v", 2.0, 2.0 * 3.0 / np.sqrt(2.0)),
-        ("max v", 0.5, 1.5),
-        ("quantile v", 0.75, 3.0 * np.sin(np.pi / 4)),
-        ("mean v", 1.0, 0.0),
-        ("mean |v|", 1.0, 6.0 / np.pi),
-        ("mean v^2", 1.0, 4.5),
-        ("travel v", 1.0, 3.0 / RATE / np.sqrt(2.0)),
-        ("low v", 1.0, -3.0 * np.cos(0.01 * np.pi)),
-        ("high v", 1.0, 3.0 * np.cos(0.01 * np.pi)),
-        ("step", 4.0, 0.02),
-        ("middle t", 1.0, 5.0),
-    ],
-)
-def test_scales_of_a_sine(scale, entry, expected):
-    assert grid(scale, entry) == pytest.approx((expected,), abs=2e-2)
+def axis(candidate, name):
+    """The values of a coefficient that are looked at, ascending."""
+    place = [c.name for c in candidate.form.coefficients].index(name)
+    return sorted({values[place] for values in candidate.grid})
 
 
-def test_times_are_multiples_of_a_longer_communication_step():
-    scales = SignalScales([course(v=SWING)], (), communication=0.05)
-    found = scales.grid(FormCoefficient("tau", scale=GridScale("step"), grid=(4.0,)), DER, ("v",))
-    assert scales.resolution == 0.05
-    assert found == pytest.approx((0.2,))
-    assert SCALES.resolution == pytest.approx(0.005)
+V = ("der(v)", "v")
+SCALES = [
+    (*V, "coulomb", "width", lambda g: g * RMS),
+    (*V, "gap", "at", lambda g: g * SIZE),
+    (*V, "hinge", "at", lambda g: SIZE * np.sin(np.pi * (g - 0.5))),
+    (*V, "dahl", "x0", lambda g: g * RMS / RATE),
+    (*V, "table", "low", lambda g: -SIZE * np.cos(0.01 * np.pi)),
+    (*V, "table", "high", lambda g: SIZE * np.cos(0.01 * np.pi)),
+    ("der(v)", "x", "periodic", "n", lambda g: 2.0 * np.pi * g / 0.2),
+    ("parameter k", "v", "linear", "at", lambda g: 0.0),
+    ("parameter k", "v", "magnitude", "at", lambda g: 2.0 * SIZE / np.pi),
+    ("parameter k", "v", "square", "at", lambda g: RMS**2),
+    ("parameter k", "", "drift", "at", lambda g: 3.0),
+    ("output y", "", "lag", "tau", lambda g: g * 0.01),
+    ("output y", "", "mode", "f", lambda g: g / 0.01),
+    ("output y", "", "saturation", "limit", lambda g: g * (SIZE + 1.0)),
+    ("output y", "", "clip_above", "limit", lambda g: 1.0 - SIZE + g * 2.0 * SIZE),
+    ("input F", "", "rate_limit", "rate", lambda g: g * SIZE * RATE),
+]
 
 
-@pytest.mark.parametrize(("step", "moved"), [(np.inf, 1.0), (0.005, 1.0), (0.001, 0.2)])
-def test_a_switch_is_no_narrower_than_what_a_fixed_step_goes_across(step, moved):
-    """|v'| = 3 RATE |cos| has the median 3 RATE / sqrt(2); an interval is 0.005 s."""
-    width = FORMS["derivative", "coulomb"].coefficients[-1]
-    assert width.name == "width"
-    scales = SignalScales([course(v=SWING)], (), step=step)
-    crossed = moved * 0.005 * 3.0 * RATE / np.sqrt(2.0)
-    rms = 3.0 / np.sqrt(2.0)
-    found = scales.grid(width, DER, ("v",))
-    expected = dict.fromkeys(max(share * rms, crossed) for share in width.grid)
-    assert found == pytest.approx(tuple(expected), rel=1e-2)
-    assert SCALES.grid(width, DER, ("v",)) == pytest.approx([s * rms for s in width.grid], rel=1e-2)
+@pytest.mark.parametrize(("site", "variable", "form", "coefficient", "expected"), SCALES)
+def test_a_grid_is_in_proportion_to_the_signals(
+    candidates, site, variable, form, coefficient, expected
+):
+    found = candidates(v=sine, F=sine, y=lambda t: sine(t) + 1.0, x=lambda t: 0.1 * np.sin(9.0 * t))
+    shares = {c.name: c.grid for c in FORMS[parse_site(site, "").kind, form].coefficients}
+    key = (site, form, variable) if variable else (site, form)
+    truth = sorted({expected(g) for g in shares[coefficient] or (1.0,)})
+    assert axis(found[key], coefficient) == pytest.approx(truth, rel=1e-2, abs=2e-2)
 
 
-def test_scales_of_the_signal_at_the_site():
-    assert grid("range s", 0.25, 1.0, site=OUT) == pytest.approx((-0.5, 4.0))
-    assert grid("max s", 0.5, site=OUT) == pytest.approx((2.0,))
-    assert grid("max s", 0.5) == ()
-    assert grid("spectrum", 1.0) == (2.5, 7.0)
+def test_waves_begin_at_the_peaks_of_a_spectrum(candidates):
+    assert axis(candidates()["der(v)", "sine"], "f") == [2.5, 7.0]
 
 
-@pytest.mark.parametrize(
-    ("signal", "expected"),
-    [(SWING, True), (SWING + 2.9, False), (np.abs(SWING), False), (0.0 * T, False)],
-)
-def test_a_signal_oscillates_if_it_clearly_takes_both_signs(signal, expected):
-    assert oscillates(signal) is expected
+@pytest.mark.parametrize(("span", "whole"), [(1.0, []), (200.0, list(range(1, 16)))])
+def test_waves_of_an_angle_of_many_turns_are_whole_numbers_too(candidates, span, whole):
+    found = axis(candidates(x=lambda t: span * t / t[-1])["der(v)", "periodic", "x"], "n")
+    repeats = 2.0 * np.pi * np.arange(3, 33) / 2.0 / span
+    assert found == pytest.approx(sorted([*repeats, *(n for n in whole if n > repeats[-1])]))
+
+
+@pytest.mark.parametrize(("solver", "moved"), [("rk4", 1.0), ("dormand_prince", 0.0)])
+def test_a_switch_is_no_narrower_than_what_a_fixed_step_goes_across(candidates, solver, moved):
+    """|v'| = 3 RATE |cos| has the median 3 RATE / sqrt(2); a step is one from sample to sample."""
+    problem = replace(PROBLEM, model=replace(PROBLEM.model, solver=Solver(solver)))
+    found = axis(candidates(problem, v=sine)["der(v)", "coulomb", "v"], "width")
+    crossed = moved * 0.01 * SIZE * RATE / np.sqrt(2.0)
+    shares = FORMS["derivative", "coulomb"].coefficients[-1].grid
+    assert found == pytest.approx(sorted({max(g * RMS, crossed) for g in shares}), rel=1e-2)
 
 
 @pytest.mark.parametrize(
     ("form", "signal", "expected"),
     [
-        ("linear", SWING, True),
-        ("linear", 5.0, False),
-        ("linear", 0.0, False),
-        ("coulomb", SWING, True),
-        ("coulomb", SWING + 4.0, False),
-        ("square_root", SWING + 4.0, True),
-        ("square_root", 1e-9 * (SWING + 2.0), False),
-        ("square_root", 1e-9 * (SWING + 3.0), True),
-        ("table", SWING, True),
-        ("table", np.where(T > 9.95, 1.0, 0.0), False),
+        ("linear", sine, True),
+        ("linear", lambda t: 5.0, False),
+        ("linear", lambda t: 0.0, False),
+        ("coulomb", sine, True),
+        ("coulomb", lambda t: sine(t) + 2.9, False),
+        ("coulomb", lambda t: np.abs(sine(t)), False),
+        ("square_root", lambda t: sine(t) + 4.0, True),
+        ("square_root", lambda t: 1e-9 * (sine(t) + 2.0), False),
+        ("square_root", lambda t: 1e-9 * (sine(t) + 3.0), True),
+        ("table", sine, True),
+        ("table", lambda t: np.where(t > 5.97, 1.0, 0.0), False),
     ],
 )
-def test_forms_that_make_sense_for_a_signal(form, signal, expected):
-    scales = SignalScales([course(v=signal)], ())
-    assert scales.allow(FORMS["derivative", form], DER, ("v",)) is expected
+def test_forms_that_make_sense_for_a_signal(candidates, form, signal, expected):
+    assert (("der(v)", form, "v") in candidates(v=signal)) is expected
 
 
-@pytest.mark.parametrize("variables", [("v", "w"), ("w", "v")])
-def test_a_product_needs_two_signals_that_move(variables):
-    scales = SignalScales([course(v=SWING, w=2.0)], ())
-    assert not scales.allow(FORMS["derivative", "product"], DER, variables)
+def test_a_product_needs_two_signals_that_move(candidates):
+    assert not any("product" in key and "F" in key for key in candidates(F=lambda t: 2.0))
 
 
 def test_an_experiment_without_a_signal_does_not_count():
-    scales = SignalScales([course(v=SWING, y=SWING), course(v=SWING)], ())
-    coefficient = FormCoefficient("c", None, scale=GridScale.MAX_S, grid=(1.0,))
-    assert scales.grid(coefficient, OUT, ()) == pytest.approx((3.0,), rel=1e-3)
+    problem = missing_effect_problem("two_mass_drive", signals=())
+    first, second = problem.experiments
+    second = replace(second, outputs=second.outputs[:1])
+    with opened(replace(problem, experiments=(first, second))) as bench:
+        runs = bench.trajectories(unfitted(bench))
+        settings = LoopSettings(forms=("saturation",), sites=("output load_speed",))
+        (found,) = make_candidates(bench.problem, bench.description, runs, (), settings)
+    largest = np.abs(runs[0].signal("load_speed")).max()
+    assert axis(found, "limit")[-1] == pytest.approx(0.95 * largest)

@@ -11,6 +11,7 @@ from support.loop_objects import (
     made_bench,
     made_candidate,
     made_problem,
+    made_refit,
     made_round,
     made_screening,
     made_selection,
@@ -21,7 +22,6 @@ from cluster_est.closed_loop.findings.resampled_choice import (
     resampled_choices,
     with_choices,
 )
-from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import ComparedStructure
 
 
@@ -38,7 +38,7 @@ def searched(runs, rival_worse):
     rival = replace(current, residuals=factor * noise, added=(made_candidate("rival", "load"),))
     screening = made_screening(current.jacobian, current.residuals, [], [])
     last = made_round(None, screening)
-    contender = RefittedCandidate(rival, rival.criterion(bench.records), True)
+    contender = made_refit(rival, rival.criterion(bench.records))
     return bench, made_selection(base, current, replace(last, contenders=(contender,)))
 
 

@@ -12,7 +12,6 @@ from cluster_est.closed_loop.findings.structure_probabilities import (
     TEMPERATURE,
     likely_sentence,
     likely_structures,
-    percent,
     with_probabilities,
 )
 from cluster_est.closed_loop.selection.rounds import ComparedStructure
@@ -67,16 +66,21 @@ def test_what_was_added_is_named_in_any_case():
     assert likely_sentence(with_probabilities(path, 0.0)).endswith("and b less than 1 %")
 
 
-def test_sentences():
-    path = with_probabilities(compared(("a+x", -5000.0), ("b", -4984.0), ("c", -400.0)), 0.0)
-    assert likely_sentence(path) == (
-        "of the 4 sets of effects that were compared, allowing for a model that is not exact, the "
-        "data give a + x 73 % of the probability and b 27 %"
-    )
-    alone = with_probabilities(compared(("a", -5000.0), ("c", -400.0)), 0.0)
-    assert likely_sentence(alone).endswith("the data give a more than 99 % of the probability")
-    weak = with_probabilities(compared(("a", -NINE_TIMES + 1.0)), 0.0)
-    assert likely_sentence(weak).endswith("% of the probability and no effect 11 %")
+@pytest.mark.parametrize(
+    ("path", "said"),
+    [
+        (
+            [("a+x", -5000.0), ("b", -4984.0), ("c", -400.0)],
+            "of the 4 sets of effects .* a + x 73 % of the probability and b 27 %",
+        ),
+        ([("a", -5000.0), ("c", -400.0)], "give a more than 99 % of the probability"),
+        ([("a", -NINE_TIMES + 1.0)], "% of the probability and no effect 11 %"),
+        ([("a", -5000.0), ("b", -5000.0)], "a 50 % of the probability and b 50 %"),
+    ],
+)
+def test_sentences(path, said):
+    found = likely_sentence(with_probabilities(compared(*path), 0.0))
+    assert re.search(said.replace("+", r"\+") + "$", found)
 
 
 def test_a_sentence_names_a_few():
@@ -89,11 +93,3 @@ def test_a_sentence_names_a_few():
 def test_nothing_is_said_where_nothing_is_known():
     assert likely_structures(PATH) == ()
     assert likely_sentence(PATH) == ""
-
-
-@pytest.mark.parametrize(
-    ("probability", "said"),
-    [(0.9999, "more than 99 %"), (0.5, "50 %"), (0.004, "less than 1 %")],
-)
-def test_no_more_certainty_is_written_than_there_is(probability, said):
-    assert percent(probability) == said

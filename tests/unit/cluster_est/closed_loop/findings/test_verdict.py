@@ -17,12 +17,11 @@ from support.loop_objects import (
     made_selection,
 )
 
+from cluster_est import LoopSettings
 from cluster_est.closed_loop.findings.confirmation import confirmed
-from cluster_est.closed_loop.findings.effects import ErrorChange
-from cluster_est.closed_loop.findings.result import Verdict
+from cluster_est.closed_loop.findings.effects import ErrorChange, Verdict
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
 from cluster_est.closed_loop.selection.rounds import RejectionReason, SelectionResult
-from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.statistics.omnibus import OmnibusTest
 
 PROBLEM = made_problem(100, 100, 100, 100)
@@ -239,32 +238,67 @@ def test_a_narrowed_search_does_not_speak_for_the_whole_library(narrowed):
     assert "nothing among the forms and sites of closed_loop explains it" in reason
 
 
-def changes(train: tuple[float, float], test: tuple[float, float] | None, output: str = "y"):
+def changes(train: tuple[float, float], test: tuple[float, float] | None = None, output="y"):
     """Errors over the noise, before and after."""
     roles = {"train": train} | ({"test": test} if test is not None else {})
-    return [
-        ErrorChange(role, role, output, "m", 100, before, after, before, after)
-        for role, (before, after) in roles.items()
-    ]
+    return [change(role, *errors, output=output, name=role) for role, errors in roles.items()]
 
 
+def change(role: str, before: float, after: float, *, output: str = "y", name: str = "lost"):
+    return ErrorChange(name, role, output, "m", 100, before, after, before, after)
+
+
+NAN = np.nan
 FOUND = ReasonedVerdict(Verdict.FOUND, "the effects close 99%", 0.99, 0.75)
+FOLLOWED = changes((9.0, 1.1), (9.0, 1.2))
+HELD_OUT = {
+    "both are followed": (
+        FOLLOWED, Verdict.FOUND, "1.10 times the noise on training and 1.20"),
+    "nothing was held out": (
+        changes((9.0, 1.1)), Verdict.FOUND, "what is left is 1.10 times the noise"),
+    "more than noise is left in training": (
+        changes((90.0, 1.6), (90.0, 1.2)), Verdict.PARTIAL, "1.60 times the noise on training"),
+    "more is left of what was held out": (
+        changes((90.0, 1.1), (300.0, 111.0)), Verdict.PARTIAL, "and 111 on held-out data"),
+    "little is closed of what was held out": (
+        changes((90.0, 1.1), (300.0, 250.0)), Verdict.UNEXPLAINED,
+        "only 31% of the gap would be closed"),
+    "what was held out gets worse": (
+        changes((90.0, 1.1), (3.0, 3.1)), Verdict.UNEXPLAINED, "would grow from 3 to 3.1"),
+    "there was little to gain where it was held out": (
+        changes((9.0, 1.1), (1.1, 1.0)), Verdict.FOUND, "and 1.00 on held-out data"),
+    "the output with the largest error decides": (
+        changes((9.0, 1.0), (9.0, 1.0), "a") + changes((9.0, 1.0), (9.0, 1.9), "b"),
+        Verdict.PARTIAL, "more than the 1.5 times up to which all counts as found"),
+    "an experiment could not be simulated before": (
+        [*FOLLOWED, change("test", NAN, 1.0)], Verdict.FOUND, "1.10 times the noise on training"),
+    "an experiment cannot be simulated any more": (
+        [*FOLLOWED, change("test", 9.0, NAN)], Verdict.UNEXPLAINED,
+        "experiment 'lost' cannot be simulated any more"),
+    "the only held-out experiment cannot be simulated any more": (
+        [*changes((9.0, 1.1)), change("test", 9.0, NAN)], Verdict.UNEXPLAINED, "'lost' cannot"),
+    "a held-out experiment was never simulated": (
+        [*FOLLOWED, change("test", NAN, NAN)], Verdict.PARTIAL,
+        "held-out experiment 'lost' could not be simulated, so it is not known"),
+    "a training experiment was never simulated": (
+        [*changes((9.0, 1.1)), change("train", NAN, NAN)], Verdict.PARTIAL,
+        "training experiment 'lost' could not be simulated"),
+    "how much is too much is said of the size": (
+        [*changes((90.0, 1.6), (90.0, 1.2)), change("test", NAN, NAN)], Verdict.PARTIAL,
+        "1.20 on held-out data, which is more than the 1.5 times"),
+    "the noise is not known": (
+        [ErrorChange("train", "train", "y", "m", 100, 9.0, 1.0, NAN, NAN)], Verdict.PARTIAL,
+        "the noise of y is not known"),
+    "what is followed exactly needs no noise": (
+        [ErrorChange("train", "train", "y", "m", 100, 0.0, 0.0, NAN, NAN),
+         *changes((9.0, 1.0), (9.0, 1.0), "b")], Verdict.FOUND, "1.00 times the noise"),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("train", "test", "expected", "said"),
-    [
-        ((9.0, 1.1), (9.0, 1.2), Verdict.FOUND, "1.10 times the noise on training and 1.20"),
-        ((9.0, 1.1), None, Verdict.FOUND, "what is left is 1.10 times the noise"),
-        ((90.0, 1.6), (90.0, 1.2), Verdict.PARTIAL, "1.60 times the noise on training"),
-        ((90.0, 1.1), (300.0, 111.0), Verdict.PARTIAL, "and 111 on held-out data"),
-        ((90.0, 1.1), (300.0, 250.0), Verdict.UNEXPLAINED, "only 31% of the gap would be closed"),
-        ((90.0, 1.1), (3.0, 3.1), Verdict.UNEXPLAINED, "would grow from 3 to 3.1"),
-        ((9.0, 1.1), (1.1, 1.0), Verdict.FOUND, "and 1.00 on held-out data"),
-    ],
-)
-def test_held_out_data_can_only_take_away(train, test, expected, said):
-    judged = confirmed(FOUND, changes(train, test), LoopSettings())
+@pytest.mark.parametrize("name", HELD_OUT)
+def test_held_out_data_can_only_take_away(name):
+    errors, expected, said = HELD_OUT[name]
+    judged = confirmed(FOUND, errors, LoopSettings())
     assert judged.verdict is expected
     assert said in judged.reason
 
@@ -278,72 +312,9 @@ def test_innovations_are_not_compared_by_their_size_alone():
     assert "the spread that noise explains" in judged.reason
 
 
-def test_the_output_with_the_largest_error_decides():
-    both = changes((9.0, 1.0), (9.0, 1.0), "a") + changes((9.0, 1.0), (9.0, 1.9), "b")
-    judged = confirmed(FOUND, both, LoopSettings())
-    assert judged.verdict is Verdict.PARTIAL
-    assert "more than the 1.5 times up to which all counts as found" in judged.reason
-    assert confirmed(FOUND, both, LoopSettings(near_noise=2.0)).verdict is Verdict.FOUND
-
-
-def failing(when: str):
-    """Errors with a held-out experiment that was not simulated before, after, or either time."""
-    then, now = ((np.nan, 1.0), (9.0, np.nan), (np.nan, np.nan))[
-        ("before", "after", "both").index(when)
-    ]
-    lost = ErrorChange("lost", "test", "y", "m", 100, then, now, then, now)
-    return [*changes((9.0, 1.1), (9.0, 1.2)), lost]
-
-
-@pytest.mark.parametrize(
-    ("when", "expected", "said"),
-    [
-        ("before", Verdict.FOUND, "1.10 times the noise on training"),
-        ("after", Verdict.UNEXPLAINED, "experiment 'lost' cannot be simulated any more"),
-        (
-            "both",
-            Verdict.PARTIAL,
-            "held-out experiment 'lost' could not be simulated, so it is not known",
-        ),
-    ],
-)
-def test_a_held_out_experiment_that_fails(when, expected, said):
-    judged = confirmed(FOUND, failing(when), LoopSettings())
-    assert judged.verdict is expected
-    assert said in judged.reason
-
-
-def test_how_much_is_too_much_is_said_of_the_size():
-    lost = ErrorChange("lost", "test", "y", "m", 100, np.nan, np.nan, np.nan, np.nan)
-    reason = confirmed(FOUND, [*changes((90.0, 1.6), (90.0, 1.2)), lost], LoopSettings()).reason
-    assert "1.20 on held-out data, which is more than the 1.5 times" in reason
-    assert reason.endswith("; held-out experiment 'lost' could not be simulated")
-
-
-def test_a_training_experiment_that_fails_is_not_said_to_be_held_out():
-    lost = ErrorChange("lost", "train", "y", "m", 100, np.nan, np.nan, np.nan, np.nan)
-    judged = confirmed(FOUND, [*changes((9.0, 1.1), None), lost], LoopSettings())
-    assert judged.verdict is Verdict.PARTIAL
-    assert "training experiment 'lost' could not be simulated" in judged.reason
-
-
-def test_the_only_held_out_experiment_fails_with_the_effects():
-    lost = ErrorChange("lost", "test", "y", "m", 100, 9.0, np.nan, 9.0, np.nan)
-    errors = [*changes((9.0, 1.1), None), lost]
-    assert confirmed(FOUND, errors, LoopSettings()).verdict is Verdict.UNEXPLAINED
-
-
-def test_without_a_noise_to_compare_with_nothing_is_found():
-    silent = [ErrorChange("train", "train", "y", "m", 100, 9.0, 1.0, np.nan, np.nan)]
-    judged = confirmed(FOUND, silent, LoopSettings())
-    assert judged.verdict is Verdict.PARTIAL
-    assert "the noise of y is not known" in judged.reason
-
-
-def test_what_is_followed_exactly_needs_no_noise():
-    exact = ErrorChange("train", "train", "y", "m", 100, 0.0, 0.0, np.nan, np.nan)
-    errors = [exact, *changes((9.0, 1.0), (9.0, 1.0), "b")]
-    assert confirmed(FOUND, errors, LoopSettings()).verdict is Verdict.FOUND
+def test_what_counts_as_near_the_noise_is_a_setting():
+    errors = changes((9.0, 1.0), (9.0, 1.9))
+    assert confirmed(FOUND, errors, LoopSettings(near_noise=2.0)).verdict is Verdict.FOUND
 
 
 def test_a_sigma_that_is_too_large_does_not_make_an_error_small():
@@ -357,7 +328,7 @@ def test_a_sigma_that_is_too_large_does_not_make_an_error_small():
 
 
 def test_errors_over_a_declared_sigma_are_said_to_be_that():
-    judged = confirmed(replace(FOUND, declared=True), changes((9.0, 1.1), None), LoopSettings())
+    judged = confirmed(replace(FOUND, declared=True), changes((9.0, 1.1)), LoopSettings())
     assert "1.10 times the declared sigma" in judged.reason
 
 
@@ -368,13 +339,11 @@ def test_a_verdict_without_effects_stays_as_it_is():
 
 def test_a_gap_on_held_out_data_is_that_to_the_noise_as_it_is():
     """A sigma that is ten times too small makes noise of what was explained completely."""
-    judged = replace(FOUND, floor=10.0, declared=True)
-    found = confirmed(judged, changes((30.0, 10.0), (15.7, 10.2)), LoopSettings())
+    judged, errors = replace(FOUND, floor=10.0, declared=True), changes((30.0, 10.0), (15.7, 10.2))
+    found = confirmed(judged, errors, LoopSettings())
     assert found.verdict is Verdict.PARTIAL
     assert "10 times the declared sigma on training and 10.2 on held-out" in found.reason
-    assert confirmed(FOUND, changes((30.0, 10.0), (15.7, 10.2)), LoopSettings()).verdict is (
-        Verdict.UNEXPLAINED
-    )
+    assert confirmed(FOUND, errors, LoopSettings()).verdict is Verdict.UNEXPLAINED
 
 
 @pytest.mark.parametrize(("excess", "expected"), [(0.5, Verdict.COLOURED), (0.04, Verdict.NONE)])

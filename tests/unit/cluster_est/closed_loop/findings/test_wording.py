@@ -12,19 +12,20 @@ from support.loop_objects import (
     made_candidate,
     made_fit,
     made_problem,
+    made_refit,
     made_result,
     made_round,
     made_screening,
     made_selection,
 )
 
+from cluster_est import Parameter
 from cluster_est.closed_loop.findings.wording import (
-    _largest_difference,
+    describe_effects,
     error_changes,
     shared_arguments,
     where_left,
 )
-from cluster_est.closed_loop.selection.rounds import RejectionReason
 from cluster_est.results.output_errors import OutputError
 
 
@@ -38,43 +39,74 @@ def followed(problem, rmse, sigma):
     return made_result(problem, [error])
 
 
-def changes(sigma, noise):
-    """Normalised errors of 0.6 and 0.2 with this sigma and this noise, both in units of y0."""
+def change(sigma, noise, before=0.6, after=0.2):
+    """The row of these errors with this sigma and this noise, both in units of y0."""
     problem = made_problem(50, sigma=sigma)
     fitted = fit_with_squares(problem, 1.0)
-    screening = made_screening(fitted.jacobian, fitted.residuals, [], [])
-    last = made_round(RejectionReason.NOT_SIGNIFICANT, screening)
+    last = made_round(None, made_screening(fitted.jacobian, fitted.residuals, [], []))
     found = made_selection(fitted, fitted, last, noise=[noise / sigma])
-    before, after = (followed(problem, rmse, sigma) for rmse in (0.6, 0.2))
-    (row,) = error_changes(made_bench(problem), found, before, after)
-    assert (row.experiment, row.role, row.output) == ("run 0", "train", "y0")
-    assert (row.unit, row.samples) == ("m", 50)
-    assert (row.rmse_before, row.rmse_after) == (0.6, 0.2)
-    return row.normalised_before, row.normalised_after
+    fits = (followed(problem, rmse, sigma) for rmse in (before, after))
+    (row,) = error_changes(made_bench(problem), found, *fits)
+    return row
 
 
-def test_errors_are_over_the_given_sigma_or_else_over_the_noise():
-    assert changes(0.5, 0.1) == pytest.approx((1.2, 0.4))
-    assert changes(1.0, 0.1) == pytest.approx((6.0, 2.0))
+@pytest.mark.parametrize(
+    ("sigma", "noise", "expected"),
+    [
+        pytest.param(0.5, 0.1, (1.2, 0.4), id="the given sigma"),
+        pytest.param(1.0, 0.1, (6.0, 2.0), id="the noise"),
+        pytest.param(1.0, 0.0, (np.nan, np.nan), id="no noise"),
+        pytest.param(1.0, np.nan, (np.nan, np.nan), id="unknown noise"),
+    ],
+)
+def test_errors_are_over_the_given_sigma_or_else_over_the_noise(sigma, noise, expected):
+    row = change(sigma, noise)
+    assert (row.experiment, row.role, row.output, row.unit) == ("run 0", "train", "y0", "m")
+    assert (row.samples, row.rmse_before, row.rmse_after) == (50, 0.6, 0.2)
+    found = row.normalised_before, row.normalised_after
+    assert found == pytest.approx(expected, nan_ok=True)
 
 
-@pytest.mark.parametrize("noise", [0.0, np.nan])
-def test_without_noise_there_is_nothing_to_be_over(noise):
-    assert np.isnan(changes(1.0, noise)).all()
+def test_an_experiment_that_could_not_be_simulated_before_counts_after():
+    row = change(0.5, 0.5, before=np.nan, after=2.0)
+    assert np.isnan(row.normalised_before)
+    assert row.normalised_after == pytest.approx(4.0)
 
 
-def test_where_two_models_differ_most_for_their_noise():
-    """The larger difference is in y0, whose noise is larger still; the test run counts not."""
+def alternatives(scale=1.0):
+    """Of an effect and a rival, whose predictions differ in training and held-out experiments."""
     problem = made_problem(50, 50, 50, outputs=2, roles=("train", "test", "train"))
-    one, other = np.zeros(200), np.zeros(200)
-    other[10] = -8.0
-    other[150 + 49] = 2.0  # second training experiment, y1, last sample
-    where, when, output, size = _largest_difference(
-        made_bench(problem), made_fit(problem, one), made_fit(problem, other),
-        np.array([4.0, 0.5]),
-    )  # fmt: skip
-    assert (where, output) == ("run 2", "y1")
-    assert (when, size) == pytest.approx((1.0, 4.0))
+    fits = []
+    for name, moved in (("a", 0.0), ("b", scale)):
+        residuals = np.zeros(200)
+        residuals[10] = -8.0 * moved  # first experiment, y0
+        residuals[150 + 49] = 2.0 * moved  # second training experiment, y1, last sample
+        added = made_candidate(name)
+        own = (Parameter(f"{name}.k", 0.5), Parameter(f"{name}.width", 0.01, fixed=True))
+        grown = replace(problem, effects=(added.effect,), parameters=(*problem.parameters, *own))
+        fits.append(made_fit(grown, residuals, [added]))
+    won, rival = (
+        made_refit(fit, criterion) for fit, criterion in zip(fits, (5.0, 8.0), strict=True)
+    )
+    last = made_round(None, made_screening(won.fitted.jacobian, np.zeros(200), [], []))
+    found = made_selection(won.fitted, won.fitted, last, noise=[4.0, 0.5])
+    found = replace(found, rivals={"a": (won, [rival])})
+    (effect,) = describe_effects(made_bench(problem), found, made_result(problem, []))
+    return effect.alternatives
+
+
+def test_an_alternative_says_where_it_differs_most_for_the_noise():
+    """The larger difference is in y0, whose noise is larger still; the test run counts not."""
+    (found,) = alternatives()
+    assert (found.site, found.form, found.family) == ("der(v)", "coulomb", "friction")
+    assert found.words == "Coulomb friction"
+    assert found.criterion == 3.0
+    assert (found.experiment, found.output) == ("run 2", "y1")
+    assert (found.time, found.difference) == pytest.approx((1.0, 4.0))
+
+
+def test_what_the_data_tell_apart_at_some_sample_is_no_alternative():
+    assert alternatives(scale=3.0) == ()
 
 
 def test_an_output_without_samples_in_an_experiment_is_passed_over():
@@ -89,28 +121,19 @@ def test_an_output_without_samples_in_an_experiment_is_passed_over():
     assert "output y1 of experiment 'run 1'" in said
 
 
-def test_what_is_spread_evenly_is_in_no_part():
+@pytest.mark.parametrize(
+    ("residuals", "said"),
+    [
+        (np.random.default_rng(4).standard_normal(400), "spread over all records"),
+        (np.zeros(400), "nothing is left"),
+    ],
+    ids=["evenly", "nothing"],
+)
+def test_no_part_is_named_where_none_stands_out(residuals, said):
     problem = made_problem(200, 200)
-    noise = np.random.default_rng(4).standard_normal(400)
-    said = where_left(made_bench(problem), made_fit(problem, noise))
-    assert said == "what is left is spread over all records, with no part that stands out"
-
-
-def test_where_nothing_is_left_no_part_is_named():
-    problem = made_problem(50)
-    assert where_left(made_bench(problem), made_fit(problem, np.zeros(50))) == "nothing is left"
-
-
-def test_an_experiment_that_could_not_be_simulated_before_counts_after():
-    problem = made_problem(50, sigma=0.5)
-    fitted = fit_with_squares(problem, 1.0)
-    screening = made_screening(fitted.jacobian, fitted.residuals, [], [])
-    last = made_round(RejectionReason.NOT_SIGNIFICANT, screening)
-    found = made_selection(fitted, fitted, last, noise=[1.0])
-    before, after = (followed(problem, rmse, 0.5) for rmse in (np.nan, 2.0))
-    (row,) = error_changes(made_bench(problem), found, before, after)
-    assert np.isnan(row.normalised_before)
-    assert row.normalised_after == pytest.approx(4.0)
+    found = where_left(made_bench(problem), made_fit(problem, residuals))
+    assert said in found
+    assert "run" not in found
 
 
 def test_where_and_when_most_of_a_residual_lives():

@@ -1,4 +1,4 @@
-"""The linear time-varying system, against SciPy."""
+"""Directions of candidates beside what contracts say of each form: adjoints, co-simulation."""
 
 from __future__ import annotations
 
@@ -7,100 +7,146 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from support.truth.systems_with_missing_effects import missing_effect_problem, opened, unfitted
+from support.truth.systems_with_missing_effects import (
+    SYSTEMS,
+    missing_effect_problem,
+    opened,
+    unfitted,
+)
 
+from cluster_est import LoopSettings
 from cluster_est.closed_loop.candidates.make import make_candidates
-from cluster_est.closed_loop.screening import linear_system as module
-from cluster_est.closed_loop.screening.directions import CandidatePoint, directions
-from cluster_est.closed_loop.screening.discrete_time import discretise
-from cluster_est.closed_loop.screening.linear_system import propagate
-from cluster_est.closed_loop.settings import LoopSettings
-from workers.messages import Linearisation, MatrixSeries
-
-TIMES = np.sort(np.random.default_rng(0).uniform(0.0, 3.0, 400))
+from cluster_est.closed_loop.screening.adjoint import adjoint_signals
+from cluster_est.closed_loop.screening.directions import CandidatePoint, added_at, directions
+from cluster_est.closed_loop.screening.ranking import rank
 
 
-def a_at(t):
-    return np.array([[0.0, 1.0], [-9.0 - 4.0 * np.sin(2.0 * t), -0.3 + 0.2 * t]])
+class Screened:
+    """A system where it starts, with candidates at the first points of their grids."""
+
+    def __init__(self, problem, **settings):
+        with opened(problem) as bench:
+            fitted = unfitted(bench)
+            self.runs = bench.trajectories(fitted)
+            found = make_candidates(
+                problem, bench.description, self.runs, [], LoopSettings(**settings)
+            )
+            self.size = bench.size
+        self.trials = [CandidatePoint(c, c.grid[0]) for c in found]
+        self.known = [
+            np.array([fitted.estimates[name] for name in run.linear.parameter_names])
+            for run in self.runs
+        ]
+
+    def directions(self, trials=None):
+        return directions(self.runs, self.trials if trials is None else trials, self.known)
 
 
-def forces(t):
-    """Three right-hand sides, (2, 3)."""
-    return np.array([[0.0, 1.0, np.sin(t)], [np.cos(5.0 * t), 0.0, t]])
+@pytest.mark.parametrize("name", ["mass_spring_damper", "cascaded_tanks", "two_mass_drive"])
+def test_the_adjoint_weighs_as_the_directions_do(name):
+    """w'(D f) = (D'w)'f for what each candidate adds, f."""
+    forms = ("constant", "product", "linear", "bias", "gain", "feed_through", "drift")
+    seen = Screened(missing_effect_problem(name), forms=forms)
+    weights = np.random.default_rng(3).standard_normal((seen.size, 2))
+    ends = np.cumsum([0, *(len(run.rows) for run in seen.runs)])
+    adjoints = [
+        adjoint_signals(run, weights[a:b])
+        for run, a, b in zip(seen.runs, ends, ends[1:], strict=False)
+    ]
+    kinds = {"derivative", "input", "output", "parameter"}
+    kinds |= {"pair"} if name != "mass_spring_damper" else set()  # it has but one state to act on
+    assert {trial.candidate.site.kind for trial in seen.trials} == kinds
+    for trial, column in zip(seen.trials, seen.directions(), strict=True):
+        site = trial.candidate.site
+        states = site.targets if site.kind == "pair" else ("",)
+        for k, state in enumerate(states):
+            weighed = sum(
+                np.sum(added_at(run, trial, p)[:, k][:, None] * adjoint.at(site, state), axis=0)
+                for run, p, adjoint in zip(seen.runs, seen.known, adjoints, strict=True)
+            )
+            expected = np.sum(weights * column[:, k][:, None], axis=0)
+            size = np.linalg.norm(column[:, k]) * np.linalg.norm(weights, axis=0)
+            np.testing.assert_allclose(weighed / size, expected / size, atol=1e-9)
 
 
-def linear_system(times):
-    nothing = np.zeros((len(times), 0))
-    return Linearisation(
-        times, np.zeros((len(times), 2)), np.zeros((len(times), 2)), nothing, nothing, nothing,
-        nothing, MatrixSeries.of(np.array([a_at(t) for t in times])),
-        *[np.zeros((len(times), 2, 0))] * 5,
-        ("x", "v"), (), (), (),
-    )  # fmt: skip
-
-
-def test_it_is_the_solution_of_the_differential_equation():
-    found = propagate(discretise(linear_system(TIMES)), np.array([forces(t) for t in TIMES]))
-    for column in range(3):
-
-        def slope(t, x, column=column):
-            return a_at(t) @ x + forces(t)[:, column]
-
-        truth = solve_ivp(
-            slope, (TIMES[0], TIMES[-1]), [0, 0], t_eval=TIMES, rtol=1e-10, atol=1e-12
-        )
-        size = np.abs(truth.y).max()
-        np.testing.assert_allclose(found[:, :, column], truth.y.T, atol=2e-3 * size)
-
-
-def test_a_singular_constant_system_is_exact_for_forcing_that_is_linear_in_time():
-    """x' = v, v' = t from rest: v = t^2 / 2, x = t^3 / 6, also on three uneven steps."""
-    times = np.array([0.0, 0.5, 2.0, 5.0])
-    system = replace(
-        linear_system(times), A=MatrixSeries.of(np.tile([[0.0, 1.0], [0.0, 0.0]], (4, 1, 1)))
-    )
-    forcing = np.column_stack([np.zeros(4), times])[:, :, None]
-    found = propagate(discretise(system), forcing.copy())[:, :, 0]
-    np.testing.assert_allclose(found, np.column_stack([times**3 / 6, times**2 / 2]), rtol=1e-12)
-
-
-@pytest.fixture(scope="module")
-def drive():
-    with opened(missing_effect_problem("two_mass_drive")) as bench:
-        fitted = unfitted(bench)
-        courses = bench.trajectories(fitted)
-        candidates = make_candidates(
-            fitted.problem, bench.description, courses, [], LoopSettings(sites=("der(w_load)",))
-        )
-        known = [np.array(list(fitted.estimates.values()))] * len(courses)
-        yield courses, [CandidatePoint(c, c.grid[0]) for c in candidates], known
-
-
-def test_blocks_make_no_difference(drive, monkeypatch):
-    whole = directions(*drive)
-    monkeypatch.setattr(module, "FEW_VALUES", 60_000)
-    for one, other in zip(whole, directions(*drive), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12 * np.abs(one).max())
-
-
-def test_there_may_be_no_trials(drive):
-    assert directions(drive[0], [], drive[2]) == []
+def test_blocks_of_many_candidates_make_no_difference():
+    """So many at once that the states' responses do not fit into one block."""
+    seen = Screened(missing_effect_problem("two_mass_drive"), sites=("der(w_load)",))
+    whole, times = seen.directions(), 1 + 1200 // len(seen.trials)
+    for number, column in enumerate(seen.directions(seen.trials * times)):
+        one = whole[number % len(whole)]
+        np.testing.assert_allclose(column, one, rtol=1e-9, atol=1e-12 * np.abs(one).max())
+    assert seen.directions([]) == []
 
 
 def test_an_output_that_one_experiment_did_not_measure_moves_only_in_the_others():
     problem = missing_effect_problem("two_mass_drive")
     first, second = problem.experiments
     second = replace(second, outputs=second.outputs[:1])
-    with opened(replace(problem, experiments=(first, second))) as bench:
-        fitted = unfitted(bench)
-        courses = bench.trajectories(fitted)
-        candidates = make_candidates(
-            fitted.problem, bench.description, courses, [],
-            LoopSettings(sites=("output load_speed",)),
-        )  # fmt: skip
-        (trial,) = [CandidatePoint(c, c.grid[0]) for c in candidates if c.form.name == "bias"]
-        known = [np.array(list(fitted.estimates.values()))] * 2
-        (moved,) = directions(courses, [trial], known)
+    problem = replace(problem, experiments=(first, second))
+    (moved,) = Screened(problem, forms=("bias",), sites=("output load_speed",)).directions()
     n = len(first.outputs[0].times)
     expected = np.repeat([0.0, -1.0 / first.outputs[1].sigma, 0.0], n)
     np.testing.assert_allclose(moved[:, 0], expected)
+
+
+def voltage(current, times, change):
+    """Of the cell with `change` of (t, current, R0) -> (current, R0), by SciPy."""
+    q, r0, r1, c1 = SYSTEMS["battery"].parameters.values()
+
+    def at(t):
+        return change(t, np.interp(t, times, current), r0)
+
+    def slope(t, x):
+        i, _ = at(t)
+        return [-i / q, (i - x[1] / r1) / c1]
+
+    run = solve_ivp(slope, (0.0, times[-1]), [0.8, 0.0], t_eval=times, rtol=1e-9, atol=1e-12,
+                    max_step=10.0)  # fmt: skip
+    soc, v1 = run.y
+    i, r = np.array([at(t) for t in times]).T
+    return 3.45 + 0.45 * soc + 0.25 * soc**3 - 0.35 * np.exp(-18.0 * soc) - r * i - v1
+
+
+CHANGES = {
+    ("input current", "bias"): lambda k, at: lambda t, i, r: (i + k, r),
+    ("input current", "square"): lambda k, at: lambda t, i, r: (i + k * i**2, r),
+    ("input current", "saturation"): lambda k, at: lambda t, i, r: (np.clip(i, -at, at), r),
+    ("parameter R0", "linear"): lambda k, at: lambda t, i, r: (i, r * (1 + k * (i - at))),
+    ("parameter R0", "drift"): lambda k, at: lambda t, i, r: (i, r * (1 + k * (t - at))),
+}
+
+
+@pytest.fixture(scope="module")
+def probed():
+    """A cell in co-simulation, and the directions of its candidates."""
+    problem = missing_effect_problem("battery", interface="co_simulation", signals=())
+    sites, forms = zip(*CHANGES, strict=True)
+    with opened(problem, LoopSettings(forms=forms, sites=tuple(dict.fromkeys(sites)))) as bench:
+        ranking = rank(bench, unfitted(bench))
+    found = {}
+    for trial, column in zip(ranking.trials, ranking.columns, strict=True):
+        key = str(trial.candidate.site), trial.candidate.form.name
+        found.setdefault(key, (trial, column))
+    return problem, found
+
+
+@pytest.mark.parametrize("key", CHANGES)
+def test_in_co_simulation_a_direction_is_what_simulations_by_hand_say(probed, key):
+    problem, found = probed
+    trial, column = found[key]
+    finite = not trial.candidate.strengths
+    k = {"square": 1e-3, "drift": 1e-6}.get(key[1], 1e-2)
+    truth = []
+    for run in problem.experiments:
+        times, current = run.inputs[0].times, run.inputs[0].values
+        plain = voltage(current, times, lambda t, i, r: (i, r))
+        bent = voltage(current, times, CHANGES[key](k, trial.values[-1]))
+        truth.append(-(bent - plain) / run.outputs[0].sigma / (1.0 if finite else k))
+    expected = np.concatenate(truth)
+    assert column.shape == (len(expected), 1)
+    cosine = column[:, 0] @ expected / np.linalg.norm(column) / np.linalg.norm(expected)
+    assert cosine > 0.999
+    # a limit is met between communication points, where the FMU sees a straight line
+    bar = 0.03 if finite else 0.01
+    assert np.linalg.norm(column) == pytest.approx(np.linalg.norm(expected), rel=bar)

@@ -1,14 +1,12 @@
-"""Linear systems of few and of many states: the same responses, and each the adjoint of itself."""
+"""Linear systems of few and of many states: exact responses, and each the adjoint of itself."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from cluster_est.closed_loop.candidates.step_matrices import step_matrices
-from cluster_est.closed_loop.screening import discrete_time as module
-from cluster_est.closed_loop.screening.discrete_time import streamed_steps
 from cluster_est.closed_loop.screening.linear_system import (
     LARGE,
     Forcing,
@@ -19,24 +17,30 @@ from cluster_est.closed_loop.screening.linear_system import (
 from workers.messages import Linearisation, MatrixSeries
 
 N, OUTPUTS = 60, 3
+BOTH_WAYS = pytest.mark.parametrize("way", [SmallSystem, LargeSystem])
 
 
-def linearisation(states: int, *, varying: float, seed: int = 0) -> Linearisation:
+def linearised(times, matrices, shown):
+    """A system x' = A x, y = C x of which nothing else matters."""
+    n, outputs, states = shown.shape
+    nothing = np.zeros((n, 0))
+    return Linearisation(
+        times, np.zeros((n, states)), np.zeros((n, states)), nothing, nothing,
+        np.zeros((n, outputs)), np.zeros((n, outputs)), MatrixSeries.of(matrices),
+        np.zeros((n, states, 0)), shown, np.zeros((n, outputs, 0)), np.zeros((n, states, 0)),
+        np.zeros((n, outputs, 0)), tuple(f"x{i}" for i in range(states)), (),
+        tuple(f"y{i}" for i in range(outputs)), (),
+    )  # fmt: skip
+
+
+def sparse(states: int, *, varying: float) -> Linearisation:
     """A sparse, stable random system on an uneven grid; its matrix changes by a share of itself."""
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     times = np.cumsum(random.uniform(0.05, 0.15, N))
     pattern = random.uniform(size=(states, states)) < 3.0 / states
     entries = np.where(pattern, random.normal(size=(states, states)), 0.0) - 2.0 * np.eye(states)
     waves = 1.0 + varying * np.sin(3.0 * times[:, None, None] + entries)
-    nothing = np.zeros((N, 0))
-    shown = random.normal(size=(N, OUTPUTS, states))
-    return Linearisation(
-        times, np.zeros((N, states)), np.zeros((N, states)), nothing, nothing,
-        np.zeros((N, OUTPUTS)), np.zeros((N, OUTPUTS)), MatrixSeries.of(entries * waves),
-        np.zeros((N, states, 0)), shown, np.zeros((N, OUTPUTS, 0)), np.zeros((N, states, 0)),
-        np.zeros((N, OUTPUTS, 0)), tuple(f"x{i}" for i in range(states)), (),
-        tuple(f"y{i}" for i in range(OUTPUTS)), (),
-    )  # fmt: skip
+    return linearised(times, entries * waves, random.normal(size=(N, OUTPUTS, states)))
 
 
 def forcing(states: int) -> Forcing:
@@ -46,33 +50,65 @@ def forcing(states: int) -> Forcing:
     return Forcing(random.normal(size=(N, 5)), [states - 1, changing, 0], np.array([0, 1, 2, 1, 0]))
 
 
-@pytest.mark.parametrize("scale", [1e-9, 0.3, 40.0, 1e4])
-def test_the_matrices_of_a_step_are_those_of_the_exponential(scale):
-    """Of [[hA, h, 0], [0, 0, 1], [0, 0, 0]], C. F. Van Loan (1978); one state is constant."""
-    a = -scale * np.diag([3.0, 1.0, 0.2, 0.0]) + 0.1 * scale * np.eye(4, k=1)
-    h = 0.7
-    joined = np.zeros((12, 12))
-    joined[:4, :4], joined[:4, 4:8], joined[4:8, 8:] = h * a, h * np.eye(4), np.eye(4)
-    powers = expm(joined)
-    found = step_matrices(a, h)
-    last = powers[:4, 8:]
-    np.testing.assert_allclose(found.keep, powers[:4, :4], atol=1e-12)
-    np.testing.assert_allclose(found.from_first, powers[:4, 4:8] - last, atol=1e-12)
-    np.testing.assert_allclose(found.from_last, last, atol=1e-12)
+def states_of(way, times, matrices, forces):
+    """The states' response to forces (n, states), from rest."""
+    states = forces.shape[1]
+    shown = np.tile(np.eye(states), (len(times), 1, 1))
+    system = way(linearised(times, matrices, shown))
+    ones = np.ones((len(times), 1))
+    return system.respond(Forcing(ones, [forces], np.zeros(1, int)))[:, :, 0]
 
 
-def test_a_system_without_dynamics_is_integrated():
-    found = step_matrices(np.zeros((2, 2)), 3.0)
-    np.testing.assert_array_equal(found.keep, np.eye(2))
-    np.testing.assert_allclose(found.from_first, 1.5 * np.eye(2))
-    np.testing.assert_allclose(found.from_last, 1.5 * np.eye(2))
+CONSTANT = {
+    "slow": -1e-9 * np.diag([3.0, 1.0, 0.2, 0.0]) + 1e-10 * np.eye(4, k=1),
+    "as fast as the steps": -3.0 * np.diag([3.0, 1.0, 0.2, 0.0]) + 0.3 * np.eye(4, k=1),
+    "far faster": -1e4 * np.diag([3.0, 1.0, 0.2, 0.0]) + 1e3 * np.eye(4, k=1),
+    "without dynamics": np.zeros((4, 4)),
+    "integrators in a row": np.eye(4, k=1),
+}
+
+
+@BOTH_WAYS
+@pytest.mark.parametrize("name", CONSTANT)
+def test_a_constant_system_is_exact_for_forces_that_are_linear_between_samples(way, name):
+    """By the exponential of [[hA, h, 0], [0, 0, 1], [0, 0, 0]], C. F. Van Loan (1978)."""
+    a, times = CONSTANT[name], np.array([0.0, 0.5, 2.0, 2.7])
+    forces = np.random.default_rng(2).normal(size=(4, 4))
+    truth = np.zeros((4, 4))
+    for k, h in enumerate(np.diff(times)):
+        joined = np.zeros((12, 12))
+        joined[:4, :4], joined[:4, 4:8], joined[4:8, 8:] = h * a, h * np.eye(4), np.eye(4)
+        powers = expm(joined)
+        rise = forces[k + 1] - forces[k]
+        truth[k + 1] = powers[:4] @ np.concatenate([truth[k], forces[k], rise])
+    found = states_of(way, times, np.tile(a, (4, 1, 1)), forces)
+    np.testing.assert_allclose(found, truth, atol=1e-12 * max(1.0, np.abs(truth).max()))
+
+
+@BOTH_WAYS
+@pytest.mark.parametrize("column", range(3))
+def test_it_is_the_solution_of_the_differential_equation(way, column):
+    times = np.sort(np.random.default_rng(0).uniform(0.0, 3.0, 400))
+
+    def matrix(t):
+        return np.array([[0.0, 1.0], [-9.0 - 4.0 * np.sin(2.0 * t), -0.3 + 0.2 * t]])
+
+    def force(t):
+        return np.array([[0.0, 1.0, np.sin(t)], [np.cos(5.0 * t), 0.0, t]])[:, column]
+
+    ends = times[0], times[-1]
+    truth = solve_ivp(
+        lambda t, x: matrix(t) @ x + force(t), ends, [0, 0], t_eval=times, rtol=1e-10, atol=1e-12
+    ).y.T
+    matrices, forces = (np.array([of(t) for t in times]) for of in (matrix, force))
+    found = states_of(way, times, matrices, forces)
+    np.testing.assert_allclose(found, truth, atol=2e-3 * np.abs(truth).max())
 
 
 def test_both_ways_give_the_same_responses():
-    given = linearisation(9, varying=0.5)
+    given = sparse(9, varying=0.5)
     few, many = SmallSystem(given), LargeSystem(given)
-    expected = few.respond(forcing(9))
-    np.testing.assert_allclose(many.respond(forcing(9)), expected, atol=1e-10)
+    np.testing.assert_allclose(many.respond(forcing(9)), few.respond(forcing(9)), atol=1e-10)
     source = np.random.default_rng(2).normal(size=(N, 9, 4))
     np.testing.assert_allclose(many.weigh(source.copy()), few.weigh(source.copy()), atol=1e-10)
 
@@ -80,7 +116,7 @@ def test_both_ways_give_the_same_responses():
 @pytest.mark.parametrize("varying", [0.0, 1e-4, 0.5])
 def test_a_large_system_is_the_adjoint_of_itself(varying):
     """Also where matrices are held over several steps: w'(D f) = (D'w)'f."""
-    given = linearisation(LARGE, varying=varying)
+    given = sparse(LARGE, varying=varying)
     system, forced = linear_system(given), forcing(LARGE)
     assert isinstance(system, LargeSystem)
     weights = np.random.default_rng(3).normal(size=(N, OUTPUTS, 1))
@@ -96,20 +132,8 @@ def test_a_large_system_is_the_adjoint_of_itself(varying):
         assert found == pytest.approx(np.sum(weights[:, :, 0] * responses[:, :, j]), rel=1e-9)
 
 
-@pytest.mark.parametrize(("varying", "made"), [(0.0, 1), (1e-9, 1), (0.5, N - 1)])
-def test_matrices_are_made_where_the_system_changes(varying, made, monkeypatch):
-    given = linearisation(5, varying=varying)
-    even = np.linspace(0.0, 6.0, N)
-    given = Linearisation(even, *[getattr(given, f) for f in Linearisation.__slots__[1:]])
-    calls = []
-    own = module.step_matrices
-    monkeypatch.setattr(module, "step_matrices", lambda a, h: calls.append(h) or own(a, h))
-    assert len(list(streamed_steps(given))) == N - 1
-    assert len(calls) == made
-
-
 def test_held_matrices_are_those_of_the_exact_ones_nearly():
-    given = linearisation(LARGE, varying=1e-4)
+    given = sparse(LARGE, varying=1e-4)
     held = LargeSystem(given).respond(forcing(LARGE))
     exact = SmallSystem(given).respond(forcing(LARGE))
     np.testing.assert_allclose(held, exact, atol=1e-3 * np.abs(exact).max())

@@ -1,128 +1,100 @@
-"""Places are ranked by what a free curve there would explain."""
+"""Of too many candidates, those at places that a free curve says much of are ranked."""
 
 from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.truth.systems_with_missing_effects import missing_effect_problem, opened, unfitted
 
-from cluster_est.closed_loop.candidates.arguments import TIME, open_arguments
-from cluster_est.closed_loop.candidates.make import make_candidates
-from cluster_est.closed_loop.candidates.places import count_variables, open_places
-from cluster_est.closed_loop.candidates.sites import candidate_sites, forms_at
-from cluster_est.closed_loop.screening.directions import CandidatePoint, directions
-from cluster_est.closed_loop.screening.places import rank_places
-from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.thresholds import PlaceThresholds
-from cluster_est.statistics.projection import OrthogonalProjection, ProjectedResidual
-from workers.effects.kinds import FormCondition
+from cluster_est import LoopSettings
+from cluster_est.closed_loop.screening.ranking import rank
 
-SETTINGS = LoopSettings()
+LEADING = 12
 
 
-class Screened:
-    """A system with its places and the directions of all candidates."""
+class Drive:
+    """Two masses on a shaft, with the directions of all candidates, and a way to look at few."""
 
-    def __init__(self, name):
-        with opened(missing_effect_problem(name)) as bench:
-            fitted = unfitted(bench)
-            self.trajectories = bench.trajectories(fitted)
-            given = (fitted.problem, bench.description, self.trajectories)
-            self.sites = candidate_sites(*given, SETTINGS)
-            self.arguments = open_arguments(*given)
-            self.forms = {s: forms_at(s, *given[:2], SETTINGS) for s in self.sites}
-            self.places = open_places(self.sites, self.arguments, self.trajectories)
-            self.candidates = make_candidates(*given, [], SETTINGS)
-            clocks = [place for place in self.places if place.argument == TIME]
-            self.chosen = [*self.places[:4], clocks[-1]]
-            self.few = make_candidates(*given, [], SETTINGS, self.chosen)
-            self.size = bench.size
-            self.known = [
-                np.array([fitted.estimates[n] for n in each.linear.parameter_names])
-                for each in self.trajectories
-            ]
+    def __init__(self, bench):
+        places = replace(bench.thresholds.places, most_candidates=1, leading=LEADING)
+        thresholds = replace(bench.thresholds, places=places)
+        self._few = replace(bench, settings=LoopSettings(thresholds=thresholds))
+        self._fitted = unfitted(bench)
+        self.whole = rank(bench, self._fitted)
+        self.size = bench.size
 
-    def direction(self, form, place):
-        (candidate,) = [
-            c
-            for c in self.candidates
-            if (c.form.name, c.site) == (form, place.site)
-            and c.effect.variables == (() if place.argument == TIME else (place.argument,))
+    def planted(self, form, site, *variables):
+        """The direction of a candidate in the middle of its grid, of length 1."""
+        own = [
+            i
+            for i, trial in enumerate(self.whole.trials)
+            if key(trial.candidate) == (form, site, *variables)
         ]
-        trial = CandidatePoint(candidate, candidate.grid[len(candidate.grid) // 2])
-        return directions(self.trajectories, [trial], self.known)[0]
+        direction = self.whole.columns[own[len(own) // 2]][:, 0]
+        return direction / np.linalg.norm(direction)
 
-    def ranked(self, residuals, seed=0):
-        residual = ProjectedResidual(OrthogonalProjection(np.zeros((self.size, 0))), residuals)
-        generator = np.random.default_rng(seed)
-        return rank_places(
-            self.places, self.trajectories, residual, (), generator, PlaceThresholds()
-        )
+    def ranked(self, residuals):
+        """Few candidates against these residuals."""
+        return rank(self._few, replace(self._fitted, residuals=residuals))
+
+
+def key(candidate):
+    return (candidate.form.name, str(candidate.site), *candidate.effect.variables)
+
+
+def keys(ranking):
+    return {key(trial.candidate) for trial in ranking.trials}
 
 
 @pytest.fixture(scope="module")
 def drive():
-    return Screened("two_mass_drive")
+    with ExitStack() as stack:
+        yield Drive(stack.enter_context(opened(missing_effect_problem("two_mass_drive"))))
 
 
 @pytest.mark.parametrize(
-    ("form", "site", "argument"),
+    "planted",
     [
         ("coulomb", "der(w_load)", "w_load"),
-        ("drift", "der(w_load)", TIME),
+        ("drift", "der(w_load)"),
         ("square", "der(w_motor)", "w_load"),
         ("gap", "pair w_motor,w_load", "twist"),
         ("linear", "parameter k_shaft", "w_load"),
         ("feed_through", "output load_speed", "torque"),
     ],
+    ids=" ".join,
 )
-@pytest.mark.parametrize("seed", [0, 1])
-def test_the_place_of_a_direction_leads(drive, form, site, argument, seed):
+def test_what_is_missing_is_among_the_few_and_leads(drive, planted):
     """Others may explain as much: what acts on a load acts on its damping too."""
-    (place,) = [p for p in drive.places if (str(p.site), p.argument) == (site, argument)]
-    direction = drive.direction(form, place)[:, 0]
-    noise = np.random.default_rng(seed).standard_normal(drive.size)
-    residuals = direction / np.linalg.norm(direction) + 0.1 * noise / np.linalg.norm(noise)
-    statistics = {each.place: each.statistic for each in drive.ranked(residuals, seed)}
-    # some places explain the same, and their sizes are estimated
-    assert statistics[place] > 0.7 * max(statistics.values())
-    assert np.quantile(list(statistics.values()), 0.25) < 0.6 * statistics[place]
-
-
-def test_scales_and_order_do_not_matter(drive):
-    residuals = np.random.default_rng(8).standard_normal(drive.size)
+    noise = np.random.default_rng(1).standard_normal(drive.size)
+    residuals = drive.planted(*planted) + 0.1 * noise / np.linalg.norm(noise)
     found = drive.ranked(residuals)
-    scaled = drive.ranked(1e6 * residuals)
-    assert [each.place for each in scaled] == [each.place for each in found]
-    assert {each.place for each in found} == set(drive.places)
+    assert len(keys(found)) < 0.5 * len(keys(drive.whole))
+    own = [key(trial.candidate) == planted for trial in found.trials]
+    best = float(found.plain.statistics[own].max())
+    assert best > 0.95 * float(found.plain.statistics.max())
 
 
-def test_the_count_is_that_of_the_list(drive):
-    for site in drive.sites:
-        for form in drive.forms[site]:
-            names = drive.arguments.at(site)
-            listed = {
-                0: 1,
-                1: sum(drive.arguments.takes(form, site, name) for name in names),
-                2: len(names) * (len(names) - 1) // 2,
-            }[form.variables]
-            if form.variables == 2 and FormCondition.OWN in form.when:
-                listed = len(set(names) - {site.target})
-            if FormCondition.FEEDS in form.when and form.variables == 2:
-                listed = 0  # the drive's outputs are states
-            if FormCondition.AROUND in form.when:
-                listed = len(drive.arguments.around(site))
-            assert count_variables(form, site, drive.arguments) == listed
+@pytest.fixture(scope="module")
+def few(drive):
+    return drive.ranked(np.random.default_rng(8).standard_normal(drive.size))
 
 
-def test_functions_are_only_looked_at_where_they_lead(drive):
-    chosen = {(p.site, p.argument) for p in drive.chosen}
-    one = [c for c in drive.few if c.form.variables == 1]
-    assert {(c.site, c.effect.variables[0]) for c in one} <= chosen
-    assert one
-    constants = {
-        c.effect.name
-        for c in drive.candidates
-        if c.form.variables == 0 and (c.site.kind != "derivative" or (c.site, TIME) in chosen)
-    }
-    assert {c.effect.name for c in drive.few if c.form.variables == 0} == constants
+def test_the_price_of_the_few_is_that_of_all_that_were_looked_at(drive, few):
+    assert few.count == pytest.approx(drive.whole.count, rel=0.3)
+
+
+def test_functions_are_only_looked_at_where_they_lead(drive, few):
+    """What depends on time or on the signal itself is looked at everywhere but at states."""
+    places = {(site, *v) for _, site, *v in keys(few) if len(v) == 1}
+    assert 0 < len(places) <= LEADING
+    everywhere = {k for k in keys(drive.whole) if len(k) == 2 and not k[1].startswith("der")}
+    assert {k for k in keys(few) if len(k) == 2 and not k[1].startswith("der")} == everywhere
+
+
+def test_scales_do_not_matter(drive, few):
+    residuals = 1e6 * np.random.default_rng(8).standard_normal(drive.size)
+    assert keys(drive.ranked(residuals)) == keys(few)

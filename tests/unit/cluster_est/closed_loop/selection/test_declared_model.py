@@ -1,23 +1,17 @@
-"""The declared model is fitted past local minima."""
+"""The declared model is fitted past local minima, before anything counts as missing."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import pytest
-from support.truth.systems_with_missing_effects import (
-    measured,
-    missing_effect_problem,
-    opened,
-    started,
-)
+from support.truth.systems_with_missing_effects import measured, missing_effect_problem, started
 
-from cluster_est.closed_loop.selection.declared_model import THOROUGH, at_noise, fit_declared
-from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.workbench import FitStart
+from cluster_est import LoopSettings, close_loop, detect, fit
 from cluster_est.errors import ProblemError
 
 NOISE = 0.01
+SETTINGS = LoopSettings(forms=("constant",), sites=("der(speed)",), draws=100)
 
 
 @pytest.fixture(scope="module")
@@ -27,14 +21,12 @@ def pendulum():
 
 @pytest.mark.parametrize("starts", [{"G": 6.0}, {"G": 0.7}, {"J": 0.04}])
 def test_a_pendulum_that_starts_at_a_wrong_frequency(pendulum, starts):
-    with opened(started(pendulum, **starts)) as bench:
-        start = FitStart(bench.problem, {})
-        (stuck,) = bench.fit(LoopStage.DECLARED_MODEL, [start], THOROUGH)
-        assert not at_noise(bench, stuck)
-        found = fit_declared(bench, start)
-        assert at_noise(bench, found)
-    assert stuck.sse > 1000.0 * found.sse
-    assert found.estimates == pytest.approx({"J": 0.1, "G": 2.0, "b": 0.04}, rel=0.01)
+    problem = started(pendulum, **starts)
+    stuck = fit(problem)
+    assert stuck.errors[0].rmse_after > 10.0 * NOISE
+    seen = detect(problem, settings=SETTINGS)
+    assert seen.rms["y"] == pytest.approx(NOISE, rel=0.1)
+    assert not seen.missing
 
 
 def test_values_of_each_experiment_grow_along(pendulum):
@@ -45,26 +37,17 @@ def test_values_of_each_experiment_grow_along(pendulum):
     )  # fmt: skip
     runs = tuple(replace(e, values=()) for e in pendulum.experiments)
     model = replace(pendulum.model, parameters=(*pendulum.model.parameters, "angle"))
-    problem = replace(
-        started(pendulum, G=6.0), model=model, experiments=runs,
-        parameters=(*started(pendulum, G=6.0).parameters, angle),
-    )  # fmt: skip
-    with opened(problem) as bench:
-        found = fit_declared(bench, FitStart(bench.problem, {}))
-    assert found.estimates["G"] == pytest.approx(2.0, rel=0.01)
+    parameters = (*started(pendulum, G=6.0).parameters, angle)
+    problem = replace(pendulum, model=model, experiments=runs, parameters=parameters)
+    found = close_loop(problem, settings=SETTINGS)
+    assert found.verdict == "none"
+    assert found.x["G"] == pytest.approx(2.0, rel=0.01)
     for e in range(2):
-        assert found.estimates[f"angle0[e{e}]"] == pytest.approx(0.5, abs=0.01)
-
-
-def test_a_fit_at_the_noise_asks_for_nothing_more(pendulum):
-    with opened(pendulum) as bench:
-        fit_declared(bench, FitStart(bench.problem, {}))
-        assert bench.runner.evaluations < 40
+        assert found.x[f"angle0[e{e}]"] == pytest.approx(0.5, abs=0.01)
 
 
 def test_a_model_that_cannot_be_simulated_says_so(pendulum):
     mass, *others = pendulum.parameters
     broken = replace(mass, start=-1.0, lower=-2.0, upper=-0.5)
-    problem = replace(pendulum, parameters=(broken, *others))
-    with opened(problem) as bench, pytest.raises(ProblemError, match="cannot be simulated"):
-        fit_declared(bench, FitStart(bench.problem, {}))
+    with pytest.raises(ProblemError, match="cannot be simulated"):
+        detect(replace(pendulum, parameters=(broken, *others)), settings=SETTINGS)

@@ -9,7 +9,6 @@ import pytest
 from support.loop_objects import made_bench, made_fit, made_problem
 
 from cluster_est.closed_loop.findings.residual.disturbance import unexplained_residuals
-from cluster_est.closed_loop.findings.words.numbers import readable_time
 
 LENGTHS = (1001, 801)
 SIGMA = 0.2
@@ -108,11 +107,3 @@ def test_a_record_that_is_sampled_far_more_slowly_than_another_is_left_out():
     wave = 5.0 * np.sin(2.0 * np.pi * 8.0 * fast)
     (found,) = left_of(problem, np.concatenate([wave, np.zeros(1000)]), [1.0])
     assert found.period == pytest.approx(1.0 / 8.0, rel=0.1)
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"),
-    [(0.0032, "0.0032 s"), (90.0, "90 s"), (300.0, "5 min"), (86_400.0, "24 h"), (6e5, "6.94 d")],
-)
-def test_times_are_in_the_unit_that_reads_well(seconds, text):
-    assert readable_time(seconds) == text

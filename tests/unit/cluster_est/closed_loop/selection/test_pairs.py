@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from support.loop_objects import made_candidate, made_ranking
 
+from cluster_est import LoopSettings
 from cluster_est.closed_loop.selection.refinement.pairs import best_pairs
-from cluster_est.closed_loop.thresholds import PairThresholds
 
-FITTED = PairThresholds().fitted
+FITTED = LoopSettings().thresholds.pairs.fitted
 
 GENERATOR = np.random.default_rng(5)
 N, COUNT = 400, 60
@@ -57,19 +57,22 @@ def test_scales_do_not_matter(scale):
     assert set(found[0]) == {17, 40}
 
 
-def test_points_of_one_grid_and_tables_and_what_is_alike_are_no_pairs():
-    residuals, columns = planted()
+def spoiled(columns, case):
+    """The planted pair, made one that is none; what is alike is so by its columns."""
     trials = [made_candidate(f"e{i}") for i in range(COUNT)]
-    trials[40] = made_candidate("e17")
-    found = best_pairs(screened(residuals, columns, trials))
-    assert len(found) == FITTED
-    assert {17, 40} not in [set(p) for p in found]
-    trials[40] = made_candidate("e40", "table")
-    found = best_pairs(screened(residuals, columns, trials))
-    assert len(found) == FITTED
-    assert not any(40 in pair for pair in found)
-    columns[40] = columns[17] + 0.01 * COLUMNS[40]
-    found = best_pairs(screened(residuals, columns))
+    if case == "points of one grid":
+        trials[40] = made_candidate("e17")
+    elif case == "a free curve":
+        trials[40] = made_candidate("e40", "table")
+    else:
+        columns[40] = columns[17] + 0.01 * COLUMNS[40]
+    return trials
+
+
+@pytest.mark.parametrize("case", ["points of one grid", "a free curve", "alike"])
+def test_no_pair_are(case):
+    residuals, columns = planted()
+    found = best_pairs(screened(residuals, columns, spoiled(columns, case)))
     assert len(found) == FITTED
     assert {17, 40} not in [set(p) for p in found]
 

@@ -1,0 +1,207 @@
+"""What a search among a few forms accepts, refuses and says, on springs that take a second each.
+
+The data are what the plain model makes of another force than the one that is declared, so that no
+effect is involved in them, or SciPy's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import repeat
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pacsv
+import pytest
+from scipy.signal import lfilter
+from support.problems.measured_springs import measured_springs
+from support.truth.springs_with_effects import M, pushed
+from support.truth.systems_with_missing_effects import measured, missing_effect_problem
+
+import cluster_est as ce
+from cluster_est.closed_loop.findings.effects import Verdict
+from cluster_est.problem.tables.unused import TableSource
+
+SPRING = missing_effect_problem("mass_spring_damper", signals=())
+NOISE = 0.002
+MASS = 1.2
+RESONANCE = np.sqrt(30.0 / MASS)
+"""Of the mass on its spring, in rad/s: its damping ratio is 0.05."""
+LARGEST = max(float(np.abs(run.inputs[0].values).max()) for run in SPRING.experiments)
+
+Force = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def driven_by(*forces: Force) -> ce.Problem:
+    """Springs on which a function of time and of the declared force acts, one for each run."""
+    runs = []
+    for run, force in zip(SPRING.experiments, forces, strict=True):
+        (given,) = run.inputs
+        acting = replace(given, values=force(given.times, given.values))
+        runs.append(replace(run, inputs=(acting,)))
+    made = measured(replace(SPRING, experiments=tuple(runs)), NOISE)
+    runs = [
+        replace(run, inputs=own.inputs, outputs=(replace(run.outputs[0], sigma=NOISE),))
+        for run, own in zip(made.experiments, SPRING.experiments, strict=True)
+    ]
+    return replace(made, experiments=tuple(runs))
+
+
+def dead(force: np.ndarray, width: float) -> np.ndarray:
+    """What a dead zone leaves of it."""
+    return np.sign(force) * np.maximum(np.abs(force) - width, 0.0)
+
+
+def settings(site: str, *forms: str, **more) -> ce.LoopSettings:
+    return ce.LoopSettings(sites=(site,), forms=forms, draws=200, pairs=False, **more)
+
+
+def pushed_by_waves(frequency: float, ways: Sequence[float]) -> ce.Problem:
+    return driven_by(
+        *(lambda t, f, way=way: f + way * MASS * np.sin(frequency * t + 0.4) for way in ways)
+    )
+
+
+WAVES = settings("der(v)", "sine", "coulomb", max_effects=1)
+
+
+def test_a_wave_that_all_experiments_agree_on_is_found_with_its_period():
+    """Its acceleration is 1 m/s2; the frequency is no peak of the spectrum's grid."""
+    found = ce.close_loop(pushed_by_waves(9.3, (1.0, 1.0)), settings=WAVES)
+    assert found.verdict == Verdict.FOUND
+    (effect,) = found.effects
+    assert (effect.form, effect.words) == ("sine", "a sinusoid in time")
+    assert effect.period == pytest.approx(2.0 * np.pi / 9.3, rel=0.01)
+    strengths = {c.label.rpartition(".")[2]: c.value for c in effect.coefficients}
+    assert np.hypot(strengths["a"], strengths["b"]) == pytest.approx(1.0, rel=0.02)
+    assert any("with one phase in all experiments" in said for said in effect.evidence)
+    assert not any("too narrow" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("frequency", "ways"),
+    [
+        pytest.param(RESONANCE, (1.0, 1.0), id="a resonance of the model"),
+        pytest.param(2.0, (1.0, 1.0), id="less than three periods in a record"),
+        pytest.param(9.3, (1.0, 0.1), id="another one in each experiment"),
+    ],
+)
+def test_a_wave_that_cannot_be_believed_is_not_added(frequency, ways):
+    found = ce.close_loop(pushed_by_waves(frequency, ways), settings=WAVES)
+    assert found.verdict == Verdict.UNEXPLAINED
+    assert found.effects == ()
+    assert "sinusoids or drifts in time" in found.summary
+
+
+def gusts(seed: int, size: float) -> np.ndarray:
+    """A smooth random force."""
+    drawn = np.random.default_rng(seed).standard_normal(1101)
+    slow = lfilter([1.0], [1.0, -1.94, 0.944], drawn)[500:]
+    return np.asarray(size * slow / slow.std())
+
+
+def test_a_drift_that_would_leave_more_than_noise_is_not_added():
+    """A force that grows, in gusts: of what is left it is said how large it is, and where."""
+    problem = driven_by(*(lambda t, f, s=s: f + 2.0 * t + gusts(s, 0.5) for s in (1, 2)))
+    found = ce.close_loop(problem, settings=settings("der(v)", "drift", "coulomb"))
+    assert found.verdict == Verdict.UNEXPLAINED
+    assert found.effects == ()
+    assert "drifts or waves in time would close a part of the gap" in found.summary
+    assert "if it is a disturbance that nobody measured" in found.summary
+    assert any("they are too narrow" in note for note in found.notes)
+    assert any("the largest part" in note or "spread over all" in note for note in found.notes)
+    (left,) = found.unexplained
+    assert left.output == "y"
+    assert left.over_noise > 2.0
+
+
+def test_what_was_found_beside_such_a_drift_is_judged_without_it():
+    """A small gap is closed by a dead zone at the force, most of the rest would be by a drift."""
+    problem = driven_by(
+        *(lambda t, f, s=s: dead(f, 0.3 * LARGEST) + 0.3 * t + gusts(s, 0.1) for s in (1, 2))
+    )
+    few = ce.LoopSettings(
+        sites=("der(v)", "input F"), forms=("dead_zone", "drift"), draws=200, pairs=False
+    )
+    found = ce.close_loop(problem, settings=few)
+    assert found.verdict == Verdict.UNEXPLAINED
+    assert "drift at der(v) would leave more than noise and was not added" in found.summary
+    assert [(effect.form, effect.site) for effect in found.rejected] == [("dead_zone", "input F")]
+
+
+def test_a_drift_that_leaves_noise_is_found():
+    problem = driven_by(*repeat(lambda t, f: f + 0.5 * MASS * t, 2))
+    found = ce.close_loop(problem, settings=settings("der(v)", "drift", "coulomb", "sine"))
+    assert found.verdict == Verdict.FOUND
+    (effect,) = found.effects
+    assert (effect.form, effect.coefficients[0].value) == ("drift", pytest.approx(0.5, rel=0.03))
+
+
+def test_a_column_that_varies_with_what_nothing_explains_is_named(tmp_path):
+    """A force that was logged, 3 times as large, and that the config does not use."""
+    problem = driven_by(*(lambda t, f, s=s: f + gusts(s, 1.0) for s in (3, 4)))
+    sources = []
+    for run, seed in zip(problem.experiments, (3, 4), strict=True):
+        (output,) = run.outputs
+        columns = {"t": output.times, "y": output.values, "gust_N": 3.0 * gusts(seed, 1.0)}
+        path = tmp_path / f"{run.id}.csv"
+        pacsv.write_csv(pa.table(columns), path)
+        sources.append(TableSource(run.id, path, "t", None, None, ("t", "y")))
+    problem = replace(problem, tables=tuple(sources))
+    found = ce.close_loop(problem, settings=settings("der(v)", "coulomb", "cubic"))
+    assert found.verdict == Verdict.UNEXPLAINED
+    assert "column 'gust_N' is not used and varies with it" in found.summary
+    assert [len(each.columns) for each in found.unexplained] == [1]
+
+
+def test_a_dead_zone_is_found_whose_grid_is_far_from_it():
+    """In three tenths of the largest force there is no gradient where it is not reached."""
+    width = 0.3 * LARGEST
+    problem = driven_by(*repeat(lambda t, f: dead(f, width), 2))
+    found = ce.close_loop(problem, settings=settings("input F", "dead_zone"))
+    assert found.verdict == Verdict.FOUND
+    (effect,) = found.effects
+    assert effect.coefficients[0].value == pytest.approx(width, rel=0.01)
+
+
+def test_a_limit_is_drawn_over_what_was_measured_before_it():
+    limit = 0.5 * LARGEST
+    problem = driven_by(*repeat(lambda t, f: np.clip(f, -limit, limit), 2))
+    found = ce.close_loop(problem, settings=settings("input F", "saturation", "gain"))
+    assert found.verdict == Verdict.FOUND
+    (curve,) = found.curves
+    assert (curve.variable, curve.unit) == ("F", "N")
+    assert max(-curve.x[0], curve.x[-1]) == pytest.approx(LARGEST)
+    assert np.abs(curve.y).max() == pytest.approx(limit, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    "forms",
+    [
+        ("coulomb", "stribeck", "cubic", "lag"),
+        pytest.param((), id="all forms", marks=pytest.mark.slow),
+    ],
+)
+def test_a_switch_that_is_wide_is_one_friction_with_its_width(forms):
+    """It is not patched, and written to the config with an unknown width."""
+    problem = measured_springs(
+        pushed(lambda t, x, f: -2.0 * np.tanh(x[1] / 0.02)),
+        ce.Parameter("m", 1.1 * M, 0.1, 10.0),
+        swing=12.0,
+        noise=1e-4,
+        random=np.random.default_rng(3),
+        roles=("train", "train", "test"),
+    )
+    sites = ("der(v)", "input F", "output y")
+    result = ce.close_loop(problem, settings=ce.LoopSettings(sites=sites, forms=forms))
+    assert result.verdict == Verdict.FOUND
+    (effect,) = result.effects
+    assert (effect.site, effect.form) == ("der(v)", "coulomb")
+    values = {e.parameter: e.value for e in effect.coefficients}
+    assert values["coulomb_v.k"] == pytest.approx(2.0, rel=0.01)
+    assert values["coulomb_v.width"] == pytest.approx(0.02, rel=0.1)
+    assert result.rms("test", "after") < 1.1
+    block = result.facts()["effects"][0]["config"]
+    assert "width" in block
+    assert "fixed" not in block
