@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -46,8 +47,17 @@ def in_co_simulation(problem: Problem, step: float | None = None) -> Problem:
     return replace(problem, model=model)
 
 
+slow = pytest.mark.slow
+
+
 @pytest.mark.parametrize(
-    ("name", "fmi"), [("dahlquist", 2), ("dahlquist", 3), ("van_der_pol", 3), ("thermostat", 2)]
+    ("name", "fmi"),
+    [
+        ("dahlquist", 3),
+        ("thermostat", 2),
+        pytest.param("dahlquist", 2, marks=slow),
+        pytest.param("van_der_pol", 3, marks=slow),
+    ],
 )
 def test_a_good_fmu(examined: Examine, name: str, fmi: int) -> None:
     page = examined(name, fmi)
@@ -67,15 +77,11 @@ def test_a_good_fmu(examined: Examine, name: str, fmi: int) -> None:
         ("once_per_process", 3, "instances", "note", "and says so", "executor.name"),
         ("once_undeclared", 2, "instances", "note", "and does not say so", "executor.name"),
         ("shares_static", 2, "instances", "note", "give other results while", "executor.name"),
-        ("shares_static", 3, "instances", "note", "give other results while", "executor.name"),
-        (
-            "dead_parameter",
-            3,
-            "dead parameters",
-            "note",
-            "do not depend on dead",
-            "inputs are driven",
+        pytest.param(
+            *("shares_static", 3, "instances", "note", "give other results while", "executor.name"),
+            marks=slow,
         ),
+        ("dead_parameter", 3, "dead parameters", "note", "depend on dead", "inputs are driven"),
         ("wrong_directional", 2, "derivatives", "note", "differ from the model's slopes", "export"),
         ("zero_directional", 3, "derivatives", "note", "all are silently 0", "export"),
         ("robertson", 2, "stiffness", "note", "is stiff", 'model.solver = "cvode"'),
@@ -93,7 +99,7 @@ def test_what_is_wrong_is_named(
     assert do in named.do
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("fmi", [2, pytest.param(3, marks=slow)])
 def test_a_parameter_that_cannot_be_set_is_named_and_left_out(examined: Examine, fmi: int) -> None:
     page = examined("refuses_parameter", fmi)
 
@@ -104,8 +110,10 @@ def test_a_parameter_that_cannot_be_set_is_named_and_left_out(examined: Examine,
     assert "1 of 1 act on the outputs" in line(page, "parameters").found
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
-@pytest.mark.parametrize("instances", [None, 1])
+@pytest.mark.parametrize(
+    ("fmi", "instances"),
+    [(2, 1), pytest.param(3, 1, marks=slow), *(pytest.param(i, None, marks=slow) for i in (2, 3))],
+)
 def test_the_communication_step_with_which_it_can_be_simulated_is_named(
     own_fmu: Give, fmi: int, instances: int | None
 ) -> None:
@@ -118,7 +126,7 @@ def test_the_communication_step_with_which_it_can_be_simulated_is_named(
     assert failed.do.startswith("model.step = 0.01, ")
 
 
-@pytest.mark.parametrize("name", ["leaks", "leaks_on_reset"])
+@pytest.mark.parametrize("name", [pytest.param("leaks", marks=slow), "leaks_on_reset"])
 def test_a_leak_has_its_size(examined: Examine, name: str) -> None:
     named = line(examined(name, executor="processes"), "memory")
 
@@ -135,7 +143,7 @@ def test_what_never_begins(examined: Examine) -> None:
     assert "did not end within" in line(page, "experiment default").found
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("fmi", [2, pytest.param(3, marks=slow)])
 def test_what_crashes(examined: Examine, fmi: int) -> None:
     page = examined("crashes_at_start", fmi)
 
@@ -143,6 +151,7 @@ def test_what_crashes(examined: Examine, fmi: int) -> None:
     assert "crash: " in line(page, "experiment default").found
 
 
+@slow
 def test_what_there_is_no_time_for_is_said(examined: Examine) -> None:
     page = examined("slow", seconds=3.0)
 
@@ -153,8 +162,13 @@ def test_what_there_is_no_time_for_is_said(examined: Examine) -> None:
 def test_the_communication_step_that_results_depend_on(own_fmu: Give) -> None:
     problem = in_co_simulation(bare_problem(own_fmu("van_der_pol", 2)))
     coarse = run_checks(problem, Resources(), MINUTE)
+    assert re.search("the communication step of .* halved", line(coarse, "accuracy").found)
 
-    assert "halved" in line(coarse, "accuracy").found
+
+def test_a_communication_step_that_is_fixed_cannot_be_halved(own_fmu: Give) -> None:
+    page = run_checks(in_co_simulation(bare_problem(own_fmu("fixed_step", 2))), Resources(), MINUTE)
+    assert line(page, "accuracy").verdict == "not done"
+    assert "cannot be halved" in line(page, "accuracy").found
 
 
 def test_the_bounds_are_tried(own_fmu: Give) -> None:
@@ -185,7 +199,7 @@ def test_a_config_whose_parameter_is_dead(
     (tmp_path / "a.csv").write_text(f"time,y\n{rows}", encoding="utf-8")
     config = (
         "parameters.k = { start = 0.7, bounds = [0.01, 10.0] }\n"
-        f'parameters.dead.start = 2.0\n[model]\nfmu = "{own_fmu("dead_parameter", 2)}"\n'
+        f'parameters.dead.start = 2.0\n[model]\nfmu = "{own_fmu("dead_parameter", 3)}"\n'
         '[[experiments]]\nid = "a"\ndata = "a.csv"\ntime = "time"\noutputs = { y = "y" }\n'
     )
     (tmp_path / "config.toml").write_text(config, encoding="utf-8")
@@ -233,7 +247,7 @@ def test_sensitivities_are_not_offered_where_a_reset_spoils_them(examined: Exami
     assert not [each for each in page.findings if each.check == "sensitivities"]
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("fmi", [3, pytest.param(2, marks=slow)])
 def test_an_fmu_that_ends_by_itself_is_to_be_stopped_before(own_fmu: Give, fmi: int) -> None:
     problem = bare_problem(own_fmu("stair", fmi))
     (run,) = problem.experiments
