@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+import zlib
 from pathlib import Path
 
 from workers.fmu.description import ModelDescription, describe
@@ -61,7 +62,7 @@ def real(
 ) -> str:
     """A real variable of FMI 2; `attributes` are those of its type, such as start and unit."""
     usual = "tunable" if causality == "parameter" else "continuous"
-    reference = reference or sum(name.encode()) + 1000 * len(name)
+    reference = reference or zlib.crc32(name.encode())
     inner = " ".join(f'{key}="{value}"' for key, value in attributes.items())
     return (
         f'<ScalarVariable name="{name}" valueReference="{reference}" causality="{causality}" '

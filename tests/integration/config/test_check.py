@@ -20,6 +20,7 @@ from workers.messages import Effect, Solver
 
 Give = Callable[[str, int], Path]
 Examine = Callable[..., CheckPage]
+Capture = pytest.CaptureFixture[str]
 
 MINUTE = 60.0
 """So much time that nothing is left out on a busy machine."""
@@ -87,13 +88,19 @@ def test_a_good_fmu(examined: Examine, name: str, fmi: int) -> None:
         ("robertson", 2, "stiffness", "note", "is stiff", 'model.solver = "cvode"'),
         ("needs_library", 2, "loads", "problem", "libnobody_has_this.so", ""),
         ("no_licence", 3, "loads", "problem", "no licence for this model", ""),
+        ("crashes_at_start", 2, "experiment default", "problem", "crash: ", ""),
+        pytest.param(
+            *("crashes_at_start", 3, "experiment default", "problem", "crash: ", ""), marks=slow
+        ),
+        ("hangs_at_start", 2, "experiment default", "problem", "did not end within", ""),
     ],
 )
 def test_what_is_wrong_is_named(
     examined: Examine, name: str, fmi: int, check: str, verdict: str, found: str, do: str
 ) -> None:
-    named = line(examined(name, fmi), check)
-
+    page = examined(name, fmi, seconds=2.0 if name == "hangs_at_start" else MINUTE)
+    named = line(page, check)
+    assert page.good == (verdict != "problem")
     assert named.verdict == verdict
     assert found in named.found
     assert do in named.do
@@ -136,21 +143,6 @@ def test_a_leak_has_its_size(examined: Examine, name: str) -> None:
     assert "executor.growth" in named.found
 
 
-def test_what_never_begins(examined: Examine) -> None:
-    page = examined("hangs_at_start", seconds=2.0)
-
-    assert not page.good
-    assert "did not end within" in line(page, "experiment default").found
-
-
-@pytest.mark.parametrize("fmi", [2, pytest.param(3, marks=slow)])
-def test_what_crashes(examined: Examine, fmi: int) -> None:
-    page = examined("crashes_at_start", fmi)
-
-    assert not page.good
-    assert "crash: " in line(page, "experiment default").found
-
-
 @slow
 def test_what_there_is_no_time_for_is_said(examined: Examine) -> None:
     page = examined("slow", seconds=3.0)
@@ -182,18 +174,17 @@ def test_the_bounds_are_tried(own_fmu: Give) -> None:
 
 @pytest.mark.parametrize(
     ("name", "code", "phrase"),
-    [("dahlquist", 0, "no problem was found"), ("needs_library", 2, "1 problem")],
+    [
+        pytest.param("dahlquist", 0, "no problem was found", marks=slow),
+        ("needs_library", 2, "1 problem"),
+    ],
 )
-def test_a_file_alone(
-    own_fmu: Give, name: str, code: int, phrase: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_alone(own_fmu: Give, name: str, code: int, phrase: str, capsys: Capture) -> None:
     assert main(["check", str(own_fmu(name, 2)), "--seconds", "60"]) == code
     assert phrase in capsys.readouterr().out
 
 
-def test_a_config_whose_parameter_is_dead(
-    own_fmu: Give, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_config_whose_parameter_is_dead(own_fmu: Give, tmp_path: Path, capsys: Capture) -> None:
     times = np.linspace(0.0, 1.0, 11).tolist()
     rows = "".join(f"{t!r},1.0\n" for t in times)
     (tmp_path / "a.csv").write_text(f"time,y\n{rows}", encoding="utf-8")
@@ -210,7 +201,7 @@ def test_a_config_whose_parameter_is_dead(
     assert "1 of 2 act on the outputs" in said
 
 
-def test_an_experiment_at_rest_tells_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_experiment_at_rest_tells_nothing(capsys: Capture) -> None:
     """Nothing moves in exp5: its start is 0, and so is its force."""
     config = ROOT / "configs" / "mass_spring_damper.toml"
     assert main(["check", str(config), "--seconds", "60"]) == 0

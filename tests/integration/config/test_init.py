@@ -224,7 +224,7 @@ class TestColumnsThatAreGiven:
         ("given", "pattern"),
         [
             (["F=Voltage"], r"map F: a.csv has no column 'Voltage'.*'Voltage \(V\)'.*'time'"),
-            (["f=Voltage (V)"], "no variable 'f'.*'F'"),
+            (["f=Voltage (V)"], "map f: .*no variable 'f'.*'F'"),
             (["m=y"], "map m: .*an input of mass_spring_damper.fmu or something that it"),
             (["F"], "map: .*VARIABLE=COLUMN.*'F'; write it as in --map u='Voltage"),
             (["F=y", "F=time"], "map: F .*one column.*'y' and 'time'"),
@@ -457,7 +457,7 @@ def test_guesses_suit_temperatures_and_initial_values(written, tmp_path):
     given = [real(n, "parameter", unit=unit, start=293.15) for n, unit in parameters.items()]
     fmu = write_fmu(tmp_path, *given, real("y", "output"))
     text, tree, _ = written(table(tmp_path / "a.csv", time=TIMES, y=FORCE), fmu=fmu)
-    initial = '# room.T_start = { start = 293.15, bounds = [243.15, 343.15], per = "experiment" }'
+    initial = '# "room.T_start" = { start = 293.15, bounds = [243.15, 343.15], per = "experiment" }'
     assert re.search(f"^{re.escape(initial)}.*named like an initial value", text, re.MULTILINE)
     assert tree["parameters"] == {
         "T_wall": {"start": 293.15, "bounds": [243.15, 343.15]},

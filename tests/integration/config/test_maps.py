@@ -36,8 +36,8 @@ def moved(strength, values=tuple(TRUE)):
         spring = np.interp(state[0], POINTS, values)
         return [state[1], np.interp(t, TIMES, driving(strength)) - spring - 0.5 * state[1]]
 
-    end = (0.0, TIMES[-1])
-    return solve_ivp(rates, end, [0.0, 0.0], t_eval=TIMES, rtol=1e-8, max_step=0.02).y[0]
+    how = {"t_eval": TIMES, "rtol": 1e-9, "atol": 1e-10, "max_step": 0.02}
+    return solve_ivp(rates, (0.0, TIMES[-1]), [0.0, 0.0], **how).y[0]
 
 
 def config(folder, own_fmu, strength=2.5, **keys):

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cluster_est.errors import ProblemError
@@ -16,6 +16,7 @@ from cluster_est.problem.search_space.space import SearchSpace, make_space
 from workers.messages import Experiment, Model, Output, Solver
 
 PER = [None, "experiment", "group:rig", "group:day"]
+few = settings(max_examples=30)
 
 
 def make_problem(
@@ -58,6 +59,7 @@ def spaces(draw: st.DrawFn) -> SearchSpace:
     return make_space(make_problem(parameters, count, known), tuple(sorted(chosen)))
 
 
+@few
 @given(spaces())
 def test_unknowns_of_a_colour_share_no_experiment_and_each_has_one(space: SearchSpace) -> None:
     members = np.concatenate([np.zeros(0, int), *space.colours])
@@ -66,6 +68,7 @@ def test_unknowns_of_a_colour_share_no_experiment_and_each_has_one(space: Search
         assert (space.acts_on[colour].sum(axis=0) <= 1).all()
 
 
+@few
 @given(spaces())
 def test_unknown_moves_just_its_own_experiments(space: SearchSpace) -> None:
     before = space.physical(space.start)
@@ -77,6 +80,7 @@ def test_unknown_moves_just_its_own_experiments(space: SearchSpace) -> None:
         assert moved.sum() == space.acts_on[i].sum()
 
 
+@few
 @given(spaces())
 def test_values_are_known_or_the_starts(space: SearchSpace) -> None:
     physical = space.physical(space.start)
@@ -87,6 +91,7 @@ def test_values_are_known_or_the_starts(space: SearchSpace) -> None:
         np.testing.assert_allclose(row, expected, rtol=1e-15)
 
 
+@few
 @given(spaces())
 def test_unknowns_are_named_after_what_they_are_for(space: SearchSpace) -> None:
     labels = [u.label for u in space.unknowns]
@@ -103,6 +108,7 @@ def test_unknowns_are_named_after_what_they_are_for(space: SearchSpace) -> None:
         assert all(unknown.parameter.target not in dict(run.values) for run in runs)
 
 
+@few
 @given(spaces())
 def test_values_given_by_label_are_kept_instead_of_searched(space: SearchSpace) -> None:
     given_values = {u.label: 2.0 + i for i, u in enumerate(space.unknowns) if i % 2 == 0}
