@@ -160,73 +160,24 @@ def test_the_likelihood_of_two_outputs_whose_noise_nobody_knows(build):
     close(other, result.x, 1e-6)
 
 
-@pytest.mark.parametrize(
-    ("keys", "sizes"),
-    [
-        ({}, (1.0, 1.0)),
-        ({"experiment": {"sigma": {"y": 0.1, "v": 4.0}}}, (0.1, 4.0)),
-        ({"cost": {"weights": {"v": 0.25}}}, (1.0, 2.0)),
-        ({"cost": {"normalise": "max"}}, ("max", "max")),
-        ({"cost": {"normalise": "range", "weights": {"y": 9.0}}}, ("range / 3", "range")),
-        (
-            {
-                "experiment": {
-                    "outputs": {"y": {"column": "y", "weight": 4.0}, "v": "v"},
-                    "weight": 9.0,
-                    "sigma": {"y": 0.1},
-                }
-            },
-            (0.1 / 6.0, 1.0 / 3.0),
-        ),
-    ],
-)
-def test_weights_and_what_residuals_are_divided_by(build, keys, sizes):
-    measured = DATA + np.array([[0.02], [0.2]]) * NOISE
-    named = [
-        {"max": np.abs(each).max(), "range": np.ptp(each), "range / 3": np.ptp(each) / 3.0}
-        for each in measured
-    ]
-    numbers = np.array([n.get(s, s) for n, s in zip(named, sizes, strict=True)], float)
-    expected = ((measured - AT_START) / numbers[:, None]).ravel()
-    (found,) = simulate(build(*measured, **keys))
-    np.testing.assert_allclose(found.outcome.residuals, expected, rtol=1e-6, atol=1e-6)
-
-
-# --- time bases
-
-
-def test_residuals_on_a_time_base_of_their_own(build):
+def test_residuals_are_those_of_the_time_base_the_windows_and_the_weights(build):
     """Positions every 0.02 s from 0, speeds every 0.05 s from 0.1 to 2.5 s, one of them held."""
     y_at, v_at = np.arange(0, 301, 2), np.arange(10, 251, 5)
     y, v = np.full((2, 301), np.nan)
     y[y_at], v[v_at] = DATA[0, y_at] + 0.1, DATA[1, v_at] - 0.2
-    outputs = {"y": "y", "v": {"column": "v", "interpolation": "hold"}}
-    cost = {"time_base": "both", "step": 0.03}
-    problem = build(y, v, cost=cost, experiment={"outputs": outputs})
+    outputs = {"y": {"column": "y", "weight": 4.0}, "v": {"column": "v", "interpolation": "hold"}}
+    run = {"outputs": outputs, "weight": 9.0, "sigma": {"y": 0.1}, "windows": [[0.0, 2.0]]}
+    cost = {"time_base": "both", "step": 0.03, "weights": {"v": 0.25}}
+    problem = build(y, v, cost=cost, experiment={**run, "warm_up": 0.5})
     places = np.union1d(np.union1d(y_at, v_at), np.arange(0, 301, 3))
-    within = places[(places >= 10) & (places <= 250)]
-    held = v[v_at][np.searchsorted(v_at, within, side="right") - 1]
+    places = places[(places >= 50) & (places <= 200)]
+    held = v[v_at][np.searchsorted(v_at, places, side="right") - 1]
     expected = [
-        np.interp(TIMES[places], TIMES[y_at], y[y_at]) - AT_START[0][places],
-        held - AT_START[1][within],
+        (np.interp(TIMES[places], TIMES[y_at], y[y_at]) - AT_START[0][places]) / (0.1 / 6.0),
+        (held - AT_START[1][places]) / (1.0 / 1.5),
     ]
     (found,) = simulate(problem)
-    np.testing.assert_allclose(found.outcome.residuals, np.concatenate(expected), atol=1e-7)
-
-
-@pytest.mark.parametrize(
-    ("keys", "good"),
-    [
-        ({"warm_up": 1.0}, TIMES >= 1.0),
-        ({"windows": [[0.5, 1.5], [2.0, 2.5]]}, ((TIMES >= 0.5) & (TIMES <= 1.5)) |
-         ((TIMES >= 2.0) & (TIMES <= 2.5))),
-        ({"warm_up": 0.5, "windows": [[0.0, 2.0]]}, (TIMES >= 0.5) & (TIMES <= 2.0)),
-    ],
-)  # fmt: skip
-def test_what_is_outside_of_windows_and_within_the_warm_up_does_not_count(build, keys, good):
-    (found,) = simulate(build(np.where(good, DATA[0], 9.0), experiment=keys))
-    expected = (DATA[0] - AT_START[0])[good]
-    np.testing.assert_allclose(found.outcome.residuals, expected, atol=1e-7)
+    np.testing.assert_allclose(found.outcome.residuals, np.concatenate(expected), atol=1e-5)
 
 
 # --- constraints on parameters
@@ -264,14 +215,6 @@ def test_derived_parameters(build):
         assert found[name] == pytest.approx(value, rel=1e-6)
 
 
-def test_bounds_of_what_is_derived_are_kept(build):
-    k = {"expression": "25 * m", "bounds": [0.0, 28.0]}
-    result = fit(build(parameters=PARAMETERS | {"k": k}))
-    found = {each.label: each.value for each in result.estimates}
-    assert result.success
-    assert found["k"] == pytest.approx(28.0, abs=1e-4)
-
-
 # --- constraints on signals: a spring that is let go at 1 m, a step from 1 to 0
 
 LET_GO = motion(**TRUE, x0=1.0, force=0.0 * FORCE)
@@ -305,16 +248,16 @@ def ends_at(value: float) -> float:
     ("constraint", "expected", "rel", "method"),
     [
         ({"lower": -0.1, "samples": 3001}, ZETA * CRITICAL, 1e-3, LeastSquares()),
-        ({"lower": [[0.0, -0.1], [3.0, -0.1]], "samples": 3001}, ZETA * CRITICAL, 1e-3, Sqp()),
         ({"step_response": STEP, "samples": 3001}, ZETA * CRITICAL, 1e-3, LeastSquares()),
         (
             {"lower": -0.1, "upper": 1.0, "between": [0.1, 3.0], "samples": 3001},
             *(ZETA * CRITICAL, 1e-3, PatternSearch()),
         ),
         ({"final": 0.5 * LAST}, ends_at(0.5 * LAST), 1e-4, Sqp()),
-        (
+        pytest.param(
             {"final": 0.5 * LAST, "tolerance": 0.1 * abs(LAST)},
             *(ends_at(0.6 * LAST), 1e-3, LeastSquares()),
+            marks=pytest.mark.slow,
         ),
     ],
 )
@@ -329,6 +272,7 @@ def test_a_fit_stops_where_a_limit_of_a_signal_is_met(build, constraint, expecte
         assert [row.kind for row in result.constraints] == ["= 0"]
 
 
+@pytest.mark.slow
 def test_tracking_within_a_band(build):
     """One value is far off: the sum of squares lets it be, the band does not."""
     measured = LET_GO[0].copy()
@@ -385,15 +329,6 @@ def test_pure_feasibility_needs_no_data(tmp_path, feasible, method, c):
     assert y.min() >= -0.1 - 1e-5
     assert (np.abs(y[TIMES >= 2.0]) <= 0.05 + 1e-5).all()
     assert (y[TIMES >= 0.6] <= 0.2 + 1e-5).all()
-
-
-def test_pure_feasibility_on_parameters_alone(tmp_path, feasible):
-    constraints = [{"expression": "k / m = 100"}, {"expression": "c >= 2 * m"}]
-    tree = feasible(constraints, parameters=PARAMETERS)
-    result = fit(build_problem(parse_config(tree, "c.toml"), tmp_path))
-    assert result.success, result.solution.ending
-    assert result.x["k"] / result.x["m"] == pytest.approx(100.0, rel=1e-4)
-    assert result.x["c"] >= 2.0 * result.x["m"] - 1e-5
 
 
 def test_pure_feasibility_by_the_command_line(tmp_path, capsys, feasible):

@@ -148,22 +148,6 @@ def test_between_is_cut_to_the_simulation(bounds, between, expected):
     np.testing.assert_allclose(bound.times, np.linspace(*expected, 5))
 
 
-def test_a_first_order_response_meets_the_envelope_it_was_made_for(bounds):
-    """1 - exp(-t) rises to 80 % at t = ln 5 and settles to 1 % at t = ln 100."""
-
-    def response(t):
-        return 1.0 - np.exp(-t)
-
-    step = {"final": 1.0, "rise_time": np.log(5.0).item(), "settling_time": np.log(100.0).item()}
-    good = violations(bounds(step_response=step), response)
-    assert max(good.values()) <= 1e-12
-    assert good["y lower"] == pytest.approx(0.0, abs=1e-12)  # it touches both
-    for key in ("rise_time", "settling_time"):
-        hurried = violations(bounds(step_response=step | {key: 0.95 * step[key]}), response)
-        assert hurried["y lower"] > 1e-3
-        assert hurried["y upper"] <= 0.0
-
-
 @pytest.mark.parametrize(
     ("keys", "times", "lower", "upper"),
     [

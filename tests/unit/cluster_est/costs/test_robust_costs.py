@@ -115,19 +115,6 @@ def test_the_likelihood_is_the_one_at_the_most_likely_sigmas(seed):
         )
 
 
-@pytest.mark.parametrize("factor", [1e-6, 1.0, 1e9])
-def test_the_unit_of_an_output_moves_no_minimum(factor):
-    """The cost of two outputs differs by a constant where one is in another unit."""
-    generator = np.random.default_rng(3)
-    outputs = np.repeat([0, 1], 30)
-    units = np.where(outputs == 1, factor, 1.0)
-    one, other = generator.normal(size=(2, 60))
-    cost = LIKELIHOOD()
-    plain = cost.value(one, outputs) - cost.value(other, outputs)
-    scaled = cost.value(units * one, outputs) - cost.value(units * other, outputs)
-    assert scaled == pytest.approx(plain, rel=1e-9)
-
-
 def test_the_weights_are_one_over_the_variances():
     residuals = np.array([1.0, -3.0, 10.0, 20.0, -20.0])
     outputs = np.array([0, 0, 4, 4, 4])

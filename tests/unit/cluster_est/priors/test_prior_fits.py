@@ -87,21 +87,6 @@ def test_noise_larger_than_sigma_widens_what_the_measurements_say_and_not_the_pr
     assert found.variance == pytest.approx(9.0, rel=0.15)
 
 
-def test_a_log_scale_moves_no_minimum():
-    prior = LogNormalPrior(2.0, 1.1)
-    found = []
-    for scale in ("linear", "log"):
-        own = (
-            Parameter("a", 1.0, 0.01, 10.0, scale, prior=prior),
-            Parameter("b", 0.0, -10.0, 10.0),
-        )
-        _, space, solution = Curves(line, own, TIMES, measured()).solve()
-        found.append(space.estimates(solution.x))
-    assert found[0]["a"] == pytest.approx(found[1]["a"], rel=1e-5)
-    _, _, free = Curves(line, unknown(own), TIMES, measured()).solve()
-    assert abs(found[0]["a"] - 2.0) < abs(np.exp(free.x[0]) - 2.0)
-
-
 def test_a_prior_of_a_value_for_each_experiment_counts_once_for_each():
     records = measured(3)
     own = (replace(parameters()[0], per="experiment"), parameters()[1])

@@ -123,16 +123,6 @@ def test_slopes_are_the_derivatives_even_at_the_bounds(case):
             assert slopes[row, j] == pytest.approx(truth, rel=1e-4, abs=1e-7)
 
 
-@pytest.mark.parametrize("end", ["lower", "upper"])
-@pytest.mark.parametrize("scale", ["linear", "log"])
-def test_a_slope_at_a_bound_is_not_halved(end, scale):
-    parameter = Parameter("k", 2.0, 0.5, 8.0, scale)
-    space = make_space(unloaded_problem([parameter], constraints=["3 * k <= 1"]), (0,))
-    x = getattr(space, end)
-    truth = 3.0 * (getattr(parameter, end) if scale == "log" else 1.0)
-    assert space.parameter_constraint_jacobian(x)[0, 0] == pytest.approx(truth, rel=1e-4)
-
-
 def test_slopes_do_not_depend_on_the_size_of_an_unknown():
     parameters = [Parameter("big", 1e9, 0.0, 2e9), Parameter("small", 1e-9, 0.0, 2e-9)]
     problem = unloaded_problem(parameters, constraints=["big * small <= 1", "big^2 <= 1"])
