@@ -107,11 +107,6 @@ KINDS = [
     (constraint(expression="m <= k", experiments=["a"]), r"\[0\].experiments: .*left out"),
     (constraint(name="mass", expression="m <= q"), r"constraints\[mass\].*unknown.*'q'.*'m', 'k'"),
     (constraint(expression="m"), r"\[0\].expression: .*two formulas with <=, >= or =.*'m'"),
-    (
-        constraint(expression="__import__('os').remove('a.csv') <= m"),
-        r"\[0\].expression: .*made of numbers.*__import__",
-    ),
-    (constraint(expression="1 <= 2"), "must name a parameter.*'1 <= 2'"),
     (constraint(expression=5), r"\[0\].expression: .*text in quotes.*5"),
 ]
 SIGNALS = [
@@ -154,15 +149,9 @@ SIGNALS = [
     (on_y(tracking={"relative": -1}), "tracking.relative: .*at least 0.*-1"),
 ]
 DERIVED = [
-    ({"parameters.m": {"expression": "2*q"}}, "parameters.m.expression: .*'m', 'k'"),
     ({"parameters.m": {"expression": "2*m"}}, "m.expression: .*depend on itself.*through m"),
     ({"parameters.m": {"start": 1.0, "expression": "2*k"}}, "m.start: .*left out.*expression"),
     ({"parameters.m": {"expression": "2*k", "scale": "log"}}, "m.scale: .*left out.*expression"),
-    ({"parameters.m": {"expression": "exec('1')"}}, "m.expression: .*unknown function 'exec'"),
-    (
-        {"parameters.m": {"expression": "k <= 1"}},
-        "parameters.m.expression: .*a number.*remove the comparison",
-    ),
     (
         {"parameters.m": {"expression": "2*k"}, "parameters.k.fixed": True},
         "parameters: at least one must be free",

@@ -86,7 +86,6 @@ def test_what_does_not_fit_is_refused(refuse, changes, pattern):
         ("0.1,1", "0.1,-inf", "column 'force', row 3: .*finite number.*-inf; mend"),
         ("0.01", "1e999", "column 'position', row 3: .*finite number.*inf; mend"),
         ("0.01", "high", "column 'position', row 3: .*a number.*'high'; mend"),
-        ("0.1,1,", "0.1,", "as many cells in each row as in its header, 3, but row 3 has 2"),
         (ROWS, "", "a.csv must have a header and rows of numbers.*nothing"),
         (ROWS, "time,force,position\n0,,1\n1,,2\n", "inputs.F: column 'force'.*is empty"),
         (ROWS, "time,force,position\n0,1,\n1,2,\n", "outputs.y: column 'position'.*is empty"),
