@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,7 +27,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.results.output_errors import Simulation
 from cluster_est.running.resources import Resources
 from workers.kernels.fmi.failure import MESSAGES, TERMINATED
-from workers.messages import Outcome, Status, Task
+from workers.messages import Experiment, Model, Outcome, Status, Task
 from workers.probes.probes import CompileProbe, SimulationProbe
 from workers.process.trial import NoAnswer, ProbeBench
 
@@ -53,7 +53,12 @@ CHECKS: tuple[Callable[[CheckSubject], list[CheckFinding]], ...] = (
 
 
 def run_checks(
-    problem: Problem, resources: Resources, seconds: float = SECONDS, *, declared: bool = True
+    problem: Problem,
+    resources: Resources,
+    seconds: float = SECONDS,
+    *,
+    declared: bool = True,
+    open_bench: Callable[[Model, Sequence[Experiment]], ProbeBench] = ProbeBench.open,
 ) -> CheckPage:
     """Check for all that keeps an FMU from being fitted, or makes that slow or wrong.
 
@@ -70,6 +75,8 @@ def run_checks(
         the FMU is not tried at all.
     declared
         True if a config declares the parameters to be estimated.
+    open_bench
+        Opens the place where the FMU is asked.
     """
     description = problem.describe()
     data = data_findings(problem, description) if declared else []
@@ -80,7 +87,7 @@ def run_checks(
     # before the time of the checks begins: Ray takes a second to import
     in_process = executor_class(resources.executor).in_process
     model = resources.limited(problem.model)
-    with ProbeBench.open(model, problem.experiments) as bench:
+    with open_bench(model, problem.experiments) as bench:
         loaded = bench.ask(None, 1e4 if seconds == np.inf else max(seconds, 1.0) * LOADING)
         if isinstance(loaded, NoAnswer):
             return CheckPage((_not_loaded(loaded),), (), loads=False)
@@ -101,7 +108,8 @@ def run_checks(
         cure = remedy(subject, simulations)
         if cure.refused:
             smaller = without_parameters(problem, cure.refused)
-            page = run_checks(smaller, resources, max(subject.budget.left, 0.1), declared=False)
+            left = max(subject.budget.left, 0.1)
+            page = run_checks(smaller, resources, left, declared=False, open_bench=open_bench)
             return replace(page, findings=(*page.findings, refused_parameters(cure.refused)))
         findings = [
             CheckFinding(CheckVerdict.OK, "loads", "it can be loaded and instantiated"),

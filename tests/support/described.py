@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import zipfile
+import zlib
+from pathlib import Path
 
 from workers.fmu.description import ModelDescription, describe
 
@@ -47,3 +49,31 @@ def fmi3(
 
 def read(content: str | bytes, *files: str) -> ModelDescription:
     return describe("x.fmu", packed(content, *files))
+
+
+def real(
+    name: str,
+    causality: str,
+    reference: int = 0,
+    *,
+    variability: str = "",
+    description: str = "",
+    **attributes: object,
+) -> str:
+    """A real variable of FMI 2; `attributes` are those of its type, such as start and unit."""
+    usual = "tunable" if causality == "parameter" else "continuous"
+    reference = reference or zlib.crc32(name.encode())
+    inner = " ".join(f'{key}="{value}"' for key, value in attributes.items())
+    return (
+        f'<ScalarVariable name="{name}" valueReference="{reference}" causality="{causality}" '
+        f'variability="{variability or usual}" description="{description}"><Real {inner}/>'
+        "</ScalarVariable>"
+    )
+
+
+def write_fmu(folder: Path, *variables: str) -> Path:
+    """Write an FMU of FMI 2 that has these variables and no code."""
+    path = folder / "described.fmu"
+    text = f"{HEAD_2}{BOTH}<ModelVariables>{''.join(variables)}</ModelVariables>{END}"
+    path.write_bytes(packed(text))
+    return path

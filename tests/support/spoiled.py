@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import io
-import random
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from fmpy import read_model_description
-from hypothesis import strategies as st
 from support.problems.springs import FMU
 
 from cluster_est.toml import to_toml
@@ -100,30 +98,3 @@ def rename(old: str, new: str) -> Callable[[dict[str, bytes]], None]:
             entries[new + name.removeprefix(old)] = entries.pop(name)
 
     return change
-
-
-_VALUES = st.one_of(
-    st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=5),
-    st.lists(st.integers(0, 3), max_size=3), st.dictionaries(st.text(max_size=3), st.floats()),
-)  # fmt: skip
-
-
-def mutate(tree: Any, chance: random.Random, data: st.DataObject) -> None:
-    """Drop, rename or retype something in a tree."""
-    while True:
-        keys = list(tree) if isinstance(tree, dict) else list(range(len(tree)))
-        if not keys:
-            return
-        key = chance.choice(keys)
-        if not isinstance(tree[key], dict | list) or chance.random() < 0.3:
-            break
-        tree = tree[key]
-    action = chance.choice(["drop", "rename", "retype", "add"])
-    if action == "drop" or (action == "rename" and isinstance(tree, list)):
-        del tree[key]
-    elif action == "rename":
-        tree[data.draw(st.text(max_size=4))] = tree.pop(key)
-    elif action == "retype" or isinstance(tree, list):
-        tree[key] = data.draw(_VALUES)
-    else:
-        tree[data.draw(st.text(max_size=4))] = data.draw(_VALUES)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,12 +17,20 @@ from cluster_est.preflight import CheckFinding, CheckPage, bare_problem, run_che
 from cluster_est.problem.parameter import Parameter
 from cluster_est.running.resources import Resources
 from workers.messages import Effect, Solver
+from workers.process.trial import BenchHere, ProbeBench
 
 Give = Callable[[str, int], Path]
 Examine = Callable[..., CheckPage]
+Capture = pytest.CaptureFixture[str]
 
 MINUTE = 60.0
 """So much time that nothing is left out on a busy machine."""
+HARMLESS = {
+    *("thermostat", "van_der_pol", "dead_parameter", "wrong_directional", "zero_directional"),
+    *("robertson", "fails_to_reset", "reset_keeps_state", "reset_spoils_directional"),
+    *("refuses_parameter", "needs_library", "no_licence"),
+}
+"""Asked in this process, which a process of their own would only make slower."""
 
 
 @pytest.fixture
@@ -32,9 +41,16 @@ def examined(own_fmu: Give) -> Examine:
         name: str, fmi: int = 2, seconds: float = MINUTE, executor: str = "local"
     ) -> CheckPage:
         problem = bare_problem(own_fmu(name, fmi))
-        return run_checks(problem, Resources(executor=executor), seconds, declared=False)
+        resources = Resources(executor=executor)
+        bench = BenchHere if name in HARMLESS else ProbeBench.open
+        return run_checks(problem, resources, seconds, declared=False, open_bench=bench)
 
     return look
+
+
+def looked_at(problem: Problem) -> CheckPage:
+    """The page of a problem that does no harm to this process."""
+    return run_checks(problem, Resources(), MINUTE, open_bench=BenchHere)
 
 
 def line(page: CheckPage, check: str) -> CheckFinding:
@@ -46,8 +62,17 @@ def in_co_simulation(problem: Problem, step: float | None = None) -> Problem:
     return replace(problem, model=model)
 
 
+slow = pytest.mark.slow
+
+
 @pytest.mark.parametrize(
-    ("name", "fmi"), [("dahlquist", 2), ("dahlquist", 3), ("van_der_pol", 3), ("thermostat", 2)]
+    ("name", "fmi"),
+    [
+        ("dahlquist", 3),
+        ("thermostat", 2),
+        pytest.param("dahlquist", 2, marks=slow),
+        pytest.param("van_der_pol", 3, marks=slow),
+    ],
 )
 def test_a_good_fmu(examined: Examine, name: str, fmi: int) -> None:
     page = examined(name, fmi)
@@ -67,33 +92,35 @@ def test_a_good_fmu(examined: Examine, name: str, fmi: int) -> None:
         ("once_per_process", 3, "instances", "note", "and says so", "executor.name"),
         ("once_undeclared", 2, "instances", "note", "and does not say so", "executor.name"),
         ("shares_static", 2, "instances", "note", "give other results while", "executor.name"),
-        ("shares_static", 3, "instances", "note", "give other results while", "executor.name"),
-        (
-            "dead_parameter",
-            3,
-            "dead parameters",
-            "note",
-            "do not depend on dead",
-            "inputs are driven",
+        pytest.param(
+            *("shares_static", 3, "instances", "note", "give other results while", "executor.name"),
+            marks=slow,
         ),
+        ("dead_parameter", 3, "dead parameters", "note", "depend on dead", "inputs are driven"),
         ("wrong_directional", 2, "derivatives", "note", "differ from the model's slopes", "export"),
         ("zero_directional", 3, "derivatives", "note", "all are silently 0", "export"),
         ("robertson", 2, "stiffness", "note", "is stiff", 'model.solver = "cvode"'),
         ("needs_library", 2, "loads", "problem", "libnobody_has_this.so", ""),
         ("no_licence", 3, "loads", "problem", "no licence for this model", ""),
+        ("crashes_at_start", 2, "experiment default", "problem", "crash: ", ""),
+        pytest.param(
+            *("crashes_at_start", 3, "experiment default", "problem", "crash: ", ""), marks=slow
+        ),
+        ("hangs_at_start", 2, "experiment default", "problem", "did not end within", ""),
     ],
 )
 def test_what_is_wrong_is_named(
     examined: Examine, name: str, fmi: int, check: str, verdict: str, found: str, do: str
 ) -> None:
-    named = line(examined(name, fmi), check)
-
+    page = examined(name, fmi, seconds=2.0 if name == "hangs_at_start" else MINUTE)
+    named = line(page, check)
+    assert page.good == (verdict != "problem")
     assert named.verdict == verdict
     assert found in named.found
     assert do in named.do
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("fmi", [2, pytest.param(3, marks=slow)])
 def test_a_parameter_that_cannot_be_set_is_named_and_left_out(examined: Examine, fmi: int) -> None:
     page = examined("refuses_parameter", fmi)
 
@@ -104,8 +131,10 @@ def test_a_parameter_that_cannot_be_set_is_named_and_left_out(examined: Examine,
     assert "1 of 1 act on the outputs" in line(page, "parameters").found
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
-@pytest.mark.parametrize("instances", [None, 1])
+@pytest.mark.parametrize(
+    ("fmi", "instances"),
+    [(2, 1), pytest.param(3, 1, marks=slow), *(pytest.param(i, None, marks=slow) for i in (2, 3))],
+)
 def test_the_communication_step_with_which_it_can_be_simulated_is_named(
     own_fmu: Give, fmi: int, instances: int | None
 ) -> None:
@@ -118,7 +147,7 @@ def test_the_communication_step_with_which_it_can_be_simulated_is_named(
     assert failed.do.startswith("model.step = 0.01, ")
 
 
-@pytest.mark.parametrize("name", ["leaks", "leaks_on_reset"])
+@pytest.mark.parametrize("name", [pytest.param("leaks", marks=slow), "leaks_on_reset"])
 def test_a_leak_has_its_size(examined: Examine, name: str) -> None:
     named = line(examined(name, executor="processes"), "memory")
 
@@ -128,21 +157,7 @@ def test_a_leak_has_its_size(examined: Examine, name: str) -> None:
     assert "executor.growth" in named.found
 
 
-def test_what_never_begins(examined: Examine) -> None:
-    page = examined("hangs_at_start", seconds=2.0)
-
-    assert not page.good
-    assert "did not end within" in line(page, "experiment default").found
-
-
-@pytest.mark.parametrize("fmi", [2, 3])
-def test_what_crashes(examined: Examine, fmi: int) -> None:
-    page = examined("crashes_at_start", fmi)
-
-    assert not page.good
-    assert "crash: " in line(page, "experiment default").found
-
-
+@slow
 def test_what_there_is_no_time_for_is_said(examined: Examine) -> None:
     page = examined("slow", seconds=3.0)
 
@@ -152,40 +167,44 @@ def test_what_there_is_no_time_for_is_said(examined: Examine) -> None:
 
 def test_the_communication_step_that_results_depend_on(own_fmu: Give) -> None:
     problem = in_co_simulation(bare_problem(own_fmu("van_der_pol", 2)))
-    coarse = run_checks(problem, Resources(), MINUTE)
+    coarse = looked_at(problem)
+    assert re.search("the communication step of .* halved", line(coarse, "accuracy").found)
 
-    assert "halved" in line(coarse, "accuracy").found
+
+def test_a_communication_step_that_is_fixed_cannot_be_halved(own_fmu: Give) -> None:
+    page = looked_at(in_co_simulation(bare_problem(own_fmu("fixed_step", 2))))
+    assert line(page, "accuracy").verdict == "not done"
+    assert "cannot be halved" in line(page, "accuracy").found
 
 
 def test_the_bounds_are_tried(own_fmu: Give) -> None:
     problem = bare_problem(own_fmu("dahlquist", 2))
     known = problem.parameters[0]
     given = Parameter(known.name, known.start, lower=0.1, upper=20.0)
-    page = run_checks(replace(problem, parameters=(given,)), Resources(), MINUTE)
+    page = looked_at(replace(problem, parameters=(given,)))
 
     assert "lower and upper bounds" in line(page, "bounds").found
 
 
 @pytest.mark.parametrize(
     ("name", "code", "phrase"),
-    [("dahlquist", 0, "no problem was found"), ("needs_library", 2, "1 problem")],
+    [
+        pytest.param("dahlquist", 0, "no problem was found", marks=slow),
+        ("needs_library", 2, "1 problem"),
+    ],
 )
-def test_a_file_alone(
-    own_fmu: Give, name: str, code: int, phrase: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_alone(own_fmu: Give, name: str, code: int, phrase: str, capsys: Capture) -> None:
     assert main(["check", str(own_fmu(name, 2)), "--seconds", "60"]) == code
     assert phrase in capsys.readouterr().out
 
 
-def test_a_config_whose_parameter_is_dead(
-    own_fmu: Give, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_config_whose_parameter_is_dead(own_fmu: Give, tmp_path: Path, capsys: Capture) -> None:
     times = np.linspace(0.0, 1.0, 11).tolist()
     rows = "".join(f"{t!r},1.0\n" for t in times)
     (tmp_path / "a.csv").write_text(f"time,y\n{rows}", encoding="utf-8")
     config = (
         "parameters.k = { start = 0.7, bounds = [0.01, 10.0] }\n"
-        f'parameters.dead.start = 2.0\n[model]\nfmu = "{own_fmu("dead_parameter", 2)}"\n'
+        f'parameters.dead.start = 2.0\n[model]\nfmu = "{own_fmu("dead_parameter", 3)}"\n'
         '[[experiments]]\nid = "a"\ndata = "a.csv"\ntime = "time"\noutputs = { y = "y" }\n'
     )
     (tmp_path / "config.toml").write_text(config, encoding="utf-8")
@@ -196,7 +215,7 @@ def test_a_config_whose_parameter_is_dead(
     assert "1 of 2 act on the outputs" in said
 
 
-def test_an_experiment_at_rest_tells_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_experiment_at_rest_tells_nothing(capsys: Capture) -> None:
     """Nothing moves in exp5: its start is 0, and so is its force."""
     config = ROOT / "configs" / "mass_spring_damper.toml"
     assert main(["check", str(config), "--seconds", "60"]) == 0
@@ -233,11 +252,11 @@ def test_sensitivities_are_not_offered_where_a_reset_spoils_them(examined: Exami
     assert not [each for each in page.findings if each.check == "sensitivities"]
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("fmi", [3, pytest.param(2, marks=slow)])
 def test_an_fmu_that_ends_by_itself_is_to_be_stopped_before(own_fmu: Give, fmi: int) -> None:
     problem = bare_problem(own_fmu("stair", fmi))
     (run,) = problem.experiments
-    page = run_checks(replace(problem, experiments=(replace(run, stop=12.0),)), Resources(), MINUTE)
+    page = looked_at(replace(problem, experiments=(replace(run, stop=12.0),)))
 
     ended = line(page, "experiment default")
     assert "the FMU ended the simulation by itself at t = 9 s" in ended.found

@@ -32,11 +32,21 @@ def test_the_inputs_are_spoiled_versions_of_ones_that_work(tmp_path, monkeypatch
         assert verdict.said == ""
 
 
-@settings(max_examples=200, suppress_health_check=list(HealthCheck))
-@given(INPUTS)
-def test_any_input_gives_a_result_or_a_sentence(tmp_path, folders, spoiled: Input):
-    folder = tmp_path / str(next(folders))
+def examine(folder: Path, spoiled: Input) -> None:
     folder.mkdir()
     write(spoiled, folder)
     verdict = judge(spoiled, folder)
     assert verdict.fault == "", verdict.said
+
+
+@settings(max_examples=50, suppress_health_check=list(HealthCheck))
+@given(INPUTS)
+def test_any_input_gives_a_result_or_a_sentence(tmp_path, folders, spoiled: Input):
+    examine(tmp_path / str(next(folders)), spoiled)
+
+
+@pytest.mark.slow
+@settings(max_examples=400, suppress_health_check=list(HealthCheck))
+@given(INPUTS)
+def test_many_more_inputs_give_a_result_or_a_sentence(tmp_path, folders, spoiled: Input):
+    examine(tmp_path / str(next(folders)), spoiled)

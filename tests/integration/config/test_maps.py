@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pacsv
 import pytest
 from scipy.integrate import solve_ivp
+from support.described import real, write_fmu
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.config.maps import with_maps
-from cluster_est.config.reader import parse_config
-from cluster_est.errors import ConfigError
 from cluster_est.run_folder.reading import read_run_table
 from cluster_est.toml import to_toml
 
@@ -20,160 +20,104 @@ POINTS = np.linspace(-1.0, 1.0, 9)
 TRUE = 6.0 * np.tanh(1.5 * POINTS) + POINTS**3
 TIMES = 0.02 * np.arange(501)
 NOISE = 0.004
+NAMES = [f"spring_{i}" for i in range(1, 10)]
+SMOOTH = {"slope_change": 10.0}
 
 
 def driving(strength):
     return strength * np.sin(0.8 * TIMES) * np.sin(2.1 * TIMES + 0.4)
 
 
-def moved(force):
+@cache
+def moved(strength, values=tuple(TRUE)):
     """The displacement, by a solver and a table that are not the project's."""
 
     def rates(t, state):
-        spring = np.interp(state[0], POINTS, TRUE)
-        return [state[1], np.interp(t, TIMES, force) - spring - 0.5 * state[1]]
+        spring = np.interp(state[0], POINTS, values)
+        return [state[1], np.interp(t, TIMES, driving(strength)) - spring - 0.5 * state[1]]
 
-    solved = solve_ivp(rates, (0.0, TIMES[-1]), [0.0, 0.0], t_eval=TIMES, rtol=1e-8, max_step=0.02)
-    return solved.y[0]
+    how = {"t_eval": TIMES, "rtol": 1e-9, "atol": 1e-10, "max_step": 0.02}
+    return solve_ivp(rates, (0.0, TIMES[-1]), [0.0, 0.0], **how).y[0]
 
 
 def config(folder, own_fmu, strength=2.5, **keys):
-    force = driving(strength)
     noise = NOISE * np.random.default_rng(4).standard_normal(len(TIMES))
-    table = pa.table({"time": TIMES, "F": force, "x": moved(force) + noise})
-    pacsv.write_csv(table, folder / "run.csv")
+    columns = {"time": TIMES, "F": driving(strength), "x": moved(strength) + noise}
+    pacsv.write_csv(pa.table(columns), folder / "run.csv")
     section = {
         "variables": [f"f{i}" for i in range(1, 10)],
         "points": POINTS.tolist(),
         "start": (5.0 * POINTS).tolist(),
         "bounds": [-20.0, 20.0],
     }
+    run = {"id": "run", "data": str(folder / "run.csv"), "time": "time", "sigma": {"y": NOISE}}
     return {
         "model": {"fmu": str(own_fmu("spring_table", 2))},
         "maps": {"spring": section | keys},
-        "experiments": [
-            {
-                "id": "run",
-                "data": str(folder / "run.csv"),
-                "time": "time",
-                "inputs": {"u": "F"},
-                "outputs": {"y": "x"},
-                "sigma": {"y": NOISE},
-            }
-        ],
+        "experiments": [run | {"inputs": {"u": "F"}, "outputs": {"y": "x"}}],
     }
 
 
-def fitted(folder, own_fmu, **how):
-    (folder / "config.toml").write_text(to_toml(config(folder, own_fmu, **how)), encoding="utf-8")
-    problem = ce.read_problem(folder / "config.toml")
-    result = ce.fit(problem)
-    assert result.success
-    rows = {row["parameter"]: row["value"] for row in result.parameters.to_pylist()}
-    return np.array([rows[f"spring_{i}"] for i in range(1, 10)]), result
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory, own_fmu):
+    """The values of a map that were found, their standard errors and the result; once each."""
+
+    @cache
+    def call(strength=2.5, smooth=False, monotone=""):
+        folder = tmp_path_factory.mktemp("map")
+        keys = {"monotone": monotone, **(SMOOTH if smooth else {})}
+        tree = config(folder, own_fmu, strength, **keys)
+        (folder / "config.toml").write_text(to_toml(tree), encoding="utf-8")
+        result = ce.fit(ce.read_problem(folder / "config.toml"))
+        assert result.success
+        rows = {row["parameter"]: row["value"] for row in result.parameters.to_pylist()}
+        errors = {e.parameter: e.std_error for e in result.estimates}
+        own = np.array([errors.get(name, np.nan) for name in NAMES], float)
+        return np.array([rows[name] for name in NAMES]), own, result
+
+    return call
 
 
-def test_every_value_of_a_map_is_a_parameter(tmp_path, own_fmu):
-    values, result = fitted(tmp_path, own_fmu)
-    errors = {e.parameter: e.std_error for e in result.estimates}
+def test_every_value_of_a_map_is_a_parameter(fitted):
+    values, errors, _ = fitted()
     visited = np.abs(POINTS) <= 0.5
-    own = np.array([errors[f"spring_{i}"] for i in range(1, 10)])[visited]
-    assert (np.abs(values - TRUE)[visited] < 4.0 * own).all()
+    assert (np.abs(values - TRUE)[visited] < 4.0 * errors[visited]).all()
 
 
-def test_smoothness_fills_what_the_data_did_not_visit(tmp_path, own_fmu):
+def test_smoothness_fills_what_the_data_did_not_visit(fitted):
     """Where a small motion never comes, a table of free values stays where it began."""
-    free, _ = fitted(tmp_path, own_fmu, strength=1.0)
-    smooth, result = fitted(tmp_path, own_fmu, strength=1.0, slope_change=10.0)
+    free, _, _ = fitted(1.0)
+    smooth, errors, _ = fitted(1.0, smooth=True)
     outside = np.abs(POINTS) == 0.75
     assert np.abs(smooth - TRUE)[outside].max() < np.abs(free - TRUE)[outside].max()
-    errors = {e.parameter: e.std_error for e in result.estimates}
-    own = np.array([errors[f"spring_{i}"] for i in range(1, 10)])
-    assert np.isfinite(own[[0, 4]]).all()
-    assert own[0] > own[4]  # what nobody has measured is known the least
+    assert np.isfinite(errors[[0, 4]]).all()
+    assert errors[0] > errors[4]  # what nobody has measured is known the least
 
 
-def test_a_smooth_map_fits_the_data_as_well_as_a_free_one(tmp_path, own_fmu):
-    _, free = fitted(tmp_path, own_fmu)
-    _, smooth = fitted(tmp_path, own_fmu, slope_change=10.0)
+def test_a_smooth_map_fits_the_data_as_well_as_a_free_one(fitted):
     priors = 7  # of which each costs about 1
-    assert smooth.cost < free.cost + 3.0 * priors
+    assert fitted(smooth=True)[2].cost < fitted()[2].cost + 3.0 * priors
 
 
-def test_a_monotone_map_increases(tmp_path, own_fmu):
-    values, _ = fitted(tmp_path, own_fmu, strength=1.0, monotone="increasing")
+def test_a_monotone_map_increases(fitted):
+    values, _, _ = fitted(1.0, monotone="increasing")
     assert (np.diff(values) >= -1e-6).all()
 
 
-def test_more_points_make_a_map_no_rougher():
-    """The prior's scatter of the value at the end does not depend on how many points there are."""
-
-    def scatter(count):
-        points = np.linspace(0.0, 2.0, count)
-        section = {
-            "variables": [f"p{i}" for i in range(count)],
-            "points": points.tolist(),
-            "start": 0.0,
-            "bounds": [-9.0, 9.0],
-            "slope_change": 0.5,
-        }
-        made = with_maps(parse_config(minimal(section), "c.toml"))
-        sds = [made.parameters[f"map_bend_{i}"].prior["sd"] for i in range(2, count)]
-        return np.sqrt(sum((sd * (2.0 - x)) ** 2 for sd, x in zip(sds, points[1:-1], strict=True)))
-
-    expected = 0.5 * np.sqrt(2.0**3 / 3.0)  # of an integrated Wiener process
-    assert scatter(41) == pytest.approx(expected, rel=0.05)
-    assert scatter(11) == pytest.approx(expected, rel=0.2)
-
-
-def minimal(section):
-    run = {"id": "e", "data": "e.csv", "time": "t", "outputs": {"y": "y"}}
-    return {"model": {"fmu": "m.fmu"}, "maps": {"map": section}, "experiments": [run]}
-
-
 @pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        ({"points": [0.0, 0.0, 1.0]}, "maps.map.points: must increase but do not"),
-        ({"variables": ["a", "b"]}, "maps.map.variables: must be as many as the points, 3"),
-        ({"start": [1.0]}, "maps.map.start: must be a number, or one for each of the 3 points"),
-        ({"slope_change": 1.0}, "maps.map.bounds: must be finite where slope_change says"),
-        ({"bounds": [2.0, 1.0]}, "maps.map.bounds: must be [lower, upper]"),
-        ({"slope_change": 0.0}, "maps.map.slope_change: must be greater than 0"),
-        ({"start": 5.0, "bounds": [0.0, 2.0]}, "maps.map.start: must lie within the bounds"),
-        ({"monotone": "up"}, "maps.map.monotone: must be '', 'increasing' or 'decreasing'"),
-    ],
+    "smooth", [pytest.param({}, marks=pytest.mark.slow), SMOOTH | {"monotone": "increasing"}]
 )
-def test_a_map_that_contradicts_itself_is_refused_in_a_sentence(change, sentence):
-    section = {"variables": ["a", "b", "c"], "points": [0.0, 0.5, 1.0], "start": 1.0} | change
-    with pytest.raises(ConfigError) as raised:
-        with_maps(parse_config(minimal(section), "c.toml"))
-    assert sentence in str(raised.value)
-
-
-def test_a_name_must_make_names_of_values():
-    section = {"variables": ["a", "b"], "points": [0.0, 1.0], "start": 1.0}
-    tree = minimal(section) | {"maps": {"my-map": section}}
-    with pytest.raises(ConfigError, match=r"maps\.my-map: must have a name of letters"):
-        with_maps(parse_config(tree, "c.toml"))
-
-
-def test_a_name_that_is_taken_is_refused():
-    section = {"variables": ["a", "b"], "points": [0.0, 1.0], "start": 1.0}
-    tree = minimal(section) | {"parameters": {"map_2": {"start": 1.0}}}
-    with pytest.raises(ConfigError, match="its value map_2 must have a name of its own"):
-        with_maps(parse_config(tree, "c.toml"))
-
-
-@pytest.mark.parametrize("smooth", [{}, {"slope_change": 10.0, "monotone": "increasing"}])
-def test_what_is_exported_reads_back_as_starts(tmp_path, own_fmu, smooth):
+def test_what_a_run_shows_and_exports_reads_back_as_starts(tmp_path, own_fmu, capsys, smooth):
     """Of a run with a map, by the FMU's names; a start in the config is not needed then."""
     tree = config(tmp_path, own_fmu, **smooth)
     path, run = tmp_path / "config.toml", tmp_path / "run"
     path.write_text(to_toml(tree), encoding="utf-8")
     assert main(["fit", str(path), "--out", str(run), "--no-report"]) == 0
+    printed = capsys.readouterr().out
+    assert "spring_9" in printed
+    assert ("spring_bend_2" in printed) == bool(smooth)
     rows = {r["parameter"]: r["value"] for r in read_run_table(run / "parameters.parquet")}
-    found = [rows[f"spring_{i}"] for i in range(1, 10)]
+    found = [rows[name] for name in NAMES]
     del tree["maps"]["spring"]["start"]
     for name in ("found.csv", "found.ssv"):
         assert main(["export", str(run), f"--{name[-3:]}", str(tmp_path / name)]) == 0
@@ -181,68 +125,103 @@ def test_what_is_exported_reads_back_as_starts(tmp_path, own_fmu, smooth):
         resolved = ce.read_config(path)
         assert resolved.maps["spring"].start == pytest.approx(found, rel=1e-12)
         assert not resolved.values
-        before = ce.simulate(ce.read_problem(path))[0].outcome.trajectory.at("y", TIMES)
-        assert before == pytest.approx(moved_by(found), abs=1e-5)
-
-
-def moved_by(values):
-    """The displacement with these values in the table of the spring."""
-
-    def rates(t, state):
-        spring = np.interp(state[0], POINTS, values)
-        return [state[1], np.interp(t, TIMES, driving(2.5)) - spring - 0.5 * state[1]]
-
-    solved = solve_ivp(
-        rates, (0.0, TIMES[-1]), [0.0, 0.0], t_eval=TIMES, rtol=1e-9, atol=1e-10, max_step=0.02
-    )
-    return solved.y[0]
+    before = ce.simulate(ce.read_problem(path))[0].outcome.trajectory.at("y", TIMES)
+    assert before == pytest.approx(moved(2.5, tuple(found)), abs=1e-5)
 
 
 SECTION = {"variables": ["a", "b", "c"], "points": [0.0, 0.5, 1.0], "bounds": [-9.0, 9.0]}
 
 
-def read_with_values(folder, section, values):
-    (folder / "found.csv").write_text(f"name,value\n{values}", encoding="utf-8")
-    tree = {"value_files": ["found.csv"]} | minimal(section)
-    (folder / "config.toml").write_text(to_toml(tree), encoding="utf-8")
-    return ce.read_config(folder / "config.toml")
+@pytest.fixture
+def read(tmp_path):
+    """The problem of a map, of parameters of an FMU that is only described."""
+    names = ["a", "b", "c", "mass", *(f"p{i}" for i in range(41))]
+    parameters = [real(name, "parameter", start=1) for name in names]
+    fmu = write_fmu(tmp_path, *parameters, real("y", "output"))
+    (tmp_path / "e.csv").write_text("t,y\n0,0\n1,0\n", encoding="utf-8")
+
+    def call(section, values=None, name="map", **more):
+        run = {"id": "e", "data": "e.csv", "time": "t", "outputs": {"y": "y"}}
+        tree = {"model": {"fmu": fmu.name}, "maps": {name: section}, "experiments": [run], **more}
+        if values is not None:
+            (tmp_path / "found.csv").write_text(f"name,value\n{values}", encoding="utf-8")
+            tree = {"value_files": ["found.csv"]} | tree
+        (tmp_path / "config.toml").write_text(to_toml(tree), encoding="utf-8")
+        return ce.read_problem(tmp_path / "config.toml")
+
+    return call
 
 
-def test_values_of_a_file_take_the_place_of_their_starts_alone(tmp_path):
-    read = read_with_values(tmp_path, SECTION | {"start": 1.0}, "b,3\nmass,2\n")
-    assert read.maps["map"].start == [1.0, 3.0, 1.0]
-    assert read.values == {"mass": 2}
+@pytest.mark.parametrize(("count", "rel"), [(41, 0.05), (11, 0.2)])
+def test_more_points_make_a_map_no_rougher(read, count, rel):
+    """The prior's scatter of the value at the end does not depend on how many points there are."""
+    points = np.linspace(0.0, 2.0, count)
+    section = {
+        "variables": [f"p{i}" for i in range(count)],
+        "points": points.tolist(),
+        "start": 0.0,
+        "bounds": [-9.0, 9.0],
+        "slope_change": 0.5,
+    }
+    priors = {p.name: p.prior for p in read(section).parameters}
+    sds = [priors[f"map_bend_{i}"].sd for i in range(2, count)]
+    scatter = np.sqrt(sum((sd * (2.0 - x)) ** 2 for sd, x in zip(sds, points[1:-1], strict=True)))
+    expected = 0.5 * np.sqrt(2.0**3 / 3.0)  # of an integrated Wiener process
+    assert scatter == pytest.approx(expected, rel=rel)
 
 
-def test_a_fixed_map_has_known_values(tmp_path):
-    section = SECTION | {"fixed": True, "slope_change": 1.0, "monotone": "increasing"}
-    made = with_maps(read_with_values(tmp_path, section, "b,3\na,2\nc,2.5\n"))
-    assert {k: (p.start, p.fixed, p.variable) for k, p in made.parameters.items()} == {
+@pytest.mark.parametrize(
+    ("change", "pattern"),
+    [
+        ({"points": [0.0, 0.0, 1.0]}, "maps.map.points: must increase"),
+        ({"variables": ["a", "b"]}, "maps.map.variables: .*as many as the points, 3"),
+        ({"start": [1.0]}, "maps.map.start: .*one for each of the 3 points"),
+        ({"slope_change": 1.0}, "maps.map.bounds: .*finite where slope_change"),
+        ({"bounds": [2.0, 1.0]}, r"maps.map.bounds: .*\[lower, upper\]"),
+        ({"slope_change": 0.0}, "maps.map.slope_change: .*greater than 0"),
+        ({"start": 5.0, "bounds": [0.0, 2.0]}, "maps.map.start: .*within the bounds"),
+        ({"monotone": "up"}, "maps.map.monotone: .*'', 'increasing' or 'decreasing'"),
+    ],
+)
+def test_a_map_that_contradicts_itself_is_refused(read, change, pattern):
+    section = {"variables": ["a", "b", "c"], "points": [0.0, 0.5, 1.0], "start": 1.0} | change
+    with pytest.raises(ce.ClusterEstError, match=pattern):
+        read(section)
+
+
+@pytest.mark.parametrize(
+    ("given", "pattern"),
+    [
+        ({"name": "my-map"}, r"maps\.my-map: must have a name of letters"),
+        ({"parameters": {"map_2": {"start": 1.0}}}, "its value map_2 must have a name of its own"),
+        ({"values": "a,1\nb,high\nc,1\n"}, "found.csv: b .*a number.*estimated"),
+        ({"values": "a,1\nb,99\nc,1\n"}, r"maps.map.start: .*bounds \[-9.0, 9.0\].*99"),
+    ],
+)
+def test_names_and_values_of_files_that_do_not_fit(read, given, pattern):
+    with pytest.raises(ce.ClusterEstError, match=pattern):
+        read(SECTION | {"start": 1.0}, **given)
+
+
+def test_without_a_start_the_files_must_have_all_values(read):
+    with pytest.raises(ce.ClusterEstError, match=r"maps.map.start: .*files of values have not all"):
+        read(SECTION, "b,3\n")
+
+
+def test_values_of_a_file_take_the_place_of_their_starts_alone(read):
+    made = read(SECTION | {"start": 1.0}, "b,3\nmass,2\n")
+    assert [p.start for p in made.parameters] == [1.0, 3.0, 1.0]
+    assert made.experiments[0].values == (("mass", 2),)
+
+
+def test_a_fixed_map_has_known_values(read):
+    fixed = {"fixed": True, "slope_change": 1.0, "monotone": "increasing"}
+    free = {"mass": {"start": 1.0}}
+    made = read(SECTION | fixed, "b,3\na,2\nc,2.5\n", parameters=free)
+    assert {p.name: (p.start, p.fixed, p.target) for p in made.parameters} == {
+        "mass": (1.0, False, "mass"),
         "map_1": (2.0, True, "a"),
         "map_2": (3.0, True, "b"),
         "map_3": (2.5, True, "c"),
     }
     assert not made.constraints
-
-
-@pytest.mark.parametrize(
-    ("values", "sentence"),
-    [
-        ("b,3\n", "maps.map.start: must be there where the files of values have not all of its"),
-        ("a,1\nb,high\nc,1\n", "found.csv: b must be a number, because it is estimated, but is"),
-        ("a,1\nb,99\nc,1\n", "maps.map.start: must lie within the bounds [-9.0, 9.0] but has 99"),
-    ],
-)
-def test_values_that_do_not_fit_a_map_are_refused_in_a_sentence(tmp_path, values, sentence):
-    with pytest.raises(ConfigError) as raised:
-        with_maps(read_with_values(tmp_path, SECTION, values))
-    assert sentence in str(raised.value)
-
-
-def test_a_run_with_a_map_is_shown_with_its_values(tmp_path, own_fmu, capsys):
-    path = tmp_path / "config.toml"
-    path.write_text(to_toml(config(tmp_path, own_fmu, slope_change=10.0)), encoding="utf-8")
-    assert main(["fit", str(path), "--out", str(tmp_path / "run"), "--no-report"]) == 0
-    printed = capsys.readouterr().out
-    assert "spring_9" in printed
-    assert "spring_bend_2" in printed

@@ -2,45 +2,52 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from support.spoiled import valid_tree
+from support.spoiled import REMOVED, write_input
 
-from cluster_est.config.constraints import (
-    constraint_functions,
-    parameter_constraints,
-    signal_bounds,
-)
-from cluster_est.config.reader import Config, parse_config
-from cluster_est.config.signal_limits import snapped_bound
-from cluster_est.config.user_code import UserCode
-from cluster_est.errors import ClusterEstError, ConfigError
-from workers.messages import Output, SignalBound
+from cluster_est import Problem, read_problem
+from cluster_est.errors import ConfigError
+from workers.messages import SignalBound
 from workers.residuals.base import SimulatedOutputs
 from workers.residuals.bounds import SignalBounds
 
-PARAMETERS = ("m", "k")
+A = "experiments.0"
+INF = np.inf
+UNMEASURED = {f"{A}.{key}": REMOVED for key in ("data", "time", "inputs", "outputs")}
 STEP = {"initial": 1.0, "final": 3.0, "time": 1.0, "rise_time": 2.0, "settling_time": 4.0}
 
-
-def config(*constraints: dict[str, Any]) -> Config:
-    return parse_config(valid_tree() | {"constraints": list(constraints)}, "c.toml")
-
-
-def bounds(start: float = 0.0, stop: float = 10.0, **keys: Any) -> SignalBound:
-    parameter_constraints(config({"signal": "y", **keys}), PARAMETERS)
-    (found,) = signal_bounds(config({"signal": "y", **keys}), "a", start, stop)
-    return found
+Build = Callable[..., Problem]
+Bounds = Callable[..., SignalBound]
 
 
-def at(bound: SignalBound, t: float) -> tuple[float, float]:
-    """The limits at a time that is checked."""
-    (i,) = np.flatnonzero(np.abs(bound.times - t) < 1e-12)
-    return float(bound.lower[i]), float(bound.upper[i])
+@pytest.fixture
+def build(tmp_path) -> Build:
+    """A problem with constraints."""
+
+    def call(*constraints: dict[str, Any], rows: str = "", **changes: Any) -> Problem:
+        given = {"constraints": list(constraints), **changes}
+        path = write_input(tmp_path, given, *([rows] if rows else []))
+        return read_problem(path, allow_code=True)
+
+    return call
+
+
+@pytest.fixture
+def bounds(build) -> Bounds:
+    """The limits of y in a simulation from 0 to 10 s without measured times."""
+
+    def call(**keys: Any) -> SignalBound:
+        changes = {**UNMEASURED, f"{A}.start": 0.0, f"{A}.stop": 10.0}
+        (found,) = build({"signal": "y", **keys}, **changes).experiments[0].bounds
+        return found
+
+    return call
 
 
 def violations(bound: SignalBound, signal: Any) -> dict[str, float]:
@@ -52,309 +59,194 @@ def violations(bound: SignalBound, signal: Any) -> dict[str, float]:
     return dict(zip(bound.names, values[0].tolist(), strict=True))
 
 
-def test_a_number_holds_all_the_time():
-    bound = bounds(lower=-1, upper=2.5)
-    assert bound.names == ("y lower", "y upper")
-    assert (bound.times[0], bound.times[-1], len(bound.times)) == (0.0, 10.0, 200)
-    assert set(bound.lower) == {-1.0}
-    assert set(bound.upper) == {2.5}
-    assert bound.scale == 2.5
-    found = violations(bound, lambda t: t - 2.0)
-    assert found == {"y lower": (-1.0 + 2.0) / 2.5, "y upper": (8.0 - 2.5) / 2.5}
+@pytest.mark.parametrize(
+    ("keys", "scale", "signal", "expected"),
+    [
+        ({"lower": -1, "upper": 2.5}, 2.5, lambda t: t - 2, {"y lower": 0.4, "y upper": 2.2}),
+        ({"lower": 4.0}, 4.0, lambda t: 0 * t + 6, {"y lower": -0.5}),
+        ({"upper": 4.0}, 4.0, lambda t: 0 * t + 1, {"y upper": -0.75}),
+        ({"upper": -3.0}, 3.0, lambda t: 0 * t, {"y upper": 1.0}),
+        ({"upper": 0.0}, 1.0, lambda t: 0 * t + 2, {"y upper": 2.0}),
+        ({"upper": -3.0, "scale": 0.5}, 0.5, lambda t: 0 * t, {"y upper": 6.0}),
+        ({"final": 5.0}, 5.0, lambda t: 0 * t + 4, {"final y": -0.2}),
+        ({"final": 0.0}, 1.0, lambda t: t, {"final y": 10.0}),
+        ({"final": 0.0, "tolerance": 0.25}, 0.25, lambda t: 0 * t, {
+            "final y lower": -1.0, "final y upper": -1.0}),
+        ({"final": -5.0, "tolerance": 0.5}, 5.0, lambda t: 0 * t - 6, {
+            "final y lower": 0.1, "final y upper": -0.3}),
+        ({"name": "box", "lower": 0, "upper": 1}, 1.0, lambda t: 0 * t, {
+            "box lower": 0.0, "box upper": -1.0}),
+        ({"name": "end", "final": 1.0}, 1.0, lambda t: 0 * t, {"end": -1.0}),
+    ],
+)  # fmt: skip
+def test_a_violation_is_counted_over_the_size_of_its_limit(bounds, keys, scale, signal, expected):
+    bound = bounds(**keys)
+    assert bound.scale == scale
+    assert violations(bound, signal) == pytest.approx(expected)
+    assert bound.equality == ("final" in keys and "tolerance" not in keys)
+    if "final" in keys:
+        assert bound.times.tolist() == [10.0]
+    else:
+        assert (bound.times[0], bound.times[-1], len(bound.times)) == (0.0, 10.0, 200)
 
 
-def test_one_side_alone():
-    assert bounds(lower=3.0).names == ("y lower",)
-    assert bounds(upper=-3.0).names == ("y upper",)
-    assert bounds(upper=-3.0).scale == 3.0
-    assert bounds(upper=0.0).scale == 1.0
-    assert bounds(upper=-3.0, scale=0.5).scale == 0.5
-    found = violations(bounds(upper=-3.0, scale=0.5), lambda t: 0.0 * t)
-    assert found == {"y upper": 6.0}
+RISING = {
+    0.9: (-INF, INF),  # before the step
+    1.0: (1.0 - 0.02, 3.0 + 0.2),  # 1 % undershoot and 10 % overshoot of a step by 2
+    2.9: (1.0 - 0.02, 3.2),
+    3.0: (1.0 + 0.8 * 2.0, 3.2),  # 80 % of it after the rise time
+    4.9: (2.6, 3.2),
+    5.0: (3.0 - 0.02, 3.0 + 0.02),  # 1 % after the settling time
+    10.0: (2.98, 3.02),
+}
+FALLING = {0.9: (-INF, INF), 1.0: (0.8, 3.02), 3.0: (0.8, 1.4), 5.0: (0.98, 1.02)}
+PERCENT = {"final": 10.0, "rise_time": 1.0, "rise": 50.0, "settling_time": 2.0, "settling": 20.0}
+LIMITS = [
+    (
+        {"upper": [[2, 1], [4, 5], [8, 5]], "samples": 11},
+        {1: (-INF, INF), 2: (-INF, 1), 3: (-INF, 3), 6: (-INF, 5), 9: (-INF, INF)},
+    ),
+    ({"upper": [[-5, 0], [15, 20]]}, {0: (-INF, 5), 10: (-INF, 15)}),
+    (
+        {"upper": [[0, 1], [5, 1], [5, 3], [10, 3]], "samples": 3},
+        {0: (-INF, 1), 10: (-INF, 3)},
+    ),
+    (
+        {"lower": [[0, 0], [3.1, 2], [9, 0]], "upper": [[1.23, 7], [2.5, 7]]},
+        {3.1: (2, INF), 1.23: (2 * 1.23 / 3.1, 7), 2.5: (2 * 2.5 / 3.1, 7), 9: (0, INF)},
+    ),
+    ({"step_response": STEP, "samples": 101}, RISING),
+    ({"step_response": STEP | {"initial": 3.0, "final": 1.0}, "samples": 101}, FALLING),
+    (
+        {"step_response": PERCENT | {"overshoot": 30.0, "undershoot": 5.0}, "samples": 11},
+        {0: (-0.5, 13), 1: (5, 13), 2: (8, 12)},
+    ),
+    (
+        {"step_response": STEP | {"time": 1.1, "rise_time": 2.3}, "samples": 2},
+        {1.1: (0.98, 3.2), 1.1 + 2.3: (2.6, 3.2), 10: (2.98, 3.02)},
+    ),
+]
 
 
-def test_satisfied_limits_say_by_how_much():
-    assert violations(bounds(upper=4.0), lambda t: 0.0 * t + 1.0) == {"y upper": -0.75}
-    assert violations(bounds(lower=4.0), lambda t: 0.0 * t + 6.0) == {"y lower": -0.5}
-
-
-def test_limits_over_time_are_straight_between_points_and_absent_outside():
-    bound = bounds(upper=[[2.0, 1.0], [4.0, 5.0], [8.0, 5.0]], samples=11)
-    assert set(range(11)) <= set(bound.times.tolist())
-    assert at(bound, 1.0)[1] == np.inf
-    assert at(bound, 2.0)[1] == 1.0
-    assert at(bound, 3.0)[1] == 3.0
-    assert at(bound, 6.0)[1] == 5.0
-    assert at(bound, 9.0)[1] == np.inf
-    assert np.all(bound.lower == -np.inf)
-    found = violations(bound, lambda t: np.where((t == 2.0) | (t > 8.0), 9.0, 0.0))
-    assert found == {"y upper": (9.0 - 1.0) / 5.0}
-
-
-def test_points_of_limits_are_checked_even_between_samples():
-    bound = bounds(lower=[[0.0, 0.0], [np.pi, 2.0], [9.0, 0.0]], upper=[[1.2345, 7], [2.5, 7]])
-    for t in (np.pi, 9.0, 1.2345, 2.5):
-        assert t in bound.times
-    assert at(bound, np.pi) == (2.0, np.inf)
+@pytest.mark.parametrize(("keys", "limits"), LIMITS)
+def test_limits_over_time(bounds, keys, limits):
+    """Straight between points, absent outside; also where no sample is but the limit bends."""
+    bound = bounds(**keys)
     assert np.all(np.diff(bound.times) > 0.0)
-
-
-def test_points_beyond_the_simulation_are_not_simulated():
-    bound = bounds(upper=[[-5.0, 0.0], [15.0, 20.0]], stop=10.0)
     assert (bound.times[0], bound.times[-1]) == (0.0, 10.0)
-    assert at(bound, 0.0)[1] == 5.0
-    assert at(bound, 10.0)[1] == 15.0
-
-
-def test_a_limit_may_jump():
-    bound = bounds(upper=[[0.0, 1.0], [5.0, 1.0], [5.0, 3.0], [10.0, 3.0]], samples=3)
-    assert at(bound, 0.0)[1] == 1.0
-    assert at(bound, 10.0)[1] == 3.0
+    for t, expected in limits.items():
+        (i,) = np.flatnonzero(np.abs(bound.times - t) < 1e-12)
+        np.testing.assert_allclose((bound.lower[i], bound.upper[i]), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
     ("between", "expected"),
     [([2.0, 3.0], (2.0, 3.0)), ([-1.0, 3.0], (0.0, 3.0)), ([9.0, 99.0], (9.0, 10.0))],
 )
-def test_between_is_cut_to_the_simulation(between, expected):
+def test_between_is_cut_to_the_simulation(bounds, between, expected):
     bound = bounds(upper=1.0, between=between, samples=5)
-    assert (bound.times[0], bound.times[-1]) == expected
     np.testing.assert_allclose(bound.times, np.linspace(*expected, 5))
 
 
 @pytest.mark.parametrize(
-    ("t", "lower", "upper"),
+    ("keys", "times", "lower", "upper"),
     [
-        (0.9, -np.inf, np.inf),  # before the step
-        (1.0, 1.0 - 0.02, 3.0 + 0.2),  # 1 % undershoot and 10 % overshoot of a step by 2
-        (2.9, 1.0 - 0.02, 3.2),
-        (3.0, 1.0 + 0.8 * 2.0, 3.2),  # 80 % of it after the rise time
-        (4.9, 2.6, 3.2),
-        (5.0, 3.0 - 0.02, 3.0 + 0.02),  # 1 % after the settling time
-        (10.0, 2.98, 3.02),
+        (
+            {"tracking": {"absolute": 0.5, "relative": 0.1}},
+            [0, 2, 4, 6],
+            [0.4, -2.7, 2.2, -0.5],
+            [1.6, -1.3, 3.8, 0.5],
+        ),
+        (
+            {"tracking": {"absolute": 0.5, "side": "upper"}},
+            [0, 2, 4, 6],
+            [-INF] * 4,
+            [1.5, -1.5, 3.5, 0.5],
+        ),
+        ({"tracking": {"absolute": 0.5}, "between": [1.0, 4.0]}, [2, 4], [-2.5, 2.5], [-1.5, 3.5]),
+        ({"tracking": {}}, [0, 2, 4, 6], [1, -2, 3, 0], [1, -2, 3, 0]),
     ],
 )
-def test_the_envelope_of_a_rising_step(t, lower, upper):
-    bound = bounds(step_response=STEP, samples=101)
-    np.testing.assert_allclose(at(bound, t), (lower, upper), rtol=1e-14)
-    assert bound.names == ("y lower", "y upper")
-    assert bound.scale == pytest.approx(3.2)
+def test_tracking_is_a_band_around_the_measured_values(build, keys, times, lower, upper):
+    rows = "time,force,position\n0,1,1\n2,1,-2\n4,0,3\n6,0,0\n"
+    (bound,) = build({"signal": "y", **keys}, rows=rows).experiments[0].bounds
+    assert bound.times.tolist() == times
+    np.testing.assert_allclose(bound.lower, lower)
+    np.testing.assert_allclose(bound.upper, upper)
+    assert bound.equality == (keys["tracking"] == {})
+    assert len(bound.names) == (1 if bound.equality or -INF in lower else 2)
+
+
+LATER = np.nextafter(0.3, 1.0).item()
 
 
 @pytest.mark.parametrize(
-    ("t", "lower", "upper"),
+    ("measured", "keys", "times", "lower", "upper"),
     [
-        (0.9, -np.inf, np.inf),
-        (1.0, 1.0 - 0.1 * 2.0, 3.0 + 0.01 * 2.0),
-        (3.0, 0.8, 3.0 - 0.8 * 2.0),
-        (5.0, 0.98, 1.02),
+        (
+            (0.3, 0.6, 1.0),
+            {
+                "lower": [[0, 0], [0.3, 1], [LATER, 2], [1, 0]],
+                "upper": [[0, 9], [0.3, 8], [LATER, 7]],
+            },
+            [0.0, 0.3, 1.0],
+            [0.0, 2.0, 0.0],
+            [9.0, 7.0, INF],
+        ),
+        (
+            (LATER,),
+            {"lower": [[0, 0], [0.3, 0], [LATER, 5]], "upper": [[0, 3], [0.3, 3], [LATER, 8]]},
+            [0.0, LATER],
+            [0.0, 5.0],
+            [3.0, 8.0],
+        ),
     ],
+    ids=["the tighter limits hold", "the later ones where limits jump"],
 )
-def test_the_envelope_of_a_falling_step(t, lower, upper):
-    bound = bounds(step_response=STEP | {"initial": 3.0, "final": 1.0}, samples=101)
-    np.testing.assert_allclose(at(bound, t), (lower, upper), rtol=1e-14)
+def test_times_that_fall_together_on_a_measured_one_are_one(
+    build, measured, keys, times, lower, upper
+):
+    rows = "".join(f"{t!r},0,0\n" for t in (0.0, *measured))
+    problem = build({"signal": "y", "samples": 2, **keys}, rows=f"time,force,position\n{rows}")
+    (bound,) = problem.experiments[0].bounds
+    assert (bound.times.tolist(), bound.lower.tolist()) == (times, lower)
+    assert bound.upper.tolist() == upper
 
 
-def test_the_percentages_of_a_step():
-    step = {"final": 10.0, "rise_time": 1.0, "rise": 50.0, "settling_time": 2.0, "settling": 20.0,
-            "overshoot": 30.0, "undershoot": 5.0}  # fmt: skip
-    bound = bounds(step_response=step, samples=11)
-    np.testing.assert_allclose(at(bound, 0.0), (-0.5, 13.0))
-    np.testing.assert_allclose(at(bound, 1.0), (5.0, 13.0))
-    np.testing.assert_allclose(at(bound, 2.0), (8.0, 12.0))
-
-
-def test_a_first_order_response_meets_the_envelope_it_was_made_for():
-    """1 - exp(-t) rises to 80 % at t = ln 5 and settles to 1 % at t = ln 100."""
-
-    def response(t):
-        return 1.0 - np.exp(-t)
-
-    step = {"final": 1.0, "rise_time": np.log(5.0), "settling_time": np.log(100.0)}
-    good = violations(bounds(step_response=step), response)
-    assert max(good.values()) <= 1e-12
-    assert good["y lower"] == pytest.approx(0.0, abs=1e-12)  # it touches both
-    for key, factor in (("rise_time", 0.95), ("settling_time", 0.95)):
-        hurried = violations(bounds(step_response=step | {key: factor * step[key]}), response)
-        assert hurried["y lower"] > 1e-3
-        assert hurried["y upper"] <= 0.0
-
-
-def test_the_moments_of_a_step_are_checked_even_between_samples():
-    bound = bounds(step_response=STEP, samples=4)
-    for t in (1.0, 3.0, 5.0):
-        assert t in bound.times
-    odd = bounds(step_response=STEP | {"time": 1.1, "rise_time": 2.3}, samples=2)
-    assert at(odd, 1.1 + 2.3)[0] == pytest.approx(2.6)
-    late = bounds(step_response=STEP, samples=4, stop=4.0)
-    assert late.times[-1] == 4.0
-
-
-def test_a_final_value_without_tolerance_is_an_equality():
-    bound = bounds(final=5.0)
-    assert (bound.times.tolist(), bound.equality, bound.scale) == ([10.0], True, 5.0)
-    assert bound.names == ("final y",)
-    assert violations(bound, lambda t: 0.0 * t + 4.0) == {"final y": -0.2}
-
-
-def test_a_final_value_with_tolerance_has_two_sides():
-    bound = bounds(final=-5.0, tolerance=0.5)
-    assert not bound.equality
-    found = violations(bound, lambda t: 0.0 * t - 6.0)
-    assert found == {"final y lower": pytest.approx(0.1), "final y upper": pytest.approx(-0.3)}
-
-
-def test_a_final_value_of_zero():
-    assert bounds(final=0.0).scale == 1.0
-    assert bounds(final=0.0, tolerance=0.25).scale == 0.25
-
-
-def tracked(start: float = 0.0, stop: float = 10.0, **keys: Any) -> tuple[SignalBound, ...]:
-    section = config({"signal": "y", **keys})
-    parameter_constraints(section, PARAMETERS)
-    times = np.array([0.0, 2.0, 4.0, 6.0])
-    measured = (Output("z", times, times), Output("y", times, np.array([1.0, -2.0, 3.0, 0.0])))
-    return signal_bounds(section, "a", start, stop, measured)
-
-
-def test_tracking_is_a_band_around_the_measured_values():
-    (bound,) = tracked(tracking={"absolute": 0.5, "relative": 0.1})
-    assert bound.times.tolist() == [0.0, 2.0, 4.0, 6.0]
-    np.testing.assert_allclose(bound.lower, [0.4, -2.7, 2.2, -0.5])
-    np.testing.assert_allclose(bound.upper, [1.6, -1.3, 3.8, 0.5])
-
-
-def test_tracking_on_one_side():
-    (bound,) = tracked(tracking={"absolute": 0.5, "side": "upper"})
-    assert len(bound.names) == 1
-    assert np.all(bound.lower == -np.inf)
-    np.testing.assert_allclose(bound.upper, [1.5, -1.5, 3.5, 0.5])
-
-
-def test_tracking_in_a_part_of_the_time():
-    (bound,) = tracked(tracking={"absolute": 0.5}, between=[1.0, 4.0])
-    assert bound.times.tolist() == [2.0, 4.0]
-
-
-def test_tracking_exactly_is_an_equality():
-    (bound,) = tracked(tracking={})
-    assert bound.equality
-    np.testing.assert_array_equal(bound.lower, [1.0, -2.0, 3.0, 0.0])
-
-
-def test_only_in_the_experiments_that_are_named():
-    tree = valid_tree()
-    tree["experiments"].append({**tree["experiments"][0], "id": "b"})
-    tree["constraints"] = [
+def test_only_in_the_experiments_that_are_named(tmp_path, build):
+    (tmp_path / "rules.py").write_text("def rule(run):\n    return 1.0\n")
+    a = {"id": "a", "data": "a.csv", "time": "time", "outputs": {"y": "position"}}
+    problem = build(
         {"signal": "y", "upper": 1.0, "experiments": ["b"]},
         {"signal": "v", "upper": 2.0},
-    ]
-    found = parse_config(tree, "c.toml")
-    parameter_constraints(found, PARAMETERS)
-    assert [b.variable for b in signal_bounds(found, "a", 0.0, 1.0)] == ["v"]
-    assert [b.variable for b in signal_bounds(found, "b", 0.0, 1.0)] == ["y", "v"]
-
-
-def test_names_of_the_users():
-    assert bounds(name="box", lower=0.0, upper=1.0).names == ("box lower", "box upper")
-    assert bounds(name="end", final=1.0).names == ("end",)
-
-
-def test_expressions_have_their_scale_and_name():
-    found = parameter_constraints(
-        config(
-            {"expression": "m <= k"},
-            {"name": "ratio", "expression": "0 <= m/k <= 2", "scale": 10.0},
-        ),
-        PARAMETERS,
+        {"function": "rules:rule", "equality": True, "name": "balance"},
+        {"function": "rules:rule", "experiments": ["a"]},
+        experiments=[a, {**a, "id": "b"}],
     )
+    first, second = problem.experiments
+    assert [b.variable for b in first.bounds] == ["v"]
+    assert [b.variable for b in second.bounds] == ["y", "v"]
+    rules = [(f.name, f.equality, f.label) for f in first.constraint_functions]
+    assert rules == [("rule", True, "balance"), ("rule", False, "")]
+    assert len(second.constraint_functions) == 1
+
+
+def test_expressions_have_their_scale_and_name(build):
+    ratio = {"name": "ratio", "expression": "0 <= m/k <= 2", "scale": 10.0}
+    found = build({"expression": "m <= k"}, ratio).constraints
     assert [(c.name, c.scale, c.equality) for c in found] == [
         ("m <= k", 1.0, False), ("ratio (lower)", 10.0, False), ("ratio (upper)", 10.0, False)
     ]  # fmt: skip
 
 
-def test_functions_are_found_for_their_experiments(tmp_path):
-    (tmp_path / "rules.py").write_text("def rule(run):\n    return 1.0\n")
-    code = UserCode(tmp_path, allowed=True)
-    section = config(
-        {"function": "rules:rule"},
-        {"function": "rules:rule", "equality": True, "name": "balance"},
-        {"function": "rules:rule", "experiments": ["a"]},
-    )
-    parameter_constraints(section, PARAMETERS)
-    found = constraint_functions(section, "a", code)
-    assert [(f.name, f.equality, f.label) for f in found] == [
-        ("rule", False, ""), ("rule", True, "balance"), ("rule", False, "")
-    ]  # fmt: skip
-    assert len(constraint_functions(section, "b", code)) == 2
-
-
-@pytest.mark.parametrize(
-    ("keys", "phrase"),
-    [
-        ({}, "constraints[0]: must have one of expression, signal and function but has none"),
-        (
-            {"signal": "y", "expression": "m <= k", "upper": 1},
-            "constraints[0]: must have one of expression, signal and function but has expression "
-            "and signal",
-        ),
-        ({"signal": "y"}, "constraints[0].signal: must have a limit but has none; add lower,"),
-        ({"name": "box", "signal": "y"}, "constraints[box].signal: must have a limit"),
-        ({"signal": "y", "step_response": STEP, "upper": 1}, ".step_response: must stand alone"),
-        ({"signal": "y", "final": 1, "upper": 1}, "constraints[0].final: must stand alone"),
-        (
-            {"signal": "y", "upper": 1, "experiments": ["b"]},
-            "constraints[0].experiments: there is no 'b'; it has 'a'",
-        ),
-        ({"expression": "m <= k", "upper": 1}, "constraints[0].upper: must be left out beside"),
-        ({"expression": "m <= k", "equality": True}, "constraints[0].equality: must be left out"),
-        ({"expression": "m <= k", "experiments": ["a"]}, "constraints[0].experiments: must be"),
-        ({"signal": "y", "upper": 1, "equality": True}, "constraints[0].equality: must be left"),
-        ({"signal": "y", "upper": 1, "tolerance": 0.1}, ".tolerance: must be beside final"),
-        ({"signal": "y", "final": 1, "between": [0, 1]}, ".between: must be left out beside"),
-        ({"function": "a:b", "scale": 2}, "constraints[0].scale: must be left out beside"),
-        ({"function": "a:b", "lower": 2}, "constraints[0].lower: must be left out beside"),
-        ({"signal": "q", "tracking": {}}, "constraints[0].signal: must be measured in some"),
-        ({"expression": "m"}, "constraints[0].expression: must be two formulas"),
-        ({"expression": "m <= q"}, "constraints[0].expression: 'q' has the unknown variable 'q'"),
-    ],
-)
-def test_a_constraint_of_no_kind_is_refused(keys, phrase):
-    with pytest.raises(ClusterEstError) as refused:
-        parameter_constraints(config(keys), PARAMETERS)
-    assert phrase in str(refused.value)
-
-
-@pytest.mark.parametrize(
-    ("keys", "phrase"),
-    [
-        ({"upper": 1, "between": [11, 12]}, ".between: must overlap with the simulation, 0 to 10"),
-        ({"upper": 1, "between": [4, 3]}, ".between: must"),
-        ({"lower": 2, "upper": 1}, "constraints[0].lower: must not be above upper but is at 0 s"),
-        (
-            {"lower": [[0, 0], [10, 5]], "upper": 2},
-            "constraints[0].lower: must not be above upper but is at 4.0",
-        ),
-        ({"upper": [[1, 0], [0, 1]]}, "constraints[0].upper: its times must not go back"),
-        (
-            {"upper": [[20, 0], [30, 1]]},
-            "constraints[0].upper: must limit the signal at some time from 0 to 10 s but does not",
-        ),
-        ({"lower": 0, "upper": [[20, 5], [30, 6]]}, "constraints[0].upper: must limit the signal"),
-        ({"step_response": STEP | {"time": 11}}, ".step_response: must limit the signal at some"),
-    ],
-)
-def test_limits_that_cannot_be_are_refused(keys, phrase):
-    with pytest.raises(ConfigError) as refused:
-        bounds(**keys)
-    assert phrase in str(refused.value)
-
-
 POINTS = st.lists(st.tuples(st.floats(-2.0, 12.0), st.floats(-3.0, 3.0)), min_size=2, max_size=5)
 
 
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(POINTS, st.integers(2, 30), st.floats(-4.0, 4.0), st.floats(-1.0, 1.0))
-def test_the_largest_violation_is_the_largest_over_all_times(points, samples, offset, slope):
+def test_the_largest_violation_is_the_largest_over_all_times(
+    bounds, points, samples, offset, slope
+):
     points = sorted(dict(points).items())
     if len(points) < 2 or points[0][0] > 10.0 or points[-1][0] < 0.0:
         return
@@ -370,19 +262,3 @@ def test_the_largest_violation_is_the_largest_over_all_times(points, samples, of
         if points[0][0] <= t <= points[-1][0]
     ]
     assert found == pytest.approx(max(by_hand), abs=1e-12)
-
-
-def test_times_that_fall_together_on_a_measured_one_are_one_with_the_tighter_limits():
-    later = np.nextafter(0.3, 1.0)
-    band = SignalBound("b", "y", [0.0, 0.3, later, 1.0], [0, 1, 2, 0], [9, 8, 7, np.inf])
-    found = snapped_bound(band, np.array([0.3, 0.6]))
-    assert found.times.tolist() == [0.0, 0.3, 1.0]
-    assert found.lower.tolist() == [0.0, 2.0, 0.0]
-    assert found.upper.tolist() == [9.0, 7.0, np.inf]
-
-
-def test_where_limits_jump_at_a_measured_time_the_later_ones_hold():
-    later = np.nextafter(0.3, 1.0)
-    stairs = SignalBound("b", "y", [0.0, 0.3, later], [0, 0, 5], [3, 3, 8])
-    found = snapped_bound(stairs, np.array([later]))
-    assert (found.times.tolist(), at(found, 0.3)) == ([0.0, later], (5.0, 8.0))

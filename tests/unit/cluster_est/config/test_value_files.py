@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from support.spoiled import REMOVED, write_input
 
-from cluster_est import build_problem, read_config
+from cluster_est import ClusterEstError, build_problem, read_config
 from cluster_est.config.reader import parse_config
 from cluster_est.errors import ConfigError
 
@@ -74,46 +74,34 @@ def test_a_run_has_the_numbers_themselves(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("files", "sentence"),
+    ("name", "text", "pattern"),
     [
-        (
-            {"set.csv": "name,value,unit\nm,1750,g\n"},
-            r"m must be in 'kg', as in the FMU, but is in 'g'",
-        ),
-        (
-            {"set.csv": "nam,value\nm,1\n"},
-            "must have the columns name and value but has nam, value",
-        ),
-        (
-            {"set.csv": "name;value\nm;1,5\n"},
-            "set.csv: m must be a number, because it is estimated",
-        ),
-        ({"a.ssv": "<a/>"}, "a.ssv must be a parameter set of SSP 1.0 but is not"),
-        ({"a.ssv": SSV.format("<b/>")}, "a.ssv must be a parameter set of SSP 1.0 but is not"),
-        ({"a.txt": "m 1"}, "a.txt must end in .ssv or .csv"),
-        ({"set.csv": "name,value\nzz,1\n"}, "zz"),
-        ({"set.csv": "name,value\nm,-5\n"}, r"parameters.m.start: must lie in its bounds"),
+        ("set.csv", "name,value,unit\nm,1750,g\n", "m must be in 'kg'.* but is in 'g'"),
+        ("set.csv", "nam,value\nm,1\n", "columns name and value but has nam, value"),
+        ("set.csv", "name;value\nm;1,5\n", "set.csv: m must be a number, because"),
+        ("set.csv", "name,value\nzz,1\n", "'zz'"),
+        ("set.csv", "name,value\nm,-5\n", "parameters.m.start: must lie in its bounds"),
+        ("a.ssv", "<a/>", "a.ssv must be a parameter set of SSP 1.0 but is not"),
+        ("a.ssv", SSV.format("<b/>"), "a.ssv must be a parameter set of SSP 1.0 but is not"),
+        ("a.txt", "m 1", "a.txt must end in .ssv or .csv"),
     ],
 )
-def test_mistakes(tmp_path, files, sentence):
-    with pytest.raises(Exception, match=sentence) as caught:
-        read(tmp_path, files)
-    assert type(caught.value).__module__.startswith(("cluster_est", "workers"))
+def test_mistakes(tmp_path, name, text, pattern):
+    with pytest.raises(ClusterEstError, match=pattern):
+        read(tmp_path, {name: text})
 
 
-def test_a_file_that_is_not_there(tmp_path):
+@pytest.mark.parametrize(
+    ("listed", "pattern"),
+    [
+        ('["no.ssv"]', r"value_files: there is no file .*no\.ssv; check the name"),
+        ('"a.ssv"', r'value_files: must be a list of files, like \["values\.ssv"\]'),
+    ],
+)
+def test_a_list_of_files_that_is_wrong(tmp_path, listed, pattern):
     path = write_input(tmp_path, {})
-    path.write_text(f'value_files = ["no.ssv"]\n{path.read_text()}')
-    with pytest.raises(
-        ConfigError, match=r"value_files: there is no file .*no\.ssv; check the name"
-    ):
-        read_config(path)
-
-
-def test_what_is_no_list_of_files(tmp_path):
-    path = write_input(tmp_path, {})
-    path.write_text(f'value_files = "a.ssv"\n{path.read_text()}')
-    with pytest.raises(ConfigError, match=r'must be a list of files, like \["values\.ssv"\]'):
+    path.write_text(f"value_files = {listed}\n{path.read_text()}")
+    with pytest.raises(ConfigError, match=pattern):
         read_config(path)
 
 
@@ -123,16 +111,16 @@ def test_a_config_in_memory_has_no_folder():
 
 
 @pytest.mark.parametrize(
-    ("changes", "sentence"),
+    ("changes", "pattern"),
     [
-        ({"parameters.m": 3.0}, r"parameters\.m: must be a table but is 3\.0"),
-        ({"parameters": 3.0}, "parameters: must be a table but is 3.0"),
-        ({"values": 3.0}, "values: must be a table but is 3.0"),
-        ({"effects": 3.0}, "effects: must be a list"),
-        ({"effects": [3.0]}, "must be a table but is 3.0"),
+        ({"parameters.m": 3.0}, "parameters.m: .*a table.*3.0"),
+        ({"parameters": 3.0}, "parameters: .*a table.*3.0"),
+        ({"values": 3.0}, "values: .*a table.*3.0"),
+        ({"effects": 3.0}, "effects: .*a list"),
+        ({"effects": [3.0]}, "a table.*3.0"),
     ],
 )
-def test_what_is_no_table_is_refused_as_without_a_file(tmp_path, changes, sentence):
+def test_what_is_no_table_is_refused_as_without_a_file(tmp_path, changes, pattern):
     files = {"set.csv": "name,value\nm,1.5\nzz,2\n"}
-    with pytest.raises(ConfigError, match=sentence):
+    with pytest.raises(ConfigError, match=pattern):
         read(tmp_path, files, **changes)

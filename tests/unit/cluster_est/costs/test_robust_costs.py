@@ -11,93 +11,78 @@ from scipy.optimize import least_squares, minimize_scalar
 from scipy.stats import norm
 
 from cluster_est.costs import ALIASES, COSTS
-from cluster_est.costs.likelihood import GaussianLikelihood
-from cluster_est.costs.robust import CauchyCost, HuberCost, SoftL1
-from cluster_est.costs.sum_absolute import SumAbsolute
-from cluster_est.costs.sum_squared import SumSquared
-from cluster_est.costs.total import TotalCost
 
 # "rho(z)" as the documentation of scipy.optimize.least_squares writes them
 RHO = {
-    HuberCost: lambda z: z if z <= 1.0 else 2.0 * z**0.5 - 1.0,
-    SoftL1: lambda z: 2.0 * ((1.0 + z) ** 0.5 - 1.0),
-    CauchyCost: lambda z: np.log1p(z),
+    "huber": lambda z: z if z <= 1.0 else 2.0 * z**0.5 - 1.0,
+    "soft_l1": lambda z: 2.0 * ((1.0 + z) ** 0.5 - 1.0),
+    "cauchy": lambda z: np.log1p(z),
 }
 SLOPE = {
-    HuberCost: lambda z: 1.0 if z <= 1.0 else z**-0.5,
-    SoftL1: lambda z: (1.0 + z) ** -0.5,
-    CauchyCost: lambda z: 1.0 / (1.0 + z),
+    "huber": lambda z: 1.0 if z <= 1.0 else z**-0.5,
+    "soft_l1": lambda z: (1.0 + z) ** -0.5,
+    "cauchy": lambda z: 1.0 / (1.0 + z),
 }
 ONE = np.zeros(0, np.int64)
+LIKELIHOOD = COSTS["likelihood"]
 RESIDUALS = arrays(np.float64, st.integers(1, 30), elements=st.floats(-1e3, 1e3))
-robust = pytest.mark.parametrize("kind", list(RHO), ids=lambda k: k.name)
+robust = pytest.mark.parametrize("name", list(RHO))
 
 
 @robust
 @given(residuals=RESIDUALS, scale=st.floats(1e-2, 1e2))
-def test_values_are_those_that_scipy_documents(kind, residuals, scale):
-    by_hand = sum(scale**2 * RHO[kind]((r / scale) ** 2) for r in residuals.tolist())
-    found = kind(scale).value(residuals, ONE)
-    assert found == pytest.approx(by_hand, rel=1e-9, abs=1e-12 * scale**2)
-
-
-@robust
-@given(residuals=RESIDUALS, scale=st.floats(1e-2, 1e2))
-def test_weights_are_the_slopes_of_rho(kind, residuals, scale):
-    by_hand = [SLOPE[kind]((r / scale) ** 2) for r in residuals.tolist()]
-    np.testing.assert_allclose(kind(scale).weights(residuals, ONE), by_hand, rtol=1e-12)
+def test_values_are_those_that_scipy_documents(name, residuals, scale):
+    """And the weights are the slopes of rho."""
+    cost, squares = COSTS[name](scale), [(r / scale) ** 2 for r in residuals.tolist()]
+    by_hand = sum(scale**2 * RHO[name](z) for z in squares)
+    assert cost.value(residuals, ONE) == pytest.approx(by_hand, rel=1e-9, abs=1e-12 * scale**2)
+    slopes = [SLOPE[name](z) for z in squares]
+    np.testing.assert_allclose(cost.weights(residuals, ONE), slopes, rtol=1e-12)
 
 
 @robust
 @pytest.mark.parametrize("scale", [0.3, 1.0, 5.0])
-def test_costs_are_twice_those_that_scipy_minimises(kind, scale):
+def test_costs_are_twice_those_that_scipy_minimises(name, scale):
     """SciPy's own function does the sum here: one step of a fit without freedom to move."""
     residuals = np.random.default_rng(1).standard_cauchy(40)
     seen = least_squares(
-        lambda x: residuals + 0.0 * x[0], [0.0], loss=kind.name, f_scale=scale, max_nfev=1
+        lambda x: residuals + 0.0 * x[0], [0.0], loss=name, f_scale=scale, max_nfev=1
     )
-    assert kind(scale).value(residuals, ONE) == pytest.approx(2.0 * seen.cost, rel=1e-12)
+    assert COSTS[name](scale).value(residuals, ONE) == pytest.approx(2.0 * seen.cost, rel=1e-12)
 
 
 @robust
-def test_small_residuals_count_as_in_the_sum_of_squares(kind):
-    residuals = np.array([1e-9, -3e-9])
-    assert kind().value(residuals, ONE) == pytest.approx(1e-17, rel=1e-12)
-    np.testing.assert_allclose(kind().weights(residuals, ONE), [1.0, 1.0], rtol=1e-12)
-
-
-@robust
-def test_an_outlier_costs_less_than_its_square(kind):
-    assert kind(2.0).value(np.array([200.0]), ONE) < 0.03 * 200.0**2
-    assert kind(2.0).weights(np.array([200.0]), ONE)[0] < 0.011
+def test_usual_residuals_count_as_squares_and_outliers_less(name):
+    small = np.array([1e-9, -3e-9])
+    assert COSTS[name]().value(small, ONE) == pytest.approx(1e-17, rel=1e-12)
+    np.testing.assert_allclose(COSTS[name]().weights(small, ONE), [1.0, 1.0], rtol=1e-12)
+    outlier = np.array([200.0])
+    assert COSTS[name](2.0).value(outlier, ONE) < 0.03 * 200.0**2
+    assert COSTS[name](2.0).weights(outlier, ONE)[0] < 0.011
 
 
 @robust
 @pytest.mark.parametrize("scale", [1e-100, 1e-30, 1e30, 1e99])
-@pytest.mark.parametrize("size", [0.0, 1e-200, 1e-8, 1.0, 1e8, 1e150, 1e200])
-def test_no_scale_that_is_allowed_makes_a_cost_that_is_no_number(kind, scale, size):
-    residuals = np.array([size, -size])
-    value = kind(scale).value(residuals, ONE)
-    underflows = min(size, size / scale) < 1e-150  # its square is 0
-    assert value > 0.0 or underflows
-    assert value >= 0.0
-    weights = kind(scale).weights(residuals, ONE)
-    assert np.all((weights >= 0.0) & (weights <= 1.0))
+def test_no_scale_that_is_allowed_makes_a_cost_that_is_no_number(name, scale):
+    for size in (0.0, 1e-200, 1e-8, 1.0, 1e8, 1e150, 1e200):
+        residuals = np.array([size, -size])
+        value = COSTS[name](scale).value(residuals, ONE)
+        underflows = min(size, size / scale) < 1e-150  # its square is 0
+        assert value > 0.0 or (underflows and value == 0.0), size
+        weights = COSTS[name](scale).weights(residuals, ONE)
+        assert np.all((weights >= 0.0) & (weights <= 1.0)), size
 
 
-def test_sums():
+@pytest.mark.parametrize(("name", "value"), [("sse", 25.25), ("sae", 7.5), ("total", -0.5)])
+def test_sums(name, value):
+    cost = COSTS[name]()
     residuals = np.array([3.0, -4.0, 0.5])
-    assert SumSquared().value(residuals, ONE) == 25.25
-    assert SumAbsolute().value(residuals, ONE) == 7.5
-    assert TotalCost().value(residuals, ONE) == -0.5
-    assert SumAbsolute().weights(residuals, ONE) is None
-    assert TotalCost().weights(residuals, ONE) is None
+    assert cost.value(residuals, ONE) == value
+    assert (cost.weights(residuals, ONE) is None) == (name != "sse")
 
 
 def test_the_names_of_other_tools():
-    assert {alias: COSTS[name] for alias, name in ALIASES.items()} == {
-        "SSE": SumSquared, "residuals": SumSquared, "SAE": SumAbsolute,
-    }  # fmt: skip
+    assert ALIASES == {"SSE": "sse", "residuals": "sse", "SAE": "sae"}
 
 
 def deviance(residuals, outputs):
@@ -121,7 +106,7 @@ def test_the_likelihood_is_the_one_at_the_most_likely_sigmas(seed):
     generator.shuffle(outputs)
     sizes = np.array([1e-3, 1.0, 300.0])[outputs]
     one, other = (sizes * generator.normal(size=105) for _ in range(2))
-    cost = GaussianLikelihood()
+    cost = LIKELIHOOD()
     # a constant, n (1 + ln 2 pi), is left out
     for residuals in (one, other):
         constant = 105.0 * (1.0 + np.log(2.0 * np.pi))
@@ -130,40 +115,18 @@ def test_the_likelihood_is_the_one_at_the_most_likely_sigmas(seed):
         )
 
 
-@pytest.mark.parametrize("factor", [1e-6, 1.0, 1e9])
-def test_the_unit_of_an_output_moves_no_minimum(factor):
-    """The cost of two outputs differs by a constant where one is in another unit."""
-    generator = np.random.default_rng(3)
-    outputs = np.repeat([0, 1], 30)
-    units = np.where(outputs == 1, factor, 1.0)
-    one, other = generator.normal(size=(2, 60))
-    cost = GaussianLikelihood()
-    plain = cost.value(one, outputs) - cost.value(other, outputs)
-    scaled = cost.value(units * one, outputs) - cost.value(units * other, outputs)
-    assert scaled == pytest.approx(plain, rel=1e-9)
-
-
 def test_the_weights_are_one_over_the_variances():
     residuals = np.array([1.0, -3.0, 10.0, 20.0, -20.0])
     outputs = np.array([0, 0, 4, 4, 4])
-    weights = GaussianLikelihood().weights(residuals, outputs)
+    weights = LIKELIHOOD().weights(residuals, outputs)
     np.testing.assert_allclose(weights, [1 / 5.0, 1 / 5.0, 1 / 300.0, 1 / 300.0, 1 / 300.0])
-
-
-def test_with_one_output_the_minimum_is_that_of_the_squares():
-    generator = np.random.default_rng(0)
-    rows = generator.normal(size=(20, 7))
-    outputs = np.zeros(7, np.int64)
-    likelihoods = [GaussianLikelihood().value(row, outputs) for row in rows]
-    squares = [SumSquared().value(row, outputs) for row in rows]
-    np.testing.assert_array_equal(np.argsort(likelihoods), np.argsort(squares))
 
 
 def test_what_a_cost_function_returns_is_one_output():
     """Nobody knows then which of its numbers belong together."""
     residuals = np.array([1.0, -3.0, 10.0])
     together = np.zeros(3, np.int64)
-    cost = GaussianLikelihood()
+    cost = LIKELIHOOD()
     assert cost.value(residuals, ONE) == cost.value(residuals, together)
     np.testing.assert_array_equal(cost.weights(residuals, ONE), cost.weights(residuals, together))
 
@@ -172,7 +135,7 @@ def test_what_a_cost_function_returns_is_one_output():
 def test_residuals_of_any_size_have_a_likelihood(size):
     residuals = np.full(4, size)
     outputs = np.array([0, 0, 1, 1])
-    assert not np.isnan(GaussianLikelihood().value(residuals, outputs))
-    weights = GaussianLikelihood().weights(residuals, outputs)
+    assert not np.isnan(LIKELIHOOD().value(residuals, outputs))
+    weights = LIKELIHOOD().weights(residuals, outputs)
     assert np.all(weights >= 0.0)
     assert not np.isnan(np.sqrt(weights) * residuals).any()

@@ -8,23 +8,40 @@ import numpy as np
 import pytest
 from support.problems.curves import Curves
 
-from cluster_est.costs.robust import HuberCost
+from cluster_est.costs import COSTS
 from cluster_est.errors import ProblemError
 from cluster_est.fit import FitPlan, check_search
 from cluster_est.methods import METHODS
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.priors import LogNormalPrior, NormalPrior
 from cluster_est.problem.parameter import Parameter
-from cluster_est.problem.prior_weights import check_priors, without_priors
 from cluster_est.uncertainty import UncertaintySettings, examine, linearise, profiles
 from cluster_est.uncertainty.spaces import with_fixed_unknown
 
 TIMES = np.linspace(0.0, 1.0, 400)
+COLUMNS = np.column_stack([np.ones(len(TIMES)), TIMES])
 MEANS, SDS = np.array([1.5, -0.4]), np.array([0.02, 0.05])
 
 
 def line(times, values, experiment):
     return values[0] + values[1] * times
+
+
+def flat(times, values, experiment):
+    """Measurements that tell nothing of the second value."""
+    return values[0] + 0.0 * values[1] * times
+
+
+def found_in(model, parameters, records, method=None):
+    """The runner, the space and the solution of a fit, and what its data determine."""
+    runner, space, solution = Curves(model, parameters, TIMES, records).solve(
+        *([] if method is None else [method])
+    )
+    return solution, examine(runner, space, linearise(runner, space, solution))
+
+
+def unknown(parameters):
+    return tuple(replace(p, prior=None) for p in parameters)
 
 
 def parameters(**changes):
@@ -41,7 +58,7 @@ def measured(count=1, seed=0):
 
 def posterior(records):
     """Mean and covariance of the two coefficients under noise of 1 and their priors."""
-    columns = np.vstack([np.column_stack([np.ones(len(TIMES)), TIMES]) for _ in records])
+    columns = np.vstack([COLUMNS for _ in records])
     precision = columns.T @ columns + np.diag(SDS**-2)
     mean = np.linalg.solve(precision, columns.T @ np.concatenate(records) + MEANS / SDS**2)
     return mean, np.linalg.inv(precision)
@@ -51,10 +68,9 @@ def posterior(records):
 @pytest.mark.parametrize("count", [1, 3])
 def test_the_minimum_and_its_intervals_are_those_of_the_posterior(method, count):
     records = measured(count)
-    runner, space, solution = Curves(line, parameters(), TIMES, records).solve(method)
+    solution, found = found_in(line, parameters(), records, method)
     mean, covariance = posterior(records)
     assert solution.x == pytest.approx(mean, abs=1e-6)
-    found = examine(runner, space, linearise(runner, space, solution))
     errors = [interval.std_error for interval in found.intervals]
     assert errors == pytest.approx(np.sqrt(np.diag(covariance)), rel=0.02)
 
@@ -63,29 +79,12 @@ def test_noise_larger_than_sigma_widens_what_the_measurements_say_and_not_the_pr
     records = [
         line(TIMES, (1.4, -0.5), 0) + 3.0 * (each - 1.4 + 0.5 * TIMES) for each in measured()
     ]
-    runner, space, solution = Curves(line, parameters(), TIMES, records).solve()
-    found = examine(runner, space, linearise(runner, space, solution))
-    columns = np.column_stack([np.ones(len(TIMES)), TIMES])
-    inverse = np.linalg.inv(columns.T @ columns + np.diag(SDS**-2))
-    middle = found.variance * columns.T @ columns + np.diag(SDS**-2)
+    _, found = found_in(line, parameters(), records)
+    inverse = np.linalg.inv(COLUMNS.T @ COLUMNS + np.diag(SDS**-2))
+    middle = found.variance * COLUMNS.T @ COLUMNS + np.diag(SDS**-2)
     expected = np.sqrt(np.diag(inverse @ middle @ inverse))
     assert [each.std_error for each in found.intervals] == pytest.approx(expected, rel=1e-3)
     assert found.variance == pytest.approx(9.0, rel=0.15)
-
-
-def test_a_log_scale_moves_no_minimum():
-    prior = LogNormalPrior(2.0, 1.1)
-    found = []
-    for scale in ("linear", "log"):
-        own = (
-            Parameter("a", 1.0, 0.01, 10.0, scale, prior=prior),
-            Parameter("b", 0.0, -10.0, 10.0),
-        )
-        _, space, solution = Curves(line, own, TIMES, measured()).solve()
-        found.append(space.estimates(solution.x))
-    assert found[0]["a"] == pytest.approx(found[1]["a"], rel=1e-5)
-    _, _, free = Curves(line, tuple(replace(p, prior=None) for p in own), TIMES, measured()).solve()
-    assert abs(found[0]["a"] - 2.0) < abs(np.exp(free.x[0]) - 2.0)
 
 
 def test_a_prior_of_a_value_for_each_experiment_counts_once_for_each():
@@ -107,22 +106,9 @@ def test_a_prior_of_a_value_for_each_experiment_counts_once_for_each():
     assert values["b"] == pytest.approx(mean[3], abs=1e-6)
 
 
-def test_a_wide_prior_is_no_prior():
-    wide = tuple(replace(p, prior=NormalPrior(0.0, 1e6)) for p in parameters())
-    _, _, known = Curves(line, wide, TIMES, measured()).solve()
-    _, _, free = Curves(
-        line, tuple(replace(p, prior=None) for p in wide), TIMES, measured()
-    ).solve()
-    assert known.x == pytest.approx(free.x, abs=1e-6)
-
-
 def test_what_no_measurement_tells_is_as_the_prior_says():
-    def flat(times, values, experiment):
-        return values[0] + 0.0 * values[1] * times
-
-    runner, space, solution = Curves(flat, parameters(), TIMES, measured()).solve()
+    solution, found = found_in(flat, parameters(), measured())
     assert solution.x[1] == pytest.approx(MEANS[1], abs=1e-9)
-    found = examine(runner, space, linearise(runner, space, solution))
     assert found.intervals[1].std_error == pytest.approx(SDS[1], rel=1e-6)
     assert found.directions == ()
 
@@ -151,10 +137,6 @@ def test_a_profile_keeps_the_prior_of_the_value_that_it_holds(method):
 @pytest.mark.parametrize("noise", [0.3, 3.0])
 def test_a_profile_of_what_no_measurement_tells_is_as_wide_as_its_prior(noise):
     """Also where the measurements scatter by less or more than their sigmas."""
-
-    def flat(times, values, experiment):
-        return values[0] + 0.0 * values[1] * times
-
     records = [1.4 + noise * np.random.default_rng(0).normal(size=len(TIMES))]
     runner, space, solution = Curves(flat, parameters(), TIMES, records).solve()
     (found,) = profiles(
@@ -164,7 +146,7 @@ def test_a_profile_of_what_no_measurement_tells_is_as_wide_as_its_prior(noise):
 
 
 def test_a_prior_on_one_value_hides_no_other_that_the_measurements_do_not_tell():
-    def flat(times, values, experiment):
+    def noisy(times, values, experiment):
         noise = 1e-9 * np.sin(1e6 * values[1])  # of a simulation
         return 300.0 + values[0] * times + noise
 
@@ -172,14 +154,9 @@ def test_a_prior_on_one_value_hides_no_other_that_the_measurements_do_not_tell()
         Parameter("a", 1.0, -10.0, 10.0, prior=NormalPrior(0.5, 100.0)),
         Parameter("b", 1.0, -10.0, 10.0),
     )
-    records = [flat(TIMES, (0.7, 1.0), 0) + np.random.default_rng(0).normal(size=len(TIMES))]
-    sentences = []
-    for known in (True, False):
-        given = own if known else tuple(replace(p, prior=None) for p in own)
-        runner, space, solution = Curves(flat, given, TIMES, records).solve()
-        found = examine(runner, space, linearise(runner, space, solution))
-        sentences.append([each.labels for each in found.directions])
-    assert sentences[0] == sentences[1]
+    records = [noisy(TIMES, (0.7, 1.0), 0) + np.random.default_rng(0).normal(size=len(TIMES))]
+    known, free = (found_in(noisy, given, records)[1] for given in (own, unknown(own)))
+    assert [d.labels for d in known.directions] == [d.labels for d in free.directions]
 
 
 def test_the_jacobian_of_the_priors_is_that_of_their_residuals():
@@ -197,39 +174,30 @@ def test_the_jacobian_of_the_priors_is_that_of_their_residuals():
             assert jacobian[:, j] == pytest.approx(change / (2.0 * step), rel=1e-6, abs=1e-9)
 
 
-class TestWhatIsRefused:
-    def test_another_cost(self):
-        problem = replace(Curves(line, parameters(), TIMES, measured()).problem(), cost=HuberCost())
-        with pytest.raises(
-            ProblemError, match=r"parameters.a.prior: must go with the cost \"sse\""
-        ):
-            check_priors(problem)
+def declared(experiment):
+    return replace(experiment, outputs=tuple(replace(o, sigma=1.5) for o in experiment.outputs))
 
-    def test_measurements_without_a_sigma(self):
-        problem = Curves(line, parameters(), TIMES, measured()).problem()
-        with pytest.raises(ProblemError, match=r"experiment 'e0': sigma.y0 is missing; the prior"):
-            check_priors(problem)
-        check_priors(without_priors(problem))
 
-    def test_a_held_out_record_without_a_sigma(self):
-        problem = Curves(line, parameters(), TIMES, measured(2)).problem()
-        first, last = problem.experiments
-        declared = replace(first, outputs=tuple(replace(o, sigma=1.5) for o in first.outputs))
-        runs = (declared, replace(last, role="test"))
-        with pytest.raises(ProblemError, match=r"experiment 'e1': sigma.y0 is missing"):
-            check_priors(replace(problem, experiments=runs))
+def test_a_front_of_several_outputs_is_refused():
+    space = Curves(line, parameters(), TIMES, measured(2)).space()
+    with pytest.raises(ProblemError, match="a prior belongs to none of them"):
+        METHODS["nsga2"]().check(space)
 
-    def test_a_front_of_several_outputs(self):
-        space = Curves(line, parameters(), TIMES, measured(2)).space()
-        with pytest.raises(ProblemError, match="a prior belongs to none of them"):
-            METHODS["nsga2"]().check(space)
 
-    def test_a_bootstrap(self):
-        problem = Curves(line, parameters(), TIMES, measured(6)).problem()
-        runs = tuple(
-            replace(e, outputs=tuple(replace(o, sigma=1.5) for o in e.outputs))
-            for e in problem.experiments
-        )
-        plan = FitPlan(uncertainty=UncertaintySettings(bootstrap=10))
-        with pytest.raises(ProblemError, match=r"uncertainty.bootstrap: must be 0 with priors"):
-            check_search(replace(problem, experiments=runs), plan)
+def test_what_a_prior_cannot_be_weighed_against_is_refused():
+    """A held-out record without a sigma too: values that only it has are fitted to it."""
+    problem = Curves(line, parameters(), TIMES, measured(6)).problem()
+    first, *others = problem.experiments
+    runs = (declared(first), *(replace(e, role="test") for e in others))
+    whole = replace(problem, experiments=tuple(declared(e) for e in problem.experiments))
+    bootstrap = FitPlan(uncertainty=UncertaintySettings(bootstrap=10))
+    for given, plan, pattern in (
+        (replace(whole, cost=COSTS["huber"]()), FitPlan(), 'a.prior: .*the cost "sse".*huber'),
+        (problem, FitPlan(), "experiment 'e0': sigma.y0 is missing; the prior"),
+        (replace(problem, experiments=runs), FitPlan(), "experiment 'e1': sigma.y0 is missing"),
+        (whole, bootstrap, "uncertainty.bootstrap: must be 0 with priors"),
+    ):
+        with pytest.raises(ProblemError, match=pattern):
+            check_search(given, plan)
+    check_search(replace(problem, parameters=unknown(problem.parameters)), FitPlan())
+    check_search(whole, FitPlan())

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.problems.unloaded import unloaded_problem
 
@@ -20,26 +20,17 @@ def derived(name: str, expression: str, **more: object) -> Parameter:
 
 
 def test_what_follows_from_others_is_not_searched_for():
-    problem = unloaded_problem([Parameter("k", 2.0), derived("c", "k / 4")])
-    space = make_space(problem, (0,))
-    assert [u.label for u in space.unknowns] == ["k"]
-    assert space.estimates(np.array([3.0])) == {"k": 3.0}
-    assert space.derived(np.array([3.0])) == {"c": 0.75}
-    np.testing.assert_array_equal(space.physical(np.array([3.0])), [[3.0, 0.75]])
+    """The declared order decides the columns, not what is computed first."""
+    parameters = [derived("c", "b + k / 4"), derived("b", "2 * k"), Parameter("k", 2.0)]
+    space = make_space(unloaded_problem([*parameters, Parameter("m", 5.0)]), (0,))
+    assert [u.label for u in space.unknowns] == ["k", "m"]
+    x = np.array([4.0, 7.0])
+    assert space.estimates(x) == {"k": 4.0, "m": 7.0}
+    assert space.derived(x) == {"c": 9.0, "b": 8.0}
+    np.testing.assert_array_equal(space.physical(x), [[9.0, 8.0, 4.0, 7.0]])
 
 
-def test_the_declared_order_decides_the_columns_not_what_is_computed_first():
-    parameters = [
-        derived("last", "middle + a"),
-        derived("middle", "2 * a"),
-        Parameter("a", 1.0),
-        Parameter("b", 5.0),
-    ]
-    space = make_space(unloaded_problem(parameters), (0,))
-    assert [u.label for u in space.unknowns] == ["a", "b"]
-    np.testing.assert_array_equal(space.physical(np.array([3.0, 7.0])), [[9.0, 6.0, 3.0, 7.0]])
-
-
+@settings(max_examples=30)
 @given(st.permutations(range(6)), st.lists(st.floats(-3.0, 3.0), min_size=2, max_size=2))
 def test_a_chain_may_be_declared_in_any_order(order, x):
     chain = [
@@ -63,9 +54,11 @@ def test_a_chain_may_be_declared_in_any_order(order, x):
 
 
 def test_tied_parameters_have_one_value():
+    """The same one in all experiments, which is shown once."""
     problem = unloaded_problem([Parameter("k1", 2.0), derived("k2", "k1")], experiments=3)
     space = make_space(problem, (0, 1, 2))
     np.testing.assert_array_equal(space.physical(np.array([0.3])), [[0.3, 0.3]] * 3)
+    assert space.derived(np.array([0.3])) == {"k2": 0.3}
 
 
 def test_auxiliary_parameters_never_reach_the_model():
@@ -102,12 +95,6 @@ def test_a_value_of_an_experiments_own_makes_one_there_of_what_follows():
     assert len(space.colours) == 2
 
 
-def test_the_same_value_in_all_experiments_is_shown_once():
-    problem = unloaded_problem([Parameter("k", 2.0), derived("c", "2 * k")], experiments=3)
-    space = make_space(problem, (0, 1, 2))
-    assert space.derived(space.start) == {"c": 4.0}
-
-
 def test_known_values_win_over_formulas_and_go_into_them():
     parameters = [Parameter("k", 2.0), derived("c", "3 * k"), derived("d", "c + 1")]
     known = {1: {"k": 10.0}, 2: {"c": -1.0}}
@@ -117,23 +104,20 @@ def test_known_values_win_over_formulas_and_go_into_them():
     )
 
 
-def test_fixed_and_logarithmic_sources():
+def test_fixed_logarithmic_and_kept_sources():
     parameters = [
         Parameter("k", 20.0, 1.0, 100.0, scale="log"),
         Parameter("m", 5.0, fixed=True),
         derived("c", "k / m"),
     ]
-    space = make_space(unloaded_problem(parameters), (0,))
+    problem = unloaded_problem(parameters, experiments=2)
+    space = make_space(problem, (0,))
     assert [u.label for u in space.unknowns] == ["k"]
     found = space.physical(np.array([math.log(50.0)]))
     np.testing.assert_allclose(found, [[50.0, 5.0, 10.0]], rtol=1e-14)
-
-
-def test_values_that_are_kept_go_into_formulas():
-    problem = unloaded_problem([Parameter("k", 2.0), derived("c", "3 * k")], experiments=2)
-    space = make_space(problem, (1,), known={"k": 7.0})
-    assert space.size == 0
-    np.testing.assert_array_equal(space.physical(space.start), [[7.0, 21.0]])
+    kept = make_space(problem, (1,), known={"k": 7.0})
+    assert kept.size == 0
+    np.testing.assert_allclose(kept.physical(kept.start), [[7.0, 5.0, 1.4]], rtol=1e-14)
 
 
 def test_another_start_changes_no_value_but_the_start():
@@ -166,22 +150,20 @@ def test_another_start_stays_within_the_bounds(a, b):
 
 
 @pytest.mark.parametrize(
-    ("expressions", "phrases"),
+    ("expressions", "pattern"),
     [
-        ({"a": "a + 1"}, ["parameters.a.expression: must not depend on itself", "through a"]),
-        ({"a": "b", "b": "2 * a"}, ["must not depend on itself but does, through a, b"]),
-        ({"a": "b", "b": "d", "d": "a * k"}, ["must not depend on itself", "through a, b, d"]),
-        ({"a": "q"}, ["parameters.a.expression", "unknown variable 'q'"]),
-        ({"a": "k > 1"}, ["parameters.a.expression: must be a number"]),
-        ({"a": "1/0"}, ["parameters.a.expression: must have a finite value"]),
+        ({"a": "a + 1"}, "parameters.a.expression: .*depend on itself.*through a"),
+        ({"a": "b", "b": "2 * a"}, "depend on itself.*through a, b"),
+        ({"a": "b", "b": "d", "d": "a * k"}, "depend on itself.*through a, b, d"),
+        ({"a": "q"}, "parameters.a.expression.*unknown variable 'q'"),
+        ({"a": "k > 1"}, "parameters.a.expression: .*a number"),
+        ({"a": "1/0"}, "parameters.a.expression: .*a finite value"),
     ],
 )
-def test_a_formula_that_cannot_be_followed_is_refused(expressions, phrases):
+def test_a_formula_that_cannot_be_followed_is_refused(expressions, pattern):
     parameters = [Parameter("k", 1.0), *(derived(n, text) for n, text in expressions.items())]
-    with pytest.raises(ProblemError) as refused:
+    with pytest.raises(ProblemError, match=pattern):
         unloaded_problem(parameters)
-    for phrase in phrases:
-        assert phrase in str(refused.value)
 
 
 @pytest.mark.parametrize(

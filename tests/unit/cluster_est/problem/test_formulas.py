@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+import re
 
 import numpy as np
 import pytest
@@ -131,55 +132,49 @@ def test_a_value_does_not_depend_on_its_neighbours():
         assert alone[0] == pytest.approx(together[i], rel=1e-15)
 
 
+MADE_OF = "made of numbers"
+
+
 @pytest.mark.parametrize(
-    ("text", "phrase"),
+    ("text", "pattern"),
     [
-        ("", "must be an equation but '' is not"),
-        ("a +", "must be an equation but 'a +' is not (invalid syntax)"),
-        ("a; b", "must be an equation"),
-        ("lambda", "must be an equation"),
-        ("aa", "unknown variable 'aa'; did you mean 'a'?"),
-        ("motor.j", "unknown variable 'motor.j'; did you mean 'motor.k'?"),
-        ("pi * a", "unknown variable 'pi'"),
-        ("a[0]", "must be made of numbers, variables"),
-        ("a if b else 1", "must be made of numbers"),
-        ("True * a", "must be made of numbers"),
-        ("'a'", "must be made of numbers"),
-        ("1j * a", "must be made of numbers"),
-        ("a % b", "must be made of numbers"),
-        ("a and b", "must be made of numbers"),
-        ("[a]", "must be made of numbers"),
-        ("(a := 1)", "must be made of numbers"),
-        ("a(b)", "unknown function 'a'"),
-        ("__import__('os').system('true')", "must be made of numbers"),
-        ("__import__('os')", "unknown function '__import__'"),
+        ("", "an equation but '' is not"),
+        ("a +", r"an equation but 'a \+' is not \(invalid syntax\)"),
+        ("a; b", "an equation"),
+        ("lambda", "an equation"),
+        ("aa", "unknown variable 'aa'.*'a'"),
+        ("motor.j", "unknown variable 'motor.j'.*'motor.k'"),
         ("a.__class__", "unknown variable 'a.__class__'"),
-        ("exp(*a)", "must be made of numbers"),
-        ("exp(a, x=1)", "must be made of numbers"),
-        ("a > b", "must be a number for any values of the parameters but 'a > b' is true or false"),
-        ("a * (b > 1)", "must not compute with a comparison"),
-        ("-(a > 1)", "must not compute with a comparison"),
-        ("min(a > 1, 2)", "min(...) cannot be used so"),
-        ("where(a, 1)", "where(...) cannot be used so"),
-        ("a / 0", "must have a finite value"),
-        ("where(a > 2, a, b / 0)", "must have a finite value"),
-        ("sqrt(-1) * a", "must have a finite value"),
-        ("log(-1) + a", "must have a finite value"),
-        ("max()", "must have a finite value"),
-        ("10^400 * a", "must have a finite value"),
-        ("1e400 * a", "must have a finite value"),
+        ("__import__('os')", "unknown function '__import__'"),
+        ("__import__('os').system('true')", MADE_OF),
+        ("a[0]", MADE_OF),
+        ("a if b else 1", MADE_OF),
+        ("'a'", MADE_OF),
+        ("1j * a", MADE_OF),
+        ("a and b", MADE_OF),
+        ("(a := 1)", MADE_OF),
+        ("exp(*a)", MADE_OF),
+        ("a > b", "a number for any values of the parameters but 'a > b' is true or false"),
+        ("a * (b > 1)", "not compute with a comparison"),
+        ("-(a > 1)", "not compute with a comparison"),
+        ("min(a > 1, 2)", r"min\(...\) cannot be used so"),
+        ("where(a, 1)", r"where\(...\) cannot be used so"),
+        ("a / 0", "a finite value"),
+        ("where(a > 2, a, b / 0)", "a finite value"),
+        ("sqrt(-1) * a", "a finite value"),
+        ("max()", "a finite value"),
+        ("10^400 * a", "a finite value"),
         ("9^9^9^9 * a", "an exponent must be at most 1000"),
         ("a^(9^9^9)", "an exponent must be at most 1000"),
-        ("a" * 3000, "must be at most 2000 characters but is 3000"),
-        ("(" * 300 + "a" + ")" * 300, "must be an equation"),
+        ("a" * 3000, "at most 2000 characters but is 3000"),
+        ("(" * 300 + "a" + ")" * 300, "an equation"),
     ],
 )
-def test_anything_else_is_refused_in_a_sentence(text, phrase):
+def test_anything_else_is_refused_in_a_sentence(text, pattern):
     with pytest.raises(ProblemError) as refused:
         Formula(text, NAMES, "parameters.c.expression")
     said = str(refused.value)
-    assert said.startswith("parameters.c.expression: ")
-    assert phrase in said
+    assert re.search(f"^parameters.c.expression: .*{pattern}", said), said
     assert "\n" not in said
 
 
@@ -196,75 +191,63 @@ def test_no_text_does_anything_but_give_numbers_or_a_sentence(text):
 
 
 @pytest.mark.parametrize(
-    ("text", "names", "by_hand", "equality"),
+    ("text", "sides", "by_hand"),
     [
-        ("a <= b", ["a <= b"], [lambda a, b: a - b], False),
-        ("a < b", ["a < b"], [lambda a, b: a - b], False),
-        ("a >= b", ["a >= b"], [lambda a, b: b - a], False),
-        ("a>b", ["a>b"], [lambda a, b: b - a], False),
-        ("a + b = 1", ["a + b = 1"], [lambda a, b: a + b - 1.0], True),
-        ("a == 2*b", ["a == 2*b"], [lambda a, b: a - 2.0 * b], True),
+        ("a <= b", [""], [lambda a, b: a - b]),
+        ("a < b", [""], [lambda a, b: a - b]),
+        ("a >= b", [""], [lambda a, b: b - a]),
+        ("a>b", [""], [lambda a, b: b - a]),
+        ("a + b = 1", ["="], [lambda a, b: a + b - 1.0]),
+        ("a == 2*b", ["="], [lambda a, b: a - 2.0 * b]),
         (
             "0 <= a - b <= 1",
-            ["0 <= a - b <= 1 (lower)", "0 <= a - b <= 1 (upper)"],
+            [" (lower)", " (upper)"],
             [lambda a, b: b - a, lambda a, b: a - b - 1.0],
-            False,
         ),
         (
             "1 >= a - b >= 0",
-            ["1 >= a - b >= 0 (upper)", "1 >= a - b >= 0 (lower)"],
+            [" (upper)", " (lower)"],
             [lambda a, b: a - b - 1.0, lambda a, b: b - a],
-            False,
         ),
-        ("-a <= -b", ["-a <= -b"], [lambda a, b: b - a], False),
         (
             "where(a <= b, a, 2*b) <= 3",
-            ["where(a <= b, a, 2*b) <= 3"],
+            [""],
             [lambda a, b: np.where(a <= b, a, 2.0 * b) - 3.0],
-            False,
         ),
-        ("  a<=1  ", ["a<=1"], [lambda a, b: a - 1.0], False),
+        ("  a<=1  ", [""], [lambda a, b: a - 1.0]),
     ],
 )
-def test_a_constraint_is_left_minus_right(text, names, by_hand, equality):
-    found = parse_constraint(text, NAMES, "here", scale=2.0)
-    assert [c.name for c in found] == names
-    assert [c.equality for c in found] == [equality] * len(found)
+@pytest.mark.parametrize("name", ["", "order"])
+def test_a_constraint_is_left_minus_right(text, sides, by_hand, name):
+    """And is called as its author says, or as it is written."""
+    found = parse_constraint(text, NAMES, "here", name, 2.0)
+    called = name or text.strip()
+    assert [c.name for c in found] == [called + side.strip("=") for side in sides]
+    assert [c.equality for c in found] == [side == "=" for side in sides]
     for constraint, expected in zip(found, by_hand, strict=True):
         assert constraint.scale == 2.0
         truth = expected(COLUMNS["a"], COLUMNS["b"])
         np.testing.assert_allclose(constraint.formula.values(COLUMNS, 3), truth, rtol=1e-15)
 
 
-def test_a_name_of_the_users_takes_the_place_of_the_text():
-    assert [c.name for c in parse_constraint("a<=b", NAMES, "here", "order")] == ["order"]
-    named = parse_constraint("0 <= a <= b", NAMES, "here", "order")
-    assert [c.name for c in named] == ["order (lower)", "order (upper)"]
-
-
 @pytest.mark.parametrize(
-    ("text", "phrase"),
+    ("text", "pattern"),
     [
-        ("a", "must be two formulas with <=, >= or = between them but is 'a'"),
-        ("", "must be two formulas"),
-        ("a <=", "must be two formulas"),
-        ("<= a", "must be two formulas"),
-        ("a => b", "must be two formulas"),
-        ("a <= b <= 1 <= 2", "must be two formulas"),
-        ("(a <= b)", "must be two formulas"),
-        ("a != b", "must be an equation but 'a !' is not"),
-        ("a) + (b <= 1", "must be an equation but 'a) + (b' is not"),
-        ("a <= b)", "must be an equation but 'b)' is not"),
-        ("a <= b # or not", "must be an equation"),
+        ("a", "two formulas with <=, >= or = between them but is 'a'"),
+        ("", "two formulas"),
+        ("a <=", "two formulas"),
+        ("a => b", "two formulas"),
+        ("a <= b <= 1 <= 2", "two formulas"),
+        ("(a <= b)", "two formulas"),
+        ("a != b", "an equation but 'a !' is not"),
+        ("a) + (b <= 1", r"an equation but 'a\) \+ \(b' is not"),
+        ("a <= b # or not", "an equation"),
         ("a <= c", "unknown variable 'c'"),
-        ("1 <= 2", "must name a parameter but '1 <= 2' names none"),
-        ("a - a <= 1", "must name a parameter"),
-        ("a <= 1/0", "must have a finite value but '1/0' has none"),
+        ("1 <= 2", "name a parameter but '1 <= 2' names none"),
+        ("a - a <= 1", "name a parameter"),
+        ("a <= 1/0", "a finite value but '1/0' has none"),
     ],
 )
-def test_no_other_text_is_a_constraint(text, phrase):
-    with pytest.raises(ProblemError) as refused:
+def test_no_other_text_is_a_constraint(text, pattern):
+    with pytest.raises(ProblemError, match=rf"^constraints\[0\].expression: .*{pattern}"):
         parse_constraint(text, NAMES, "constraints[0].expression")
-    said = str(refused.value)
-    assert said.startswith("constraints[0].expression: ")
-    assert phrase in said

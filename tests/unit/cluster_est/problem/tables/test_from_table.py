@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -26,10 +24,7 @@ class FromAnotherLibrary:
     """A table that offers nothing but the Arrow stream, as those of polars do."""
 
     def __init__(self, table):
-        self._table = table
-
-    def __arrow_c_stream__(self, requested_schema=None):
-        return self._table.__arrow_c_stream__(requested_schema)
+        self.__arrow_c_stream__ = table.__arrow_c_stream__
 
 
 def polars_frame():
@@ -119,65 +114,61 @@ def of_y(**more):
 
 
 REFUSED = [
-    ({"outputs": {"y": "positon"}}, "has no column 'positon'; did you mean 'position'?"),
-    ({"outputs": {"y": "words"}}, "column 'words', row 3: must be a number but is 'x'"),
-    ({"time": "position"}, "row 2: the time must be a finite number but is nan"),
+    ({"outputs": {"y": "positon"}}, "no column 'positon'.*'position'"),
+    ({"outputs": {"y": "words"}}, "column 'words', row 3: .*a number.*'x'"),
     ({"outputs": {}}, "experiment 'a'.outputs is missing; add it"),
-    ({"time": None}, "must have either time (a column) or sample_time (seconds) but has neither"),
-    (
-        {"sample_time": 1.0},
-        "must have either time (a column) or sample_time (seconds) but has both",
-    ),
-    ({"sigma": {"q": 1.0}}, "sigma.q: must be named as one of its outputs but is not"),
-    ({"sigma": 0.0}, "sigma.y: must be greater than 0 but is 0"),
-    ({"relative_sigma": 0.1}, "relative_sigma.y: must have sigma.y beside it, the noise where the"),
-    ({"sigma": 0.1, "relative_sigma": -0.1}, "relative_sigma.y: must be at least 0 but is -0.1"),
-    ({"relative_sigma": {"q": 1.0}}, "relative_sigma.q: must be named as one of its outputs but"),
-    ({"columns": {"q": {}}}, "columns: the table has no column 'q'"),
-    ({"columns": {"force": {"factr": 1}}}, "columns.force: unknown key factr; did you mean"),
-    ({"columns": {"force": 3}}, "columns.force: must be a dict but is 3; write"),
-    ({"columns": {"force": {"factor": "3"}}}, "columns.force.factor: must be a number but is '3'"),
-    ({"rows": (0, 9)}, "rows: must lie within the 4 rows of the table but is [0, 9]"),
-    ({"rows": (2, 1)}, "rows: must be [from, to] with from below to but is [2, 1]"),
-    ({"rows": 3}, "rows: must be a Sequence but is 3; write (from, to)"),
-    ({"rows": (0, 1)}, "must use at least two rows of the table but uses 1; check rows"),
-    ({"rows": (1, 2), "time": None, "sample_time": 1.0}, "must use at least two rows"),
-    ({"start": 9.0}, "start: must be before stop, 1.5 s, but is 9 s; change one, or leave both"),
-    ({"start": "0"}, "start: must be a number but is '0'"),
-    ({"time": 3}, "time: must be text but is 3"),
-    ({"outputs": ["position"] * 2}, "outputs 'position': must appear once but appears twice"),
-    ({"outputs": {3: "position"}}, "outputs: a variable: must be text but is 3"),
-    ({"outputs": {"y": {3: "position"}}}, "outputs.y: must be a column's name or {column, free_s"),
+    ({"outputs": ["position"] * 2}, "outputs 'position': .*appears twice"),
+    ({"outputs": {3: "position"}}, "outputs: a variable: .*text.*3"),
+    ({"outputs": {"y": {3: "position"}}}, "outputs.y: .*a column's name or {column, free_s"),
+    ({"outputs": "y"}, "outputs: .*a list of text.*alone; put it in brackets"),
     ({"inputs": {"F": {"column": "force", 3: 4}}}, "inputs.F: unknown key 3"),
-    ({"sigma": {3: 1.0}}, "sigma: an output: must be text but is 3"),
-    ({"sigma": 10**400}, "sigma.y: must be a finite number of a usual size but is 1000"),
-    ({"values": "m"}, "values: must be a dict but is 'm'; write {name: value}"),
-    ({"values": 3}, "values: must be a dict but is 3"),
-    ({"values": {3: 1.0}}, "values: must hold pairs (name, value) but holds (3, 1.0)"),
-    ({"values": {"m": 10**400}}, "values.m: must be a finite number, true, false or a text but"),
-    ({"groups": 3}, "groups: must be a dict but is 3"),
-    ({"groups": {3: "a"}}, "groups: must hold pairs (name, value) but holds (3, 'a')"),
-    ({"columns": 3}, "columns: must be a dict but is 3; write {column: {factor, offset, demean}}"),
-    ({"columns": {3: {}}}, "columns: a column: must be text but is 3"),
-    ({"columns": {"force": {3: 1}}}, "columns.force: unknown key 3"),
-    ({"columns": {"force": {"demean": 1}}}, "columns.force.demean: must be true or false but is 1"),
-    ({"outputs": "y"}, "outputs: must be a list of text but is one alone; put it in brackets"),
-    ({"inputs": {"F": 3}}, "inputs.F: must be a column's name or {column, interpolation} but is 3"),
     ({"inputs": {"F": {"column": "force", "how": 1}}}, "inputs.F: unknown key how"),
-    ({"id": ""}, "experiment.id: must not be empty"),
+    ({"inputs": {"F": 3}}, "inputs.F: .*a column's name or {column, interpolation}.*3"),
+    ({"time": "position"}, "row 2: the time .*a finite number.*nan"),
+    ({"time": None}, "either time .*or sample_time .*neither"),
+    ({"time": 3}, "time: .*text.*3"),
+    ({"sample_time": 1.0}, "either time .*or sample_time .*both"),
+    ({"sigma": {"q": 1.0}}, "sigma.q: .*one of its outputs"),
+    ({"sigma": 0.0}, "sigma.y: .*greater than 0.*0"),
+    ({"sigma": {3: 1.0}}, "sigma: an output: .*text.*3"),
+    ({"sigma": 10**400}, "sigma.y: .*a finite number of a usual size.*1000"),
+    ({"relative_sigma": 0.1}, "relative_sigma.y: .*sigma.y beside it"),
+    ({"sigma": 0.1, "relative_sigma": -0.1}, "relative_sigma.y: .*at least 0.*-0.1"),
+    ({"relative_sigma": {"q": 1.0}}, "relative_sigma.q: .*one of its outputs"),
+    ({"columns": {"q": {}}}, "columns: the table has no column 'q'"),
+    ({"columns": {"force": {"factr": 1}}}, "columns.force: unknown key factr.*did you mean"),
+    ({"columns": {"force": 3}}, "columns.force: .*a dict.*3"),
+    ({"columns": {"force": {"factor": "3"}}}, "columns.force.factor: .*a number.*'3'"),
+    ({"columns": {"force": {"demean": 1}}}, "columns.force.demean: .*true or false.*1"),
+    ({"columns": {"force": {3: 1}}}, "columns.force: unknown key 3"),
+    ({"columns": 3}, "columns: .*a dict.*3; write {column: {factor, offset, demean}}"),
+    ({"columns": {3: {}}}, "columns: a column: .*text.*3"),
+    ({"rows": (0, 9)}, r"rows: .*within the 4 rows.*\[0, 9\]"),
+    ({"rows": (2, 1)}, r"rows: .*from below to.*\[2, 1\]"),
+    ({"rows": 3}, r"rows: .*a Sequence.*3; write \(from, to\)"),
+    ({"rows": (0, 1)}, "at least two rows of the table.*uses 1; check rows"),
+    ({"rows": (1, 2), "time": None, "sample_time": 1.0}, "at least two rows"),
+    ({"start": 9.0}, "start: .*before stop, 1.5 s.*9 s; change one, or leave both"),
+    ({"start": "0"}, "start: .*a number.*'0'"),
+    ({"values": "m"}, "values: .*a dict.*'m'; write {name: value}"),
+    ({"values": {3: 1.0}}, r"values: .*pairs \(name, value\).*\(3, 1.0\)"),
+    ({"values": {"m": 10**400}}, "values.m: .*a finite number, true, false or a text"),
+    ({"groups": 3}, "groups: .*a dict.*3"),
+    ({"groups": {3: "a"}}, r"groups: .*pairs \(name, value\).*\(3, 'a'\)"),
+    ({"id": ""}, "experiment.id: .*not be empty"),
     (of_y(interpolation="hold"), "outputs.y: unknown key interpolation"),
-    (of_y(free_scale="shared"), "output 'y'.free_scale: must be true or false but is 'shared'"),
-    (of_y(detection_limit="0"), "output 'y'.detection_limit: must be a number but is '0'"),
-    (of_y(ordinal=True, free_scale=True), "ordinal: must not go with free_scale"),
-    (of_y(ordinal="low"), "ordinal: must be true or false but is 'low'"),
-    (of_y(ordinal=["low", 3]), "outputs.y.ordinal[1]: must be text but is 3"),
-    (of_y(ordinal=["low", "high"]), "must hold the words that are listed but holds numbers"),
+    (of_y(free_scale="shared"), "output 'y'.free_scale: .*true or false.*'shared'"),
+    (of_y(detection_limit="0"), "output 'y'.detection_limit: .*a number.*'0'"),
+    (of_y(ordinal=True, free_scale=True), "ordinal: .*not go with free_scale"),
+    (of_y(ordinal="low"), "ordinal: .*true or false.*'low'"),
+    (of_y(ordinal=["low", 3]), r"outputs.y.ordinal\[1\]: .*text.*3"),
+    (of_y(ordinal=["low", "high"]), "the words that are listed but holds numbers"),
 ]
 
 
-@pytest.mark.parametrize(("change", "said"), REFUSED)
-def test_what_is_wrong_is_said(change, said):
-    with pytest.raises(DataError, match=re.escape(said)):
+@pytest.mark.parametrize(("change", "pattern"), REFUSED)
+def test_what_is_wrong_is_said(change, pattern):
+    with pytest.raises(DataError, match=pattern):
         ce.Experiment.from_table(COLUMNS, **GIVEN | change)
 
 
@@ -204,7 +195,7 @@ def test_what_is_wrong_is_said(change, said):
 )
 def test_a_wrong_table_is_said(table, said):
     given = GIVEN | {"outputs": {"y": "force"}} if isinstance(table, pd.DataFrame) else GIVEN
-    with pytest.raises(DataError, match=re.escape(said)):
+    with pytest.raises(DataError, match=said):
         ce.Experiment.from_table(table, **given)
 
 

@@ -1,0 +1,185 @@
+"""Keys of a config that are wrong by themselves: where, what it must be, what it is, what to do."""
+
+from __future__ import annotations
+
+import pytest
+from support.spoiled import INF, NAN, REMOVED, write_input
+
+A = "experiments.0"
+EXPERIMENT = r"experiments\['a'\]"
+
+
+@pytest.mark.parametrize(
+    ("path", "near"),
+    [
+        ("modle", "model"),
+        ("model.fmuu", "fmu"),
+        ("parameters.m.strat", "start"),
+        (f"{A}.outptus", "outputs"),
+        (f"{A}.columns.force.fator", "factor"),
+        ("method.nmae", "name"),
+        ("executor.wokers", "workers"),
+        ("budget.evals", "evaluations"),
+        ("cost.nme", "name"),
+    ],
+)
+def test_an_unknown_key_is_named_with_its_line_and_the_nearest_known_one(refuse, path, near):
+    shown = path.replace(A, EXPERIMENT)
+    refuse({path: 1.0}, rf"config.toml, line \d+: unknown key {shown}.*'{near}'")
+
+
+def test_a_key_that_stands_too_deep_is_shown_where_it_belongs(refuse):
+    outputs = {"x": {"column": "x", "sigma": 0.1}}
+    refuse({f"{A}.outputs": outputs}, rf"outputs\.x\.sigma.*'sigma' is a key of {EXPERIMENT}")
+    outputs = {"x": {"column": "x", "sgma": 0.1}}
+    assert "itself" not in refuse({f"{A}.outputs": outputs}, "sgma")
+
+
+@pytest.mark.parametrize(
+    ("path", "pattern"),
+    [
+        ("model", "model is missing.*the FMU"),
+        ("model.fmu", "model.fmu is missing.*path of the FMU"),
+        ("parameters.m.start", "parameters.m.start is missing.*where the estimation starts"),
+        ("experiments", "experiments is missing"),
+        (f"{A}.id", r"experiments\[0\].id is missing"),
+        (f"{A}.data", f"{EXPERIMENT}.data is missing"),
+        (f"{A}.outputs", f"{EXPERIMENT}.outputs is missing"),
+        (f"{A}.time", f"{EXPERIMENT}.*either time .* or sample_time .*neither"),
+    ],
+)
+def test_a_missing_key_is_named_with_what_it_is_for(refuse, path, pattern):
+    refuse({path: REMOVED}, pattern)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "pattern"),
+    [
+        ("model", 3, "model: .*a table.*3"),
+        ("model.fmu", 3, "model.fmu: .*text in quotes.*3"),
+        ("model.interface", "cosim", "'auto', 'model_exchange' or 'co_simulation'.*'cosim'"),
+        ("model.solver", "euler", "'dormand_prince', 'rk4', 'cvode' or 'fmu'.*'euler'"),
+        ("model.step", "fast", "model.step: .*a number.*'fast'"),
+        ("model.step", INF, "model.step: .*finite number.*inf"),
+        ("model.step", 0.0, "model.step: .*greater than 0.*0.0"),
+        ("model.rtol", 2.0, "model.rtol: .*less than 1.*2.0"),
+        ("model.max_steps", 1.5, "model.max_steps: .*whole number.*1.5"),
+        ("model.max_steps", 2**70, r"model.max_steps: .*at most 9.22337e\+18.*11805916"),
+        ("data_folders", "x", "data_folders: .*a list.*'x'"),
+        ("data_folders", [3], r"data_folders\[0\]: .*text in quotes.*3"),
+        ("parameters", {}, "parameters: at least one must be free"),
+        ("parameters.m", 3, "parameters.m: .*a table.*3"),
+        ("parameters.m.start", "1.5", "parameters.m.start: .*number.*'1.5'; remove the quotes"),
+        ("parameters.m.start", True, "parameters.m.start: .*number.*true"),
+        ("parameters.m.start", NAN, "parameters.m.start: .*finite number.*nan"),
+        ("parameters.m.bounds", 3, "parameters.m.bounds: .*list of two numbers.*3"),
+        ("parameters.m.scale", "ln", "parameters.m.scale: .*'linear' or 'log'.*'ln'"),
+        ("parameters.m.fixed", "true", "m.fixed: .*true or false.*'true'; remove the quotes"),
+        ("parameters.m.variable", 3, "parameters.m.variable: .*text in quotes"),
+        ("values", 3, "values: .*a table"),
+        ("values.c", NAN, "values.c: .*finite number, true, false or a text.*nan"),
+        ("experiments", [], "experiments: .*at least one entry"),
+        ("experiments", {}, r"experiments: .*a list.*\{\}.*\[\[experiments\]\]"),
+        ("experiments", [3], r"experiments\[0\]: .*a table.*3"),
+        (f"{A}.id", "", r"experiments\[0\].id: .*not be empty"),
+        (f"{A}.sample_time", 0.1, f"{EXPERIMENT}.*time.*sample_time.*both; remove one"),
+        (f"{A}.inputs", 3, f"{EXPERIMENT}.inputs: .*a table.*3"),
+        (f"{A}.inputs.F", 3, "inputs.F: .*a column's name or { column, interpolation }.*3"),
+        (f"{A}.inputs.F", {}, "inputs.F.column is missing"),
+        (f"{A}.inputs.F", {"column": "force", "interpolation": "cubic"}, "'linear' or 'hold'"),
+        (f"{A}.outputs.y", 3, f"{EXPERIMENT}.outputs.y: .*a column's name"),
+        (f"{A}.outputs.F", "force", "outputs.F: .*not be an input"),
+        (f"{A}.sigma", {"y": 0.0}, f"{EXPERIMENT}.sigma.y: .*greater than 0.*0.0"),
+        (f"{A}.sigma", {"y": INF}, "sigma.y: .*finite number"),
+        (f"{A}.sigma", {"yy": 1.0}, "sigma.yy: .*one of its outputs"),
+        (f"{A}.relative_sigma", {"y": 0.1}, "relative_sigma.y: .*sigma.y beside it"),
+        (f"{A}.relative_sigma", {"y": -1.0}, "relative_sigma.y: .*at least 0.*-1.0"),
+        (f"{A}.relative_sigma", {"yy": 0.1}, "relative_sigma.yy: .*one of its outputs"),
+        (f"{A}.start", NAN, f"{EXPERIMENT}.start: .*finite number"),
+        (f"{A}.stop", INF, f"{EXPERIMENT}.stop: .*finite number"),
+        (f"{A}.windows", [[0.2, 0.1]], r"windows\[0\]: .*from before to"),
+        (f"{A}.windows", [[NAN, 1.0]], r"windows\[0\]: .*two numbers.*finite"),
+        (f"{A}.test_windows", [[0.2, 0.1]], r"test_windows\[0\]: .*from before to"),
+        (f"{A}.rows", [2, 1], r"rows: .*from below to.*\[2, 1\]"),
+        (f"{A}.rows", [-1, 2], r"rows: .*two whole numbers from 0.*\[-1, 2\]"),
+        (f"{A}.rows", [0.5, 2], "rows: .*two whole numbers from 0"),
+        (f"{A}.role", "tset", "role: .*'train' or 'test'.*'tset'"),
+        (f"{A}.values", {"x": []}, f"{EXPERIMENT}.values.x: .*finite number, true, false"),
+        (f"{A}.group", 3, "group: .*a label or { KEY.*3"),
+        (f"{A}.group", {"cell": 3}, "group.cell: .*text in quotes.*3"),
+        (f"{A}.columns", {"force": 3}, "columns.force: .*a table.*3"),
+        (f"{A}.columns", {"force": {"factor": NAN}}, "columns.force.factor: .*finite number.*nan"),
+        (f"{A}.warm_up", -1, f"{EXPERIMENT}.warm_up: .*at least 0.*-1"),
+        (f"{A}.weight", 0, f"{EXPERIMENT}.weight: .*greater than 0.*0"),
+        ("cost.name", "ssee", "cost.name: .*no 'ssee'.*'sse'"),
+        ("cost.weights", {"y": 0}, "cost.weights.y: .*greater than 0.*0"),
+        ("cost.weights", {"y": "1"}, "cost.weights.y: .*number.*'1'; remove the quotes"),
+        ("cost.step", 0, "cost.step: .*greater than 0.*0"),
+        ("cost.time_base", "mesured", "cost.time_base: .*'measured'.*'mesured'"),
+        ("cost.normalise", "mean", "cost.normalise: .*'sigma', 'max' or 'range'.*'mean'"),
+        ("method.name", "least_square", "method.name: .*no 'least_square'.*'least_squares'"),
+        ("method.name", "", "method.name: .*no ''.*'least_squares'"),
+        ("method.options", 3, "method.options: .*a table.*3"),
+        ("method.seed", -1, "method.seed: .*at least 0.*-1"),
+        ("executor.name", "rya", "executor.name: .*no 'rya'.*'ray'"),
+        ("executor.workers", 0, "executor.workers: .*greater than 0.*0"),
+        ("budget.evaluations", 0, "budget.evaluations: .*greater than 0.*0"),
+        ("budget.seconds", NAN, "budget.seconds: .*finite number.*nan"),
+        ("multistart.n", 0, "multistart.n: .*greater than 0.*0"),
+        ("multistart.n", 2.5, "multistart.n: .*whole number.*2.5"),
+        ("multistart.sampler", "halton", "'sobol', 'latin_hypercube' or 'uniform'"),
+        ("multistart.points", {"m": 1.0}, "multistart.points: .*a list"),
+        ("multistart.points", [{"m": INF}], r"multistart.points\[0\].m: .*finite number"),
+        ("multistart.screen", 0, "multistart.screen: .*greater than 0.*0"),
+        ("multistart.at_once", 0, "multistart.at_once: .*greater than 0.*0"),
+        ("multistart.patience", -1, "multistart.patience: .*at least 0.*-1"),
+        ("multistart.same", 0, "multistart.same: .*greater than 0.*0"),
+        ("uncertainty.profiles", "m", "uncertainty.profiles: .*a list.*'m'"),
+        ("uncertainty.confidence", 95, "uncertainty.confidence: .*less than 1.*95"),
+        ("uncertainty.confidence", 0.1, "uncertainty.confidence: .*at least 0.5"),
+        ("uncertainty.steps", 0, "uncertainty.steps: .*0"),
+        ("uncertainty.max_steps", 1, "uncertainty.max_steps: .*1"),
+        ("closed_loop.draws", 1, "closed_loop.draws: .*1"),
+        ("constraints", {}, r"constraints: .*a list.*\{\}"),
+    ],
+)
+def test_a_wrong_value_is_refused_in_one_line(refuse, path, value, pattern):
+    refuse({path: value}, pattern)
+
+
+def test_each_problem_has_a_line(tmp_path, refused):
+    write_input(tmp_path, {"model.stp": 1, "parameters.m.start": "x", "method.seed": -1})
+    refused(["check", "config.toml"], "model.stp.*\n.*parameters.m.start.*\n.*method.seed", lines=3)
+    step = {"signal": "y", "step_response": {}}
+    write_input(tmp_path, {"constraints": [step]})
+    refused(["check", "config.toml"], "final.*rise_time.*settling_time is missing", lines=3)
+    write_input(tmp_path, {f"{A}.windows": [0.1, 0.2]})
+    refused(["check", "config.toml"], r"windows\[0\]: .*two numbers.*0.1", lines=2)
+
+
+@pytest.mark.parametrize(
+    ("override", "pattern"),
+    [
+        ("trials", "'trials': .*key=value"),
+        ("=3", "'=3': .*key=value"),
+        ("a..b=1", "'a..b=1': .*key=value"),
+        ("a\udcff=1", "key=value"),
+        ("modle.fmu=x", "unknown key modle.*'model'"),
+        ("method.sed=1", "unknown key method.sed.*'seed'"),
+        ("parameters.m.start=zz", "parameters.m.start: .*number.*'zz'"),
+        ("parameters.m.start.x=3", "parameters.m.start.x: 'start' is a value, not a table"),
+        ("experiments=3", "experiments: .*a list.*3"),
+        ("experiments.b.role=test", "experiments.b.role: .*no 'b'.*'a'"),
+        ("experiments.7.role=test", "experiments.7.role: .*no '7'"),
+        ("experiments.0=3", r"experiments\[0\]: .*a table.*3"),
+        ("parameters.m.bounds.2=3", "parameters.m.bounds.2: .*no '2'"),
+        ("parameters.m.bounds.x=3", "parameters.m.bounds.x: .*no 'x'"),
+        ("parameters.m.bounds.0.0=3", "parameters.m.bounds.0.0: '0' is a value, not a table"),
+        ("method.seed=" + "[" * 5000, "method.seed: .*whole number"),
+        ("method.seed=" + "9" * 5000, "method.seed: .*whole number"),
+        ("method.seed=0x" + "f" * 5000, "method.seed: .*a number of thousands of digits"),
+    ],
+    ids=lambda text: text[:30],
+)
+def test_an_override_that_leads_nowhere_is_refused(refuse, override, pattern):
+    assert ", line " not in refuse({}, pattern, more=(override,))
