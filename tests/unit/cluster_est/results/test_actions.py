@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -115,11 +113,3 @@ def test_an_export_has_the_estimates(result, tmp_path):
 def test_an_export_that_cannot_be(result, given, kind, said):
     with pytest.raises(kind, match=said):
         result.export(**given)
-
-
-def test_notes_say_what_a_constant_would_do_better(result):
-    (error, *others) = result.errors
-    bad = replace(result, errors=(replace(error, relative_after=2.0), *others))
-    assert "a constant would follow y better" in bad.notes[-1]
-    assert bad.facts()["notes"] == list(bad.notes)
-    assert np.isfinite(bad.facts()["cost"])

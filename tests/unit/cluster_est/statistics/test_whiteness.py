@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import norm
-from support.truth.stacked_noise import autoregressive, stack
+from support.truth.stacked_noise import stack
 
 from cluster_est.statistics.projection import OrthogonalProjection
 from cluster_est.statistics.whiteness import (
@@ -112,13 +111,6 @@ def test_structure_of_any_length_is_seen(period, size):
     structured, white = (smoothness(r, [records.items], made)[0] for r in (noise + wave, noise))
     assert structured.p < 1e-6
     assert white.p > 0.05
-
-
-def test_coloured_noise_is_not_white():
-    records = stack(400)
-    made = WhiteNull(np.zeros((400, 0)), np.ones(400))
-    noise = autoregressive(records, np.array([[0.5]]), np.random.default_rng(4))
-    assert smoothness(noise, [records.items], made)[0].p < norm.sf(6.0)
 
 
 def test_there_may_be_nothing_to_test():

@@ -9,7 +9,6 @@ import pytest
 from support.truth.systems_with_missing_effects import missing_effect_problem
 
 from cluster_est import Solver
-from cluster_est.results.solver_error.communication_step import communication_step
 from cluster_est.results.solver_error.finer_solver import (
     solver_scale,
     step_never_taken,
@@ -78,21 +77,28 @@ def test_a_tolerance_for_the_fmu_is_tightened_along_with_the_step():
 
 def test_a_fixed_step_is_halved_only_where_a_user_has_chosen_it():
     assert "communicates in a fixed step" in scale(TOGETHER, Solver("fmu"), FIXED).why_not
-    assert scale(TOGETHER, Solver("fmu", step=0.1), FIXED).finer().step == pytest.approx(0.05)
+    own = scale(TOGETHER, Solver("fmu"), replace(FIXED, fixed_internal_step=0.02))
+    assert own.name == "the communication step of 0.02 s"
+    assert own.why_not
+    chosen = scale(TOGETHER, Solver("fmu", step=0.1), FIXED)
+    assert chosen.name == "the communication step of 0.1 s"
+    assert chosen.finer().step == pytest.approx(0.05)
 
 
 @pytest.mark.parametrize(
-    ("own", "steps", "twice"), [(0.1, None, None), (0.05, 2.0, False), (0.02, 5.0, False),
-                                (0.025, 2.0, True), (0.03, None, None)]
-)  # fmt: skip
+    ("own", "steps", "twice"), [(0.05, 2.0, False), (0.02, 5.0, False), (0.025, 2.0, True)]
+)
 def test_steps_of_an_fmu_with_a_step_of_its_own_are_multiples_of_it(own, steps, twice):
     found = scale(TOGETHER, Solver("fmu", step=0.1), replace(FIXED, fixed_internal_step=own))
-    if steps is None:
-        assert found.why_not
-        return
     assert (found.ratio, found.can_be_finer_twice()) == (steps, twice)
     multiple = found.finer().step / own
     assert multiple == pytest.approx(round(multiple))
+
+
+@pytest.mark.parametrize("own", [0.1, 0.03])
+def test_a_step_of_its_own_that_no_shorter_one_is_a_multiple_of_stays(own):
+    description = replace(FIXED, fixed_internal_step=own)
+    assert scale(TOGETHER, Solver("fmu", step=0.1), description).why_not
 
 
 def test_what_to_set_follows_from_the_order():
@@ -114,11 +120,3 @@ def test_the_usual_interval_is_not_that_of_two_times_that_rounding_keeps_apart()
     late = Input("F", times + 1e-9, 0.0 * times)
     run = Experiment("e", 0.0, 0.9, (late,), (Output("y", times, 0.0 * times),))
     assert usual_interval([run]) == pytest.approx(0.1, abs=1e-6)
-
-
-def test_a_communication_step_counts_where_it_is_fixed():
-    model = replace(TOGETHER.model, solver=Solver("fmu", step=0.1))
-    assert communication_step(model, FIXED) == 0.1
-    assert communication_step(model, DESCRIPTION) == 0.0
-    assert communication_step(TOGETHER.model, replace(FIXED, fixed_internal_step=0.02)) == 0.02
-    assert communication_step(EXCHANGE.model, FIXED) == 0.0
