@@ -166,7 +166,7 @@ def test_standard_errors_by_segments_are_those_of_whole_records():
     plain, shot = ce.fit(problem), ce.fit(problem, shooting={"segments": 5})
     assert not shot.shooting.joined
     assert shot.shooting.largest_jump < 1e-5
-    assert shot.cost == pytest.approx(plain.cost, rel=1e-6)
+    assert shot.cost == pytest.approx(plain.cost, rel=1e-5)
     for one, other in zip(plain.estimates, shot.estimates, strict=True):
         assert other.value == pytest.approx(one.value, abs=0.01 * one.std_error)
         assert other.std_error == pytest.approx(one.std_error, rel=1e-2)
@@ -254,7 +254,7 @@ def test_segments_that_lead_nowhere_are_said():
 def test_a_config_asks_for_it_and_a_run_that_was_cut_is_taken_up(tmp_path, capsys):
     given = ["fit", CONFIG, "--out", str(tmp_path), "--no-report", "method.shooting.segments=6"]
     assert main(given) == 0
-    assert "multiple shooting found on 30 segments" in " ".join(capsys.readouterr().out.split())
+    assert "multiple shooting found on 24 segments" in " ".join(capsys.readouterr().out.split())
     whole = values_of(tmp_path)
     cut(tmp_path / "evaluations", 60)
     break_off(tmp_path)
@@ -309,7 +309,7 @@ FREE = with_outputs(springs(), lambda o: replace(o, free_offset=True))
         (remembering("delay", "input F"), THREE, {}, "'late', which depends on the past"),
         (stateless(), THREE, {}, "needs a model with states"),
         (replace(springs(), cost=COSTS["huber"]()), THREE, {}, 'needs cost.name = "sse"'),
-        (springs(), THREE, {"method": "nelder_mead"}, "needs .*least_squares.* nelder_mead"),
+        (springs(), THREE, {"method": "pattern_search"}, "needs .*least_squares.* pattern_search"),
         (springs(), THREE, {"multistart": ce.Multistart(n=3)}, "multistart asks for 3 starts"),
     ],
 )

@@ -98,6 +98,12 @@ class TestAutoregression:
         assert np.isfinite(found.times(values[:, None])).all()
 
 
+@pytest.fixture(scope="module")
+def different():
+    """Of twelve experiments whose slopes differ."""
+    return intervals(2, 0.0, count=12, spread=0.5)
+
+
 class TestBasis:
     def test_white_noise_has_the_textbook_error(self):
         found, solution = intervals(0, 0.0)
@@ -117,8 +123,8 @@ class TestBasis:
         (note,) = found.notes
         assert re.search("autocorrelated, and the intervals allow for", note)
 
-    def test_experiments_that_differ_are_allowed_for_and_said(self):
-        found, _ = intervals(2, 0.0, count=12, spread=0.5)
+    def test_experiments_that_differ_are_allowed_for_and_said(self, different):
+        found, _ = different
         slope, *offsets = found.intervals
         assert found.basis == "experiments"
         assert slope.std_error == slope.error_experiments > 2.0 * slope.error_white
@@ -131,8 +137,8 @@ class TestBasis:
         assert found.basis != "experiments"
         assert found.intervals[0].error_experiments > found.intervals[0].error_white
 
-    def test_the_scatter_of_experiments_is_the_sandwich_of_the_dense_jacobian(self):
-        found, solution = intervals(3, 0.0, count=12, spread=0.5)
+    def test_the_scatter_of_experiments_is_the_sandwich_of_the_dense_jacobian(self, different):
+        found, solution = different
         jacobian, r = solution.jacobian, solution.at.residuals
         bread = np.linalg.inv(jacobian.T @ jacobian)
         rows = np.arange(12 * len(TIMES)).reshape(12, -1)

@@ -101,7 +101,8 @@ def test_a_linear_gaussian_problem_has_the_posterior_of_linear_algebra():
     assert np.corrcoef(draws.T)[0, 1] == pytest.approx(correlation, abs=0.05)
 
 
-@pytest.mark.parametrize("size", [1e-3, pytest.param(1.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [1e-3, 1.0])
 def test_ten_unknowns_of_any_size_have_their_own_spread(size):
     """Of a standard normal in each direction, which moves along differences must not change."""
     times = np.arange(10.0)
@@ -116,7 +117,7 @@ def test_ten_unknowns_of_any_size_have_their_own_spread(size):
     assert spread.mean() == pytest.approx(1.0, abs=0.02)
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 3))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2, 3))])
 def test_walkers_of_a_value_that_the_bounds_alone_hold_are_spread_between_them(seed):
     def faint(times, values, experiment):
         return 1.4 + 0.002 * values[0] * times
@@ -124,6 +125,7 @@ def test_walkers_of_a_value_that_the_bounds_alone_hold_are_spread_between_them(s
     own = (Parameter("a", 0.5, 0.0, 1.0),)
     found = drawn(DeclaredCurves(faint, own, TIMES, measured()), steps=600, seed=seed)
     assert found.mixed
+    assert 0.0 <= found.values.min() <= found.values.max() <= 1.0
     shares = np.histogram(found.values, 4, (0.0, 1.0))[0] / found.values.size
     assert shares == pytest.approx(np.full(4, 0.25), abs=0.05)
 
@@ -135,33 +137,22 @@ LOGNORMAL = LogNormalPrior(2.0, 1.3), lognorm(np.log(1.3), scale=2.0)
 @pytest.mark.parametrize(
     ("scale", "prior", "distribution"),
     [
-        ("log", *NORMAL),
-        ("linear", *LOGNORMAL),
+        ("log", *LOGNORMAL),
         pytest.param("linear", *NORMAL, marks=pytest.mark.slow),
-        pytest.param("log", *LOGNORMAL, marks=pytest.mark.slow),
+        pytest.param("linear", *LOGNORMAL, marks=pytest.mark.slow),
+        pytest.param("log", *NORMAL, marks=pytest.mark.slow),
     ],
 )
 def test_what_no_measurement_tells_is_drawn_from_its_prior(scale, prior, distribution):
     def flat(times, values, experiment):
-        return values[0] + 0.0 * values[1] * times
+        return 1.4 + 0.0 * values[0] * times
 
-    own = (
-        Parameter("a", 1.0, -10.0, 10.0),
-        Parameter("b", 1.5, 0.001, 50.0, scale, prior=prior),
-    )
-    found = drawn(DeclaredCurves(flat, own, TIMES, measured()), steps=3000)
+    own = (Parameter("b", 1.5, 0.001, 50.0, scale, prior=prior),)
+    found = drawn(DeclaredCurves(flat, own, TIMES, measured()), steps=1500)
     assert found.mixed
     shares = np.linspace(0.05, 0.95, 10)
-    quantiles = np.quantile(found.values[:, :, 1], shares)
+    quantiles = np.quantile(found.values, shares)
     assert distribution.cdf(quantiles) == pytest.approx(shares, abs=0.04)
-
-
-def test_draws_stay_within_the_bounds():
-    found = drawn(lines(a=(1.3, 1.25, 1.35)))
-    assert found.mixed
-    draws = found.values[:, :, 0]
-    assert 1.25 <= draws.min() <= draws.max() <= 1.35
-    assert np.histogram(draws, 4)[0].min() > 0.2 * draws.size
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_one_others():
@@ -202,11 +193,11 @@ def test_points_that_cannot_be_simulated_have_no_density_and_are_counted():
     def sometimes(times, values, experiment):
         return values[0] + np.sqrt(values[1]) * times
 
-    found = drawn(lines(b=(0.1, -1.0, 10.0), formula=sometimes))
+    found = drawn(lines(b=(0.1, -1.0, 10.0), formula=sometimes), steps=200)
     assert found.failures > 0
     assert found.values[:, :, 1].min() >= 0.0
     said = f"{found.failures:,} of {found.asked:,} points could not be simulated"
-    assert said in found.sentences[0]
+    assert any(said in sentence for sentence in found.sentences)
 
 
 class TestDiagnostics:

@@ -221,11 +221,12 @@ class TestOpen:
         assert found.open_lower == found.open_upper == "failed"
 
 
-class TestPoints:
-    @pytest.fixture(scope="class")
-    def found(self):
-        return profiled(puromycin(), "affinity", steps=6)[0]
+@pytest.fixture(scope="module")
+def found():
+    return profiled(puromycin(), "affinity", steps=6)[0]
 
+
+class TestPoints:
     def test_go_from_one_end_to_the_other_through_the_optimum(self, found):
         values = [p.value for p in found.points]
         assert values == sorted(values)
