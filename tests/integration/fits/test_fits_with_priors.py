@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-from support.problems.seen_springs import break_off, values_of
+from support.problems.seen_springs import values_of
 from support.problems.springs import ROOT
 
 from cluster_est.cli import main
@@ -21,12 +21,9 @@ PRIORS = [
     "parameters.x0.prior={name='normal', mean=0.0, sd=0.1}",
 ]
 METHODS = {
-    "central": ["method.options.differences=central"],
     "sensitivities": ["method.options.differences=sensitivities"],
-    "scipy": ["method.name=scipy_least_squares", "method.options.xtol=1e-12"],
     "sqp": ["method.name=sqp"],
     "pattern_search": ["method.name=pattern_search", "method.options.mesh_tolerance=1e-7"],
-    "processes": ["executor.name=processes", "executor.workers=2"],
 }
 
 
@@ -53,10 +50,7 @@ def test_a_fit_says_what_its_priors_cost_and_which_of_them_it_contradicts(usual)
 
 @pytest.mark.parametrize(
     "method",
-    [
-        pytest.param(m, marks=() if m in ("sensitivities", "sqp") else pytest.mark.slow)
-        for m in METHODS
-    ],
+    [pytest.param(m, marks=pytest.mark.slow if m == "pattern_search" else ()) for m in METHODS],
 )
 def test_every_method_finds_the_same_minimum(method, usual, tmp_path):
     values, cost, _ = fitted(tmp_path / "run", *METHODS[method])
@@ -65,21 +59,12 @@ def test_every_method_finds_the_same_minimum(method, usual, tmp_path):
         assert values[label] == pytest.approx(value, rel=2e-3, abs=1e-4)
 
 
-def test_a_run_that_is_taken_up_again_has_the_same_bits(usual, tmp_path):
-    run = tmp_path / "run"
-    first = fitted(run)
-    break_off(run)
-    assert main(["fit", CONFIG, "--out", str(run), "--resume", *PRIORS]) == 0
-    assert values_of(run) == first[0] == usual[0]
-
-
 @pytest.mark.parametrize(
     ("given", "said"),
     [
         ("{mean=1.0, sd=0.1}", r"prior\.name: must be one of normal, lognormal .*missing"),
         ("{name='norml', mean=1.0, sd=0.1}", r"prior\.name: must be one of .*'norml'"),
         ("{name='normal', mean=1.0}", r"prior\.sd is missing"),
-        ("{name='normal', mean=1.0, sd=0.0}", r"prior\.sd: must be greater than 0 but is 0"),
         ("{name='normal', mean=1.0, sd='1'}", r"prior\.sd: must be a number but is '1'"),
         ("{name='normal', mean=1.0, sd=0.1, bias=2}", r"prior\.bias: normal has no such option"),
         (
@@ -93,21 +78,6 @@ def test_a_wrong_prior_is_met_with_a_sentence(given, said, tmp_path, capsys):
     assert main(["fit", CONFIG, "--out", str(tmp_path / "run"), *PRIORS, given]) == 2
     error = capsys.readouterr().err
     assert re.search(rf"parameters\.m\.{said}", error)
-    assert "Traceback" not in error
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ("cost.name=huber", 'must go with the cost "sse"'),
-        ("experiment_defaults.sigma={}", "sigma.y is missing; the prior of parameter m is weighed"),
-    ],
-)
-def test_what_priors_need_is_met_with_a_sentence(given, said, tmp_path, capsys):
-    out = str(tmp_path / "run")
-    assert main(["fit", CONFIG, "--out", out, *PRIORS, given]) == 2
-    error = capsys.readouterr().err
-    assert said in error
     assert "Traceback" not in error
 
 

@@ -49,15 +49,20 @@ def shaken(seed: int, q: float = 0.5, samples: int = 250, outputs: int = 1) -> c
     return ce.Experiment(f"e{seed}", 0.0, times[-1], given, tuple(seen), {"x": 0.1})
 
 
-def spring(experiments, q: float = 0.5, effect: Effect | None = None, **model) -> ce.Problem:
+DIFFUSION = ce.Effect("noise", "der(v)", "diffusion")
+COLOURED = ce.Effect("noise", "input F", "coloured_noise")
+
+
+def spring(experiments, q: float = 0.5, effect: ce.Effect = DIFFUSION, **model) -> ce.Problem:
     read = ce.read_model(MODELS / "mass_spring_damper.fmu", ["m", "k", "c"], **model)
-    effect = effect or ce.Effect("noise", "der(v)", "diffusion")
     parameters = [
         ce.Parameter("m", 1.0, 0.1, 10.0),
         ce.Parameter("k", 25.0, 1.0, 200.0),
         ce.Parameter("c", 0.4, 0.0, 10.0),
         ce.Parameter("noise.q", q, 0.0, 100.0),
     ]
+    if effect is COLOURED:
+        parameters.append(ce.Parameter("noise.tau", 0.05, 1e-3, 10.0, "log"))
     return ce.Problem(read, tuple(parameters), tuple(experiments), effects=(effect,))
 
 
@@ -202,11 +207,10 @@ def test_workers_change_no_bit(fitted):
 
 
 def test_an_ornstein_uhlenbeck_force_has_a_strength_and_a_time(fitted):
-    effect = ce.Effect("noise", "input F", "coloured_noise")
-    problem = fitted.problem
-    parameters = (*problem.parameters[:3], ce.Parameter("noise.q", 1.0, 1e-3, 1e3, "log"),
-                  ce.Parameter("noise.tau", 0.05, 1e-3, 10.0, "log"))  # fmt: skip
-    coloured = ce.fit(replace(problem, parameters=parameters, effects=(effect,)))
+    problem = spring(fitted.problem.experiments, 1.0, COLOURED)
+    *_, q, tau = problem.parameters
+    q = replace(q, lower=1e-3, upper=1e3, scale="log")
+    coloured = ce.fit(replace(problem, parameters=(*problem.parameters[:3], q, tau)))
     assert coloured.success
     # white noise at the derivative is one of no time: its strength is q tau / m
     strength = coloured.x["noise.q"] * coloured.x["noise.tau"] / coloured.x["m"]
@@ -218,30 +222,26 @@ def test_its_names_are_those_of_the_library():
     assert {name for _, name in PROCESS_NOISE} == set(Effect.NOISE)
 
 
-def parameter(name: str) -> ce.Parameter:
-    return ce.Parameter(name, 0.1, 0.01, 1.0)
-
-
 def with_effect(effect: ce.Effect, own: str) -> ce.Problem:
     """One more, besides the noise, with a coefficient of its own."""
     problem = spring([shaken(1)])
-    parameters = (*problem.parameters, parameter(f"{effect.name}.{own}"))
-    return replace(problem, effects=(*problem.effects, effect), parameters=parameters)
+    own = ce.Parameter(f"{effect.name}.{own}", 0.1, 0.01, 1.0)
+    more = {"effects": (*problem.effects, effect), "parameters": (*problem.parameters, own)}
+    return replace(problem, **more)
 
 
-def in_co_simulation() -> ce.Problem:
-    model = {"interface": "co_simulation", "solver": ce.Solver("fmu")}
-    problem = spring([shaken(1)], effect=ce.Effect("noise", "input F", "coloured_noise"), **model)
-    return replace(problem, parameters=(*problem.parameters, parameter("noise.tau")))
-
-
+IN_COSIMULATION = {"interface": "co_simulation", "solver": ce.Solver("fmu")}
 TWICE = with_effect(ce.Effect("more", "der(v)", "diffusion"), "q")
 
 
 @pytest.mark.parametrize(
     ("problem", "shooting", "said"),
     [
-        (in_co_simulation(), None, "needs the states and their derivatives.*model.interface must"),
+        (
+            spring([shaken(1)], effect=COLOURED, **IN_COSIMULATION),
+            None,
+            "needs the states and their derivatives.*model.interface must",
+        ),
         (
             spring([shaken(1)], solver=ce.Solver("cvode")),
             None,

@@ -116,14 +116,3 @@ def test_command_run_json_and_report_say_it(tmp_path, capsys):
     assert "its intervals are too narrow" in page
     assert HEADER in page
     assert "error is " in page
-
-
-def test_a_command_without_a_warning_says_nothing(tmp_path, capsys):
-    config = write_config(tmp_path, friction=0.0)
-    assert main(["fit", str(config), "--out", str(tmp_path / "run")]) == 0
-    facts = json.loads((tmp_path / "run" / "run.json").read_text())
-    assert facts["residuals"]["too_narrow"] is False
-    assert facts["residuals"]["sentences"] == []
-    assert "too narrow" not in capsys.readouterr().out
-    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
-    assert "too narrow" not in page

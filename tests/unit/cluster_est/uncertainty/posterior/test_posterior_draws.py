@@ -148,7 +148,7 @@ def test_what_no_measurement_tells_is_drawn_from_its_prior(scale, prior, distrib
         return 1.4 + 0.0 * values[0] * times
 
     own = (Parameter("b", 1.5, 0.001, 50.0, scale, prior=prior),)
-    found = drawn(DeclaredCurves(flat, own, TIMES, measured()), steps=1500)
+    found = drawn(DeclaredCurves(flat, own, TIMES, measured()), steps=1000)
     assert found.mixed
     shares = np.linspace(0.05, 0.95, 10)
     quantiles = np.quantile(found.values, shares)
