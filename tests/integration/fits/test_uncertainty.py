@@ -22,17 +22,7 @@ from cluster_est import (
     Solver,
     fit,
 )
-from cluster_est.problem.search_space.space import make_space
-from cluster_est.running.environment import open_executor
-from cluster_est.running.runner import Runner
-from cluster_est.running.search_state import SearchRequest
-from cluster_est.uncertainty import (
-    UncertaintySettings,
-    assess,
-    bootstrap,
-    examine,
-    profiles,
-)
+from cluster_est.uncertainty import UncertaintySettings, assess, bootstrap
 
 TIMES = np.arange(150) * 0.02
 SOLVERS = [
@@ -63,15 +53,6 @@ def free_springs(solver, scale="log"):
     return Problem(model, parameters, tuple(runs))
 
 
-def fitted(problem, method=None):
-    """(runner, space, solution) within an executor that is closed with the test."""
-    space = make_space(problem, problem.indices("train"))
-    with open_executor(problem, Resources()) as executor:
-        runner = Runner(executor)
-        (solution,) = runner.run([SearchRequest("fit", method or LeastSquares(), space)])
-        yield runner, space, solution
-
-
 EACH = pytest.mark.parametrize(
     ("solver", "differences"),
     thinned(
@@ -85,40 +66,40 @@ EACH = pytest.mark.parametrize(
 
 @EACH
 def test_a_redundant_parametrisation_is_named(solver, differences):
-    method = LeastSquares(differences=differences)
-    for runner, space, solution in fitted(free_springs(solver), method):
-        for found in (assess(space, solution), examine(runner, space, solution)):
-            (direction,) = found.directions
-            said = "m, k and c only together: all of them can grow by the same factor"
-            assert said in direction.sentence
-            np.testing.assert_allclose(direction.relative, 1.0, rtol=0.02)
-            errors = [interval.std_error for interval in found.intervals]
-            assert np.isnan(errors[:3]).all()
-            assert np.isfinite(errors[3:]).all()
-            (rate,) = found.derived
-            assert rate.lower95 < TRUE["k"] / TRUE["m"] < rate.upper95
+    result = fit(free_springs(solver), LeastSquares(differences=differences))
+    (direction,) = result.uncertainty.directions
+    said = "m, k and c only together: all of them can grow by the same factor"
+    assert said in direction.sentence
+    np.testing.assert_allclose(direction.relative, 1.0, rtol=0.02)
+    errors = [interval.std_error for interval in result.uncertainty.intervals]
+    assert np.isnan(errors[:3]).all()
+    assert np.isfinite(errors[3:]).all()
+    (rate,) = result.uncertainty.derived
+    assert rate.lower95 < TRUE["k"] / TRUE["m"] < rate.upper95
+    rows = result.table("directions").to_pylist()
+    assert [row["label"] for row in rows] == ["m", "k", "c"]
+    assert [row["relative"] for row in rows] == list(direction.relative)
 
 
 @EACH
 def test_nothing_is_named_where_all_is_determined(solver, differences):
     problem = spring_problem(experiments=3, noise=1e-3, solver=solver).problem
-    for runner, space, solution in fitted(problem, LeastSquares(differences=differences)):
-        for found in (assess(space, solution), examine(runner, space, solution)):
-            assert found.directions == ()
-            assert np.isfinite([i.std_error for i in found.intervals]).all()
+    found = fit(problem, LeastSquares(differences=differences)).uncertainty
+    assert found.directions == ()
+    assert np.isfinite([i.std_error for i in found.intervals]).all()
 
 
 def test_a_profile_of_what_is_not_determined_ends_where_bounds_end_it():
-    for runner, space, solution in fitted(free_springs(SOLVERS[0])):
-        settings = UncertaintySettings(profiles=("m", "x0[e1]"))
-        mass, start = profiles(runner, space, solution, LeastSquares(), settings)
-        assert mass.open_lower == "bound"
-        # k = 25 m has no room beyond 200
-        assert mass.upper == pytest.approx(200.0 * TRUE["m"] / TRUE["k"], rel=0.01)
-        assert mass.points[2].cost == pytest.approx(solution.cost, rel=1e-6)
-        interval = assess(space, solution).intervals[4]
-        assert start.lower == pytest.approx(interval.lower95, rel=1e-3)
-        assert start.upper == pytest.approx(interval.upper95, rel=1e-3)
+    settings = UncertaintySettings(profiles=("m", "x0[e1]"))
+    result = fit(free_springs(SOLVERS[0]), uncertainty=settings)
+    mass, start = result.profiles
+    assert mass.open_lower == "bound"
+    # k = 25 m has no room beyond 200
+    assert mass.upper == pytest.approx(200.0 * TRUE["m"] / TRUE["k"], rel=0.01)
+    assert mass.points[2].cost == pytest.approx(result.cost, rel=1e-6)
+    interval = result.uncertainty.intervals[4]
+    assert start.lower == pytest.approx(interval.lower95, rel=1e-3)
+    assert start.upper == pytest.approx(interval.upper95, rel=1e-3)
 
 
 def test_what_refits_found_is_in_tables_and_does_not_depend_on_the_workers():
@@ -145,13 +126,6 @@ def test_what_refits_found_is_in_tables_and_does_not_depend_on_the_workers():
     }  # fmt: skip
     found = rows["k", "profile"]
     assert (found["lower"], found["upper"]) == (profile.lower, profile.upper)
-
-
-def test_directions_are_a_table():
-    rows = fit(free_springs(SOLVERS[0])).table("directions").to_pylist()
-    assert [row["label"] for row in rows] == ["m", "k", "c"]
-    assert [row["relative"] for row in rows] == pytest.approx([1.0, 1.0, 1.0], rel=0.02)
-    assert {row["direction"] for row in rows} == {0}
 
 
 def binomial(hits, least, most):
