@@ -13,6 +13,8 @@ from support.problems.springs import ROOT
 from cluster_est import build_problem, fit
 from cluster_est.config.reader import parse_config
 
+pytestmark = pytest.mark.slow
+
 PULSES = {"no pulses": "emps/DATA_EMPS.mat", "pulses": "emps/DATA_EMPS_PULSES.mat"}
 COULOMB = {
     "name": "coulomb",
@@ -45,7 +47,7 @@ def force_norm(file: str) -> float:
 @pytest.mark.parametrize(
     ("effects", "training", "pulses"),
     [
-        pytest.param([], (0.165, 0.180), (0.160, 0.175), marks=pytest.mark.slow),
+        ([], (0.165, 0.180), (0.160, 0.175)),
         ([COULOMB], (0.035, 0.050), (0.045, 0.065)),
     ],
 )
@@ -56,7 +58,6 @@ def test_relative_error_of_the_force_of_emps(effects, training, pulses):
     assert pulses[0] <= found["pulses"] / norms["pulses"] <= pulses[1]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effects", "least", "most"), [([], 0.0130, 0.0145), ([CUBIC], 0.0, 0.0010)]
 )

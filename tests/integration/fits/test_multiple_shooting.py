@@ -172,6 +172,7 @@ def test_standard_errors_by_segments_are_those_of_whole_records():
         assert other.std_error == pytest.approx(one.std_error, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_a_chaotic_model_is_found_where_whole_records_lead_astray():
     problem = chaotic_pendulum()
     plain = ce.fit(problem)

@@ -77,6 +77,7 @@ def test_what_an_order_says_nothing_of_is_named():
     assert found.x["m"] == pytest.approx(TRUE["m"], rel=2e-3)
 
 
+@pytest.mark.slow
 def test_from_rest_an_order_says_only_what_mass_stiffness_and_damping_share(words):
     run = words / "run"
     assert main(["fit", str(words / "words.toml"), "--out", str(run), WORDS]) == 0

@@ -76,12 +76,7 @@ def test_a_wrong_sigma_is_named(clean, sigma, doubt):
     assert f"sigma is probably 10 times {doubt.removeprefix('sigma ')}" in note.replace("9.9", "10")
 
 
-def test_data_without_noise_are_not_judged():
-    found = ce.fit(spring_problem(experiments=2, samples=100).problem)
-    assert found.diagnostics is not None
-    assert found.diagnostics.findings == ()
-
-
+@pytest.mark.slow
 def test_the_warning_is_the_same_by_other_methods_and_on_two_workers(lacking, result):
     resources = ce.Resources("processes", workers=2)
     other = ce.fit(lacking, "pattern_search", resources)

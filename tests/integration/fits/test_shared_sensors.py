@@ -53,7 +53,13 @@ def simulated(problem, values):
 
 
 @pytest.mark.parametrize(
-    ("scale", "offset"), [(3.7, 0.4), (1e5, -2e4), (1e-6, 3e-7), (-200.0, 5.0)]
+    ("scale", "offset"),
+    [
+        (1e5, -2e4),
+        (-200.0, 5.0),
+        pytest.param(3.7, 0.4, marks=pytest.mark.slow),
+        pytest.param(1e-6, 3e-7, marks=pytest.mark.slow),
+    ],
 )
 def test_a_scale_of_any_size_and_sign_is_found(scale, offset):
     result = ce.fit(with_sensor(sensed(scale, offset)))

@@ -27,9 +27,10 @@ SCIPY = METHODS["scipy_least_squares"]
     ],
 )
 def test_every_parameter_returns_without_noise(interface, solver):
-    truth = spring_problem(solver=solver, interface=interface)
+    truth = spring_problem(3, solver=solver, interface=interface)
     result = fit(truth.problem)
     assert result.success
+    assert result.diagnostics.findings == ()  # of what is left, which is no noise
     for label, value in truth.values.items():
         assert result.x[label] == pytest.approx(value, rel=1e-6)
 
@@ -75,7 +76,7 @@ def scipy_cost(truth, part=None):
     ids=repr,
 )
 def test_cost_with_noise_is_that_of_scipy(method):
-    truth = spring_problem(noise=0.01)
+    truth = spring_problem(3, noise=0.01)
     assert fit(truth.problem, method).cost == pytest.approx(scipy_cost(truth), rel=1e-8)
 
 

@@ -89,6 +89,7 @@ def test_nothing_is_named_where_all_is_determined(solver, differences):
     assert np.isfinite([i.std_error for i in found.intervals]).all()
 
 
+@pytest.mark.slow
 def test_a_profile_of_what_is_not_determined_ends_where_bounds_end_it():
     settings = UncertaintySettings(profiles=("m", "x0[e1]"))
     result = fit(free_springs(SOLVERS[0]), uncertainty=settings)
@@ -133,6 +134,7 @@ def binomial(hits, least, most):
     assert all(least <= share <= most for share in shares.values()), shares
 
 
+@pytest.mark.slow
 class TestCoverage:
     """The bench in short. Of 60 intervals that hold the truth in 95 % of all cases, 50 do or more
     with a probability of 0.9996; with one of 70 % only in 2 %. Of the 240 of the starts of all
@@ -144,11 +146,9 @@ class TestCoverage:
         assert sum(hits["x0"]) >= 217
         binomial(hits, 50 / 60, 1.0)
 
-    @pytest.mark.slow
     def test_of_profiles(self):
         binomial(bench_coverage.profile_hits(20, experiments=2, samples=40), 15 / 20, 1.0)
 
-    @pytest.mark.slow
     def test_of_the_bootstrap(self):
         """White noise and alike experiments: it must come to what the derivatives say. Of five
         fits to ten experiments, the mean ratio of standard errors scatters by about 0.12; how often

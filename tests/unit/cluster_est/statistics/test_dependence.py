@@ -20,11 +20,11 @@ def late(x, lag):
 
 
 NULLS = {
-    "slow, with white noise": lambda rng, n: coloured(rng, n, 0.98) + rng.standard_normal(n),
     "oscillating": lambda rng, n: coloured(rng, n, 1.95, -0.97),
     "random walk": lambda rng, n: np.cumsum(rng.standard_normal(n)),
 }
 MORE_NULLS = {
+    "slow, with white noise": lambda rng, n: coloured(rng, n, 0.98) + rng.standard_normal(n),
     "first order": lambda rng, n: coloured(rng, n, 0.9),
     "slow": lambda rng, n: coloured(rng, n, 0.99),
     "smooth": lambda rng, n: late(coloured(rng, n, 0.98), 20.0) + 0.1 * rng.standard_normal(n),

@@ -134,7 +134,12 @@ class TestHeld:
     @pytest.mark.parametrize(
         ("text", "x", "basis"),
         [
-            ("2 <= rate + gain", (0.8, 1.2, 0.3), [[1, 0], [-1, 0], [0, 1]]),
+            pytest.param(
+                "2 <= rate + gain",
+                (0.8, 1.2, 0.3),
+                [[1, 0], [-1, 0], [0, 1]],
+                marks=pytest.mark.slow,
+            ),
             ("rate + gain <= 3", (0.8, 1.2, 0.3), np.eye(3)),
             ("gain == 1.2", (0.8, 1.2, 0.3), [[1, 0], [0, 0], [0, 1]]),
             (
