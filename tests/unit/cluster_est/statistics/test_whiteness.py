@@ -11,7 +11,6 @@ from cluster_est.statistics.whiteness import (
     SmoothedColumns,
     StructureKernel,
     WhiteNull,
-    smoothed,
     smoothness,
     traces,
 )
@@ -38,18 +37,6 @@ def matrix(kernel: StructureKernel, rows: np.ndarray) -> np.ndarray:
         if np.isin(own, rows).all():
             result[np.ix_(own, own)] = np.where(np.abs(lags) <= kernel.reach(len(own)), values, 0.0)
     return result
-
-
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_smoothing_and_traces_are_those_of_the_matrix(kernel):
-    everything = np.arange(RECORDS.size)
-    dense = matrix(kernel, everything)
-    columns = np.random.default_rng(0).normal(size=(RECORDS.size, 3))
-    assert smoothed(columns, RECORDS.items, kernel) == pytest.approx(dense @ columns, abs=1e-12)
-    form = dense - 1.7 * np.eye(RECORDS.size)
-    powers = [np.linalg.matrix_power(form, m) for m in (1, 2, 3)]
-    counts = [len(item.times) for item in RECORDS.items]
-    assert traces(kernel, counts, 1.7) == pytest.approx([np.trace(p) for p in powers])
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
