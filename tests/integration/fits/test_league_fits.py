@@ -40,6 +40,7 @@ def regressed(columns, measured_values, train, test):
     }
 
 
+@pytest.mark.slow
 def test_rocket_without_air(monkeypatch):
     data = table("league/rocket/flight.csv")
     time = data["time"] - 4.5
@@ -52,7 +53,7 @@ def test_rocket_without_air(monkeypatch):
     assert errors("rocket", monkeypatch) == pytest.approx(expected, rel=1e-5)
 
 
-@pytest.mark.parametrize("textbook", [False, True])
+@pytest.mark.parametrize("textbook", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_wrist_with_and_without_dry_friction(monkeypatch, textbook):
     data = table("league/ur5e/moves.csv")
     speed = data["qd5"]

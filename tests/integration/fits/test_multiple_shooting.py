@@ -5,26 +5,22 @@ The data are SciPy's solutions of the physics, written down in another way than 
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from pathlib import Path
+from functools import cache
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from scipy.integrate import solve_ivp
 from support.cut_logs import cut
+from support.problems.seen_springs import break_off, values_of, with_outputs
 from support.problems.springs import ROOT, spring_problem
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.problem.search_space.space import make_space
-from cluster_est.running.environment import RunEnvironment
-from cluster_est.running.resources import one_blas_thread
-from cluster_est.shooting.settings import Shooting
-from cluster_est.shooting.shoot import shoot
-from cluster_est.uncertainty import intervals
+from cluster_est.costs import COSTS
+from cluster_est.errors import ProblemError
 
+CONFIG = str(ROOT / "configs" / "mass_spring_damper.toml")
 MODELS = ROOT / "configs" / "models"
 NOISE = 0.01
 
@@ -61,50 +57,54 @@ def chaotic_pendulum() -> ce.Problem:
 PENDULUM = {"J": 0.1, "G": 2.0, "b": 0.04}
 
 
-def standing_rod(seconds: float = 8.0) -> ce.Problem:
-    """A rod that a controller keeps upright, linear: cosh with what is fed back."""
+@cache
+def balanced() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times, states and forces of a rod that a controller keeps upright for 8 s."""
     step, g = 0.01, 9.81
     cart, rod, length, friction = 1.0, 0.3, 0.5, 0.5
-    generator = np.random.default_rng(2)
     state, path, forces = np.array([0.0, 0.05, 0.0, 0.0]), [], []
-    times = np.arange(0.0, seconds + step / 2, step)
+    times = np.arange(0.0, 8.0 + step / 2, step)
 
-    def rate(z: np.ndarray, force: float) -> np.ndarray:
+    def rate(_: float, z: np.ndarray, force: float) -> list[float]:
         q, v, w = z[1:]
-        mass = np.array(
-            [[cart + rod, rod * length * np.cos(q)], [rod * length * np.cos(q), rod * length**2]]
-        )
-        right = [
-            force - friction * v + rod * length * w * w * np.sin(q),
-            rod * g * length * np.sin(q),
+        side = rod * length * np.cos(q)
+        push = force - friction * v + rod * length * w * w * np.sin(q)
+        fall = rod * g * length * np.sin(q)
+        whole = (cart + rod) * rod * length**2 - side**2
+        return [
+            v,
+            w,
+            (rod * length**2 * push - side * fall) / whole,
+            ((cart + rod) * fall - side * push) / whole,
         ]
-        return np.concatenate([[v, w], np.linalg.solve(mass, right)])
 
     for t in times:
         wanted = 0.3 * np.sin(1.1 * t) + 0.2 * np.sin(2.9 * t + 1.0)
         force = float(np.array([3.2, 45.0, 6.0, 10.0]) @ (state - [wanted, 0.0, 0.0, 0.0]))
         path.append(state)
         forces.append(force)
-        found = solve_ivp(
-            lambda _, z, f=force: rate(z, f), (0.0, step), state, rtol=1e-10, atol=1e-12
-        )
+        found = solve_ivp(rate, (0.0, step), state, args=(force,), rtol=1e-10, atol=1e-12)
         state = found.y[:, -1]
-    outputs = []
-    for name, values in (("y1", np.array(path)[:, 0]), ("y2", np.array(path)[:, 1])):
+    return times, np.array(path), np.array(forces)
+
+
+def standing_rod(samples: int = 801) -> ce.Problem:
+    """A rod that a controller keeps upright, linear: cosh with what is fed back."""
+    times, path, forces = (part[:samples] for part in balanced())
+    generator, outputs = np.random.default_rng(2), []
+    for name, values in zip(("y1", "y2"), path.T, strict=False):
         sigma = NOISE * float(np.std(values))
         noisy = values + sigma * generator.normal(size=len(values))
         outputs.append(ce.Output(name, times, noisy, sigma=sigma))
-    force = ce.Input("F", times, np.array(forces), "hold")
+    force = ce.Input("F", times, forces, "hold")
     experiment = ce.Experiment("stand", 0.0, float(times[-1]), (force,), tuple(outputs), {"d": 0.0})
+    states = ("position", "angle", "velocity", "speed")
     parameters = [
         ce.Parameter("m_cart", 1.5, 0.05, 20.0),
         ce.Parameter("m_rod", 0.15, 0.01, 6.0),
         ce.Parameter("l", 0.75, 0.02, 10.0),
         ce.Parameter("b", 0.25, 0.0, 10.0),
-        *(
-            ce.Parameter(f"{name}0", 0.0, variable=name)
-            for name in ("position", "angle", "velocity", "speed")
-        ),
+        *(ce.Parameter(f"{name}0", 0.0, variable=name) for name in states),
     ]
     return read("cart_pendulum", parameters, experiment)
 
@@ -121,30 +121,58 @@ def near(result: ce.Result, truth: dict[str, float]) -> bool:
     )
 
 
-@pytest.mark.parametrize("interface", ["model_exchange", "co_simulation"])
-def test_a_stable_model_is_fitted_as_without_segments(interface):
-    solver = ce.Solver("fmu") if interface == "co_simulation" else None
-    problem = spring_problem(2, 100, noise=0.01, interface=interface, solver=solver).problem
+def springs(records: int = 2, samples: int = 100, **how) -> ce.Problem:
+    return spring_problem(records, samples, noise=0.01, **how).problem
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        springs(),
+        springs(interface="co_simulation", solver=ce.Solver("fmu")),
+        with_outputs(springs(), lambda o: replace(o, variable="x", sigma=0.1)),
+    ],
+    ids=["model exchange", "co-simulation", "a state that is measured"],
+)
+def test_a_stable_model_is_fitted_as_without_segments(problem):
     plain, shot = ce.fit(problem), ce.fit(problem, shooting={"segments": 5})
     assert shot.shooting.joined
+    assert shot.shooting.cost == pytest.approx(shot.cost, rel=1e-6)
     assert shot.cost == pytest.approx(plain.cost, rel=1e-7)
     for label, value in plain.x.items():
         assert shot.x[label] == pytest.approx(value, rel=1e-4, abs=1e-5)
     assert any("multiple shooting found on 10 segments" in note for note in shot.notes)
 
 
+@pytest.mark.parametrize(
+    ("records", "samples", "shooting", "segments"),
+    [
+        (2, 41, {"length": 0.2}, 8),
+        (2, 41, {"length": 0.3}, 6),
+        (2, 41, {"length": 5.0}, 2),
+        (1, 9, {"segments": 1000}, 8),
+        (1, 9, {"length": 1e-9}, 8),
+    ],
+)
+def test_records_are_cut_into_so_many_segments(records, samples, shooting, segments):
+    """A length is the longest that one may be, and each has a sample at least."""
+    found = ce.fit(springs(records, samples), shooting=shooting)
+    assert found.shooting.asked == segments
+
+
 def test_standard_errors_by_segments_are_those_of_whole_records():
-    problem = spring_problem(2, 100, noise=0.01).problem
-    train = make_space(problem, problem.indices("train"))
-    with one_blas_thread():
-        shot = shoot(RunEnvironment(), train, ce.LeastSquares(), Shooting(segments=5), 0)
-    plain = {e.label: e.std_error for e in ce.fit(problem).estimates}
-    for interval, unknown in zip(intervals(train, shot.solution), train.unknowns, strict=True):
-        assert interval.std_error == pytest.approx(plain[unknown.label], rel=1e-2)
-    assert shot.solution.cost == pytest.approx(shot.summary.cost, rel=1e-6)
-    assert shot.summary.largest_jump < 1e-5
+    """Whole records are not tried where they explain less than half of what was measured."""
+    problem = spring_problem(2, 100, noise=0.3).problem
+    plain, shot = ce.fit(problem), ce.fit(problem, shooting={"segments": 5})
+    assert not shot.shooting.joined
+    assert shot.shooting.largest_jump < 1e-5
+    assert shot.cost == pytest.approx(plain.cost, rel=1e-5)
+    for one, other in zip(plain.estimates, shot.estimates, strict=True):
+        assert other.value == pytest.approx(one.value, abs=0.01 * one.std_error)
+        assert other.std_error == pytest.approx(one.std_error, rel=1e-2)
 
 
+@pytest.mark.slow
 def test_a_chaotic_model_is_found_where_whole_records_lead_astray():
     problem = chaotic_pendulum()
     plain = ce.fit(problem)
@@ -193,15 +221,20 @@ def test_each_segment_has_its_states_in_a_table(standing):
     np.testing.assert_allclose([row["guess"] for row in position], measured)
 
 
-def test_workers_and_their_order_change_no_bit(standing):
-    problem = standing.problem
+@pytest.mark.slow
+def test_workers_change_no_bit_and_what_needs_whole_records_is_left_out(standing):
     again = ce.fit(
-        problem, resources=ce.Resources("processes", workers=2), shooting={"segments": 32}
+        standing.problem,
+        resources=ce.Resources("processes", workers=2),
+        shooting={"segments": 32},
+        uncertainty=ce.UncertaintySettings(profiles=("m_cart",)),
     )
     assert again.x == standing.x
     assert again.cost == standing.cost
+    assert "uncertainty.profiles was asked for and left out" in " ".join(again.notes)
 
 
+@pytest.mark.slow
 def test_segments_that_are_too_long_are_cut_in_halves_and_that_is_said():
     result = ce.fit(standing_rod(), shooting={"segments": 2})
     assert near(result, ROD)
@@ -209,8 +242,9 @@ def test_segments_that_are_too_long_are_cut_in_halves_and_that_is_said():
     assert any("instead of 2, which were too long" in note for note in result.notes)
 
 
+@pytest.mark.slow
 def test_segments_that_lead_nowhere_are_said():
-    problem = standing_rod(seconds=3.0)
+    problem = standing_rod(301)
     parameters = tuple(
         replace(p, start=p.start * 0.1) if p.name in ROD else p for p in problem.parameters
     )
@@ -219,100 +253,87 @@ def test_segments_that_lead_nowhere_are_said():
     assert not result.success
 
 
-CONFIG = """
-[model]
-fmu = "{fmu}"
-[method]
-shooting = {{ segments = 6 }}
-[parameters]
-m = {{ start = 2.0, bounds = [0.1, 10.0] }}
-k = {{ start = 15.0, bounds = [1.0, 100.0] }}
-c = {{ start = 0.3, bounds = [0.0, 10.0] }}
-[experiment_defaults]
-data = "data.csv"
-time = "time"
-inputs = {{ F = "F" }}
-outputs = {{ y = "y" }}
-values = {{ x = {x0} }}
-[[experiments]]
-id = "a"
-"""
-
-
-def written(folder: Path) -> Path:
-    truth = spring_problem(1, 120, noise=0.01)
-    run = truth.problem.experiments[0]
-    columns = [run.inputs[0].times, run.inputs[0].values, run.outputs[0].values]
-    np.savetxt(
-        folder / "data.csv", np.column_stack(columns), delimiter=",", header="time,F,y", comments=""
-    )
-    config = folder / "fit.toml"
-    fmu = MODELS / "mass_spring_damper.fmu"
-    config.write_text(CONFIG.format(fmu=fmu, x0=truth.values["x0[e0]"]), encoding="utf-8")
-    return config
-
-
 def test_a_config_asks_for_it_and_a_run_that_was_cut_is_taken_up(tmp_path, capsys):
-    config = str(written(tmp_path))
-    out = tmp_path / "run"
-    assert main(["fit", config, "--out", str(out), "--no-report"]) == 0
-    assert "multiple shooting found on 6 segments" in " ".join(capsys.readouterr().out.split())
-    whole = pq.read_table(out / "parameters.parquet").to_pylist()
-    facts = json.loads((out / "run.json").read_text(encoding="utf-8"))
-    cut(out / "evaluations", 60)
-    facts |= {"status": "interrupted"}
-    (out / "run.json").write_text(json.dumps(facts), encoding="utf-8")
-    assert main(["fit", config, "--out", str(out), "--no-report", "--resume"]) == 0
-    assert repr(pq.read_table(out / "parameters.parquet").to_pylist()) == repr(whole)
-    assert (out / "segments.parquet").exists()
+    given = ["fit", CONFIG, "--out", str(tmp_path), "--no-report", "method.shooting.segments=6"]
+    assert main(given) == 0
+    assert "multiple shooting found on 24 segments" in " ".join(capsys.readouterr().out.split())
+    whole = values_of(tmp_path)
+    cut(tmp_path / "evaluations", 60)
+    break_off(tmp_path)
+    assert main([*given, "--resume"]) == 0
+    assert values_of(tmp_path) == whole
+    assert (tmp_path / "segments.parquet").exists()
 
 
 @pytest.mark.parametrize(
     ("override", "sentence"),
     [
-        ("method.shooting.segments=1", "method.shooting.segments"),
-        ("method.shooting.length=2.0", "must have segments or length, but has both"),
-        ("method.name=sqp", "needs method.name least_squares"),
+        ("method.shooting={segments=1}", "method.shooting.segments"),
         ("multistart.n=4", "multistart asks for 4 starts"),
     ],
 )
-def test_what_cannot_be_is_one_sentence(tmp_path, capsys, override, sentence):
-    config = str(written(tmp_path))
-    assert main(["fit", config, override, "--out", str(tmp_path / "run")]) == 2
+def test_what_a_config_cannot_ask_for_is_one_sentence(tmp_path, capsys, override, sentence):
+    given = ["fit", CONFIG, "--out", str(tmp_path / "run"), "method.shooting.segments=6"]
+    assert main([*given, override]) == 2
     printed = " ".join(capsys.readouterr().err.split())
     assert sentence in printed
     assert "Traceback" not in printed
 
 
+def remembering(form: str, site: str) -> ce.Problem:
+    problem = springs()
+    tau = ce.Parameter("late.tau", 0.1, 0.01, 1.0)
+    effect = ce.Effect("late", site, form)
+    return replace(problem, effects=(effect,), parameters=(*problem.parameters, tau))
+
+
+def stateless() -> ce.Problem:
+    model = ce.read_model(ROOT / "configs" / "league" / "models" / "ur5e.fmu", ["J"])
+    times = np.arange(5.0)
+    run = ce.Experiment("a", 0.0, 4.0, (), (ce.Output("i", times, times),))
+    return ce.Problem(model, (ce.Parameter("J", 1.0),), (run,))
+
+
+THREE = {"segments": 3}
+FREE = with_outputs(springs(), lambda o: replace(o, free_offset=True))
+
+
+@pytest.mark.parametrize(
+    ("problem", "shooting", "how", "said"),
+    [
+        (springs(), {}, {}, "shooting: must have segments or length.* neither"),
+        (springs(), {"segments": 3, "length": 1.0}, {}, "shooting: must have .* both"),
+        (springs(), {"segments": 1}, {}, r"shooting\.segments: must be .*2"),
+        (springs(), {"length": 0.0}, {}, r"shooting\.length: must be .*0"),
+        (springs(), {"parts": 3}, {}, "shooting: must have segments or length.*parts"),
+        (FREE, THREE, {}, "'e0'.*a free scale or offset"),
+        (remembering("lag", "output y"), THREE, {}, "'late', which has a state of its own"),
+        (remembering("delay", "input F"), THREE, {}, "'late', which depends on the past"),
+        (stateless(), THREE, {}, "needs a model with states"),
+        (replace(springs(), cost=COSTS["huber"]()), THREE, {}, 'needs cost.name = "sse"'),
+        (springs(), THREE, {"method": "pattern_search"}, "needs .*least_squares.* pattern_search"),
+        (springs(), THREE, {"multistart": ce.Multistart(n=3)}, "multistart asks for 3 starts"),
+    ],
+)
+def test_what_segments_cannot_help_is_refused(problem, shooting, how, said):
+    with pytest.raises(ProblemError, match=said):
+        ce.fit(problem, shooting=shooting, **how)
+
+
 def test_a_price_of_continuity_that_no_noise_explains_is_said(standing):
     assert standing.shooting.continuity_p > 0.01
-    problem = standing.problem
-    run = problem.experiments[0]
-    wave = np.sin(2.0 * run.outputs[0].times)
-    pushed = replace(run, outputs=tuple(
-        replace(o, values=o.values + o.sigma * wave) for o in run.outputs))  # fmt: skip
-    result = ce.fit(replace(problem, experiments=(pushed,)), shooting={"segments": 32})
+    pushed = with_outputs(
+        springs(1), lambda o: replace(o, values=o.values + 0.05 * np.sin(9.0 * o.times), sigma=0.01)
+    )
+    result = ce.fit(pushed, shooting={"segments": 5})
     assert result.shooting.continuity_p < 1e-3
     assert any("more than noise explains" in note for note in result.notes)
 
 
 def test_a_budget_that_runs_out_is_no_sign_of_chaos():
-    problem = spring_problem(2, 100, noise=0.01).problem
     resources = ce.Resources(budget=ce.Budget(evaluations=40))
-    result = ce.fit(problem, resources=resources, shooting={"segments": 5})
+    result = ce.fit(springs(), resources=resources, shooting={"segments": 5})
     assert not result.success
     said = " ".join(result.notes)
     assert "chaotic" not in said
     assert "budget is used up" in said or "was stopped before it reached a solution" in said
-
-
-def test_a_length_in_a_wrong_unit_is_as_many_segments_as_samples():
-    problem = spring_problem(1, 20, noise=0.01).problem
-    result = ce.fit(problem, shooting={"length": 1e-9})
-    assert result.shooting.segments == 19
-
-
-def test_what_works_on_whole_records_is_said_to_be_left_out(standing):
-    settings = ce.UncertaintySettings(profiles=("m_cart",))
-    result = ce.fit(standing.problem, shooting={"segments": 32}, uncertainty=settings)
-    assert "uncertainty.profiles was asked for and left out" in " ".join(result.notes)

@@ -6,28 +6,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.problems.seen_springs import seen_springs, with_outputs
 from support.problems.springs import TRUE, spring_problem
 
 import cluster_est as ce
-from cluster_est.costs.robust import HuberCost
+from cluster_est.costs import COSTS
 from cluster_est.errors import ProblemError
 
 SCALES, OFFSETS = (3.7, 0.5, 2.0), (0.4, -1.0, 0.0)
 
 
 def observed(noise=0.0, **how):
-    """Springs whose sensors have scales and offsets of their own; the mass is known."""
-    truth = spring_problem(3, noise=noise)
-    problem, runs = truth.problem, []
-    for experiment, scale, offset in zip(problem.experiments, SCALES, OFFSETS, strict=True):
-        (output,) = experiment.outputs
-        made = replace(output, values=scale * output.values + offset, sigma=0.01, **how)
-        start = {"x": truth.values[f"x0[{experiment.id}]"]}
-        runs.append(replace(experiment, outputs=(made,), values=start))
-    known = tuple(
-        replace(p, start=TRUE["m"], fixed=True) if p.name == "m" else p for p in problem.parameters
-    )
-    return replace(problem, parameters=known, experiments=tuple(runs))
+    """Springs whose sensors have scales and offsets of their own."""
+    generator = np.random.default_rng(1)
+
+    def see(output, number):
+        seen = output.values + noise * generator.normal(size=len(output.times))
+        values = SCALES[number] * seen + OFFSETS[number]
+        return replace(output, values=values, sigma=0.01, **how)
+
+    return seen_springs(see)
 
 
 @pytest.fixture(scope="module")
@@ -96,25 +94,46 @@ def test_standard_errors_are_those_of_a_fit_with_scales_as_unknowns():
     assert white == pytest.approx(list(errors[:2]), rel=0.02)
 
 
+LIMIT = 0.02
+
+
+def hidden_springs(seed=1, written=LIMIT, **how):
+    """Where nothing is detected, something else is written down."""
+    generator = np.random.default_rng(seed)
+
+    def hide(output):
+        values = output.values + 0.01 * generator.standard_normal(len(output.times))
+        seen = np.where(values > LIMIT, values, written)
+        return replace(output, values=seen, sigma=0.01, **how)
+
+    return with_outputs(spring_problem(3).problem, hide)
+
+
 def test_values_below_a_detection_limit_pull_nothing_towards_it():
     """What is written as the limit where nothing was detected biases a fit that takes it for it."""
-    problem = spring_problem(3, noise=0.01).problem
-    limit = 0.02
-
-    def hidden(experiment, **how):
-        (output,) = experiment.outputs
-        values = np.where(output.values > limit, output.values, limit)
-        return replace(experiment, outputs=(replace(output, values=values, sigma=0.01, **how),))
-
-    def fitted(**how):
-        runs = tuple(hidden(e, **how) for e in problem.experiments)
-        return ce.fit(replace(problem, experiments=runs))
-
-    censored, naive = fitted(detection_limit=limit), fitted()
-    off = {key: abs(r.x["c"] - TRUE["c"]) for key, r in (("it", censored), ("naive", naive))}
-    assert off["it"] < 0.05
-    assert off["naive"] > 3.0 * off["it"]
+    censored, naive = ce.fit(hidden_springs(detection_limit=LIMIT)), ce.fit(hidden_springs())
+    assert abs(censored.x["c"] - TRUE["c"]) < 0.05
+    assert abs(naive.x["c"] - TRUE["c"]) > 3.0 * abs(censored.x["c"] - TRUE["c"])
     assert any("at or below its detection limit" in note for note in censored.notes)
+    table = censored.residuals.to_pydict()
+    hidden = np.array(table["measured"]) <= LIMIT
+    assert np.array(table["simulated"])[hidden].min() < -LIMIT  # and not the limit
+    assert not any("a constant would follow" in note for note in censored.notes)
+    zeros = ce.fit(hidden_springs(written=0.0, detection_limit=LIMIT))
+    assert zeros.x == pytest.approx(censored.x, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_standard_errors_are_those_that_the_estimates_scatter_by():
+    """Two thirds of the values are hidden, and say nothing of how large the noise is."""
+    found = []
+    for seed in range(12):
+        result = ce.fit(hidden_springs(seed, 0.0, detection_limit=LIMIT))
+        own = {each.label: each for each in result.estimates}
+        found.append([(own[n].value - TRUE[n]) / own[n].std_error for n in ("m", "k", "c")])
+    scatter = np.sqrt(np.mean(np.square(found), axis=0))
+    assert (scatter > 0.6).all()
+    assert (scatter < 1.5).all()
 
 
 @pytest.mark.parametrize("how", [{"free_scale": True}, {"detection_limit": 0.0}])
@@ -123,49 +142,20 @@ def test_the_closed_loop_takes_outputs_as_they_are(how):
         ce.close_loop(observed(**how))
 
 
-def hidden_springs(seed, limit, **how):
-    problem = spring_problem(3, noise=0.0).problem
-    generator, runs = np.random.default_rng(seed), []
-    for experiment in problem.experiments:
-        (output,) = experiment.outputs
-        values = output.values + 0.01 * generator.standard_normal(len(output.times))
-        made = replace(output, values=np.where(values > limit, values, 0.0), sigma=0.01, **how)
-        runs.append(replace(experiment, outputs=(made,)))
-    return replace(problem, experiments=tuple(runs))
+HUBER = COSTS["huber"]()
 
 
-def test_standard_errors_are_those_that_the_estimates_scatter_by():
-    """Two thirds of the values are hidden, and say nothing of how large the noise is."""
-    found = []
-    for seed in range(12):
-        result = ce.fit(hidden_springs(seed, 0.02, detection_limit=0.02))
-        own = {each.label: each for each in result.estimates}
-        found.append([(own[n].value - TRUE[n]) / own[n].std_error for n in ("m", "k", "c")])
-    scatter = np.sqrt(np.mean(np.square(found), axis=0))
-    assert (scatter > 0.6).all()
-    assert (scatter < 1.5).all()
-
-
-def test_the_limit_and_0_say_the_same(tmp_path):
-    one, other = (hidden_springs(1, limit, detection_limit=0.02) for limit in (0.02, 0.02))
-    for a, b in zip(one.experiments, other.experiments, strict=True):
-        assert a.key == b.key
-    result = ce.fit(one)
-    table = result.residuals.to_pydict()
-    hidden = np.array(table["measured"]) <= 0.02
-    assert np.array(table["simulated"])[hidden].min() < -0.02  # and not the limit
-    assert not any("a constant would follow" in note for note in result.notes)
-
-
-def test_a_limit_without_a_sigma_and_another_cost_are_refused():
-    problem = hidden_springs(1, 0.02, detection_limit=0.02)
-    bare = tuple(
-        replace(e, outputs=tuple(replace(o, sigma=1.0) for o in e.outputs))
-        for e in problem.experiments
-    )
-    with pytest.raises(ProblemError, match="must have a sigma where it has a detection_limit"):
-        ce.fit(replace(problem, experiments=bare))
-    with pytest.raises(ProblemError, match="must go with the cost sse"):
-        ce.fit(replace(problem, cost=HuberCost()))
-    with pytest.raises(ProblemError, match="must go with the cost sse"):
-        ce.fit(replace(observed(free_scale=True), cost=HuberCost()))
+@pytest.mark.parametrize(
+    ("problem", "said"),
+    [
+        (
+            with_outputs(hidden_springs(detection_limit=LIMIT), lambda o: replace(o, sigma=1.0)),
+            "must have a sigma where it has a detection_limit",
+        ),
+        (replace(hidden_springs(detection_limit=LIMIT), cost=HUBER), "must go with the cost sse"),
+        (replace(observed(free_scale=True), cost=HUBER), "must go with the cost sse"),
+    ],
+)
+def test_a_limit_without_a_sigma_and_another_cost_are_refused(problem, said):
+    with pytest.raises(ProblemError, match=said):
+        ce.fit(problem)

@@ -3,39 +3,40 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from scipy.stats import kendalltau
+from support.problems.seen_springs import (
+    MASS_IS_KNOWN,
+    example_without_outputs,
+    seen_springs,
+    values_of,
+    with_outputs,
+)
 from support.problems.springs import ROOT, TRUE, spring_problem
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.costs.robust import HuberCost
+from cluster_est.costs import COSTS
 from cluster_est.errors import ProblemError
 from cluster_est.problem.effects.sensors import shared_sensor
 
-CONFIG = str(ROOT / "configs" / "mass_spring_damper.toml")
 
-
-def judged(grades=0, noise=0.0, seed=0, size=1.0):
+def judged(grades=0, noise=0.0):
     """Springs of which somebody says in how many grades the position is; 0 for its rank alone."""
-    truth, generator, runs = spring_problem(3), np.random.default_rng(seed), []
-    for experiment in truth.problem.experiments:
-        (output,) = experiment.outputs
+    generator = np.random.default_rng(0)
+
+    def see(output, number):
         seen = output.values + noise * generator.normal(size=len(output.times))
         if grades:
             seen = np.digitize(seen, np.quantile(seen, np.linspace(0, 1, grades + 1)[1:-1]))
-        made = replace(output, values=size * seen.astype(float), ordinal=True)
-        start = {"x": truth.values[f"x0[{experiment.id}]"]}
-        runs.append(replace(experiment, outputs=(made,), values=start))
-    known = tuple(
-        replace(p, start=TRUE["m"], fixed=True) if p.name == "m" else p
-        for p in truth.problem.parameters
-    )
-    return replace(truth.problem, parameters=known, experiments=tuple(runs))
+        return replace(output, values=seen.astype(float), ordinal=True)
+
+    return seen_springs(see)
 
 
 @pytest.fixture(scope="module")
@@ -50,28 +51,17 @@ def test_ranks_alone_say_what_the_parameters_are(ranked):
 
 
 def test_monotone_functions_of_the_values_say_the_same(ranked):
-    problem = judged()
-    bent = tuple(
-        replace(e, outputs=tuple(replace(o, values=np.exp(9.0 * o.values)) for o in e.outputs))
-        for e in problem.experiments
-    )
-    again = ce.fit(replace(problem, experiments=bent))
-    assert again.x == ranked.x
+    bent = with_outputs(judged(), lambda o: replace(o, values=np.exp(9.0 * o.values)))
+    assert ce.fit(bent).x == ranked.x
 
 
-@pytest.mark.parametrize(("grades", "within"), [(3, 0.15), (10, 0.05)])
-def test_few_grades_say_less(grades, within):
-    found = ce.fit(judged(grades)).x
+@pytest.mark.parametrize(
+    ("grades", "differences", "within"), [(3, "central", 0.15), (10, "sensitivities", 0.05)]
+)
+def test_few_grades_say_less(grades, differences, within):
+    found = ce.fit(judged(grades), ce.LeastSquares(differences=differences)).x
     assert found["k"] == pytest.approx(TRUE["k"], rel=0.01)
     assert found["c"] == pytest.approx(TRUE["c"], rel=within)
-
-
-@pytest.mark.parametrize("method", ["sensitivities", "central"])
-def test_derivatives_are_those_of_the_distances(method):
-    found = ce.fit(judged(5), method=ce.LeastSquares(differences=method))
-    usual = ce.fit(judged(5), method="sqp")
-    assert found.x["k"] == pytest.approx(usual.x["k"], rel=1e-3)
-    assert found.x["c"] == pytest.approx(usual.x["c"], rel=1e-2)
 
 
 def test_what_an_order_says_nothing_of_is_named():
@@ -87,13 +77,13 @@ def test_what_an_order_says_nothing_of_is_named():
     assert found.x["m"] == pytest.approx(TRUE["m"], rel=2e-3)
 
 
+@pytest.mark.slow
 def test_from_rest_an_order_says_only_what_mass_stiffness_and_damping_share(words):
     run = words / "run"
     assert main(["fit", str(words / "words.toml"), "--out", str(run), WORDS]) == 0
     notes = json.loads((run / "run.json").read_text(encoding="utf-8"))["notes"]
     assert any("the data determine m, k and c only together" in note for note in notes)
-    rows = pq.read_table(run / "parameters.parquet").to_pylist()
-    values = {row["label"]: row["value"] for row in rows}
+    values = values_of(run)
     assert values["k"] / values["m"] == pytest.approx(TRUE["k"] / TRUE["m"], rel=0.01)
 
 
@@ -167,12 +157,6 @@ def test_a_sensor_that_is_read_in_numbers_counts_beside_one_that_is_not():
     assert found.x["m"] == pytest.approx(TRUE["m"], rel=1e-3)
 
 
-def test_all_executors_give_the_same_bits(ranked):
-    again = ce.fit(judged(), resources=ce.Resources("processes", workers=2))
-    assert again.x == ranked.x
-    assert again.cost == ranked.cost
-
-
 def test_reduced_answers_give_the_same_cost():
     problem = judged(4)
     whole = ce.fit(problem, method="pattern_search", resources=ce.Resources(budget=ce.Budget(40)))
@@ -191,7 +175,7 @@ def still(problem):
     ("change", "how", "said"),
     [
         (still, {}, "output y: must have at least two different values where it is ordinal"),
-        (lambda p: replace(p, cost=HuberCost()), {}, "must go with the cost sse"),
+        (lambda p: replace(p, cost=COSTS["huber"]()), {}, "must go with the cost sse"),
         (None, {"uncertainty": ce.UncertaintySettings(profiles=("k",))}, "uncertainty.profiles"),
         (None, {"uncertainty": ce.UncertaintySettings(posterior=1000)}, "has an ordinal output"),
         (None, {"shooting": {"segments": 3}}, "cannot cut experiment 'e0'"),
@@ -211,9 +195,6 @@ def test_the_closed_loop_refuses_an_order():
 @pytest.fixture
 def words(tmp_path):
     """The example with positions in words, as a config beside its data."""
-    text = (ROOT / "configs" / "mass_spring_damper.toml").read_text(encoding="utf-8")
-    lines = [line for line in text.splitlines() if not line.startswith("outputs")]
-    text = "\n".join(lines).replace('"models/', f'"{ROOT.as_posix()}/configs/models/')
     data = ROOT / "configs" / "data" / "mass_spring_damper"
     for number in range(1, 6):
         header, *rows = (data / f"exp{number}.csv").read_text(encoding="utf-8").splitlines()
@@ -225,8 +206,7 @@ def words(tmp_path):
         cells[3][place] = ""
         made = "\n".join([header, *(",".join(row) for row in cells)])
         (tmp_path / f"exp{number}.csv").write_text(made, encoding="utf-8")
-    text = text.replace('"data/mass_spring_damper/', '"')
-    (tmp_path / "words.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "words.toml").write_text(example_without_outputs(data='"'), encoding="utf-8")
     return tmp_path
 
 
@@ -237,45 +217,31 @@ def outputs(ordinal, more=""):
 WORDS = outputs("['low', 'medium', 'high']")
 
 
-def test_a_config_gives_words_and_a_run_that_is_taken_up_again_has_the_same_bits(words):
+def test_a_config_gives_words(words):
     config, run = str(words / "words.toml"), words / "run"
-    given = [WORDS, "parameters.m.fixed=true", "parameters.m.start=1.2"]
-    assert main(["fit", config, "--out", str(run), *given]) == 0
-    first = pq.read_table(run / "parameters.parquet")
-    values = {row["label"]: row["value"] for row in first.to_pylist()}
-    assert values["k"] == pytest.approx(TRUE["k"], rel=0.03)
+    assert main(["fit", config, "--out", str(run), WORDS, *MASS_IS_KNOWN]) == 0
+    assert values_of(run)["k"] == pytest.approx(TRUE["k"], rel=0.03)
     categories = pq.read_table(run / "categories.parquet").to_pylist()
     assert {row["category"] for row in categories} == {1.0, 2.0, 3.0}
     assert sum(row["samples"] for row in categories if row["experiment"] == "exp1") == 499
-    facts = json.loads((run / "run.json").read_text(encoding="utf-8"))
-    facts |= {"status": "running", "verdict": None}
-    (run / "run.json").write_text(json.dumps(facts), encoding="utf-8")
-    assert main(["fit", config, "--out", str(run), "--resume", *given]) == 0
-    again = pq.read_table(run / "parameters.parquet")
-    assert again.column("value").equals(first.column("value"))
 
 
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (outputs("['low', 'high']"), "must be one of the grades that are listed but is 'medium'"),
-        (outputs("['low', 'low']"), "ordinal: must name each grade once but names 'low' more"),
-        (outputs("['low']"), "ordinal: must be true, false or a list of at least two words"),
-        (outputs("3"), "ordinal: must be true, false or a list of at least two words"),
-        (outputs("true"), "row 2: must be a number but is ' medium '"),
-        (WORDS.replace("position", "place"), "has no column 'place'"),
-        (outputs("true", ", free_scale='shared'"), 'free_scale: must not be "shared" where the'),
+        ([outputs("['low', 'high']")], "one of the grades that are listed but is 'medium'"),
+        ([outputs("['low', 'low']")], "ordinal: must name each grade once.*'low'"),
+        ([outputs("['low']")], "ordinal: must be .* at least two words"),
+        ([outputs("3")], "ordinal: must be .* at least two words"),
+        ([outputs("true")], "row 2: must be a number but is ' medium '"),
+        ([WORDS.replace("position", "place")], "has no column 'place'"),
+        ([outputs("true", ", free_scale='shared'")], 'free_scale: must not be "shared" where'),
+        ([WORDS, "cost.time_base=union"], "where it is ordinal"),
+        ([WORDS, "cost.normalise=range"], "where it is ordinal"),
     ],
 )
 def test_a_mistake_in_a_config_is_met_with_a_sentence(given, said, words, capsys):
-    assert main(["fit", str(words / "words.toml"), "--out", str(words / "run"), given]) == 2
+    assert main(["fit", str(words / "words.toml"), "--out", str(words / "run"), *given]) == 2
     error = capsys.readouterr().err
-    assert said in error
+    assert re.search(said, error)
     assert "Traceback" not in error
-
-
-@pytest.mark.parametrize("key", ["cost.time_base=union", "cost.normalise=range"])
-def test_grades_are_compared_when_they_were_measured(key, words, capsys):
-    out = str(words / "run")
-    assert main(["fit", str(words / "words.toml"), "--out", out, WORDS, key]) == 2
-    assert "where it is ordinal" in capsys.readouterr().err

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
+from support.problems.seen_springs import with_outputs
 from support.problems.springs import ROOT
+from support.thinning import thinned
 from support.truth.kalman_filter import Filter, discrete, pushed, runge_kutta
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.costs.robust import HuberCost
+from cluster_est.costs import COSTS
 from cluster_est.errors import ProblemError
 from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.environment import RunEnvironment
@@ -23,52 +26,49 @@ TRUE = {"m": 1.2, "k": 30.0, "c": 0.6}
 STEP, SIGMA = 0.02, 0.02
 
 
-def dynamics(m: float, k: float, c: float) -> np.ndarray:
-    return np.array([[0.0, 1.0], [-k / m, -c / m]])
+SYSTEM = np.array([[0.0, 1.0], [-TRUE["k"] / TRUE["m"], -TRUE["c"] / TRUE["m"]]])
+BY_FORCE = pushed(SYSTEM, np.array([0.0, 1.0 / TRUE["m"]]), STEP)
 
 
 def shaken(seed: int, q: float = 0.5, samples: int = 250, outputs: int = 1) -> ce.Experiment:
     """A spring whose mass is driven by a held force and by white noise."""
     generator = np.random.default_rng(seed)
-    system = dynamics(**TRUE)
-    transition, noise = discrete(system, np.diag([0.0, q * q]), STEP)
-    by_force = pushed(system, np.array([0.0, 1.0 / TRUE["m"]]), STEP)
+    transition, noise = discrete(SYSTEM, np.diag([0.0, q * q]), STEP)
     root = np.linalg.cholesky(noise + 1e-20 * np.eye(2))
     times = STEP * np.arange(samples)
     force = 3.0 * np.sign(np.sin(4.0 * times))
     state, path = np.array([0.1, 0.0]), []
     for each in force:
         path.append(state)
-        state = transition @ state + by_force * each + root @ generator.normal(size=2)
+        state = transition @ state + BY_FORCE * each + root @ generator.normal(size=2)
     noisy = np.array(path) + SIGMA * np.array([1.0, 5.0]) * generator.normal(size=(samples, 2))
     seen = [ce.Output("y", times, noisy[:, 0], sigma=SIGMA)]
     if outputs == 2:  # less often
         seen.append(ce.Output("v", times[::3], noisy[::3, 1], sigma=5.0 * SIGMA))
-    return ce.Experiment(
-        f"e{seed}", 0.0, times[-1], (ce.Input("F", times, force, "hold"),), tuple(seen), {"x": 0.1}
-    )
+    given = (ce.Input("F", times, force, "hold"),)
+    return ce.Experiment(f"e{seed}", 0.0, times[-1], given, tuple(seen), {"x": 0.1})
 
 
-def spring(experiments, q: float = 0.5, effect: Effect | None = None, **model) -> ce.Problem:
+DIFFUSION = ce.Effect("noise", "der(v)", "diffusion")
+COLOURED = ce.Effect("noise", "input F", "coloured_noise")
+
+
+def spring(experiments, q: float = 0.5, effect: ce.Effect = DIFFUSION, **model) -> ce.Problem:
     read = ce.read_model(MODELS / "mass_spring_damper.fmu", ["m", "k", "c"], **model)
-    effect = effect or ce.Effect("noise", "der(v)", "diffusion")
     parameters = [
         ce.Parameter("m", 1.0, 0.1, 10.0),
         ce.Parameter("k", 25.0, 1.0, 200.0),
         ce.Parameter("c", 0.4, 0.0, 10.0),
         ce.Parameter("noise.q", q, 0.0, 100.0),
     ]
+    if effect is COLOURED:
+        parameters.append(ce.Parameter("noise.tau", 0.05, 1e-3, 10.0, "log"))
     return ce.Problem(read, tuple(parameters), tuple(experiments), effects=(effect,))
 
 
 def residuals_at(problem: ce.Problem, values: dict[str, float]) -> np.ndarray:
-    space = make_space(problem, problem.indices("train"), values)
-    with RunEnvironment().executor(problem) as executor:
-        runner = RunEnvironment().runner(executor)
-        outcomes = runner.simulate(
-            space.physical(space.start), space.experiments, "residuals", "test", problem.effects
-        )
-    return np.concatenate([outcome.residuals for outcome in outcomes])
+    with ce.residuals(problem) as function:
+        return function(np.array([values[name] for name in function.names]))
 
 
 def kalman(run: ce.Experiment, q: float) -> np.ndarray:
@@ -77,20 +77,24 @@ def kalman(run: ce.Experiment, q: float) -> np.ndarray:
 
 
 def filtered_run(run: ce.Experiment, q: float) -> Filter:
-    system = dynamics(**TRUE)
-    transition, noise = discrete(system, np.diag([0.0, q * q]), STEP)
-    by_force = pushed(system, np.array([0.0, 1.0 / TRUE["m"]]), STEP)
+    transition, noise = discrete(SYSTEM, np.diag([0.0, q * q]), STEP)
     found = Filter(np.array([0.1, 0.0]))
     for time, force in zip(run.inputs[0].times, run.inputs[0].values, strict=True):
         for index, output in enumerate(run.outputs):
             for value in output.values[output.times == time]:
                 found.correct(index, float(value), output.sigma)
-        found.carry(lambda x, f=force: transition @ x + by_force * f, transition, noise)
+        found.carry(lambda x, f=force: transition @ x + BY_FORCE * f, transition, noise)
     return found
 
 
-@pytest.mark.parametrize("solver", ["dormand_prince", "rk4"])
-@pytest.mark.parametrize("outputs", [1, 2])
+@pytest.mark.parametrize(
+    ("solver", "outputs"),
+    thinned(
+        list(product(["dormand_prince", "rk4"], [1, 2])),
+        lambda solver, outputs: solver,
+        lambda solver, outputs: outputs,
+    ),
+)
 def test_residuals_are_the_innovations_of_a_kalman_filter(solver, outputs):
     run = shaken(1, outputs=outputs)
     step = 0.002 if solver == "rk4" else None
@@ -114,11 +118,10 @@ def test_a_linearisation_is_along_the_filter_and_knows_its_spread():
     errors, spreads = np.array(known.errors[0]).T
     assert linear.log_spread == pytest.approx(np.sum(np.log(spreads)), rel=1e-5)
     # the last correction is the last thing the filter does before it is carried on
-    transition, _ = discrete(dynamics(**TRUE), np.zeros((2, 2)), STEP)
-    by_force = pushed(dynamics(**TRUE), np.array([0.0, 1.0 / TRUE["m"]]), STEP)
-    last = transition @ linear.states[-1] + by_force * run.inputs[0].values[-1]
+    transition, _ = discrete(SYSTEM, np.zeros((2, 2)), STEP)
+    last = transition @ linear.states[-1] + BY_FORCE * run.inputs[0].values[-1]
     np.testing.assert_allclose(last, known.state, rtol=1e-4, atol=1e-6)
-    np.testing.assert_allclose(linear.A.at(7), dynamics(**TRUE), rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(linear.A.at(7), SYSTEM, rtol=1e-6, atol=1e-6)
     own = replace(problem, experiments=(replace(run, log_spread=linear.log_spread),))
     plain = errors / np.sqrt(spreads)
     np.testing.assert_allclose(residuals_at(own, values), plain, rtol=1e-5, atol=1e-6)
@@ -197,17 +200,17 @@ def test_output_errors_on_the_same_data_are_worse(fitted):
     assert any("autocorrelated" in note for note in plain.notes)
 
 
+@pytest.mark.slow
 def test_workers_change_no_bit(fitted):
     again = ce.fit(fitted.problem, resources=ce.Resources("processes", workers=2))
     assert again.x == fitted.x
 
 
 def test_an_ornstein_uhlenbeck_force_has_a_strength_and_a_time(fitted):
-    effect = ce.Effect("noise", "input F", "coloured_noise")
-    problem = fitted.problem
-    parameters = (*problem.parameters[:3], ce.Parameter("noise.q", 1.0, 1e-3, 1e3, "log"),
-                  ce.Parameter("noise.tau", 0.05, 1e-3, 10.0, "log"))  # fmt: skip
-    coloured = ce.fit(replace(problem, parameters=parameters, effects=(effect,)))
+    problem = spring(fitted.problem.experiments, 1.0, COLOURED)
+    *_, q, tau = problem.parameters
+    q = replace(q, lower=1e-3, upper=1e3, scale="log")
+    coloured = ce.fit(replace(problem, parameters=(*problem.parameters[:3], q, tau)))
     assert coloured.success
     # white noise at the derivative is one of no time: its strength is q tau / m
     strength = coloured.x["noise.q"] * coloured.x["noise.tau"] / coloured.x["m"]
@@ -219,71 +222,61 @@ def test_its_names_are_those_of_the_library():
     assert {name for _, name in PROCESS_NOISE} == set(Effect.NOISE)
 
 
-def refused(problem: ce.Problem, sentence: str) -> None:
-    with pytest.raises(ProblemError, match=sentence):
-        ce.fit(problem)
-
-
-def test_where_a_filter_cannot_be_is_one_sentence():
-    run = shaken(1)
-    force = ce.Effect("noise", "input F", "coloured_noise")
-    model = {"interface": "co_simulation", "solver": ce.Solver("fmu")}
-    tau = ce.Parameter("noise.tau", 0.1, 0.01, 1.0)
-    problem = spring([run])
-    for_force = (*problem.parameters, tau)
-    made = ce.Problem(
-        ce.read_model(MODELS / "mass_spring_damper.fmu", ["m", "k", "c"], **model),
-        for_force, problem.experiments, effects=(force,),
-    )  # fmt: skip
-    refused(made, "needs the states and their derivatives, so model.interface must be")
-    refused(spring([run], solver=ce.Solver("cvode")), "must be dormand_prince or rk4 but is cvode")
-    refused(replace(problem, cost=HuberCost()), 'needs cost.name = "sse"')
-    unknown = replace(run, outputs=(replace(run.outputs[0], sigma=1.0),))
-    refused(spring([unknown]), "experiment 'e1' has an output without a sigma")
-    late = ce.Effect("late", "output y", "lag")
-    beside = replace(problem, effects=(*problem.effects, late), parameters=(
-        *problem.parameters, ce.Parameter("late.tau", 0.1, 0.01, 1.0)))  # fmt: skip
-    refused(beside, "cannot stand beside effect 'late' at output y")
-
-
-def test_what_needs_free_simulations_is_refused():
+def with_effect(effect: ce.Effect, own: str) -> ce.Problem:
+    """One more, besides the noise, with a coefficient of its own."""
     problem = spring([shaken(1)])
-    with pytest.raises(ProblemError, match=r"method\.shooting: cannot be used with process noise"):
-        ce.fit(problem, shooting={"segments": 4})
+    own = ce.Parameter(f"{effect.name}.{own}", 0.1, 0.01, 1.0)
+    more = {"effects": (*problem.effects, effect), "parameters": (*problem.parameters, own)}
+    return replace(problem, **more)
 
 
-CONFIG = """
-[model]
-fmu = "{fmu}"
-[parameters]
-m = {{ start = 1.0, bounds = [0.1, 10.0] }}
-k = {{ start = 25.0, bounds = [1.0, 200.0] }}
-c = {{ start = 0.4, bounds = [0.0, 10.0] }}
-[[effects]]
-name = "noise"
-site = "der(v)"
-form = "diffusion"
-[effects.parameters]
-q = {{ start = 0.2 }}
-[[experiments]]
-id = "a"
-data = "data.csv"
-time = "time"
-inputs = {{ F = {{ column = "F", interpolation = "hold" }} }}
-outputs = {{ y = "y" }}
-sigma = {{ y = 0.02 }}
-values = {{ x = 0.1 }}
-"""
+IN_COSIMULATION = {"interface": "co_simulation", "solver": ce.Solver("fmu")}
+TWICE = with_effect(ce.Effect("more", "der(v)", "diffusion"), "q")
+
+
+@pytest.mark.parametrize(
+    ("problem", "shooting", "said"),
+    [
+        (
+            spring([shaken(1)], effect=COLOURED, **IN_COSIMULATION),
+            None,
+            "needs the states and their derivatives.*model.interface must",
+        ),
+        (
+            spring([shaken(1)], solver=ce.Solver("cvode")),
+            None,
+            "must be dormand_prince or rk4 but is cvode",
+        ),
+        (replace(spring([shaken(1)]), cost=COSTS["huber"]()), None, 'needs cost.name = "sse"'),
+        (
+            with_outputs(spring([shaken(1)]), lambda o: replace(o, sigma=1.0)),
+            None,
+            "experiment 'e1' has an output without a sigma",
+        ),
+        (
+            with_effect(ce.Effect("late", "output y", "lag"), "tau"),
+            None,
+            "cannot stand beside effect 'late' at output y",
+        ),
+        (TWICE, None, "must stand once at a site in each form"),
+        (spring([shaken(1)]), {"segments": 4}, "shooting: cannot be used with process noise"),
+    ],
+)
+def test_where_a_filter_cannot_be_is_one_sentence(problem, shooting, said):
+    with pytest.raises(ProblemError, match=said):
+        ce.fit(problem, shooting=shooting)
+
+
+def test_a_simulation_refuses_the_same_noise_twice_too():
+    with pytest.raises(ProblemError, match="must stand once at a site"):
+        ce.simulate(TWICE)
 
 
 def test_a_config_names_it_like_any_effect(tmp_path, capsys):
-    run = shaken(5, samples=400)
-    columns = [run.inputs[0].times, run.inputs[0].values, run.outputs[0].values]
-    np.savetxt(tmp_path / "data.csv", np.column_stack(columns), delimiter=",", header="time,F,y",
-               comments="")  # fmt: skip
-    config = tmp_path / "fit.toml"
-    config.write_text(CONFIG.format(fmu=MODELS / "mass_spring_damper.fmu"), encoding="utf-8")
-    assert main(["fit", str(config), "--out", str(tmp_path / "run")]) == 0
+    config = str(ROOT / "configs" / "mass_spring_damper.toml")
+    effect = "{name='noise', site='der(v)', form='diffusion', parameters={q={start=0.2}}}"
+    given = [f"effects=[{effect}]", "experiment_defaults.sigma.y=0.002"]
+    assert main(["fit", config, "--out", str(tmp_path / "run"), *given]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert "noise.q" in printed
     assert "m/s^2 s^0.5" in printed
@@ -306,15 +299,9 @@ def test_records_of_different_sampling_add_up():
     for q in (0.3, 0.6):
         found = residuals_at(both, TRUE | {"noise.q": q})
         change.append(float(found @ found))
-        alone = [kalman_cost(run, q) for run in (runs[0], sparse)]
-        assert change[-1] == pytest.approx(sum(alone), rel=1e-5)
+        alone = [kalman(run, q) for run in (runs[0], sparse)]
+        assert change[-1] == pytest.approx(sum(each @ each for each in alone), rel=1e-5)
     assert change[0] != change[1]
-
-
-def kalman_cost(run: ce.Experiment, q: float) -> float:
-    """-2 log likelihood of one record with samples at some of its force's times."""
-    found = kalman(run, q)
-    return float(found @ found)
 
 
 def test_noise_that_vanishes_says_what_the_intervals_are_worth():
@@ -324,15 +311,3 @@ def test_noise_that_vanishes_says_what_the_intervals_are_worth():
     assert ended < 0.05
     said = "noise.q ended at its lower end" in " ".join(result.notes)
     assert said is (ended <= 1e-6 * 100.0)
-
-
-def test_the_same_noise_twice_is_refused():
-    problem = spring([shaken(1)])
-    again = ce.Effect("more", "der(v)", "diffusion")
-    parameters = (*problem.parameters, ce.Parameter("more.q", 0.1, 0.0, 1.0))
-    refused(
-        replace(problem, effects=(*problem.effects, again), parameters=parameters),
-        "must stand once at a site in each form",
-    )
-    with pytest.raises(ProblemError, match="must stand once at a site"):
-        ce.simulate(replace(problem, effects=(*problem.effects, again), parameters=parameters))

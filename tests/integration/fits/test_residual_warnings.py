@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.problems.seen_springs import with_outputs
 from support.problems.springs import spring_problem
 from support.truth.springs_with_friction import NOISE, write_config
 
@@ -14,20 +15,13 @@ import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.costs import COSTS
 from cluster_est.problem.formulas import Formula, ParameterConstraint
-from cluster_est.problem.search_space.space import make_space
-from cluster_est.results.residual_diagnostics import diagnose_residuals
-from cluster_est.statistics.residual_findings import ResidualStructure, SigmaDoubt
 
 HEADER = "95 % interval (too narrow)"
 
 
 def declared(problem: ce.Problem, sigma: float) -> ce.Problem:
     """The same problem with a sigma."""
-    runs = tuple(
-        replace(run, outputs=tuple(replace(o, sigma=sigma) for o in run.outputs))
-        for run in problem.experiments
-    )
-    return replace(problem, experiments=runs)
+    return with_outputs(problem, lambda output: replace(output, sigma=sigma))
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +43,7 @@ def clean() -> ce.Problem:
 def test_a_missing_effect_is_warned_of(result):
     assert result.diagnostics is not None
     (output,) = result.diagnostics.outputs
-    assert output.structure is ResidualStructure.MISSING
+    assert output.structure == "something is missing"
     rows = [e for e in result.errors if e.role == "train"]
     rms = np.sqrt(np.mean([e.normalised_after**2 for e in rows]))
     assert output.rms_over_sigma == pytest.approx(rms, rel=0.02)
@@ -71,7 +65,7 @@ def test_white_noise_gives_no_warning(clean, sigma):
 
 
 @pytest.mark.parametrize(
-    ("sigma", "doubt"), [(0.0002, SigmaDoubt.TOO_SMALL), (0.02, SigmaDoubt.TOO_LARGE)]
+    ("sigma", "doubt"), [(0.0002, "sigma too small"), (0.02, "sigma too large")]
 )
 def test_a_wrong_sigma_is_named(clean, sigma, doubt):
     found = ce.fit(declared(clean, sigma))
@@ -82,36 +76,23 @@ def test_a_wrong_sigma_is_named(clean, sigma, doubt):
     assert f"sigma is probably 10 times {doubt.removeprefix('sigma ')}" in note.replace("9.9", "10")
 
 
-def test_data_without_noise_are_not_judged():
-    found = ce.fit(spring_problem(experiments=2, samples=100).problem)
-    assert found.diagnostics is not None
-    assert found.diagnostics.findings == ()
-
-
-def test_the_warning_is_the_same_on_two_workers_and_by_other_methods(lacking, result):
-    two = ce.fit(lacking, resources=ce.Resources(workers=2))
-    assert two.diagnostics == result.diagnostics
-    other = ce.fit(lacking, "pattern_search")
+@pytest.mark.slow
+def test_the_warning_is_the_same_by_other_methods_and_on_two_workers(lacking, result):
+    resources = ce.Resources("processes", workers=2)
+    other = ce.fit(lacking, "pattern_search", resources)
     assert other.diagnostics is not None
     assert other.diagnostics.too_narrow
     mine, theirs = result.diagnostics.outputs[0], other.diagnostics.outputs[0]
     assert theirs.rms_over_sigma == pytest.approx(mine.rms_over_sigma, rel=1e-3)
 
 
-def test_where_residuals_have_no_such_meaning_nothing_is_said(lacking, result):
-    huber = ce.fit(replace(lacking, cost=COSTS["huber"]()))
-    assert huber.diagnostics is None
-    assert huber.facts()["residuals"] is None
+def test_where_residuals_have_no_such_meaning_nothing_is_said(lacking):
     names = tuple(p.name for p in lacking.parameters)
     below = ParameterConstraint("m below 5", Formula("m - 5", names, "constraints"))
-    bound = ce.fit(replace(lacking, constraints=(below,)))
-    assert bound.diagnostics is None
-    train = make_space(lacking, lacking.indices("train"))
-    first, *others = result.simulations
-    failed = replace(first, outcome=replace(first.outcome, trajectory=None, residuals=None))
-    assert diagnose_residuals(train, result.solution, [failed, *others]) is None
-    blind = replace(result.solution, jacobian=None)
-    assert diagnose_residuals(train, blind, result.simulations).too_narrow
+    for changed in ({"cost": COSTS["huber"]()}, {"constraints": (below,)}):
+        found = ce.fit(replace(lacking, **changed))
+        assert found.diagnostics is None
+        assert found.facts()["residuals"] is None
 
 
 def test_command_run_json_and_report_say_it(tmp_path, capsys):
@@ -130,14 +111,3 @@ def test_command_run_json_and_report_say_it(tmp_path, capsys):
     assert "its intervals are too narrow" in page
     assert HEADER in page
     assert "error is " in page
-
-
-def test_a_command_without_a_warning_says_nothing(tmp_path, capsys):
-    config = write_config(tmp_path, friction=0.0)
-    assert main(["fit", str(config), "--out", str(tmp_path / "run")]) == 0
-    facts = json.loads((tmp_path / "run" / "run.json").read_text())
-    assert facts["residuals"]["too_narrow"] is False
-    assert facts["residuals"]["sentences"] == []
-    assert "too narrow" not in capsys.readouterr().out
-    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
-    assert "too narrow" not in page

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from itertools import product
 
 import bench_coverage
 import numpy as np
 import pytest
 from support.problems.springs import FMU, TRUE, spring_problem
+from support.thinning import thinned
 from support.truth.exact_linear import position
 
 from cluster_est import (
@@ -19,19 +20,9 @@ from cluster_est import (
     Problem,
     Resources,
     Solver,
+    fit,
 )
-from cluster_est.problem.search_space.space import make_space
-from cluster_est.running.environment import open_executor
-from cluster_est.running.runner import Runner
-from cluster_est.running.search_state import SearchRequest
-from cluster_est.uncertainty import (
-    UncertaintySettings,
-    assess,
-    bootstrap,
-    examine,
-    linearise,
-    profiles,
-)
+from cluster_est.uncertainty import UncertaintySettings, assess, bootstrap
 
 TIMES = np.arange(150) * 0.02
 SOLVERS = [
@@ -62,99 +53,80 @@ def free_springs(solver, scale="log"):
     return Problem(model, parameters, tuple(runs))
 
 
-def fitted(problem, method=None):
-    """(runner, space, solution) within an executor that is closed with the test."""
-    space = make_space(problem, problem.indices("train"))
-    with open_executor(problem, Resources()) as executor:
-        runner = Runner(executor)
-        (solution,) = runner.run([SearchRequest("fit", method or LeastSquares(), space)])
-        yield runner, space, solution
+EACH = pytest.mark.parametrize(
+    ("solver", "differences"),
+    thinned(
+        list(product(SOLVERS, ["forward", "central", "auto"])),
+        lambda solver, differences: solver,
+        lambda solver, differences: differences,
+    ),
+    ids=lambda each: each if isinstance(each, str) else f"{each.name}-{each.rtol}",
+)
 
 
-@pytest.mark.parametrize("differences", ["forward", "central", "auto"])
-@pytest.mark.parametrize("solver", SOLVERS, ids=lambda s: f"{s.name}-{s.rtol}")
-class TestDirections:
-    def test_a_redundant_parametrisation_is_named(self, solver, differences):
-        for runner, space, solution in fitted(
-            free_springs(solver), LeastSquares(differences=differences)
-        ):
-            for found in (assess(space, solution), examine(runner, space, solution)):
-                (direction,) = found.directions
-                assert direction.sentence == (
-                    "the data determine m, k and c only together: all of them can grow by the "
-                    "same factor without changing any residual"
-                )
-                np.testing.assert_allclose(direction.relative, 1.0, rtol=0.02)
-                errors = [interval.std_error for interval in found.intervals]
-                assert np.isnan(errors[:3]).all()
-                assert np.isfinite(errors[3:]).all()
-                (rate,) = found.derived
-                assert rate.lower95 < TRUE["k"] / TRUE["m"] < rate.upper95
-
-    def test_nothing_is_named_where_all_is_determined(self, solver, differences):
-        problem = spring_problem(experiments=3, noise=1e-3, solver=solver).problem
-        for runner, space, solution in fitted(problem, LeastSquares(differences=differences)):
-            for found in (assess(space, solution), examine(runner, space, solution)):
-                assert found.directions == ()
-                assert np.isfinite([i.std_error for i in found.intervals]).all()
+@EACH
+def test_a_redundant_parametrisation_is_named(solver, differences):
+    result = fit(free_springs(solver), LeastSquares(differences=differences))
+    (direction,) = result.uncertainty.directions
+    said = "m, k and c only together: all of them can grow by the same factor"
+    assert said in direction.sentence
+    np.testing.assert_allclose(direction.relative, 1.0, rtol=0.02)
+    errors = [interval.std_error for interval in result.uncertainty.intervals]
+    assert np.isnan(errors[:3]).all()
+    assert np.isfinite(errors[3:]).all()
+    (rate,) = result.uncertainty.derived
+    assert rate.lower95 < TRUE["k"] / TRUE["m"] < rate.upper95
+    rows = result.table("directions").to_pylist()
+    assert [row["label"] for row in rows] == ["m", "k", "c"]
+    assert [row["relative"] for row in rows] == list(direction.relative)
 
 
+@EACH
+def test_nothing_is_named_where_all_is_determined(solver, differences):
+    problem = spring_problem(experiments=3, noise=1e-3, solver=solver).problem
+    found = fit(problem, LeastSquares(differences=differences)).uncertainty
+    assert found.directions == ()
+    assert np.isfinite([i.std_error for i in found.intervals]).all()
+
+
+@pytest.mark.slow
 def test_a_profile_of_what_is_not_determined_ends_where_bounds_end_it():
-    for runner, space, solution in fitted(free_springs(SOLVERS[0])):
-        settings = UncertaintySettings(profiles=("m", "x0[e1]"))
-        mass, start = profiles(runner, space, solution, LeastSquares(), settings)
-        assert mass.open_lower == "bound"
-        # k = 25 m has no room beyond 200
-        assert mass.upper == pytest.approx(200.0 * TRUE["m"] / TRUE["k"], rel=0.01)
-        assert mass.points[2].cost == pytest.approx(solution.cost, rel=1e-6)
-        interval = assess(space, solution).intervals[4]
-        assert start.lower == pytest.approx(interval.lower95, rel=1e-3)
-        assert start.upper == pytest.approx(interval.upper95, rel=1e-3)
+    settings = UncertaintySettings(profiles=("m", "x0[e1]"))
+    result = fit(free_springs(SOLVERS[0]), uncertainty=settings)
+    mass, start = result.profiles
+    assert mass.open_lower == "bound"
+    # k = 25 m has no room beyond 200
+    assert mass.upper == pytest.approx(200.0 * TRUE["m"] / TRUE["k"], rel=0.01)
+    assert mass.points[2].cost == pytest.approx(result.cost, rel=1e-6)
+    interval = result.uncertainty.intervals[4]
+    assert start.lower == pytest.approx(interval.lower95, rel=1e-3)
+    assert start.upper == pytest.approx(interval.upper95, rel=1e-3)
 
 
-def test_a_method_without_derivatives_has_intervals_too():
-    problem = spring_problem(experiments=2, noise=1e-3, solver=SOLVERS[0]).problem
-    for runner, space, solution in fitted(problem):
-        bare = replace(solution, jacobian=None, at=None, difference_steps=None)
-        found = assess(space, linearise(runner, space, bare)).intervals
-        for one, other in zip(found, assess(space, solution).intervals, strict=True):
-            assert one.std_error == pytest.approx(other.std_error, rel=1e-4)
-
-
-def test_repeated_experiments_are_counted_each():
-    problem = spring_problem(experiments=2, noise=1e-3, solver=SOLVERS[0]).problem
-    once, twice = make_space(problem, (0, 1)), make_space(problem, (0, 1, 0, 1))
-    assert [u.label for u in twice.unknowns] == [u.label for u in once.unknowns]
-    with open_executor(problem, Resources()) as executor:
-        runner = Runner(executor)
-        one, two = runner.run(
-            [
-                SearchRequest("once", LeastSquares(), once),
-                SearchRequest("twice", LeastSquares(), twice),
-            ]
-        )
-    assert two.cost == pytest.approx(2.0 * one.cost, rel=1e-9)
-    np.testing.assert_allclose(two.x, one.x, rtol=1e-6)
-    n, k = 300, 5
-    narrower = np.sqrt(2.0 * (n - k) / (2 * n - k) / 2.0)
-    pairs = zip(assess(once, one).intervals, assess(twice, two).intervals, strict=True)
-    for single, double in pairs:
-        assert double.std_error == pytest.approx(narrower * single.std_error, rel=1e-4)
-
-
-def test_the_result_does_not_depend_on_the_workers():
+def test_what_refits_found_is_in_tables_and_does_not_depend_on_the_workers():
     problem = spring_problem(experiments=5, samples=40, noise=1e-3, solver=SOLVERS[0]).problem
-    space = make_space(problem, problem.indices("train"))
     settings = UncertaintySettings(profiles=("k",), bootstrap=6)
-    found = []
-    for workers in (1, 2):
-        with open_executor(problem, Resources(workers=workers)) as executor:
-            runner = Runner(executor)
-            (solution,) = runner.run([SearchRequest("fit", LeastSquares(), space)])
-            generator = np.random.default_rng(5)
-            draws = bootstrap(runner, space, solution, LeastSquares(), settings, generator).draws
-            found.append((profiles(runner, space, solution, LeastSquares(), settings), draws))
-    assert found[0] == found[1]
+    one, two = (
+        fit(problem, resources=Resources(*where), uncertainty=settings, seed=5)
+        for where in (("local",), ("processes", 2))
+    )
+    (profile,), draws = one.profiles, one.bootstrap.draws
+    assert (two.profiles, two.bootstrap) == (one.profiles, one.bootstrap)
+    rows = one.table("profiles").to_pylist()
+    assert len(rows) == len(profile.points) * len(one.x)
+    own = [row for row in rows if row["unknown"] == "k"]
+    assert [row["value"] for row in own] == [point.value for point in profile.points]
+    assert all(row["value"] == row["estimate"] and row["label"] == "k" for row in own)
+    rows = [row for row in one.table("bootstrap").to_pylist() if row["label"] == "c"]
+    assert [row["draw"] for row in rows] == list(range(6))
+    assert [row["experiments"].split() for row in rows] == [list(d.experiments) for d in draws]
+    assert [row["estimate"] for row in rows] == [draw.estimates[2] for draw in draws]
+    rows = {(row["label"], row["source"]): row for row in one.table("intervals").to_pylist()}
+    assert {source for _, source in rows} == {
+        "profile", "bootstrap", "bootstrap percentile", "bootstrap basic"
+    }  # fmt: skip
+    found = rows["k", "profile"]
+    assert (found["lower"], found["upper"]) == (profile.lower, profile.upper)
 
 
 def binomial(hits, least, most):
@@ -162,6 +134,7 @@ def binomial(hits, least, most):
     assert all(least <= share <= most for share in shares.values()), shares
 
 
+@pytest.mark.slow
 class TestCoverage:
     """The bench in short. Of 60 intervals that hold the truth in 95 % of all cases, 50 do or more
     with a probability of 0.9996; with one of 70 % only in 2 %. Of the 240 of the starts of all

@@ -16,12 +16,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from support.problems.springs import ROOT
 
-from cluster_est import Result, build_problem, fit, read_config
 from cluster_est.cli import main
-from cluster_est.methods import Method
-from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.methods.sqp.method import Sqp
-from cluster_est.running.records import SearchIteration
 
 CONFIGS = ROOT / "configs"
 FREE, TOLERANCES = (CONFIGS / f"wen_bouc_spring{end}.toml" for end in ("", "_tolerances"))
@@ -71,112 +66,85 @@ def farthest(values: dict[str, float]) -> np.ndarray:
     return np.abs(all_offsets[nearest, np.arange(len(points))]).max(axis=0)
 
 
-def check_estimates(values: dict[str, float]) -> None:
-    assert list(values) == list(START)
-    for name, value in values.items():
-        low, high = BOUNDS.get(name, (0.0, np.inf))
-        assert low <= value <= high
-
-
 def table(folder: Path, name: str) -> Rows:
     return pq.read_table(folder / f"{name}.parquet").to_pylist()
 
 
-def printed(folder: Path, capsys: pytest.CaptureFixture[str]) -> list[str]:
+def search_of(folder: Path) -> Rows:
+    return [row for row in table(folder, "searches") if row["search"] == "train"]
+
+
+def checked_estimates(folder: Path) -> dict[str, float]:
+    """What was found, within its bounds."""
+    rows = table(folder, "parameters")
+    assert {row["label"]: row["start"] for row in rows} == START
+    values = {row["label"]: row["value"] for row in rows}
+    for name, value in values.items():
+        low, high = BOUNDS.get(name, (0.0, np.inf))
+        assert low <= value <= high
+    return values
+
+
+def check_printed(folder: Path, capsys: pytest.CaptureFixture[str], *, bounded: bool) -> None:
+    """Whether the iteration table says what the run's tables do, if `bounded` of violations too."""
+    capsys.readouterr()
     assert main(["show", str(folder), "--iterations"]) == 0
-    return [line for line in capsys.readouterr().out.splitlines() if line]
-
-
-@pytest.fixture(scope="module")
-def free_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("wen_bouc") / "run"
-    assert main(["fit", str(FREE), "--out", str(folder)]) == 0
-    return folder
-
-
-def test_without_constraints_the_cost_falls_as_far_in_no_more_evaluations(free_run):
-    rows = [row for row in table(free_run, "searches") if row["search"] == "train"]
-    start = rows[0]["cost"]
-    assert start == pytest.approx(cost(START), rel=1e-6)
-    assert {row["label"]: row["start"] for row in table(free_run, "parameters")} == START
-    reached = [row["evaluations"] for row in rows if row["cost"] <= DROP * start]
-    assert reached[0] <= COUNTS
-    values = {row["label"]: row["value"] for row in table(free_run, "parameters")}
-    check_estimates(values)
-    assert rows[-1]["cost"] == pytest.approx(cost(values), rel=1e-4)
-
-
-def test_the_iteration_table(free_run, capsys):
-    header, *lines = printed(free_run, capsys)
+    header, *lines = [line for line in capsys.readouterr().out.splitlines() if line]
     columns = [header.index(title) for title in HEADER]
-    assert columns == sorted(columns)
     assert header.split() == " ".join(HEADER).split()
-    rows = [row for row in table(free_run, "searches") if row["search"] == "train"]
-    assert len(lines) == len(rows)
+    rows = search_of(folder)
     for line, row in zip(lines, rows, strict=True):
         ends = [*columns[1:], None]
         cells = [line[a:b].strip() for a, b in zip(columns, ends, strict=True)]
         assert cells[0] == (row["ending"] or str(row["iteration"]))
         assert cells[1] == str(row["evaluations"])
         assert float(cells[2]) == pytest.approx(row["cost"], rel=1e-5)
-        assert cells[3] == ""  # there are no constraints
+        assert cells[3] == "" or float(cells[3]) == pytest.approx(row["violation"], rel=1e-5)
+        assert bool(cells[3]) == bounded
     assert lines[0].split()[0] == "0"
     assert lines[-1].split()[0] == "converged"
     counts = [row["evaluations"] for row in rows]
     assert counts == sorted(counts)
+
+
+@pytest.mark.slow
+def test_without_constraints_the_cost_falls_as_far_in_no_more_evaluations(tmp_path, capsys):
+    assert main(["fit", str(FREE), "--out", str(tmp_path), "--no-report"]) == 0
+    rows = search_of(tmp_path)
+    start = rows[0]["cost"]
+    assert start == pytest.approx(cost(START), rel=1e-6)
+    reached = [row["evaluations"] for row in rows if row["cost"] <= DROP * start]
+    assert reached[0] <= COUNTS
+    assert rows[-1]["cost"] == pytest.approx(cost(checked_estimates(tmp_path)), rel=1e-4)
     falling = [row["cost"] for row in rows]
     assert falling == sorted(falling, reverse=True)
-
-
-def fitted(method: Method) -> tuple[Result, list[SearchIteration]]:
-    """With tolerances, from a config that a later or earlier version of the methods can read."""
-    config = read_config(TOLERANCES, ["method.name=least_squares"])
-    lines: list[SearchIteration] = []
-    return fit(build_problem(config, CONFIGS), method, note=lines.append), lines
+    check_printed(tmp_path, capsys, bounded=False)
 
 
 @pytest.mark.parametrize(
-    "method", [Sqp(), Sqp(speculative_gradient=True), LeastSquares()], ids=repr
+    "changes",
+    [
+        [],
+        pytest.param(["method.options.speculative_gradient=true"], marks=pytest.mark.slow),
+        pytest.param(["method.name=least_squares"], marks=pytest.mark.slow),
+    ],
+    ids=["sqp", "speculative", "least squares"],
 )
-def test_with_tolerances_both_are_satisfied_in_no_more_evaluations(method):
-    result, lines = fitted(method)
-    assert result.success
-    last = lines[-1]
-    assert last.progress.violation == 0.0
-    assert last.progress.ending == "converged"
-    first = next(line for line in lines if line.progress.violation == 0.0)
-    assert first.evaluations <= COUNTS_WITH_TOLERANCES
-    names = [row.constraint for row in result.constraints]
-    assert names == ["tolerance of Displacement [loops]", "tolerance of Force [loops]"]
-    before, after = (np.array([getattr(row, key) for row in result.constraints])
-                     for key in ("before", "after"))  # fmt: skip
-    tolerances = np.array([0.06, 20.0])
-    np.testing.assert_allclose(before, farthest(START) / tolerances - 1.0, rtol=1e-6)
-    np.testing.assert_allclose(after, farthest(result.x) / tolerances - 1.0, rtol=1e-4)
-    assert (before > 0.0).any()
-    assert (after <= 0.0).all()
-    assert all(row.satisfied for row in result.constraints)
-    check_estimates(result.x)
-    assert result.cost <= DROP * result.cost_before
-
-
-def test_the_search_with_tolerances_ends_in_no_more_evaluations():
-    """To its end, not to the first point that satisfies them."""
-    _, lines = fitted(Sqp())
-    assert lines[-1].evaluations <= COUNTS_WITH_TOLERANCES
-
-
-def test_with_tolerances_by_the_command_line(tmp_path, capsys):
-    folder = tmp_path / "run"
-    assert main(["fit", str(TOLERANCES), "--out", str(folder)]) == 0
-    said = capsys.readouterr().out
-    assert "tolerance of Displacement [loops]" in said
-    assert "violated" not in said
-    header, *lines = printed(folder, capsys)
-    first, second = (header.index(title) for title in ("max constraint", "step"))
-    violations = [float(line[first:second]) for line in lines]
-    assert violations[0] == pytest.approx(farthest(START)[0] / 0.06 - 1.0, rel=1e-4)
-    assert violations[-1] == 0.0
-    rows = [row for row in table(folder, "searches") if row["search"] == "train"]
+def test_with_tolerances_both_are_satisfied_in_no_more_evaluations(changes, tmp_path, capsys):
+    assert main(["fit", str(TOLERANCES), "--out", str(tmp_path), "--no-report", *changes]) == 0
+    assert "violated" not in capsys.readouterr().out
+    rows = search_of(tmp_path)
     satisfied = [row["evaluations"] for row in rows if row["violation"] == 0.0]
-    assert satisfied[0] <= COUNTS_WITH_TOLERANCES
+    # of SQP to its end, not to the first point that satisfies them
+    assert (satisfied[0] if changes else rows[-1]["evaluations"]) <= COUNTS_WITH_TOLERANCES
+    assert rows[-1]["violation"] == 0.0
+    assert rows[-1]["cost"] <= DROP * rows[0]["cost"]
+    values, tolerances = checked_estimates(tmp_path), np.array([0.06, 20.0])
+    known = table(tmp_path, "constraints")
+    names = [row["constraint"] for row in known]
+    assert names == ["tolerance of Displacement [loops]", "tolerance of Force [loops]"]
+    before, after = (np.array([row[key] for row in known]) for key in ("before", "after"))
+    np.testing.assert_allclose(before, farthest(START) / tolerances - 1.0, rtol=1e-6)
+    np.testing.assert_allclose(after, farthest(values) / tolerances - 1.0, rtol=1e-4)
+    assert before.max() > 0.0 >= after.max()
+    check_printed(tmp_path, capsys, bounded=True)

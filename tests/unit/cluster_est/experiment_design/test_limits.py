@@ -43,11 +43,11 @@ def test_a_file_says_what_the_experiment_may_be(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ("upper = 8.0", "upper = -9.0", "inputs.F.lower: must be below upper, -9, but is -8"),
-        ("upper = 8.0", "uper = 8.0", "unknown key inputs.F.uper; did you mean 'upper'?"),
-        ("10.0", "0.1", "sample_time: must leave at least 10 samples in a duration of 0.1 s"),
-        ("10.0", "1e5", "sample_time: must give at most 200,000 samples"),
-        ("10.0", "[9.0, 3.0]", "duration: must be seconds, or [shortest, longest], but is"),
+        ("upper = 8.0", "upper = -9.0", "inputs.F.lower.* must be below upper.*-9.*-8"),
+        ("upper = 8.0", "uper = 8.0", "inputs.F.uper.*did you mean 'upper'"),
+        ("10.0", "0.1", "sample_time.* at least 10 samples.* 0.1 s"),
+        ("10.0", "1e5", "sample_time.* at most 200,000 samples"),
+        ("10.0", "[9.0, 3.0]", "duration.* must be seconds, or .shortest, longest."),
         ("10.0", "nan", "duration: must be"),
         ("upper = 8.0", "upper = 8.0\nstart = 9.0", "inputs.F.start: must lie between lower"),
         ("upper = 8.0", "upper = 8.0\nrate = 0.0", "inputs.F.rate: must be greater than 0"),
@@ -62,9 +62,8 @@ def test_a_file_says_what_the_experiment_may_be(tmp_path):
     ],
 )
 def test_what_no_experiment_can_keep_is_refused_in_a_sentence(tmp_path, old, new, sentence):
-    with pytest.raises(ConfigError) as raised:
+    with pytest.raises(ConfigError, match=sentence) as raised:
         read(tmp_path, PLAIN.replace(old, new))
-    assert sentence in str(raised.value)
     assert "limits.toml" in str(raised.value)
 
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
+from support.described import fmi2
+from support.thinning import thinned
 
 from cluster_est.results.shapes.effect_shapes import part_shapes, spread_of
-from workers.effects.definition import EffectDefinition, _definition
+from workers.effects.definition import EffectDefinition, define
 from workers.effects.expression import FUNCTIONS
 from workers.effects.forms import FORMS
-from workers.effects.site import EffectSite
 from workers.messages import Effect
 
 NUMPY = {
@@ -29,29 +32,64 @@ NUMPY = {
 }
 PLAIN = [(kind, f) for (kind, _), f in FORMS.items() if not f.memory and not f.states]
 X = np.linspace(-3.0, 4.0, 57)
+STATES = "abvwx"
+
+
+def scalar(number: int, name: str, kind: str, value: str = "") -> str:
+    opening = f'<ScalarVariable name="{name}" valueReference="{number}" {kind}>'
+    return f"{opening}<Real {value}/></ScalarVariable>"
+
+
+SCALARS = [
+    *((name, 'causality="local"', 'start="0"') for name in STATES),
+    *((f"der({x})", 'causality="local"', f'derivative="{i}"') for i, x in enumerate(STATES, 1)),
+    ("u", 'causality="input"', 'start="0"'),
+    ("y", 'causality="output"'),
+    ("p", 'causality="parameter" variability="tunable"', 'start="1"'),
+]
+RATES = "".join(f'<Unknown index="{6 + i}"/>' for i in range(len(STATES)))
+DESCRIPTION = fmi2(
+    "".join(scalar(i, *each) for i, each in enumerate(SCALARS)),
+    f"<ModelStructure><Derivatives>{RATES}</Derivatives></ModelStructure>",
+)
+
+
+SITES = {
+    "derivative": "der(a)",
+    "pair": "pair a,b",
+    "input": "input u",
+    "output": "output y",
+    "parameter": "parameter p",
+}
 
 
 def test_every_function_of_an_equation_is_known_here():
     assert set(NUMPY) == set(FUNCTIONS)
 
 
-def definition(kind: str, form) -> EffectDefinition:
-    site = EffectSite(kind, "a", "b" if kind == "pair" else "")
-    variables = ("v", "w")[: form.variables]
-    effect = Effect("e", str(site), form.name, variables)
-    return _definition(effect, site, ("v", "w"))
+def defined(*effect, **equation) -> EffectDefinition:
+    return define(Effect("e", *effect, **equation), DESCRIPTION, "model_exchange")
 
 
-@pytest.mark.parametrize(("kind", "form"), PLAIN, ids=lambda each: getattr(each, "name", each))
+@pytest.mark.parametrize(
+    ("kind", "form"),
+    thinned(
+        PLAIN,
+        lambda kind, form: (kind, form.variables, bool(form.reaction)),
+        lambda kind, form: frozenset(re.findall(r"\w+(?=\()|\b[tsvw]\b", form.equation)),
+    ),
+    ids=lambda each: getattr(each, "name", each),
+)
 def test_every_form_is_drawn_as_its_equation(kind, form):
-    parts = part_shapes(definition(kind, form), 2.5)
+    made = defined(SITES[kind], form.name, ("v", "w")[: form.variables])
+    parts = part_shapes(made, 2.5)
     if not parts:
         assert form.variables == 2 or form.name == "product" or form.equation == "k"
         return
     values = np.linspace(0.6, 1.7, len(form.coefficients))
     names = {c.name: v for c, v in zip(form.coefficients, values, strict=True)}
     for part, text in zip(parts, (form.equation, form.reaction), strict=False):
-        over_signal = part.argument == "a"
+        over_signal = part.argument == made.site.target
         at = {"t": X, "v": X, "s": X if over_signal else 2.5} | names
         if part.positive:
             at |= {"v": np.inf, "w": X}
@@ -64,9 +102,7 @@ def test_every_form_is_drawn_as_its_equation(kind, form):
 
 
 def test_a_difference_of_two_states_is_one_argument():
-    effect = Effect("e", "pair a,b", "linear", ("a - b",))
-    site = EffectSite("pair", "a", "b")
-    made = _definition(effect, site, ("a", "b"))
+    made = defined("pair a,b", "linear", ("a - b",))
     first, second = part_shapes(made)
     assert (first.argument, second.argument) == ("a - b", "a - b")
     values = np.array([0.7, 0.3])[: len(made.coefficients)]
@@ -75,24 +111,21 @@ def test_a_difference_of_two_states_is_one_argument():
 
 
 def test_a_switched_function_of_another_variable_is_drawn_for_one_direction():
-    effect = Effect("e", "der(v)", "load_dependent_coulomb", ("v", "x"))
-    (part,) = part_shapes(_definition(effect, EffectSite("derivative", "v"), ("x", "v")))
+    (part,) = part_shapes(defined("der(v)", "load_dependent_coulomb", ("v", "x")))
     assert (part.argument, part.positive) == ("x", "v")
     assert part.shape(X, np.array([0.5, 0.01])) == pytest.approx(-0.5 * np.abs(X))
 
 
-def own(equation: str) -> EffectDefinition:
-    effect = Effect("e", "der(v)", equation=equation, coefficients=(("a", 0.0),))
-    return _definition(effect, EffectSite("derivative", "v"), ("x", "v"))
-
-
-def test_an_equation_of_ones_own_is_a_function_of_what_stands_in_it():
-    (part,) = part_shapes(own("-a * x^3"))
-    assert (part.target, part.argument) == ("v", "x")
-    assert part.shape(X, np.array([0.5])) == pytest.approx(-0.5 * X**3)
-    (wave,) = part_shapes(own("a * sin(t)"))
-    assert wave.argument == "time"
-    assert part_shapes(own("a * x * v")) == []
+@pytest.mark.parametrize(
+    ("equation", "argument", "truth"),
+    [("-a * x^3", "x", -0.5 * X**3), ("a * sin(t)", "time", 0.5 * np.sin(X)), ("a * x * v", "", 0)],
+)
+def test_an_equation_of_ones_own_is_a_function_of_what_stands_in_it(equation, argument, truth):
+    parts = part_shapes(defined("der(v)", equation=equation, coefficients=(("a", 0.0),)))
+    assert [part.argument for part in parts] == ([argument] if argument else [])
+    for part in parts:
+        assert part.target == "v"
+        assert part.shape(X, np.array([0.5])) == pytest.approx(truth)
 
 
 def test_the_band_is_that_of_a_straight_line():

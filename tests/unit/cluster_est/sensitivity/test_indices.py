@@ -1,4 +1,4 @@
-"""Indices of functions whose indices are known, as problems without an FMU."""
+"""Indices and orders of functions where they are known, as problems without an FMU."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from support.problems.functions import FunctionExecutor, FunctionProblem
 
-from cluster_est.costs.likelihood import GaussianLikelihood
-from cluster_est.costs.sum_squared import SumSquared
+from cluster_est.costs import COSTS
 from cluster_est.errors import ProblemError
 from cluster_est.running.runner import Runner
 from cluster_est.sensitivity.analysis import analyse_on, check_bounds
-from cluster_est.sensitivity.quantities import AnalysedQuantity, with_log_cost
 from cluster_est.sensitivity.settings import SensitivitySettings
 
 A, B = 7.0, 0.1
@@ -44,21 +42,22 @@ def g_indices():
     return parts / (whole - 1.0), parts * whole / (1.0 + parts) / (whole - 1.0)
 
 
-def problem_of(function, size, low, high):
-    """Its only residual is the function's value."""
-    return FunctionProblem(
-        function.__name__, lambda x: np.atleast_1d(function(x)), (0.3 * low + 0.7 * high,) * size,
-        0.0, (low,) * size, (high,) * size,
+def analysed(function, low, high, workers=1, seed=3, cost="sse", **settings):
+    """The residuals are the function's values; `low` and `high` are the bounds of each unknown."""
+    low, high = np.array(low), np.array(high)
+    one = FunctionProblem(
+        "given", lambda x: np.atleast_1d(function(x)), tuple(0.3 * low + 0.7 * high), 0.0,
+        tuple(low), tuple(high), cost=COSTS[cost](),
     )  # fmt: skip
-
-
-def analysed(function, size, low, high, workers=1, seed=3, **settings):
-    one = problem_of(function, size, low, high)
     with FunctionExecutor(one.residuals, workers=workers) as executor:
         space = check_bounds(one.problem())
-        return analyse_on(
-            Runner(executor, whole=True), space, SensitivitySettings(**settings), seed
-        )
+        runner = Runner(executor, whole=True)
+        return analyse_on(runner, space, SensitivitySettings(**settings), seed)
+
+
+def between(function, size, low=0.0, high=1.0, **how):
+    """With the same bounds for all."""
+    return analysed(function, [low] * size, [high] * size, **how)
 
 
 def of_output(result, index):
@@ -69,11 +68,11 @@ def of_output(result, index):
     ("function", "size", "low", "high", "truth"),
     [
         (ishigami, 3, -np.pi, np.pi, ishigami_indices()),
-        (g_function, 6, 0.0, 1.0, g_indices()),
+        pytest.param(g_function, 6, 0.0, 1.0, g_indices(), marks=pytest.mark.slow),
     ],
 )
 def test_sobol_indices_are_the_analytic_ones(function, size, low, high, truth):
-    found = analysed(function, size, low, high, method="sobol", groups=4096)
+    found = between(function, size, low, high, method="sobol", groups=4096)
     np.testing.assert_allclose(of_output(found, "first order"), truth[0], atol=0.02)
     np.testing.assert_allclose(of_output(found, "total"), truth[1], atol=0.02)
 
@@ -85,20 +84,19 @@ def test_the_unknowns_that_matter_are_ranked_first():
     def few_matter(x):
         return 10.0 + weights @ x + 0.5 * x[17] * x[40]
 
-    found = analysed(few_matter, 60, 0.0, 1.0)
+    found = between(few_matter, 60)
     assert [u.label for u in found.ranking[:4]] == ["x17", "x55", "x40", "x3"]
     assert found.ranking[4].value == 0.0
     effects = dict(zip([f"x{i}" for i in range(60)], of_output(found, "mu*"), strict=True))
     assert effects["x55"] == pytest.approx(4.0)
-    assert (
-        found.evaluations == 20 * 61 + 2 + 2 * 60
-    )  # and the start, twice, with central differences
+    # and the start, twice, with central differences
+    assert found.evaluations == 20 * 61 + 2 + 2 * 60
 
 
 @pytest.mark.parametrize("method", ["morris", "sobol"])
 def test_the_number_of_workers_changes_nothing(method):
     one, three = (
-        analysed(ishigami, 3, -1.0, 2.0, workers=w, method=method, groups=32) for w in (1, 3)
+        between(ishigami, 3, -1.0, 2.0, workers=w, method=method, groups=32) for w in (1, 3)
     )
     for name in one.tables:
         rows = [repr(result.table(name).to_pylist()) for result in (one, three)]
@@ -110,7 +108,7 @@ def test_a_failure_takes_its_group_away_and_no_more(method):
     def fails_at_times(x):
         return np.nan if x[0] > 0.9 and x[1] > 0.9 else 1.0 + x[0] + 2.0 * x[1] + 0.1 * x[2]
 
-    found = analysed(fails_at_times, 3, 0.0, 1.0, method=method, groups=64)
+    found = between(fails_at_times, 3, method=method, groups=64)
     assert 0 < found.lost < found.groups == 64
     assert found.failures > 0
     assert any(f"{found.lost} of 64 groups" in note for note in found.notes)
@@ -119,42 +117,32 @@ def test_a_failure_takes_its_group_away_and_no_more(method):
 
 def test_too_many_failures_are_refused():
     with pytest.raises(ProblemError, match=r"at least 4 groups of points must be simulated"):
-        analysed(lambda x: np.nan, 3, 0.0, 1.0)
+        between(lambda x: np.nan, 3)
 
 
 def test_a_quantity_that_does_not_move_has_no_index():
-    found = analysed(lambda x: 1.0, 3, 0.0, 1.0, method="sobol", groups=32)
+    found = between(lambda x: 1.0, 3, method="sobol", groups=32)
     assert np.isnan([u.value for u in found.ranking]).all()
 
 
-def test_infinite_bounds_are_refused():
-    one = FunctionProblem("free", lambda x: x, (1.0,), 0.0)
-    with pytest.raises(ProblemError, match=r"parameters\.x0\.bounds: must be finite bounds"):
-        check_bounds(one.problem())
-
-
-def test_a_logarithmic_scale_needs_bounds_above_0():
-    one = FunctionProblem("log", lambda x: x, (1.0,), 0.0, (0.0,), (9.0,)).problem()
+@pytest.mark.parametrize(
+    ("scale", "bounds", "must"),
+    [("linear", (-np.inf, np.inf), "finite bounds"), ("log", (0.0, 9.0), "bounds above 0")],
+)
+def test_bounds_that_cannot_be_sampled_are_refused(scale, bounds, must):
+    one = FunctionProblem("free", lambda x: x, (1.0,), 0.0, *((b,) for b in bounds)).problem()
     (parameter,) = one.parameters
-    logarithmic = replace(one, parameters=(replace(parameter, scale="log"),))
-    with pytest.raises(ProblemError, match=r"parameters\.x0\.bounds: must be bounds above 0"):
-        check_bounds(logarithmic)
+    with pytest.raises(ProblemError, match=rf"parameters\.x0\.bounds: must be {must}"):
+        check_bounds(replace(one, parameters=(replace(parameter, scale=scale),)))
 
 
-def test_one_unknown_alone_is_ranked():
-    found = analysed(lambda x: 2.0 + x[0], 1, 0.0, 1.0)
-    assert [u.label for u in found.ranking] == ["x0"]
+@pytest.mark.parametrize(("cost", "ranked"), [("sse", "log(cost)"), ("likelihood", "cost")])
+def test_the_logarithm_of_a_cost_is_taken_once(cost, ranked):
+    """A log likelihood is one already; of exp(x)^2 both are 2 x and a constant."""
+    found = between(lambda x: np.exp(x[0]), 1, cost=cost)
+    assert found.ranks == f"mu* of {ranked}"
+    assert found.ranking[0].value == pytest.approx(2.0)
     assert found.ranking[0].together
-
-
-def test_the_logarithm_of_a_cost_is_taken_once():
-    """A log likelihood is one already, whatever its sign, which depends on units."""
-    quantities, values = (AnalysedQuantity("cost"),), np.array([[2.0], [8.0]])
-    named, logs = with_log_cost(quantities, values, SumSquared())
-    assert named[0].output == "log(cost)"
-    np.testing.assert_allclose(logs[:, 0], np.log([2.0, 8.0]))
-    assert with_log_cost(quantities, values, GaussianLikelihood())[0] == quantities
-    assert with_log_cost(quantities, values - 3.0, SumSquared())[0] == quantities
 
 
 @pytest.mark.parametrize(
@@ -164,3 +152,54 @@ def test_the_logarithm_of_a_cost_is_taken_once():
 def test_bad_settings_are_refused(changed):
     with pytest.raises(ProblemError, match=r"sensitivity\."):
         SensitivitySettings(**changed)
+
+
+BASIS = np.linalg.qr(np.random.default_rng(2).normal(size=(40, 5)))[0]
+
+
+def ordered(*columns, high=None):
+    """In the order of estimation: of residuals that are linear in the unknowns."""
+    matrix = np.column_stack(columns)
+    high = np.ones(matrix.shape[1]) if high is None else np.array(high)
+    found = analysed(lambda x: matrix @ x, 0.0 * high, high, groups=4)
+    return sorted(found.ranking, key=lambda unknown: unknown.position)
+
+
+def test_independent_columns_are_ordered_by_size():
+    found = ordered(BASIS[:, 0], 5.0 * BASIS[:, 1], 2.0 * BASIS[:, 2])
+    assert [each.label for each in found] == ["x1", "x2", "x0"]
+    assert [each.collinearity for each in found] == pytest.approx([1.0, 1.0, 1.0])
+    assert all(each.together for each in found)
+    assert [each.size / found[2].size for each in found] == pytest.approx([5.0, 2.0, 1.0])
+
+
+@pytest.mark.parametrize("angle", [0.05, 0.1])
+def test_the_collinearity_of_two_columns_is_that_of_their_angle(angle):
+    """Eigenvalues of N'N are 1 +- cos."""
+    second = np.cos(angle) * BASIS[:, 0] + np.sin(angle) * BASIS[:, 1]
+    found = ordered(2.0 * BASIS[:, 0], second)
+    assert found[1].collinearity == pytest.approx(1.0 / np.sqrt(1.0 - np.cos(angle)))
+    assert found[1].together == (found[1].collinearity < SensitivitySettings().collinearity)
+
+
+def test_what_others_make_up_for_is_left_out_and_spoils_nothing_after_it():
+    a, b, c = BASIS[:, 0], BASIS[:, 1], BASIS[:, 2]
+    found = ordered(3.0 * a, 2.0 * b, a + b, 0.5 * c)
+    assert [each.label for each in found] == ["x0", "x1", "x3", "x2"]
+    assert [each.together for each in found] == [True, True, True, False]
+    assert found[3].collinearity > 1e6
+
+
+def test_what_the_data_do_not_see_is_last():
+    found = ordered(np.zeros(40), BASIS[:, 0])
+    assert [each.label for each in found] == ["x1", "x0"]
+    assert found[1].collinearity == np.inf
+    assert not found[1].together
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_units_of_an_unknown_do_not_matter(unit):
+    plain = ordered(BASIS[:, 0], 0.5 * BASIS[:, 1])
+    other = ordered(BASIS[:, 0] / unit, 0.5 * BASIS[:, 1], high=[unit, 1.0])
+    assert [e.label for e in plain] == [e.label for e in other]
+    assert [e.size for e in plain] == pytest.approx([e.size for e in other])

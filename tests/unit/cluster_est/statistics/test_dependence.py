@@ -19,26 +19,26 @@ def late(x, lag):
     return lfilter([1.0 - keep], [1.0, -keep], x)
 
 
-def walk(rng, n):
-    return np.cumsum(rng.standard_normal(n))
-
-
-def trending(rng, n):
-    return np.linspace(0.0, rng.normal() * 20.0, n) + coloured(rng, n, 0.9)
-
-
 NULLS = {
+    "oscillating": lambda rng, n: coloured(rng, n, 1.95, -0.97),
+    "random walk": lambda rng, n: np.cumsum(rng.standard_normal(n)),
+}
+MORE_NULLS = {
+    "slow, with white noise": lambda rng, n: coloured(rng, n, 0.98) + rng.standard_normal(n),
     "first order": lambda rng, n: coloured(rng, n, 0.9),
     "slow": lambda rng, n: coloured(rng, n, 0.99),
-    "slow, with white noise": lambda rng, n: coloured(rng, n, 0.98) + rng.standard_normal(n),
     "smooth": lambda rng, n: late(coloured(rng, n, 0.98), 20.0) + 0.1 * rng.standard_normal(n),
-    "oscillating": lambda rng, n: coloured(rng, n, 1.95, -0.97),
-    "random walk": walk,
-    "trend": trending,
+    "trend": lambda rng, n: np.linspace(0.0, 20.0 * rng.normal(), n) + coloured(rng, n, 0.9),
 }
 
 
-@pytest.mark.parametrize("make", NULLS.values(), ids=NULLS)
+@pytest.mark.parametrize(
+    "make",
+    [
+        *(pytest.param(make, id=name) for name, make in NULLS.items()),
+        *(pytest.param(m, id=name, marks=pytest.mark.slow) for name, m in MORE_NULLS.items()),
+    ],
+)
 def test_what_has_nothing_to_do_with_it_is_rarely_named(make):
     """50 draws of two series of one colour: at 1 %, more than 3 have a chance of 0.2 %."""
     rng = np.random.default_rng(7)

@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import kstest
 from support.truth.stacked_noise import stack
 
-from cluster_est.statistics import omnibus as module
-from cluster_est.statistics.omnibus import omnibus
+from cluster_est.statistics.omnibus import LENGTHS, omnibus
 from cluster_est.statistics.projection import OrthogonalProjection
 from cluster_est.statistics.records import StackedRecords
+from workers.messages import FloatArray, IntArray
 
 RECORDS = stack(150, 100, 3, 1)
 TREND = np.concatenate([item.times for item in RECORDS.items])
@@ -54,33 +54,31 @@ def test_what_the_parameters_explain_is_no_structure() -> None:
     assert exact.p == 1.0
 
 
-def test_draws_in_chunks_are_the_same_draws(monkeypatch: pytest.MonkeyPatch) -> None:
-    noise = np.random.default_rng(23).standard_normal(RECORDS.size)
-    projection = OrthogonalProjection(SENSITIVITIES)
-    whole = omnibus(projection, noise, RECORDS, np.random.default_rng(0))
-    monkeypatch.setattr(module, "NUMBERS_AT_ONCE", 7 * RECORDS.size)
-    chunked = omnibus(projection, noise, RECORDS, np.random.default_rng(0))
-    assert chunked.z == pytest.approx(whole.z, rel=1e-9)
-    assert chunked.p == whole.p
+def standardised(signal: FloatArray, kernel: FloatArray, rows: IntArray) -> float:
+    """x'Kx / x'x above its mean in standard deviations, by its exact moments in normal noise."""
+    x, own, n = signal[rows], kernel[np.ix_(rows, rows)], len(rows)
+    trace = np.trace(own)
+    square = (2.0 * np.trace(own @ own) + trace**2) / (n * (n + 2.0))
+    mean = trace / n
+    return float((x @ own @ x / (x @ x) - mean) / np.sqrt(square - mean**2))
 
 
-@pytest.mark.parametrize("records", [stack(40, 0, 25), stack(2), stack(13, 1, outputs=2)])
-def test_the_quadratic_form_is_that_of_the_kernel(records: StackedRecords) -> None:
-    signal = np.random.default_rng(24).standard_normal(records.size)
-    lengths = (2, 6)
-    expected = np.zeros((len(records.outputs), 2))
-    for item in records.items:
-        r = signal[item.rows]
-        distance = np.abs(np.subtract.outer(np.arange(len(r)), np.arange(len(r))))
-        for k, length in enumerate(lengths):
-            kernel = np.exp(-0.5 * (distance / length) ** 2) * (distance <= 4 * length)
-            expected[item.output, k] += r @ kernel @ r
-    found = module._smoothness(signal[None], records, lengths)[0]
-    np.testing.assert_allclose(found[:2], expected.sum(axis=0) / (signal @ signal), rtol=1e-10)
-    for output in range(len(records.outputs) if len(records.outputs) > 1 else 0):
-        own = signal[records.of_output(output)]
-        alone = found[2 * output + 2 : 2 * output + 4]
-        np.testing.assert_allclose(alone, expected[output] / (own @ own), rtol=1e-10)
+@pytest.mark.parametrize("records", [stack(40, 0, 25), stack(13, 1, outputs=2), stack(500, 100)])
+def test_the_statistic_is_that_of_the_kernel(records: StackedRecords) -> None:
+    """The largest of all lengths and of each output alone; the longest takes draws in chunks."""
+    signal = np.random.default_rng(24).standard_normal(records.size).cumsum()
+    expected = []
+    for length in LENGTHS:
+        kernel = np.zeros((records.size, records.size))
+        for item in records.items:
+            lags = np.subtract.outer(item.times, item.times) * (len(item.times) - 1)
+            near = np.abs(lags) <= 4.0 * length + 0.5
+            kernel[item.rows, item.rows] = np.exp(-0.5 * (lags / length) ** 2) * near
+        rows = [np.arange(records.size), *map(records.of_output, range(len(records.outputs)))]
+        expected += [standardised(signal, kernel, own) for own in rows]
+    nothing = OrthogonalProjection(np.zeros((records.size, 0)))
+    found = omnibus(nothing, signal, records, np.random.default_rng(0), draws=6000)
+    assert found.z == pytest.approx(max(expected), rel=0.04)
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-6, 1e6])

@@ -76,7 +76,9 @@ def test_figures_of_an_output():
 
 def test_numerical_errors_and_few_samples_are_not_judged():
     assert diagnose(WHITE_NOISE + WAVE, exact=True).findings == ()
-    assert diagnose(np.zeros(500)).findings == ()
+    nothing = diagnose(np.zeros(500))
+    assert nothing.findings == ()
+    assert (nothing.outputs[0].lag1, nothing.outputs[0].widening) == (0.0, 1.0)
     few = diagnose(100.0 * np.linspace(-1.0, 1.0, 12), stack(12))
     assert few.findings == ()
     assert few.outputs[0].structure is ResidualStructure.NOT_TESTED
@@ -117,3 +119,19 @@ def test_what_no_output_shows_alone_all_may_show_together():
     found = diagnose(residuals, records)
     assert all(o.structure is WHITE for o in found.outputs)
     assert [o.output for o in found.findings] == ["all outputs together"]
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+def test_first_order_noise_has_the_autocorrelation_of_theory(rho):
+    records = stack(10_000, 10_000)
+    noise = autoregressive(records, np.array([[rho]]), np.random.default_rng(0))
+    (found,) = diagnose(7.0 * noise, records).outputs
+    assert found.lag1 == pytest.approx(rho, abs=0.02)
+    assert found.widening == pytest.approx(np.sqrt((1 + rho) / (1 - rho)), rel=0.1)
+
+
+def test_no_correlation_spans_two_records():
+    records = stack(2, 2)
+    (found,) = diagnose(np.array([1.0, -1.0, -1.0, 1.0]), records).outputs
+    assert found.lag1 == pytest.approx(-0.5)
+    assert found.widening == 1.0

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import norm
-from support.truth.stacked_noise import autoregressive, stack
+from support.truth.stacked_noise import stack
 
 from cluster_est.statistics.projection import OrthogonalProjection
 from cluster_est.statistics.whiteness import (
     SmoothedColumns,
     StructureKernel,
     WhiteNull,
-    smoothed,
     smoothness,
     traces,
 )
@@ -39,18 +37,6 @@ def matrix(kernel: StructureKernel, rows: np.ndarray) -> np.ndarray:
         if np.isin(own, rows).all():
             result[np.ix_(own, own)] = np.where(np.abs(lags) <= kernel.reach(len(own)), values, 0.0)
     return result
-
-
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_smoothing_and_traces_are_those_of_the_matrix(kernel):
-    everything = np.arange(RECORDS.size)
-    dense = matrix(kernel, everything)
-    columns = np.random.default_rng(0).normal(size=(RECORDS.size, 3))
-    assert smoothed(columns, RECORDS.items, kernel) == pytest.approx(dense @ columns, abs=1e-12)
-    form = dense - 1.7 * np.eye(RECORDS.size)
-    powers = [np.linalg.matrix_power(form, m) for m in (1, 2, 3)]
-    counts = [len(item.times) for item in RECORDS.items]
-    assert traces(kernel, counts, 1.7) == pytest.approx([np.trace(p) for p in powers])
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -112,13 +98,6 @@ def test_structure_of_any_length_is_seen(period, size):
     structured, white = (smoothness(r, [records.items], made)[0] for r in (noise + wave, noise))
     assert structured.p < 1e-6
     assert white.p > 0.05
-
-
-def test_coloured_noise_is_not_white():
-    records = stack(400)
-    made = WhiteNull(np.zeros((400, 0)), np.ones(400))
-    noise = autoregressive(records, np.array([[0.5]]), np.random.default_rng(4))
-    assert smoothness(noise, [records.items], made)[0].p < norm.sf(6.0)
 
 
 def test_there_may_be_nothing_to_test():

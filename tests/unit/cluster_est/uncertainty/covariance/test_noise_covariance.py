@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
+from scipy.signal import lfilter
 from scipy.stats import t as student
 from support.problems.curves import Curves
 
@@ -17,7 +19,6 @@ from cluster_est.uncertainty.covariance.autoregression import (
     NoiseRecord,
     fit_noise,
 )
-from cluster_est.uncertainty.covariance.noise_covariance import NoiseBasis
 
 TIMES = np.linspace(0.0, 1.0, 60)
 
@@ -25,11 +26,8 @@ TIMES = np.linspace(0.0, 1.0, 60)
 def autoregressive(generator, length, phi):
     """First order, of variance 1, from its first sample on."""
     noise = generator.normal(size=length)
-    values = np.empty(length)
-    values[0] = noise[0]
-    for t in range(1, length):
-        values[t] = phi * values[t - 1] + np.sqrt(1.0 - phi**2) * noise[t]
-    return values
+    noise[1:] *= np.sqrt(1.0 - phi**2)
+    return lfilter([1.0], [1.0, -phi], noise)
 
 
 def line(times, values, experiment):
@@ -66,11 +64,8 @@ class TestAutoregression:
 
     @pytest.mark.parametrize("coefficients", [(0.5,), (0.9,), (1.4, -0.7), (-0.6,)])
     def test_order_and_coefficients_of_a_long_record(self, coefficients):
-        generator = np.random.default_rng(1)
-        values = np.zeros(20_000)
-        for t in range(len(coefficients), len(values)):
-            past = values[t - len(coefficients) : t][::-1]
-            values[t] = past @ coefficients + generator.normal()
+        noise = np.random.default_rng(1).normal(size=20_000)
+        values = lfilter([1.0], np.r_[1.0, -np.array(coefficients)], noise)
         record = NoiseRecord(0, values, np.zeros((len(values), 0)), 0)
         found = fit_noise([record], 0)[0]
         np.testing.assert_allclose(found.coefficients, coefficients, atol=0.03)
@@ -103,41 +98,47 @@ class TestAutoregression:
         assert np.isfinite(found.times(values[:, None])).all()
 
 
+@pytest.fixture(scope="module")
+def different():
+    """Of twelve experiments whose slopes differ."""
+    return intervals(2, 0.0, count=12, spread=0.5)
+
+
 class TestBasis:
     def test_white_noise_has_the_textbook_error(self):
         found, solution = intervals(0, 0.0)
         count, size = solution.jacobian.shape
         inverse = np.linalg.inv(solution.jacobian.T @ solution.jacobian)
         expected = np.sqrt(np.diag(inverse) * solution.cost / (count - size))
-        assert found.basis is NoiseBasis.WHITE
+        assert found.basis == "white"
         np.testing.assert_allclose([i.std_error for i in found.intervals], expected, rtol=1e-9)
         assert all(np.isnan(i.error_autoregression) for i in found.intervals)
         assert found.notes == ()
 
     def test_coloured_noise_is_allowed_for_and_said(self):
         found, _ = intervals(1, 0.9)
-        assert found.basis is NoiseBasis.AUTOREGRESSION
+        assert found.basis == "autoregression"
         for each in found.intervals:
             assert each.std_error == each.error_autoregression > 2.0 * each.error_white
         (note,) = found.notes
-        assert "the residuals are autocorrelated, and the intervals allow for noise that is" in note
+        assert re.search("autocorrelated, and the intervals allow for", note)
 
-    def test_experiments_that_differ_are_allowed_for_and_said(self):
-        found, _ = intervals(2, 0.0, count=12, spread=0.5)
+    def test_experiments_that_differ_are_allowed_for_and_said(self, different):
+        found, _ = different
         slope, *offsets = found.intervals
-        assert found.basis is NoiseBasis.EXPERIMENTS
+        assert found.basis == "experiments"
         assert slope.std_error == slope.error_experiments > 2.0 * slope.error_white
         assert all(each.std_error > each.error_white for each in offsets)
         assert found.basis_degrees == 11
-        assert "the 12 experiments differ by more than their noise explains" in found.notes[-1]
+        assert re.search("12 experiments differ by more than their noise", found.notes[-1])
 
     def test_few_experiments_are_reported_only(self):
         found, _ = intervals(2, 0.0, count=4, spread=0.5)
-        assert found.basis is not NoiseBasis.EXPERIMENTS
+        assert found.basis != "experiments"
         assert found.intervals[0].error_experiments > found.intervals[0].error_white
 
-    def test_the_scatter_of_experiments_is_the_sandwich_of_the_dense_jacobian(self):
-        found, solution = intervals(3, 0.0, count=12, spread=0.5)
+    def test_the_scatter_of_experiments_is_the_sandwich_of_the_dense_jacobian(self, different):
+        found, solution = different
         jacobian, r = solution.jacobian, solution.at.residuals
         bread = np.linalg.inv(jacobian.T @ jacobian)
         rows = np.arange(12 * len(TIMES)).reshape(12, -1)
@@ -153,10 +154,10 @@ class TestBasis:
         )
         for a, b in zip(one.intervals, other.intervals, strict=True):
             assert b.std_error == pytest.approx(10.0 * a.std_error, rel=1e-6)
-        assert one.basis is other.basis is NoiseBasis.AUTOREGRESSION
+        assert one.basis == other.basis == "autoregression"
 
 
-@pytest.mark.parametrize("phi", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize("phi", [0.0, pytest.param(0.5, marks=pytest.mark.slow), 0.9])
 def test_intervals_hold_the_truth_as_often_as_they_say(phi):
     """Of 150 repetitions; the bounds are three standard errors of the share."""
     basis = np.column_stack([np.ones(100), np.linspace(-1.0, 1.0, 100)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,6 @@ from support.problems.curves import Curves
 from cluster_est import LeastSquares, Parameter
 from cluster_est.methods.base import Ending, Solution
 from cluster_est.uncertainty import assess, examine, linearise, sharpen
-from cluster_est.uncertainty.rows import direction_rows
 
 TIMES = np.linspace(0.1, 4.0, 30)
 NAMES = "abcd"
@@ -63,41 +63,38 @@ def two_pairs(times, values, experiment):
     return a * b * np.exp(-times) + c / d * np.cos(times)
 
 
+TOGETHER = "the data determine {} only together: .*{}.* without changing any residual"
 CASES = {
     "by the same factor": (
         ratio,
         (0.5, 2.0, 6.0, 1.0),
-        ["the data determine a, b and c only together: all of them can grow by the same factor "
-         "without changing any residual"],
+        {"abc": TOGETHER.format("a, b and c", "all of them can grow by the same factor")},
     ),
     "by inverse factors": (
         product,
         (2.0, 3.0, 1.0),
-        ["the data determine a and b only together: a can grow by the factor by which b falls "
-         "without changing any residual"],
+        {"ab": TOGETHER.format("a and b", "a can grow by the factor by which b falls")},
     ),
     "in a ratio": (
         square,
         (2.0, 3.0, 1.0),
-        ["the data determine a and b only together: a and b can grow in the ratio 1 : 3 without "
-         "changing any residual"],
+        {"ab": TOGETHER.format("a and b", "can grow in the ratio 1 : 3")},
     ),
     "up and down": (
         total,
         (2.0, 3.0),
-        ["the data determine a and b only together: a can grow by 1 while b falls by 1 without "
-         "changing any residual"],
+        {"ab": TOGETHER.format("a and b", "a can grow by 1 while b falls by 1")},
     ),
-    "no effect": (unused, (2.0, 3.0), ["b has no effect on any residual"]),
+    "no effect": (unused, (2.0, 3.0), {"b": "b has no effect on any residual"}),
     "two pairs": (
         two_pairs,
         (2.0, 3.0, 1.0, 4.0),
-        ["the data determine a and b only together: a can grow by the factor by which b falls "
-         "without changing any residual",
-         "the data determine c and d only together: both can grow by the same factor without "
-         "changing any residual"],
+        {
+            "ab": TOGETHER.format("a and b", "a can grow by the factor by which b falls"),
+            "cd": TOGETHER.format("c and d", "both can grow by the same factor"),
+        },
     ),
-}  # fmt: skip
+}
 
 
 def at_truth(case, truth, differences="central", **options):
@@ -110,87 +107,79 @@ def at_truth(case, truth, differences="central", **options):
     return runner, space, solution
 
 
+def check_names(found, said):
+    """Whether the directions are those, each named in its words."""
+    assert sorted("".join(d.labels) for d in found.directions) == sorted(said)
+    for direction in found.directions:
+        assert re.search(said["".join(direction.labels)], direction.sentence)
+
+
 @pytest.mark.parametrize("differences", ["forward", "central"])
 @pytest.mark.parametrize("name", CASES)
-class TestNames:
-    def test_from_the_derivatives_alone(self, name, differences):
-        case, truth, sentences = CASES[name]
-        _, space, solution = at_truth(case, truth, differences)
-        found = assess(space, solution)
-        assert sorted(d.sentence for d in found.directions) == sentences
-
-    def test_with_directions_measured(self, name, differences):
-        case, truth, sentences = CASES[name]
-        runner, space, solution = at_truth(case, truth, differences)
-        before = runner.evaluations
-        found = examine(runner, space, solution)
-        assert sorted(d.sentence for d in found.directions) == sentences
-        assert runner.evaluations - before == 4 * len(sentences)
-        for direction in found.directions:
-            assert direction.ratio < 1e-9
-            assert direction.kind == ("no effect" if name == "no effect" else "undetermined")
-
-    def test_only_what_is_named_lacks_an_interval(self, name, differences):
-        case, truth, _ = CASES[name]
-        runner, space, solution = at_truth(case, truth, differences)
-        found = examine(runner, space, solution)
-        named = {label for d in found.directions for label in d.labels}
-        lacking = {
-            unknown.label
-            for unknown, interval in zip(space.unknowns, found.intervals, strict=True)
-            if np.isnan(interval.std_error)
-        }
-        assert lacking == named
-        kept = [i for i, u in enumerate(space.unknowns) if u.label not in named]
-        inverse = np.linalg.pinv(solution.jacobian, rcond=1e-4)
-        expected = np.sqrt(np.diag(inverse @ inverse.T) * found.variance)[kept]
-        actual = [found.intervals[i].std_error for i in kept]
-        np.testing.assert_allclose(actual, expected, rtol=1e-4)
+def test_what_is_not_determined_is_named_and_has_no_interval(name, differences):
+    case, truth, said = CASES[name]
+    runner, space, solution = at_truth(case, truth, differences)
+    check_names(assess(space, solution), said)  # from the derivatives alone
+    before = runner.evaluations
+    found = examine(runner, space, solution)
+    check_names(found, said)
+    assert runner.evaluations - before == 4 * len(said)
+    for direction in found.directions:
+        assert direction.ratio < 1e-9
+        assert direction.kind == ("no effect" if name == "no effect" else "undetermined")
+    errors = {u.label: i.std_error for u, i in zip(space.unknowns, found.intervals, strict=True)}
+    assert {label for label, error in errors.items() if np.isnan(error)} == set("".join(said))
+    inverse = np.linalg.pinv(solution.jacobian, rcond=1e-4)
+    expected = np.sqrt(np.diag(inverse @ inverse.T) * found.variance)
+    for error, known in zip(errors.values(), expected, strict=True):
+        assert np.isnan(error) or error == pytest.approx(known, rel=1e-4)
 
 
-def test_weights_are_the_move_in_each_unknowns_unit():
-    _, space, solution = at_truth(ratio, (0.5, 2.0, 6.0, 1.0))
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_weights_are_the_move_in_each_unknowns_unit(scale):
+    _, space, solution = at_truth(ratio, (0.5, 2.0, 6.0, 1.0), scale=scale)
     (found,) = assess(space, solution).directions
     np.testing.assert_allclose(found.weights, (1.0, 4.0, 12.0), rtol=1e-5)
     np.testing.assert_allclose(found.relative, 1.0, rtol=1e-5)
-
-
-def test_on_a_log_scale_too():
-    _, space, solution = at_truth(ratio, (0.5, 2.0, 6.0, 1.0), scale="log")
-    (found,) = assess(space, solution).directions
-    np.testing.assert_allclose(found.weights, (1.0, 4.0, 12.0), rtol=1e-5)
     assert "by the same factor" in found.sentence
+
+
+def examined(problem):
+    """What is found where an estimation would begin."""
+    space = problem.space()
+    return examine(problem.runner(), space, Solution(space.start, 1.0, Ending.CONVERGED))
 
 
 def test_shared_and_local_unknowns_together():
     def offsets(times, values, experiment):
         return values[0] + values[1] + values[2] * times
 
-    problem = curves(offsets, (2.0, 3.0, 1.0), count=3, per=("b",))
-    runner, space = problem.runner(), problem.space()
-    solution = Solution(space.start, 1.0, Ending.CONVERGED)
-    (found,) = examine(runner, space, solution).directions
+    (found,) = examined(curves(offsets, (2.0, 3.0, 1.0), count=3, per=("b",))).directions
     assert found.labels == ("a", "b[e0]", "b[e1]", "b[e2]")
     np.testing.assert_allclose(found.weights, (1.0, -1.0, -1.0, -1.0), rtol=1e-6)
     assert "b[e0] falls by 1, b[e1] falls by 1 and b[e2] falls by 1" in found.sentence
 
 
-def test_local_unknowns_of_one_experiment_alone():
+@pytest.mark.parametrize("room", [101.0, 0.0])
+def test_local_unknowns_of_one_experiment_alone(room):
+    """Another unknown at its bound leaves steps that do not move it their length."""
+
     def sometimes(times, values, experiment):
         level = values[0] * values[1] if experiment == 1 else values[0] + values[1] * times
         return level + values[2] * times**2
 
     problem = curves(sometimes, (2.0, 3.0, 1.0), count=3, per=("a", "b"))
-    runner, space = problem.runner(), problem.space()
-    found = examine(runner, space, Solution(space.start, 1.0, Ending.CONVERGED))
+    *ab, c = problem.parameters
+    problem = replace(problem, parameters=(*ab, replace(c, lower=c.start - room)))
+    found = examined(problem)
     (direction,) = found.directions
     assert direction.labels == ("a[e1]", "b[e1]")
-    undetermined = [np.isnan(interval.std_error) for interval in found.intervals]
-    labels = [u.label for u in space.unknowns]
-    assert [label for label, bad in zip(labels, undetermined, strict=True) if bad] == [
-        "a[e1]",
-        "b[e1]",
-    ]
+    assert found.notes == ()
+    labels = [u.label for u in problem.space().unknowns]
+    lacking = [np.isnan(interval.std_error) for interval in found.intervals]
+    held = () if room else ("c",)
+    named = [x for x, bad in zip(labels, lacking, strict=True) if bad]
+    assert sorted(named) == sorted((*direction.labels, *held))
 
 
 def nearly(times, values, experiment):
@@ -204,10 +193,7 @@ def test_what_hardly_shows_is_called_weak_where_the_derivatives_can_tell():
     (found,) = examine(runner, space, solution).directions
     assert found.kind == "weak"
     assert found.labels == ("a", "b")
-    assert found.sentence == (
-        "the data hardly tell a and b apart: the residuals hardly change where a grows by 1 while "
-        "b falls by 1"
-    )
+    assert re.search("hardly tell a and b apart.*a grows by 1 while b falls by 1", found.sentence)
 
 
 def test_measured_derivatives_tell_what_forward_ones_cannot():
@@ -246,38 +232,38 @@ def test_noise_of_the_simulation_does_not_make_a_lost_direction_look_determined(
     runner, space, solution = at_truth(noisy, (0.5, 2.0, 6.0, 1.0))
     assert assess(space, solution).directions == ()  # from the differences alone
     (found,) = examine(runner, space, solution).directions
-    assert found.sentence == CASES["by the same factor"][2][0]
+    assert re.search(CASES["by the same factor"][2]["abc"], found.sentence)
 
 
-def test_a_determined_problem_has_none():
-    def decay(times, values, experiment):
-        a, b, c = values
-        return a * np.exp(-b * times) + c
-
-    for differences in ("forward", "central"):
-        runner, space, solution = at_truth(decay, (2.0, 1.0, 0.5), differences)
-        before = runner.evaluations
-        assert examine(runner, space, solution).directions == ()
-        assert runner.evaluations == before
+def decay(times, values, experiment):
+    a, b, c = values
+    return a * np.exp(-b * times) + c
 
 
-def test_a_strong_correlation_is_not_a_lost_direction():
-    """Two exponentials of nearly the same rate: correlated by more than 0.9999."""
+def two(times, values, experiment):
+    """Exponentials of nearly the same rate: correlated by more than 0.9999."""
+    return values[0] * np.exp(-times) + values[1] * np.exp(-1.02 * times)
 
-    def two(times, values, experiment):
-        a, b = values
-        return a * np.exp(-times) + b * np.exp(-1.02 * times)
 
-    runner, space, solution = at_truth(two, (2.0, 1.0))
+@pytest.mark.parametrize(
+    ("formula", "truth", "differences"),
+    [
+        (decay, (2.0, 1.0, 0.5), "forward"),
+        (decay, (2.0, 1.0, 0.5), "central"),
+        (two, (2.0, 1.0), "central"),
+    ],
+)
+def test_a_determined_problem_has_none_however_correlated(formula, truth, differences):
+    runner, space, solution = at_truth(formula, truth, differences)
+    before = runner.evaluations
     found = examine(runner, space, solution)
     assert found.directions == ()
-    assert found.correlations[0, 1] < -0.9999
+    assert formula is two or runner.evaluations == before
+    assert formula is decay or found.correlations[0, 1] < -0.9999
 
 
 def test_constraints_may_determine_what_the_data_do_not():
-    problem = replace(curves(total, (2.0, 3.0)), constraints=("b == 1.5 * a",))
-    runner, space = problem.runner(), problem.space()
-    found = examine(runner, space, Solution(space.start, 1.0, Ending.CONVERGED))
+    found = examined(replace(curves(total, (2.0, 3.0)), constraints=("b == 1.5 * a",)))
     assert found.directions == ()
     assert np.isfinite([interval.std_error for interval in found.intervals]).all()
 
@@ -294,16 +280,6 @@ def test_failed_simulations_leave_the_derivatives_as_they_are():
     assert "not confirmed" in found.notes[0]
 
 
-def test_rows():
-    _, space, solution = at_truth(two_pairs, (2.0, 3.0, 1.0, 4.0))
-    rows = direction_rows(assess(space, solution))
-    assert sorted((row.direction, row.label) for row in rows) in (
-        [(0, "a"), (0, "b"), (1, "c"), (1, "d")],
-        [(0, "c"), (0, "d"), (1, "a"), (1, "b")],
-    )
-    assert all(row.sentence.startswith("the data") for row in rows)
-
-
 def test_an_unknown_whose_differences_fail_is_not_said_to_have_no_effect():
     """Beyond 4.9 nothing can be simulated, and the data pull the offset below."""
 
@@ -317,7 +293,6 @@ def test_an_unknown_whose_differences_fail_is_not_said_to_have_no_effect():
     assert space.estimates(solution.x)["b"] == pytest.approx(4.9, abs=1e-5)
     found = examine(runner, space, solution)
     assert found.directions == ()
-    assert found.notes == (
-        "there are no intervals, because simulations for the derivatives by b failed",
-    )
+    (note,) = found.notes
+    assert re.search("no intervals, because.*derivatives by b failed", note)
     assert all(np.isnan(each.std_error) for each in found.intervals)

@@ -1,21 +1,103 @@
-"""Which solver is finer than another, and what to set so that an error falls."""
+"""A fit with too long a step says so, and what to set so that its error falls.
+
+The data of the fits are exact, from the matrix exponential.
+"""
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.problems.springs import FMU, TRUE
+from support.truth.exact_linear import position
 from support.truth.systems_with_missing_effects import missing_effect_problem
 
-from cluster_est import Solver
-from cluster_est.results.solver_error.communication_step import communication_step
+from cluster_est import (
+    Experiment,
+    Input,
+    LeastSquares,
+    Model,
+    Output,
+    Parameter,
+    Problem,
+    Result,
+    Solver,
+    fit,
+)
 from cluster_est.results.solver_error.finer_solver import (
     solver_scale,
     step_never_taken,
     usual_interval,
 )
-from workers.messages import Experiment, Input, Output
+
+EVERY = 0.3
+TIMES = EVERY * np.arange(40.0)
+
+
+def spring(solver: Solver, *, sigma: float = 1.0, interface: str = "model_exchange") -> Problem:
+    """A mass that swings freely, seen at few times."""
+    measured = position(TIMES, np.zeros(len(TIMES)), **TRUE, x0=1.0, v0=0.0)
+    output, known = Output("y", TIMES, measured, sigma), (("x", 1.0), ("m", TRUE["m"]))
+    run = Experiment("e", 0.0, float(TIMES[-1]), (), (output,), values=known)
+    model = Model(FMU.name, FMU.read_bytes(), interface, solver, ("m", "k", "c", "x"))
+    parameters = [
+        Parameter("m", 1.0),
+        Parameter("k", 28.0, 1.0, 100.0),
+        Parameter("c", 0.5, 0.0, 10.0),
+        Parameter("x", 0.0),
+    ]
+    return Problem(model, parameters, [run])
+
+
+def too_long(result: Result) -> list[str]:
+    return [note for note in result.notes if "too long" in note]
+
+
+def test_a_step_that_bends_the_parameters_is_named_with_what_to_set():
+    problem = spring(Solver("rk4"))
+    result = fit(problem)
+    assert result.success
+    assert abs(result.x["k"] / TRUE["k"] - 1.0) > 0.01
+    (said,) = too_long(result)
+    found = re.search(
+        rf"step of {EVERY} s is too long.*error in y of .*model.step = ([\d.]+)", said
+    )
+    assert result.facts()["solver_error"]["experiments"] == 1
+    model = replace(problem.model, solver=Solver("rk4", float(found[1])))
+    assert not too_long(fit(replace(problem, model=model)))
+
+
+def test_nothing_is_said_of_a_step_that_is_short_enough():
+    result = fit(spring(Solver("rk4", 0.01)))
+    assert result.solver_error is not None
+    assert result.solver_error.sentences == ()
+    assert result.x["k"] == pytest.approx(TRUE["k"], rel=1e-4)
+
+
+def test_it_is_said_of_a_fit_that_has_not_converged_too():
+    result = fit(spring(Solver("rk4")), LeastSquares(max_iterations=1))
+    assert not result.success
+    assert too_long(result)
+
+
+def test_a_sigma_that_is_given_decides_what_is_noticed():
+    """An error of some per cent of the signal hides in noise as large as the signal."""
+    loud = fit(spring(Solver("rk4", 0.1), sigma=10.0))
+    assert loud.solver_error is not None
+    assert loud.solver_error.sentences == ()
+
+
+def test_a_solver_with_a_tolerance_is_not_asked():
+    assert fit(spring(Solver("dormand_prince", rtol=1e-6))).solver_error is None
+
+
+def test_communication_steps_are_measured_too():
+    result = fit(spring(Solver("fmu"), interface="co_simulation"))
+    assert result.solver_error is not None
+    assert result.solver_error.scale.name == f"the communication step of {EVERY} s"
+
 
 EXCHANGE = missing_effect_problem("mass_spring_damper")
 TOGETHER = missing_effect_problem("mass_spring_damper", interface="co_simulation")
@@ -78,21 +160,28 @@ def test_a_tolerance_for_the_fmu_is_tightened_along_with_the_step():
 
 def test_a_fixed_step_is_halved_only_where_a_user_has_chosen_it():
     assert "communicates in a fixed step" in scale(TOGETHER, Solver("fmu"), FIXED).why_not
-    assert scale(TOGETHER, Solver("fmu", step=0.1), FIXED).finer().step == pytest.approx(0.05)
+    own = scale(TOGETHER, Solver("fmu"), replace(FIXED, fixed_internal_step=0.02))
+    assert own.name == "the communication step of 0.02 s"
+    assert own.why_not
+    chosen = scale(TOGETHER, Solver("fmu", step=0.1), FIXED)
+    assert chosen.name == "the communication step of 0.1 s"
+    assert chosen.finer().step == pytest.approx(0.05)
 
 
 @pytest.mark.parametrize(
-    ("own", "steps", "twice"), [(0.1, None, None), (0.05, 2.0, False), (0.02, 5.0, False),
-                                (0.025, 2.0, True), (0.03, None, None)]
-)  # fmt: skip
+    ("own", "steps", "twice"), [(0.05, 2.0, False), (0.02, 5.0, False), (0.025, 2.0, True)]
+)
 def test_steps_of_an_fmu_with_a_step_of_its_own_are_multiples_of_it(own, steps, twice):
     found = scale(TOGETHER, Solver("fmu", step=0.1), replace(FIXED, fixed_internal_step=own))
-    if steps is None:
-        assert found.why_not
-        return
     assert (found.ratio, found.can_be_finer_twice()) == (steps, twice)
     multiple = found.finer().step / own
     assert multiple == pytest.approx(round(multiple))
+
+
+@pytest.mark.parametrize("own", [0.1, 0.03])
+def test_a_step_of_its_own_that_no_shorter_one_is_a_multiple_of_stays(own):
+    description = replace(FIXED, fixed_internal_step=own)
+    assert scale(TOGETHER, Solver("fmu", step=0.1), description).why_not
 
 
 def test_what_to_set_follows_from_the_order():
@@ -114,11 +203,3 @@ def test_the_usual_interval_is_not_that_of_two_times_that_rounding_keeps_apart()
     late = Input("F", times + 1e-9, 0.0 * times)
     run = Experiment("e", 0.0, 0.9, (late,), (Output("y", times, 0.0 * times),))
     assert usual_interval([run]) == pytest.approx(0.1, abs=1e-6)
-
-
-def test_a_communication_step_counts_where_it_is_fixed():
-    model = replace(TOGETHER.model, solver=Solver("fmu", step=0.1))
-    assert communication_step(model, FIXED) == 0.1
-    assert communication_step(model, DESCRIPTION) == 0.0
-    assert communication_step(TOGETHER.model, replace(FIXED, fixed_internal_step=0.02)) == 0.02
-    assert communication_step(EXCHANGE.model, FIXED) == 0.0
