@@ -18,7 +18,6 @@ from workers.effects.definition import EffectDefinition, define
 from workers.effects.outputs import apply_output_effect
 from workers.fmu.description import describe_model
 from workers.grid import SignalGrid
-from workers.kernels import record
 from workers.messages import Effect, FloatArray, Model, Solver
 
 MODEL = Model("spring", FMU.read_bytes(), "model_exchange", Solver("rk4"), ())
@@ -104,16 +103,3 @@ def test_a_slow_one_keeps_its_digits() -> None:
     times = np.linspace(0.0, 1.0, 11)
     expected = (1.0 - np.cos(times)) / tau
     np.testing.assert_allclose(shown(defined("lag"), [tau], times), expected, rtol=1e-4)
-
-
-def test_one_that_follows_in_another_way_takes_substeps() -> None:
-    assert defined("hysteresis", ("F",)).decay_rate(np.array([0.5, 0.4])) == 0.0
-    assert defined("lag").decay_rate(np.array([0.25])) == 4.0
-    assert defined("gain").decay_rate(np.array([1.1])) == 0.0
-
-
-def test_substeps_are_those_of_an_interval() -> None:
-    """Eight for each time constant, one at least, and not without end."""
-    assert record.substep_count.py_func(0.1, 10.0) == 8
-    assert record.substep_count.py_func(0.001, 10.0) == 1
-    assert record.substep_count.py_func(1e9, 10.0) == 10_000
