@@ -136,11 +136,11 @@ def test_a_fit_finds_the_rate_and_says_what_it_did(own_fmu: Give) -> None:
     output = Output("y", TIMES, np.exp(-0.8 * TIMES))
     runs = [Experiment(name, 0.0, 1.99, (), (output,)) for name in "ab"]
     rate = (Parameter("k", 1.0, 0.1, 3.0),)
-    problem = Problem(model(fmu), rate, (runs[0], measured([0.0, 0.2], name="c")))
-    (note,) = problem.notes()
+    (note,) = Problem(model(fmu), rate, (runs[0], measured([0.0, 0.2], name="c"))).notes()
     assert re.search(r"every 0\.1 s; experiment 'a' has times between", note)
-    (both,) = Problem(model(fmu), rate, tuple(runs)).notes()
-    assert "2 experiments have times between" in both
+    problem = Problem(model(fmu), rate, tuple(runs))
+    (note,) = problem.notes()
+    assert "2 experiments have times between" in note
     result = fit(problem, LeastSquares())
     assert result.estimates[0].value == pytest.approx(0.8, abs=2e-3)
 
