@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.problems.springs import FMU
-from support.truth.own_fmus import robertson
-from support.truth.stiff_models import fed, oscillation, reaction, van_der_pol
+from support.simulated import answer
+from support.truth.own_fmus import robertson, van_der_pol
+from support.truth.stiff_models import fed, oscillation, reaction
 
 from cluster_est import Experiment, Input, Output, Parameter, Problem, Solver, fit
 from workers.evaluate import Evaluator
@@ -68,7 +69,7 @@ def bits(outcome):
 
 @cache
 def truth(mu, stop):
-    return van_der_pol(mu, np.linspace(0.0, stop, 61))
+    return van_der_pol(np.linspace(0.0, stop, 61), mu)[:, 0]
 
 
 @pytest.mark.parametrize(
@@ -155,10 +156,8 @@ def test_effects_act_as_with_dormand_prince(name, interpolation):
     found = []
     for solver in (Solver("dormand_prince", rtol=1e-10), Solver("cvode", rtol=1e-10)):
         model = Model(FMU.name, FMU.read_bytes(), "model_exchange", solver, ("m", "k", "c"))
-        evaluator = Evaluator(model, (driven,), "w")
-        values = np.array([1.2, 30.0, 0.6, *coefficients])
-        (outcome,) = evaluator.evaluate(TaskBatch.of([Task(0, 0, values, "trajectory", (effect,))]))
-        evaluator.close()
+        values = [1.2, 30.0, 0.6, *coefficients]
+        outcome = answer(model, driven, values, "trajectory", (effect,))
         assert outcome.ok, outcome.message
         found.append(outcome.trajectory.values)
     np.testing.assert_allclose(found[1], found[0], atol=1e-6)
@@ -196,9 +195,7 @@ def test_the_fmus_jacobian_is_not_trusted_unseen(own_fmu, name, fmi):
     output = Output("A" if name == "robertson" else "x", times, np.zeros(11))
     solver = Solver("cvode", rtol=1e-8)
     model = Model(archive.name, archive.read_bytes(), "model_exchange", solver, ())
-    evaluator = Evaluator(model, (Experiment("e", 0.0, 2.0, (), (output,)),), "w")
-    found = outputs(evaluator)[0, :, 0]
-    evaluator.close()
+    found = -answer(model, Experiment("e", 0.0, 2.0, (), (output,))).residuals
     expected = robertson(times)[:, 0] if name == "robertson" else np.exp(-times)
     np.testing.assert_allclose(found, expected, rtol=1e-6)
 
@@ -258,7 +255,7 @@ def test_explicit_solver_recommends_it(opened):
     assert 'if the model is stiff, model.solver = "cvode"' in outcome.message
 
 
-@pytest.mark.parametrize("rtol", [1e-4, 1e-8])
+@pytest.mark.parametrize("rtol", [1e-4, pytest.param(1e-8, marks=pytest.mark.slow)])
 def test_stiffness_is_told(opened, rtol):
     def stiff(evaluator, *point):
         return StiffnessProbe(0, np.array(point)).answer(evaluator)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.simulated import answers
 from support.truth.own_fmus import (
     bouncing_ball,
     dahlquist,
@@ -17,9 +18,7 @@ from support.truth.own_fmus import (
     van_der_pol,
 )
 
-from workers.evaluate import Evaluator
 from workers.messages import Experiment, Input, Model, Outcome, Output, Solver, Task
-from workers.wire import TaskBatch
 
 Give = Callable[[str, int], Path]
 
@@ -70,11 +69,8 @@ def simulate(
     run = Experiment(
         "e", 0.0, float(times[-1]), inputs, tuple(Output(n, times, zero) for n in outputs), values
     )
-    evaluator = Evaluator(model, [run], "w")
     tasks = [Task(i, 0, np.array(p, float), "trajectory") for i, p in enumerate(points)]
-    outcomes = evaluator.evaluate(TaskBatch.of(tasks))
-    evaluator.close()
-    return outcomes
+    return answers(model, [run], tasks)
 
 
 def at(outcome: Outcome, times: np.ndarray) -> np.ndarray:
@@ -233,10 +229,8 @@ def test_a_value_of_every_type_has_its_effect(
     output = (Output("y", times, 0.0 * times),)
     runs = [Experiment(str(i), 0.0, 1.0, (), output, each) for i, each in enumerate(values)]
     model = Model(fmu.name, fmu.read_bytes(), interface, solver, ())
-    evaluator = Evaluator(model, runs, "w")
     tasks = [Task(i, i, np.zeros(0), "trajectory") for i in range(len(runs))]
-    base, *found = [at(o, times)[-1, 0] for o in evaluator.evaluate(TaskBatch.of(tasks))]
-    evaluator.close()
+    base, *found = [at(o, times)[-1, 0] for o in answers(model, runs, tasks)]
     for (name, (_, more)), y in zip(given.items(), found, strict=True):
         assert y - base == pytest.approx(more, rel=1e-6), name
 

@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.changed_fmus import with_description
+from support.simulated import answer
 
 from cluster_est import Parameter, Problem, fit
 from cluster_est.methods.least_squares.method import LeastSquares
 from workers.errors import ModelError
-from workers.evaluate import Evaluator
-from workers.messages import Effect, Experiment, Input, Model, Outcome, Output, Solver, Task
-from workers.wire import TaskBatch
+from workers.messages import Effect, Experiment, Input, Model, Outcome, Output, Solver
 
 Give = Callable[[str, int], Path]
 
@@ -45,10 +44,7 @@ def simulated(
     coefficients: Sequence[float] = (),
 ) -> np.ndarray:
     """y at some times."""
-    evaluator = Evaluator(model(fmu), [measured(times, inputs)], "w")
-    task = Task(0, 0, np.array([k, *coefficients]), "trajectory", effects)
-    (outcome,) = evaluator.evaluate(TaskBatch.of([task]))
-    evaluator.close()
+    outcome = answer(model(fmu), measured(times, inputs), [k, *coefficients], "trajectory", effects)
     assert outcome.ok, outcome.message
     found = outcome.trajectory
     return found.values[np.searchsorted(found.times, times), 0]
@@ -161,9 +157,7 @@ def fixed(own_fmu: Give, tmp_path: Path) -> Callable[..., Path]:
 
 
 def outcome_of(fmu: Path, times: list[float], step: float | None = None, k: float = 1.0) -> Outcome:
-    evaluator = Evaluator(model(fmu, step), [measured(np.array(times))], "w")
-    (outcome,) = evaluator.evaluate(TaskBatch.of([Task(0, 0, np.array([k]))]))
-    evaluator.close()
+    outcome = answer(model(fmu, step), measured(np.array(times)), [k])
     assert outcome.ok, outcome.message
     return outcome
 
@@ -221,9 +215,7 @@ def test_what_moves_at_events_alone_keeps_its_value(own_fmu: Give, tmp_path: Pat
     outputs = tuple(Output(name, times, 0.0 * times) for name in ("counter", "y"))
     run = Experiment("e", 0.0, 2.1, (), outputs)
     steps = Model(fmu.name, fmu.read_bytes(), "co_simulation", Solver("fmu", 0.4), ())
-    evaluator = Evaluator(steps, [run], "w")
-    (outcome,) = evaluator.evaluate(TaskBatch.of([Task(0, 0, np.zeros(0))]))
-    evaluator.close()
+    outcome = answer(steps, run)
     assert outcome.ok, outcome.message
     assert outcome.residuals.tolist() == [-1.0, -1.0, -1.0, -2.0, -3.0] * 2
 

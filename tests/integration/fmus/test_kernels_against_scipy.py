@@ -7,10 +7,10 @@ from functools import cache
 
 import numpy as np
 import pytest
+from support.simulated import answer
 from support.thinning import thinned
 from support.truth.example_models import MODELS, REFERENCES, sampled_experiment, solve
 
-from workers.evaluate import Evaluator
 from workers.messages import (
     Experiment,
     FloatArray,
@@ -21,9 +21,7 @@ from workers.messages import (
     Output,
     Solver,
     Status,
-    Task,
 )
-from workers.wire import TaskBatch
 
 STEPS = {name: reference.step for name, reference in REFERENCES.items() if reference.step}
 INTERFACES: dict[str, Interface] = {
@@ -36,12 +34,9 @@ INTERFACES: dict[str, Interface] = {
 
 def simulate(name: str, experiment: Experiment, solver: Solver) -> Outcome:
     archive = (MODELS / f"{name}.fmu").read_bytes()
-    evaluator = Evaluator(
-        Model(name, archive, INTERFACES[solver.name], solver, ()), [experiment], "test"
+    return answer(
+        Model(name, archive, INTERFACES[solver.name], solver, ()), experiment, (), "trajectory"
     )
-    (outcome,) = evaluator.evaluate(TaskBatch.of([Task(0, 0, np.zeros(0), "trajectory")]))
-    evaluator.close()
-    return outcome
 
 
 @cache

@@ -208,40 +208,6 @@ def test_a_saved_state_is_the_whole_simulation(opened: Open, fmi: int) -> None:
     getattr(driven.fmu, f"freeFMU{state}")(saved)
 
 
-@pytest.mark.parametrize(
-    ("name", "fmi", "states", "knowns"),
-    [
-        ("van_der_pol", 2, [1.3, -0.4], ["x0", "x1", "mu", "u"]),
-        ("robertson", 3, [0.9, 2e-5, 0.1], ["A", "B", "C", "k1", "k2", "k3"]),
-    ],
-)
-def test_directional_derivatives_are_the_differences(
-    opened: Open, name: str, fmi: int, states: list[float], knowns: list[str]
-) -> None:
-    def rates(known: str, factor: float) -> np.ndarray:
-        driven = opened(name, fmi)
-        x = [value * factor if n == known else value for n, value in start.items()]
-        if known not in start:
-            driven.set(known, factor * size_of(known))
-        driven.initialize()
-        driven.settle()
-        driven.set_states(x)
-        return driven.vector("getDerivatives", len(x))
-
-    def size_of(known: str) -> float:
-        return start.get(known) or (1.0 if known == "u" else float(driven.variables[known].start))
-
-    driven = at_ease(opened, name, fmi)
-    derivatives = [v for v in driven.variables.values() if v.derivative]
-    unknowns = [v.valueReference for v in derivatives]
-    start = dict(zip((v.derivative.name for v in derivatives), states, strict=True))
-    driven.set_states(states)
-    for known in knowns:
-        given = driven.fmu.getDirectionalDerivative(unknowns, [driven.reference(known)], [1.0])
-        difference = rates(known, 1.0 + 1e-5) - rates(known, 1.0 - 1e-5)
-        assert np.allclose(given, difference / (2e-5 * size_of(known)), rtol=1e-5, atol=1e-9)
-
-
 @BOTH
 def test_nominals_change_with_an_event(opened: Open, fmi: int) -> None:
     driven = at_ease(opened, "nominals", fmi)

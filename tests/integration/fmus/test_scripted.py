@@ -12,11 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.simulated import answers
 from support.thinning import thinned
 
-from workers.evaluate import Evaluator
 from workers.messages import Experiment, Model, Outcome, Output, Solver, Status, Task
-from workers.wire import TaskBatch
 
 Simulate = Callable[..., list[Outcome]]
 
@@ -61,14 +60,11 @@ def simulate(own_fmu: Callable[[str, int], Path]) -> Simulate:
         model = Model(fmu.name, fmu.read_bytes(), interface, SOLVERS[solver], SCRIPT)
         model = replace(model, logging_on=logging_on)
         outputs = tuple(Output(name, TIMES, 0.0 * TIMES) for name in OUTPUTS)
-        evaluator = Evaluator(model, [Experiment("e", 0.0, 2.0, (), outputs)], "w")
         tasks = [
             Task(i, 0, np.array([float(point[name]) for name in SCRIPT]), "trajectory")
             for i, point in enumerate(points)
         ]
-        outcomes = evaluator.evaluate(TaskBatch.of(tasks))
-        evaluator.close()
-        return outcomes
+        return answers(model, [Experiment("e", 0.0, 2.0, (), outputs)], tasks)
 
     return run
 
