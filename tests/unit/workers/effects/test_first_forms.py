@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from workers.effects import FORMS
+from workers.effects.forms import FORMS
 
 FIRST = {
     "derivative": """constant: k; coulomb: k width; cubic: k; dahl: k x0; drift: k; gap: k at;
