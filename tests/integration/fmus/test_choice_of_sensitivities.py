@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.decay_fits import fit_decay
 
 from cluster_est import Experiment, Output, Parameter, Problem, Solver
-from cluster_est.cli import main
 from cluster_est.preflight.sensitivities import sensitivities
 from cluster_est.preflight.subject import CheckSubject, TimeBudget
 from cluster_est.problem.search_space.space import make_space
@@ -78,24 +78,17 @@ def test_a_run_that_a_clock_had_chosen_them_for_is_refused(
     own_fmu: Give, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Resumed with differences, it would be half the one and half the other."""
-    (tmp_path / "a.csv").write_text("t,y\n0,1\n1,0.4\n2,0.1\n", encoding="utf-8")
-    config = tmp_path / "config.toml"
-    config.write_text(
-        f'model.fmu = "{own_fmu("states_directional", 2)}"\n'
-        "parameters.k = { start = 1.0, bounds = [0.1, 5.0] }\n"
-        '[[experiments]]\nid = "a"\ndata = "a.csv"\ntime = "t"\noutputs = { y = "y" }\n',
-        encoding="utf-8",
-    )
-    command = ["fit", str(config), "--out", str(tmp_path / "run"), "--no-report"]
-    main([*command, "budget.evaluations=2"])
+    fmu = own_fmu("states_directional", 2)
+    fit_decay(tmp_path, fmu, "--no-report", "budget.evaluations=2")
     (tmp_path / "run" / "parameters.parquet").unlink()
-    assert main([*command, "budget.evaluations=3", "--resume"]) in (0, 1)
+    resumed = tmp_path, fmu, "--no-report", "--resume"
+    assert fit_decay(*resumed, "budget.evaluations=3") in (0, 1)
 
     (tmp_path / "run" / "parameters.parquet").unlink()
     known = tmp_path / "run" / "run.json"
     run = json.loads(known.read_text(encoding="utf-8"))
     run["sensitivities"] = {"carry": True, "sentence": "quicker"}
     known.write_text(json.dumps(run), encoding="utf-8")
-    assert main([*command, "budget.evaluations=4", "--resume"]) == 2
+    assert fit_decay(*resumed, "budget.evaluations=4") == 2
     said = " ".join(capsys.readouterr().err.split())
     assert 'differences = "sensitivities" has to say' in said

@@ -1,12 +1,11 @@
 """What every simulation begins with is found out, and the estimates do not suffer from it.
 
-The truth is the solution of x' = -k x, x(0) = 1, by hand: exp(-k t).
+The truth is the solution of x' = -k x, x(0) = 1, by hand.
 """
 
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
 import signal
@@ -16,11 +15,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
+from support.decay_fits import RATE, K, decay_table, estimate, fit_decay, run_of
 from typing_extensions import override
 
-from cluster_est.cli import main
 from cluster_est.executors import EXECUTORS
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.preflight.bare_fmu import bare_problem
@@ -31,7 +29,6 @@ from workers.messages import Outcome, Status, Task
 Give = Callable[[str, int], Path]
 Fit = Callable[..., int]
 
-RATE = 1.3
 BOTH = pytest.mark.parametrize("fmi", [2, 3])
 SLOW_IN_3 = pytest.mark.parametrize("fmi", [2, pytest.param(3, marks=pytest.mark.slow)])
 PAIRS = [
@@ -52,35 +49,14 @@ DIED = "this process has died: an FMU that runs in it has crashed"
 RUN = [sys.executable, "-c", "from cluster_est.cli import run; run()", "fit"]
 
 
-def decay_rows() -> str:
-    """The truth as a table."""
-    times = np.linspace(0.0, 2.0, 21)
-    rows = [f"{t!r},{math.exp(-RATE * t)!r}" for t in times.tolist()]
-    return "time,y\n" + "\n".join(rows) + "\n"
-
-
 @pytest.fixture
 def fitted(own_fmu: Give, tmp_path: Path) -> Fit:
     """Fits k, or what else is said, to a decay; the run is in `run`."""
 
-    def fit(name: str, fmi: int, *overrides: str, config: str = "", more: str = "") -> int:
-        (tmp_path / "a.csv").write_text(decay_rows(), encoding="utf-8")
-        config = config or "parameters.k = { start = 0.7, bounds = [0.01, 10.0] }\n"
-        text = f'{config}\n[model]\nfmu = "{own_fmu(name, fmi)}"\n'
-        text += (
-            '[[experiments]]\nid = "a"\ndata = "a.csv"\ntime = "time"\noutputs = { y = "y" }\n'
-            + more
-        )
-        path = tmp_path / "config.toml"
-        path.write_text(text, encoding="utf-8")
-        return main(["fit", str(path), "--out", str(tmp_path / "run"), *overrides])
+    def fit(name: str, fmi: int, *overrides: str, **options: str) -> int:
+        return fit_decay(tmp_path, own_fmu(name, fmi), *overrides, **options)
 
     return fit
-
-
-def estimate(folder: Path, name: str) -> float:
-    rows = pq.read_table(folder / "run" / "parameters.parquet").to_pylist()
-    return next(float(row["value"]) for row in rows if row["parameter"] == name)
 
 
 def chosen(folder: Path) -> str:
@@ -96,7 +72,7 @@ def test_a_state_that_survives_a_reset(
 
     assert chosen(tmp_path) == "instance"
     assert "keeps something through a reset" in capsys.readouterr().err
-    assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-5)
+    assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
 
 
 @pytest.mark.parametrize(("fmi", "solver"), [(3, "dormand_prince"), (2, "cvode")])
@@ -108,14 +84,14 @@ def test_what_a_solver_asks_beforehand_does_not_use_up_the_new_instance(
     assert fitted(name, fmi, f"model.solver={solver}", "model.rtol=1e-8") == 0
 
     assert chosen(tmp_path) == "instance"
-    assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-5)
+    assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
 
 
 def test_it_spoils_the_estimate_if_one_insists(fitted: Fit, tmp_path: Path) -> None:
     fitted("reset_keeps_state", 2, "model.reset=reset")
 
     assert chosen(tmp_path) == "reset"
-    assert estimate(tmp_path, "k") != pytest.approx(RATE, rel=1e-2)
+    assert estimate(tmp_path) != pytest.approx(RATE, rel=1e-2)
 
 
 @pytest.mark.parametrize("reset", ["process", pytest.param("instance", marks=pytest.mark.slow)])
@@ -123,7 +99,7 @@ def test_a_new_process_for_each_simulation(fitted: Fit, tmp_path: Path, reset: s
     wanted = ["executor.name=processes", f"model.reset={reset}"]
     assert fitted("reset_keeps_state", 2, *wanted) == 0
 
-    assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-5)
+    assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
 
 
 def test_one_process_cannot_be_new_each_time(
@@ -136,12 +112,10 @@ def test_one_process_cannot_be_new_each_time(
 def test_values_of_another_experiment_that_survive_a_reset(fitted: Fit, tmp_path: Path) -> None:
     config = "parameters.x = { start = 0.5, bounds = [0.1, 5.0] }"
     with_rate = f"[experiments.values]\nk = {RATE}\n"
-    without = '[[experiments]]\nid = "b"\ndata = "b.csv"\ntime = "time"\noutputs = { y = "y" }\n'
-    times = np.linspace(0.0, 2.0, 21)  # where k is not set it is the FMU's own, which is 1
-    rows = [f"{t!r},{math.exp(-t)!r}" for t in times.tolist()]
-    (tmp_path / "b.csv").write_text("time,y\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    # where k is not set it is the FMU's own, which is 1
+    (tmp_path / "b.csv").write_text(decay_table(1.0), encoding="utf-8")
 
-    assert fitted("fails_to_reset", 2, config=config, more=with_rate + without) == 0
+    assert fitted("fails_to_reset", 2, config=config, more=with_rate + run_of("b")) == 0
 
     assert chosen(tmp_path) == "instance"
     assert estimate(tmp_path, "x") == pytest.approx(1.0, rel=1e-6)
@@ -155,7 +129,7 @@ def test_what_can_be_reset_is_reset(
         fitted(name, 2)
     else:
         assert fitted(name, 2) == 0
-        assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-6)
+        assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-6)
 
     assert chosen(tmp_path) == "reset"
     assert not capsys.readouterr().err.count("cluster-est:")
@@ -179,7 +153,7 @@ def test_a_run_that_is_resumed_goes_on_as_it_began(fitted: Fit, tmp_path: Path) 
 
     assert fitted("dahlquist", 2, "--resume") == 0
     assert chosen(tmp_path) == "instance"
-    assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-5)
+    assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
 
 
 class Worker:
@@ -242,7 +216,7 @@ def test_a_reset_that_crashes_is_found_out_in_another_process(
     said = capsys.readouterr().err
     assert "crashes in a simulation after a reset" in said
     assert "each simulation begins with a new instance" in said
-    assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-5)
+    assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
 
 
 def test_an_fmu_that_crashes_at_once_does_not_take_the_fit_along(
@@ -284,14 +258,14 @@ def test_instances_that_share_a_static_variable_are_refused_for_several_threads(
     )
 
     assert fitted("shares_static", fmi, *several, "executor.name=processes") == 0
-    assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-5)
+    assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
 
 
 def test_one_worker_takes_instances_that_share_a_static_variable(
     fitted: Fit, tmp_path: Path
 ) -> None:
     assert fitted("shares_static", 2) == 0
-    assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-5)
+    assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
 
 
 class Wide(LocalExecutor):
@@ -339,12 +313,10 @@ def test_what_was_found_is_written_before_the_fmu_is_let_go(
     built_fmu: Callable[[str], bytes], tmp_path: Path
 ) -> None:
     """It crashes in the process of the command, at the very end."""
-    (tmp_path / "a.csv").write_text(decay_rows(), encoding="utf-8")
+    (tmp_path / "a.csv").write_text(decay_table(), encoding="utf-8")
     (tmp_path / "decay.fmu").write_bytes(built_fmu("crashes_when_unloaded"))
     (tmp_path / "config.toml").write_text(
-        'parameters.rate = { start = 0.7, bounds = [0.01, 10.0] }\nmodel.fmu = "decay.fmu"\n'
-        '[[experiments]]\nid = "a"\ndata = "a.csv"\ntime = "time"\noutputs = { y = "y" }\n',
-        encoding="utf-8",
+        'model.fmu = "decay.fmu"\n' + K.replace(".k ", ".rate ") + run_of("a"), encoding="utf-8"
     )
     command = [*RUN, str(tmp_path / "config.toml"), "--out", str(tmp_path / "run"), "--no-report"]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -387,7 +359,7 @@ def test_a_file_that_is_opened_by_a_relative_path_lies_in_the_working_folder(
     assert "the file gain.txt cannot be read" in " ".join(capsys.readouterr().out.split())
     (folder / "gain.txt").write_text("1.0\n", encoding="ascii")
     assert fitted("reads_file", fmi, f"executor.name={executor}", "--overwrite") == 0
-    assert estimate(tmp_path, "k") == pytest.approx(RATE, rel=1e-5)
+    assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
 
 
 @SLOW_IN_3

@@ -5,7 +5,6 @@ The truth is the solution of x' = -k x, x(0) = 1, by hand, times the gain: 2.5 e
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import subprocess
@@ -14,19 +13,17 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-import pyarrow.parquet as pq
 import pytest
+from support.decay_fits import RATE, estimate, fit_decay
 
 from cluster_est import read_model
-from cluster_est.cli import main
 from cluster_est.run_folder.run_identity import hash_config
 from workers.errors import ModelError
 
 Give = Callable[[str, int], Path]
 Fit = Callable[..., int]
 
-RATE, GAIN = 1.3, 2.5
+GAIN = 2.5
 NAME = "GAIN_OF_THE_DECAY"
 BOTH = pytest.mark.parametrize("fmi", [2, 3])
 
@@ -38,15 +35,7 @@ def fitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fit:
     monkeypatch.delenv(NAME)
 
     def fit(fmu: Path, model: str, *overrides: str) -> int:
-        times = np.linspace(0.0, 2.0, 21)
-        rows = [f"{t!r},{GAIN * math.exp(-RATE * t)!r}" for t in times.tolist()]
-        (tmp_path / "a.csv").write_text("time,y\n" + "\n".join(rows) + "\n", encoding="utf-8")
-        text = "parameters.k = { start = 0.7, bounds = [0.01, 10.0] }\n"
-        text += f'[model]\nfmu = "{fmu}"\n{model}\n'
-        text += '[[experiments]]\nid = "a"\ndata = "a.csv"\ntime = "time"\noutputs = { y = "y" }\n'
-        path = tmp_path / "config.toml"
-        path.write_text(text, encoding="utf-8")
-        return main(["fit", str(path), "--out", str(tmp_path / "run"), "--overwrite", *overrides])
+        return fit_decay(tmp_path, fmu, "--overwrite", *overrides, model=model, gain=GAIN)
 
     return fit
 
@@ -63,11 +52,6 @@ def with_file(own_fmu: Give, tmp_path: Path) -> Callable[[int], Path]:
         return path
 
     return add
-
-
-def estimate(folder: Path) -> float:
-    rows = pq.read_table(folder / "run" / "parameters.parquet").to_pylist()
-    return next(float(row["value"]) for row in rows if row["parameter"] == "k")
 
 
 @pytest.mark.parametrize(

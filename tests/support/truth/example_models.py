@@ -302,15 +302,8 @@ REFERENCES = {
     "dc_motor_belt": Reference(
         dc_motor_belt,
         {
-            "R": 1.2,
-            "L": 6e-3,
-            "K": 0.06,
-            "J_motor": 1.2e-4,
-            "b_motor": 3e-5,
-            "k_belt": 2.4,
-            "d_belt": 4e-3,
-            "J_load": 6e-4,
-            "b_load": 2e-4,
+            "R": 1.2, "L": 6e-3, "K": 0.06, "J_motor": 1.2e-4, "b_motor": 3e-5, "k_belt": 2.4,
+            "d_belt": 4e-3, "J_load": 6e-4, "b_load": 2e-4,
         },
         {"i": 0.5, "w_motor": 20.0, "twist": 0.01, "w_load": 18.0},
         {"V": (6.0, 6.0), "T_load": (0.05, 0.02)},
@@ -346,11 +339,7 @@ REFERENCES = {
     "two_mass_drive": Reference(
         two_mass_drive,
         {
-            "J_motor": 0.025,
-            "J_load": 0.04,
-            "k_shaft": 25.0,
-            "d_shaft": 0.04,
-            "b_motor": 0.02,
+            "J_motor": 0.025, "J_load": 0.04, "k_shaft": 25.0, "d_shaft": 0.04, "b_motor": 0.02,
             "b_load": 0.03,
         },
         {"twist": 0.02, "w_motor": 5.0, "w_load": 4.0},
@@ -385,13 +374,8 @@ REFERENCES = {
     "stirred_tank_reactor": Reference(
         stirred_tank_reactor,
         {
-            "volume": 0.11,
-            "k_350": 0.013,
-            "E_R": 8600.0,
-            "c_feed": 950.0,
-            "T_feed": 347.0,
-            "rise": 0.09,
-            "cooling": 0.033,
+            "volume": 0.11, "k_350": 0.013, "E_R": 8600.0, "c_feed": 950.0, "T_feed": 347.0,
+            "rise": 0.09, "cooling": 0.033,
         },
         {"c": 480.0, "T": 343.0},
         {"flow": (1.6e-3, 4e-4), "T_coolant": (324.0, 5.0)},
@@ -441,11 +425,7 @@ REFERENCES = {
     "pharmacokinetics": Reference(
         pharmacokinetics,
         {
-            "k_a": 2.5e-4,
-            "k_e": 9e-5,
-            "k_12": 1.2e-4,
-            "k_21": 8e-5,
-            "volume": 18.0,
+            "k_a": 2.5e-4, "k_e": 9e-5, "k_12": 1.2e-4, "k_21": 8e-5, "volume": 18.0,
             "tissue_volume": 35.0,
         },
         {"gut": 40.0, "central": 20.0, "tissue": 10.0},
@@ -456,12 +436,7 @@ REFERENCES = {
     "hydraulic_cylinder": Reference(
         hydraulic_cylinder,
         {
-            "mass": 45.0,
-            "b": 900.0,
-            "k": 1.5e4,
-            "E": 1.1e5,
-            "q": 1.6e-4,
-            "area": 1.1e-3,
+            "mass": 45.0, "b": 900.0, "k": 1.5e4, "E": 1.1e5, "q": 1.6e-4, "area": 1.1e-3,
             "p_supply": 8.0,
         },
         {"x": 0.01, "v": 0.05, "p": 0.4},
@@ -496,14 +471,8 @@ REFERENCES = {
     "emps": Reference(
         emps,
         {
-            "M": 90.0,
-            "Fv": 230.0,
-            "offset": -3.0,
-            "kp": 150.0,
-            "kv": 260.0,
-            "gtau": 34.0,
-            "lag_speed": 1.2e-3,
-            "lag_drive": 6e-4,
+            "M": 90.0, "Fv": 230.0, "offset": -3.0, "kp": 150.0, "kv": 260.0, "gtau": 34.0,
+            "lag_speed": 1.2e-3, "lag_drive": 6e-4,
         },
         {"q": 0.05, "v": 0.02, "speed": 0.01, "u": -1.0},
         {"qg": (0.05, 1e-3), "pulses": (0.5, 2.0)},
@@ -519,7 +488,7 @@ REFERENCES = {
         18.0,
         timed=True,
     ),
-}
+}  # fmt: skip
 
 
 def sampled_experiment(

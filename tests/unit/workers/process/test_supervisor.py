@@ -272,8 +272,11 @@ def test_an_fmu_that_cannot_be_loaded_is_refused_with_its_sentence(model):
 def test_an_interrupt_leaves_no_answer_for_somebody_else(open_guard):
     guard, asked = open_guard(Limits(seconds=60.0)), tasks(RATES[:4])
     expected = bits(in_batches(guard, asked))
-    timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
-    timer.start()
-    with pytest.raises(KeyboardInterrupt):
+
+    def interrupted() -> None:
+        threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
         guard.evaluate(HANG)
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
     assert bits(in_batches(guard, asked)) == expected
