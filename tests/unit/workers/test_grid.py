@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from workers.grid import build_grid
@@ -54,6 +54,7 @@ def signal(given: Input, at: FloatArray) -> FloatArray:
     return np.array([before[-1] if len(before) else given.values[0] for before in latest])
 
 
+@settings(max_examples=50)
 @given(experiments, st.floats(0.0, 0.999))
 def test_every_signal_is_on_the_grid_as_it_was_measured(
     experiment: Experiment, part: float
@@ -83,6 +84,7 @@ def test_every_signal_is_on_the_grid_as_it_was_measured(
         assert (slopes[late] == 0.0).all()
 
 
+@settings(max_examples=30)
 @given(experiments)
 def test_gather_picks_each_output_at_its_own_times(experiment: Experiment) -> None:
     grid = build_grid(experiment)

@@ -221,7 +221,9 @@ def test_a_leak_is_bounded_and_changes_no_bit(open_guard):
     assert len(processes) > 100 / 15
 
 
-@pytest.mark.parametrize("which", ["worker", "fork server", "template"])
+@pytest.mark.parametrize(
+    "which", ["worker", "fork server", pytest.param("template", marks=pytest.mark.slow)]
+)
 def test_killed_from_outside_it_goes_on(open_guard, which):
     """Whichever process it is of those that an FMU's comes from."""
     before = living()

@@ -62,6 +62,7 @@ def test_it_is_one_for_all_that_do_not_read_other_things_when_they_start(
     assert (template == other_template) is shared
 
 
+@pytest.mark.slow
 def test_a_program_needs_no_standard_error(own_fmu: Callable[[str, int], Path]) -> None:
     command = ["sh", "-c", CHECK, sys.executable, str(own_fmu("dahlquist", 2))]
     ended = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
@@ -111,6 +112,7 @@ def test_a_shared_one_goes_on_for_the_others_and_ends_with_the_last(model, group
     assert wait_until(lambda: not any(tmp_path.iterdir()))
 
 
+@pytest.mark.slow
 def test_a_shared_one_that_was_killed_is_replaced_for_all(model, group):
     with fork_server(group[0], model) as (one, _), fork_server(group[1], model) as (_, orders):
         killed = parent(one)
@@ -125,6 +127,7 @@ def test_a_shared_one_that_was_killed_is_replaced_for_all(model, group):
         assert orders.recv() > 0
 
 
+@pytest.mark.slow
 def test_where_no_socket_can_be_each_has_its_own(model, group, tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / ("long" * 30)))
     with fork_server(group[0], model) as (one, _), fork_server(group[1], model) as (other, _):

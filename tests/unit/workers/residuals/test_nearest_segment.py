@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -183,12 +183,14 @@ def curves(draw: st.DrawFn) -> tuple[Array, Array]:
     return draw(lattice(dimensions, 1)), draw(lattice(dimensions, 2))
 
 
+@settings(max_examples=50)
 @given(curves())
 def test_agrees_with_plain_loops_where_points_repeat(pair: tuple[Array, Array]) -> None:
     expected = plain_segment_distances(*pair)
     np.testing.assert_allclose(segment_distances(*pair), expected, rtol=0, atol=1e-12)
 
 
+@settings(max_examples=50)
 @given(curves(), st.lists(st.floats(0.0, 50.0), min_size=3, max_size=3))
 def test_constraints_hold_exactly_where_the_components_are_within_tolerance(
     pair: tuple[Array, Array], tolerances: list[float]
