@@ -537,14 +537,15 @@ def solve(reference: Reference, experiment: Experiment, at: FloatArray) -> Float
         result = solve_ivp(rates, (first, last), x, "DOP853", times, rtol=1e-12, atol=1e-13)
         found[inside] = result.y[:, : inside.sum()].T
         x = result.y[:, -1]
-    columns = []
+    columns: list[FloatArray] = []
     for how in reference.outputs.values():
         if isinstance(how, int):
             columns.append(found[:, how])
             continue
         given = ([signal(g, t, t) for g in experiment.inputs] for t in at.tolist())
         driven = map(reference.driven_by, at.tolist(), given)
-        columns.append([how(x, u, parameters) for x, u in zip(found, driven, strict=True)])
+        column = [how(x, u, parameters) for x, u in zip(found, driven, strict=True)]
+        columns.append(np.array(column))
     return np.column_stack(columns)
 
 
