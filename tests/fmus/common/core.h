@@ -2,7 +2,17 @@
 #ifndef CORE_H
 #define CORE_H
 
+#include <string.h>
+
 #include "model.h"
+
+/* Returns what the model answers to a call of this function, if that is not OK. */
+#define ANSWER(c)                                                                                  \
+    do {                                                                                           \
+        const int answer = model_answer(c, __func__ + strlen("fmi2"));                             \
+        if (answer != OK)                                                                          \
+            return answer;                                                                         \
+    } while (0)
 
 /* Each version of the API defines how a message reaches the caller. */
 void log_error(const Model *m, const char *message);

@@ -26,29 +26,40 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid,
                               fmi2String resources, const fmi2CallbackFunctions *callbacks,
                               fmi2Boolean visible, fmi2Boolean logging_on)
 {
-    (void)visible, (void)logging_on;
-    return core_new(name, guid, resources, type == fmi2CoSimulation, callbacks, NULL);
+    (void)visible;
+    Model *m = core_new(name, guid, resources, type == fmi2CoSimulation, callbacks, NULL);
+    if (m != NULL)
+        m->logging_on = logging_on;
+    return m;
 }
 
 void fmi2FreeInstance(fmi2Component c) { core_free(c); }
-fmi2Status fmi2Reset(fmi2Component c) { return core_reset(c); }
+fmi2Status fmi2Reset(fmi2Component c)
+{
+    ANSWER(c);
+    return core_reset(c);
+}
+
 fmi2Status fmi2Terminate(fmi2Component c) { return core_terminate(c, __func__); }
 
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean tolerance_defined,
                                fmi2Real tolerance, fmi2Real start, fmi2Boolean stop_defined,
                                fmi2Real stop)
 {
+    ANSWER(c);
     (void)tolerance_defined, (void)tolerance;
     return core_set_up(c, __func__, start, stop_defined, stop);
 }
 
 fmi2Status fmi2EnterInitializationMode(fmi2Component c)
 {
+    ANSWER(c);
     return core_enter_initialization(c, __func__);
 }
 
 fmi2Status fmi2ExitInitializationMode(fmi2Component c)
 {
+    ANSWER(c);
     return core_exit_initialization(c, __func__);
 }
 
@@ -58,11 +69,13 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c)
     fmi2Status fmi2Get##Type(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,           \
                              fmi2##Type value[])                                                   \
     {                                                                                              \
+        ANSWER(c);                                                                                 \
         return get_numbers(c, __func__, vr, nvr, types, sizeof *value, value, nvr);                \
     }                                                                                              \
     fmi2Status fmi2Set##Type(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,           \
                              const fmi2##Type value[])                                             \
     {                                                                                              \
+        ANSWER(c);                                                                                 \
         return set_numbers(c, __func__, vr, nvr, types, sizeof *value, value, nvr);                \
     }
 
@@ -87,6 +100,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
                                         size_t n_known, const fmi2Real seed[],
                                         fmi2Real sensitivity[])
 {
+    ANSWER(c);
     return directional(c, __func__, unknown, n_unknown, known, n_known, seed, sensitivity);
 }
 
@@ -133,11 +147,13 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size
 
 fmi2Status fmi2EnterEventMode(fmi2Component c)
 {
+    ANSWER(c);
     return core_enter_event_mode(c, __func__, MODEL_EXCHANGE);
 }
 
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
 {
+    ANSWER(c);
     Event event;
     const int status = core_update(c, __func__, &event);
     info->newDiscreteStatesNeeded = event.again;
@@ -151,25 +167,32 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
 
 fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c)
 {
+    ANSWER(c);
     return core_enter_continuous_time(c, __func__);
 }
 
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_set_state_prior,
                                        fmi2Boolean *enter_event_mode, fmi2Boolean *terminate)
 {
+    ANSWER(c);
     bool enter = false;
     (void)no_set_state_prior;
     const int status = core_completed_step(c, __func__, &enter);
     *enter_event_mode = enter;
-    *terminate = fmi2False;
+    *terminate = status == OK && model_step_ends(c);
     return status;
 }
 
-fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) { return core_set_time(c, __func__, time); }
+fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time)
+{
+    ANSWER(c);
+    return core_set_time(c, __func__, time);
+}
 
 #define VECTOR(Name, function, Const)                                                              \
     fmi2Status fmi2##Name(fmi2Component c, Const fmi2Real x[], size_t n)                           \
     {                                                                                              \
+        ANSWER(c);                                                                                 \
         return function(c, __func__, x, n);                                                        \
     }
 
@@ -197,6 +220,7 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real point, fmi2Real step,
                       fmi2Boolean no_set_state_prior)
 {
+    ANSWER(c);
     (void)no_set_state_prior;
     return core_do_step(c, __func__, point, step);
 }

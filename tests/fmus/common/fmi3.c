@@ -23,12 +23,15 @@ fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n,
 }
 
 static fmi3Instance instantiate(fmi3String name, fmi3String token, fmi3String resources,
-                                bool co_simulation, fmi3InstanceEnvironment environment,
-                                fmi3LogMessageCallback log)
+                                bool co_simulation, bool logging_on,
+                                fmi3InstanceEnvironment environment, fmi3LogMessageCallback log)
 {
     const void *callbacks;
     memcpy(&callbacks, &log, sizeof callbacks);
-    return core_new(name, token, resources, co_simulation, callbacks, environment);
+    Model *m = core_new(name, token, resources, co_simulation, callbacks, environment);
+    if (m != NULL)
+        m->logging_on = logging_on;
+    return m;
 }
 
 fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources,
@@ -36,8 +39,8 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi
                                           fmi3InstanceEnvironment environment,
                                           fmi3LogMessageCallback log)
 {
-    (void)visible, (void)logging_on;
-    return instantiate(name, token, resources, false, environment, log);
+    (void)visible;
+    return instantiate(name, token, resources, false, logging_on, environment, log);
 }
 
 fmi3Instance fmi3InstantiateCoSimulation(
@@ -47,9 +50,9 @@ fmi3Instance fmi3InstantiateCoSimulation(
     fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
     fmi3IntermediateUpdateCallback intermediate_update)
 {
-    (void)visible, (void)logging_on, (void)early_return_allowed;
+    (void)visible, (void)early_return_allowed;
     (void)intermediate, (void)intermediate_update;
-    Model *m = instantiate(name, token, resources, true, environment, log);
+    Model *m = instantiate(name, token, resources, true, logging_on, environment, log);
     if (m == NULL || (!event_mode_used && n_intermediate == 0))
         return m;
     error(m, "%s: event mode and intermediate variables are not offered", __func__);
@@ -69,13 +72,19 @@ fmi3Instance fmi3InstantiateScheduledExecution(
 }
 
 void fmi3FreeInstance(fmi3Instance c) { core_free(c); }
-fmi3Status fmi3Reset(fmi3Instance c) { return core_reset(c); }
+fmi3Status fmi3Reset(fmi3Instance c)
+{
+    ANSWER(c);
+    return core_reset(c);
+}
+
 fmi3Status fmi3Terminate(fmi3Instance c) { return core_terminate(c, __func__); }
 
 fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean tolerance_defined,
                                        fmi3Float64 tolerance, fmi3Float64 start,
                                        fmi3Boolean stop_defined, fmi3Float64 stop)
 {
+    ANSWER(c);
     (void)tolerance_defined, (void)tolerance;
     if (core_set_up(c, __func__, start, stop_defined, stop) != OK)
         return fmi3Error;
@@ -84,6 +93,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean tolerance_def
 
 fmi3Status fmi3ExitInitializationMode(fmi3Instance c)
 {
+    ANSWER(c);
     return core_exit_initialization(c, __func__);
 }
 
@@ -113,11 +123,13 @@ fmi3Status fmi3ExitConfigurationMode(fmi3Instance c)
     fmi3Status fmi3Get##Type(fmi3Instance c, const fmi3ValueReference vr[], size_t nvr,            \
                              fmi3##Type values[], size_t n)                                        \
     {                                                                                              \
+        ANSWER(c);                                                                                 \
         return get_numbers(c, __func__, vr, nvr, types, sizeof *values, values, n);                \
     }                                                                                              \
     fmi3Status fmi3Set##Type(fmi3Instance c, const fmi3ValueReference vr[], size_t nvr,            \
                              const fmi3##Type values[], size_t n)                                  \
     {                                                                                              \
+        ANSWER(c);                                                                                 \
         return set_numbers(c, __func__, vr, nvr, types, sizeof *values, values, n);                \
     }
 
@@ -180,6 +192,7 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference
                                         size_t n_knowns, const fmi3Float64 seed[], size_t n_seed,
                                         fmi3Float64 sensitivity[], size_t n_sensitivity)
 {
+    ANSWER(c);
     if (check_size(c, n_seed, n_knowns, __func__) != OK ||
         check_size(c, n_sensitivity, n_unknowns, __func__) != OK)
         return fmi3Error;
@@ -228,6 +241,7 @@ fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_
 
 fmi3Status fmi3EnterEventMode(fmi3Instance c)
 {
+    ANSWER(c);
     return core_enter_event_mode(c, __func__, CONTINUOUS_TIME);
 }
 
@@ -235,6 +249,7 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Bool
                                     fmi3Boolean *nominals_changed, fmi3Boolean *states_changed,
                                     fmi3Boolean *next_time_defined, fmi3Float64 *next_time)
 {
+    ANSWER(c);
     Event event;
     const int status = core_update(c, __func__, &event);
     *again = event.again;
@@ -253,26 +268,31 @@ fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance c)
 
 fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c)
 {
+    ANSWER(c);
     return core_enter_continuous_time(c, __func__);
 }
 
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean no_set_state_prior,
                                        fmi3Boolean *enter_event_mode, fmi3Boolean *terminate)
 {
+    ANSWER(c);
     (void)no_set_state_prior;
     *enter_event_mode = false;
-    *terminate = false;
-    return core_completed_step(c, __func__, enter_event_mode);
+    const int status = core_completed_step(c, __func__, enter_event_mode);
+    *terminate = status == OK && model_step_ends(c);
+    return status;
 }
 
 fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time)
 {
+    ANSWER(c);
     return core_set_time(c, __func__, time);
 }
 
 #define VECTOR(Name, function, Const)                                                              \
     fmi3Status fmi3##Name(fmi3Instance c, Const fmi3Float64 x[], size_t n)                         \
     {                                                                                              \
+        ANSWER(c);                                                                                 \
         return function(c, __func__, x, n);                                                        \
     }
 
@@ -302,6 +322,7 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 point, fmi3Float64 step,
                       fmi3Boolean *terminate, fmi3Boolean *early_return,
                       fmi3Float64 *last_successful_time)
 {
+    ANSWER(c);
     Model *m = c;
     (void)no_set_state_prior;
     const int status = core_do_step(m, __func__, point, step);

@@ -14,11 +14,18 @@ static const Values START = START_VALUES;
 
 OPTIONAL void model_event(Model *m, Event *event) { (void)m, (void)event; }
 OPTIONAL bool model_step_completed(Model *m) { (void)m; return false; }
+OPTIONAL bool model_step_ends(Model *m) { (void)m; return false; }
+OPTIONAL int model_answer(Model *m, const char *function)
+{
+    (void)m, (void)function;
+    return OK;
+}
 OPTIONAL double model_partial(Model *m, unsigned unknown, unsigned known)
 {
     (void)m, (void)unknown, (void)known;
     return 0.0;
 }
+OPTIONAL bool model_takes_any_state(void) { return false; }
 OPTIONAL bool model_is_lazy(void) { return false; }
 OPTIONAL double model_step_unit(void) { return 0.0; }
 OPTIONAL double model_longest_step(void) { return INFINITY; }

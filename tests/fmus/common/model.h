@@ -74,6 +74,7 @@ typedef struct {
 typedef struct {
     State state;
     bool co_simulation;
+    bool logging_on;
     char *instance_name;
     const void *callbacks; /* what the logger needs, in the manner of the version */
     void *environment;
@@ -102,10 +103,16 @@ int model_equations(Model *m);
 void model_event(Model *m, Event *event);
 /* Says whether a completed step calls for event mode. */
 bool model_step_completed(Model *m);
+/* Says whether a completed step calls for the end of the simulation. */
+bool model_step_ends(Model *m);
+/* What a call returns at once, by the function's name behind `fmi2` or `fmi3`; OK to go on. */
+int model_answer(Model *m, const char *function);
 /* The derivative of one variable to another, by value reference; NaN if it is not provided. */
 double model_partial(Model *m, unsigned unknown, unsigned known);
 /* The nominal value of a state (its place among the states). */
 double model_nominal(Model *m, size_t state);
+/* Says whether states that are no numbers are taken. */
+bool model_takes_any_state(void);
 /* Says whether event indicators are returned as they are, without being computed. */
 bool model_is_lazy(void);
 /* The number of which communication steps must be exact multiples; 0 for any step. */

@@ -239,7 +239,7 @@ int core_set_states(Model *m, const char *function, const double x[], size_t n)
         check_size(m, n, count_states(m), function) != OK)
         return ERROR;
     for (size_t i = 0; i < n; i++)
-        if (!isfinite(x[i]))
+        if (!isfinite(x[i]) && !model_takes_any_state())
             return error(m, "%s: state %zu is not finite at time %g", function, i, M(time));
     for (const Pair *pair = PAIR; pair->state >= 0; pair++) {
         size_t count;

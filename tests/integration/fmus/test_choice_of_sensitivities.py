@@ -10,15 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.decay_fits import fit_decay
 
 from cluster_est import Experiment, Output, Parameter, Problem, Solver
-from cluster_est.config.reader import parse_config
-from cluster_est.errors import RunFolderError
 from cluster_est.preflight.sensitivities import sensitivities
 from cluster_est.preflight.subject import CheckSubject, TimeBudget
 from cluster_est.problem.search_space.space import make_space
-from cluster_est.run_folder import resume
-from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from workers.messages import Model
 from workers.probes.sensitivities import SensitivityCost, SensitivityCostProbe
 from workers.process.trial import ProbeBench
@@ -78,26 +75,20 @@ def test_what_is_timed_gives_sensitivities(problem: Problem) -> None:
 
 
 def test_a_run_that_a_clock_had_chosen_them_for_is_refused(
-    problem: Problem, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    own_fmu: Give, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Resumed with differences, it would be half the one and half the other."""
-    config = parse_config({"model": {"fmu": "a.fmu"}, "experiments": [RUN]}, "config")
-    identity = RunIdentity.of(RunKind.FIT, config, tmp_path, problem)
-    run = {
-        "format": resume.FORMAT,
-        "status": "interrupted",
-        "config_hash": identity.config_hash,
-        "fmu": {"sha256": problem.model.archive_hash},
-        "experiments": {e.id: e.key for e in problem.experiments},
-        "versions": resume.versions(),
-        "sensitivities": {"carry": False, "sentence": ""},
-    }
-    (tmp_path / "run.json").write_text(json.dumps(run), encoding="utf-8")
-    assert resume.check_resumable(tmp_path, identity)
+    fmu = own_fmu("states_directional", 2)
+    fit_decay(tmp_path, fmu, "--no-report", "budget.evaluations=2")
+    (tmp_path / "run" / "parameters.parquet").unlink()
+    resumed = tmp_path, fmu, "--no-report", "--resume"
+    assert fit_decay(*resumed, "budget.evaluations=3") in (0, 1)
+
+    (tmp_path / "run" / "parameters.parquet").unlink()
+    known = tmp_path / "run" / "run.json"
+    run = json.loads(known.read_text(encoding="utf-8"))
     run["sensitivities"] = {"carry": True, "sentence": "quicker"}
-    (tmp_path / "run.json").write_text(json.dumps(run), encoding="utf-8")
-    with pytest.raises(RunFolderError, match='differences = "sensitivities" has to say'):
-        resume.check_resumable(tmp_path, identity)
-
-
-RUN = {"id": "a", "data": "a.csv", "time": "t", "outputs": {"y": "y"}}
+    known.write_text(json.dumps(run), encoding="utf-8")
+    assert fit_decay(*resumed, "budget.evaluations=4") == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert 'differences = "sensitivities" has to say' in said

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.problems.springs import spring_problem
+from support.simulated import answers as simulated
 
 from cluster_est import Problem, Solver
-from workers.evaluate import Evaluator
 from workers.messages import Effect, Outcome, Status, Task, Want
-from workers.wire import TaskBatch
 
 SOLVERS = {
     "dormand_prince": Solver("dormand_prince"),
@@ -31,11 +31,8 @@ def problem(solver: str) -> Problem:
 
 def answers(found: Problem, *bounds: float, want: Want = "residuals") -> list[Outcome]:
     """The outcomes of one point with several bounds, asked for in one batch."""
-    evaluator = Evaluator(found.model, found.experiments, "test")
     tasks = [Task(i, 0, OFF, want, bound=bound) for i, bound in enumerate(bounds)]
-    outcomes = evaluator.evaluate(TaskBatch.of(tasks))
-    evaluator.close()
-    return outcomes
+    return simulated(found.model, found.experiments, tasks)
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -50,10 +47,7 @@ def test_it_ends_at_the_first_time_at_which_the_sum_is_above_the_bound(solver):
     for bound, outcome in zip(bounds, ended, strict=True):
         first = times[int(np.argmax(partial > bound))]
         assert outcome.status is Status.ENDED_EARLY
-        assert (
-            outcome.message
-            == f"its sum of squares was above the bound already at t = {first:.9g} s"
-        )
+        assert re.search(f"squares was above the bound.* at t = {first:.9g} s", outcome.message)
         assert outcome.residuals is None
         assert (outcome.ok, outcome.failed) == (False, False)
     for outcome in (above, free):  # those that were ended before it leave no trace
@@ -94,13 +88,9 @@ def test_a_trajectory_that_is_asked_for_is_simulated_to_its_end():
 
 def test_with_effects_and_outputs_that_are_not_plain_it_goes_to_its_end():
     found = problem("rk4")
-    evaluator = Evaluator(found.model, found.experiments, "test")
     effect = Effect("drag", "der(v)", equation="-d * v", coefficients=(("d", 0.1),))
-    values = np.append(OFF, 0.1)
-    (outcome,) = evaluator.evaluate(
-        TaskBatch.of([Task(0, 0, values, effects=(effect,), bound=1e-6)])
-    )
-    evaluator.close()
+    task = Task(0, 0, np.append(OFF, 0.1), effects=(effect,), bound=1e-6)
+    (outcome,) = simulated(found.model, found.experiments, [task])
     assert outcome.ok, outcome.message
     (run,) = found.experiments
     free = replace(run, outputs=(replace(run.outputs[0], free_offset=True),))

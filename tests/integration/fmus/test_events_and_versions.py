@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.simulated import answers
 from support.truth.own_fmus import (
     bouncing_ball,
     dahlquist,
@@ -17,24 +19,38 @@ from support.truth.own_fmus import (
     van_der_pol,
 )
 
-from workers.evaluate import Evaluator
 from workers.messages import Experiment, Input, Model, Outcome, Output, Solver, Task
-from workers.wire import TaskBatch
 
 Give = Callable[[str, int], Path]
-FLOATS = np.float64
 
-VERSIONS = pytest.mark.parametrize("fmi", [2, 3])
-LOOPS = pytest.mark.parametrize(
-    ("interface", "solver"),
-    [
-        ("model_exchange", Solver("dormand_prince", rtol=1e-9)),
-        ("model_exchange", Solver("rk4", 1e-3)),
-        ("model_exchange", Solver("cvode", rtol=1e-10, atol=1e-10)),
-        ("co_simulation", Solver("fmu", 1e-3)),
-    ],
-    ids=["dormand_prince", "rk4", "cvode", "co_simulation"],
-)
+SOLVERS = {
+    "dormand_prince": Solver("dormand_prince", rtol=1e-9),
+    "rk4": Solver("rk4", 1e-3),
+    "cvode": Solver("cvode", rtol=1e-10, atol=1e-10),
+    "co_simulation": Solver("fmu", 1e-3),
+}
+
+
+def pairs(*solvers: str, versions: Sequence[int] = (2, 3)) -> pytest.MarkDecorator:
+    """Each version and each solver, and by default not every pair of them."""
+    every = [(fmi, name) for name in solvers for fmi in versions]
+    usual = {(versions[i % len(versions)], name) for i, name in enumerate(solvers)}
+    cases = [
+        pytest.param(
+            fmi,
+            "co_simulation" if name == "co_simulation" else "model_exchange",
+            SOLVERS[name],
+            marks=() if (fmi, name) in usual else pytest.mark.slow,
+            id=f"{name}-{fmi}",
+        )
+        for fmi, name in every
+    ]
+    return pytest.mark.parametrize(("fmi", "interface", "solver"), cases)
+
+
+EVERY = pairs(*SOLVERS)
+EXCHANGE = pairs("rk4", "dormand_prince", "cvode")
+ARRAYS = pairs(*SOLVERS, versions=[3])
 
 
 def simulate(
@@ -54,11 +70,8 @@ def simulate(
     run = Experiment(
         "e", 0.0, float(times[-1]), inputs, tuple(Output(n, times, zero) for n in outputs), values
     )
-    evaluator = Evaluator(model, [run], "w")
-    tasks = [Task(i, 0, np.array(p, FLOATS), "trajectory") for i, p in enumerate(points)]
-    outcomes = evaluator.evaluate(TaskBatch.of(tasks))
-    evaluator.close()
-    return outcomes
+    tasks = [Task(i, 0, np.array(p, float), "trajectory") for i, p in enumerate(points)]
+    return answers(model, [run], tasks)
 
 
 def at(outcome: Outcome, times: np.ndarray) -> np.ndarray:
@@ -68,8 +81,7 @@ def at(outcome: Outcome, times: np.ndarray) -> np.ndarray:
     return found.values[np.searchsorted(found.times, times)]
 
 
-@VERSIONS
-@LOOPS
+@EVERY
 def test_bouncing_ball(own_fmu: Give, fmi: int, interface: str, solver: Solver) -> None:
     """Four balls in one batch: nothing of one is left in the next."""
     times = np.linspace(0.0, 3.0, 301)
@@ -90,12 +102,9 @@ def test_bouncing_ball(own_fmu: Give, fmi: int, interface: str, solver: Solver) 
     assert first.values.tobytes() == last.values.tobytes()
 
 
-@VERSIONS
-@LOOPS
+@EXCHANGE
 def test_both_sides_of_an_event(own_fmu: Give, fmi: int, interface: str, solver: Solver) -> None:
     """Measured a microsecond before and after the first bounce."""
-    if interface == "co_simulation":
-        pytest.skip("the FMU's own steps of a millisecond locate nothing closer")
     bounce = np.sqrt(2.0 / 9.81)
     times = np.array([0.0, bounce - 1e-6, bounce + 1e-6, 0.6])
     (outcome,) = simulate(
@@ -107,8 +116,7 @@ def test_both_sides_of_an_event(own_fmu: Give, fmi: int, interface: str, solver:
     np.testing.assert_array_equal(found[:, 1], bounces)
 
 
-@VERSIONS
-@LOOPS
+@EVERY
 def test_stair(own_fmu: Give, fmi: int, interface: str, solver: Solver) -> None:
     """Time events, some of them at measured times; an integer output beside a discrete one."""
     times = np.array([0.0, 0.5, 0.9999, 1.0, 1.5, 2.0, 2.3, 3.0, 3.9999, 4.25])
@@ -122,8 +130,7 @@ def test_stair(own_fmu: Give, fmi: int, interface: str, solver: Solver) -> None:
         np.testing.assert_allclose(found[:, 1], stair(times, height), rtol=1e-12)
 
 
-@VERSIONS
-@LOOPS
+@EVERY
 def test_an_end_by_the_fmu_is_a_failure_with_a_sentence(
     own_fmu: Give, fmi: int, interface: str, solver: Solver
 ) -> None:
@@ -134,8 +141,7 @@ def test_an_end_by_the_fmu_is_a_failure_with_a_sentence(
     assert outcome.message.startswith("the FMU ended the simulation by itself at t = 9 s")
 
 
-@VERSIONS
-@LOOPS
+@EVERY
 def test_thermostat(own_fmu: Give, fmi: int, interface: str, solver: Solver) -> None:
     times = np.linspace(0.0, 2000.0, 201)
     solver = Solver(solver.name, 1.0 if solver.step else None, solver.rtol)
@@ -148,8 +154,7 @@ def test_thermostat(own_fmu: Give, fmi: int, interface: str, solver: Solver) -> 
         np.testing.assert_array_equal(found[:, 1], on)
 
 
-@VERSIONS
-@LOOPS
+@EVERY
 def test_an_input_that_jumps_reaches_a_discrete_input(
     own_fmu: Give, fmi: int, interface: str, solver: Solver
 ) -> None:
@@ -169,31 +174,28 @@ def test_an_input_that_jumps_reaches_a_discrete_input(
     np.testing.assert_allclose(at(outcome, times)[:, 0], np.interp(times, knots, values), atol=1e-9)
 
 
-@VERSIONS
-@pytest.mark.parametrize("solver", ["dormand_prince", "rk4", "cvode"])
+@EXCHANGE
 def test_an_event_in_rounds_and_one_that_changes_nominals(
-    own_fmu: Give, fmi: int, solver: str
+    own_fmu: Give, fmi: int, interface: str, solver: Solver
 ) -> None:
-    how = Solver(solver, 1e-3, 1e-9, 1e-9)
+    how = Solver(solver.name, 1e-3, 1e-9, 1e-9)
     times = np.linspace(0.0, 4.3, 44)
-    (outcome,) = simulate(own_fmu("iterates", fmi), "model_exchange", how, ["y"], times)
+    (outcome,) = simulate(own_fmu("iterates", fmi), interface, how, ["y"], times)
     np.testing.assert_allclose(at(outcome, times)[:, 0], iterates(times + 1e-12), atol=1e-8)
-    (outcome,) = simulate(own_fmu("nominals", fmi), "model_exchange", how, ["y"], times)
+    (outcome,) = simulate(own_fmu("nominals", fmi), interface, how, ["y"], times)
     np.testing.assert_allclose(at(outcome, times)[:, 0], nominals(times)[0], rtol=1e-7)
 
 
-@VERSIONS
-@pytest.mark.parametrize("solver", ["dormand_prince", "rk4", "cvode"])
-def test_chattering_is_a_failure(own_fmu: Give, fmi: int, solver: str) -> None:
-    how = Solver(solver, 1e-2, 1e-6, max_steps=20_000)
+@EXCHANGE
+def test_chattering_is_a_failure(own_fmu: Give, fmi: int, interface: str, solver: Solver) -> None:
+    how = Solver(solver.name, 1e-2, 1e-6, max_steps=20_000)
     times = np.linspace(0.0, 2.0, 5)
-    (outcome,) = simulate(own_fmu("chatters", fmi), "model_exchange", how, ["y"], times)
+    (outcome,) = simulate(own_fmu("chatters", fmi), interface, how, ["y"], times)
     assert not outcome.ok
     assert "the limit on the number of steps" in outcome.message or "events" in outcome.message
 
 
-@VERSIONS
-@LOOPS
+@EVERY
 def test_smooth_models(own_fmu: Give, fmi: int, interface: str, solver: Solver) -> None:
     times = np.linspace(0.0, 5.0, 26)
     outcomes = simulate(
@@ -204,7 +206,12 @@ def test_smooth_models(own_fmu: Give, fmi: int, interface: str, solver: Solver) 
         np.testing.assert_allclose(at(outcome, times)[:, 0], dahlquist(times, k), atol=close)
     (outcome,) = simulate(own_fmu("van_der_pol", fmi), interface, solver, ["y"], times)
     close = 2e-2 if interface == "co_simulation" else 1e-6
-    np.testing.assert_allclose(at(outcome, times)[:, 0], van_der_pol(times)[:, 0], atol=close)
+    np.testing.assert_allclose(at(outcome, times)[:, 0], oscillation(), atol=close)
+
+
+@cache
+def oscillation() -> np.ndarray:
+    return van_der_pol(np.linspace(0.0, 5.0, 26))[:, 0]
 
 
 TYPED = {
@@ -218,27 +225,26 @@ TYPED_3 = {
 }  # fmt: skip
 
 
-@LOOPS
-@pytest.mark.parametrize(
-    ("fmi", "name", "value", "more"),
-    [
-        *((fmi, n, v, m) for fmi in (2, 3) for n, (v, m) in TYPED.items()),
-        *((3, n, v, m) for n, (v, m) in TYPED_3.items()),
-    ],
-)
+@EVERY
 def test_a_value_of_every_type_has_its_effect(
-    own_fmu: Give, fmi: int, interface: str, solver: Solver, name: str, value: object, more: float
+    own_fmu: Give, fmi: int, interface: str, solver: Solver
 ) -> None:
-    times = np.linspace(0.0, 1.0, 3)
-    fmu = own_fmu("types", fmi)
-    (base,) = simulate(fmu, interface, solver, ["y"], times)
-    (found,) = simulate(fmu, interface, solver, ["y"], times, values=((name, value),))
-    difference = at(found, times)[-1, 0] - at(base, times)[-1, 0]
-    assert difference == pytest.approx(more, rel=1e-6)
+    fmu, times = own_fmu("types", fmi), np.array([0.0, 0.5, 1.0])
+    given = TYPED if fmi == 2 else TYPED | TYPED_3
+    values = [(), *(((name, value),) for name, (value, _) in given.items())]
+    output = (Output("y", times, 0.0 * times),)
+    runs = [Experiment(str(i), 0.0, 1.0, (), output, each) for i, each in enumerate(values)]
+    model = Model(fmu.name, fmu.read_bytes(), interface, solver, ())
+    tasks = [Task(i, i, np.zeros(0), "trajectory") for i in range(len(runs))]
+    base, *found = [at(o, times)[-1, 0] for o in answers(model, runs, tasks)]
+    for (name, (_, more)), y in zip(given.items(), found, strict=True):
+        assert y - base == pytest.approx(more, rel=1e-6), name
 
 
-@LOOPS
-def test_inputs_and_outputs_of_every_type(own_fmu: Give, interface: str, solver: Solver) -> None:
+@ARRAYS
+def test_inputs_and_outputs_of_every_type(
+    own_fmu: Give, fmi: int, interface: str, solver: Solver
+) -> None:
     """Those that cannot move between events are held; an array has one that is driven."""
     times = np.array([0.0, 0.5, 1.0, 1.5, 2.0])
     knots = np.array([0.0, 1.0])
@@ -259,16 +265,16 @@ def test_inputs_and_outputs_of_every_type(own_fmu: Give, interface: str, solver:
         "y_vector[3]": np.full(5, 3.0),
     }  # fmt: skip
     (outcome,) = simulate(
-        own_fmu("types", 3), interface, solver, list(expected), times, inputs=inputs
+        own_fmu("types", fmi), interface, solver, list(expected), times, inputs=inputs
     )
     found = at(outcome, times)
     for column, (name, values) in enumerate(expected.items()):
         np.testing.assert_array_equal(found[:, column], values, name)
 
 
-@LOOPS
+@ARRAYS
 def test_a_structural_parameter_says_how_large_arrays_are(
-    own_fmu: Give, interface: str, solver: Solver
+    own_fmu: Give, fmi: int, interface: str, solver: Solver
 ) -> None:
     """Four states decay, each at its own rate, of which one is estimated."""
     times = np.linspace(0.0, 1.0, 3)
@@ -276,7 +282,7 @@ def test_a_structural_parameter_says_how_large_arrays_are(
     values = (("n", 4), ("rates[1]", 1.0), ("rates[3]", 3.0), ("rates[4]", 4.0))
     values += tuple((f"z[{k}]", 1.0) for k in (1, 2, 3, 4))
     outcomes = simulate(
-        own_fmu("types", 3), interface, solver, names, times, ["rates[2]"], [[2.0], [0.5]],
+        own_fmu("types", fmi), interface, solver, names, times, ["rates[2]"], [[2.0], [0.5]],
         values=values, structure=(("n", 4),),
     )  # fmt: skip
     close = 5e-3 if interface == "co_simulation" else 1e-6

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
+from support.changed_fmus import with_description
+from support.simulated import answer
 
 from cluster_est import Parameter, Problem, fit
-from cluster_est.cli.display.start import print_model
 from cluster_est.methods.least_squares.method import LeastSquares
-from workers.evaluate import Evaluator
-from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
-from workers.wire import TaskBatch
+from workers.errors import ModelError
+from workers.messages import Effect, Experiment, Input, Model, Outcome, Output, Solver
 
 Give = Callable[[str, int], Path]
 
@@ -24,8 +24,15 @@ TIMES = np.array([0.0, 0.07, 0.1, 0.15, 0.3, 0.333, 0.9, 1.21, 1.99])
 ON_GRID = np.isin(TIMES, [0.0, 0.1, 0.3, 0.9])
 
 
-def model(fmu: Path, step: float | None = None) -> Model:
-    return Model(fmu.name, fmu.read_bytes(), "co_simulation", Solver("fmu", step), ("k",))
+def model(fmu: Path, step: float | None = None, **options: int) -> Model:
+    solver = Solver("fmu", step, **options)
+    return Model(fmu.name, fmu.read_bytes(), "co_simulation", solver, ("k",))
+
+
+def measured(times: np.ndarray, inputs: tuple[Input, ...] = (), name: str = "e") -> Experiment:
+    times = np.asarray(times, np.float64)
+    output = Output("y", times, 0.0 * times)
+    return Experiment(name, float(times[0]), float(times[-1]), inputs, (output,))
 
 
 def simulated(
@@ -35,14 +42,9 @@ def simulated(
     times: np.ndarray = TIMES,
     effects: tuple[Effect, ...] = (),
     coefficients: Sequence[float] = (),
-    start: float = 0.0,
 ) -> np.ndarray:
     """y at some times."""
-    run = Experiment("e", start, times[-1], inputs, (Output("y", times, 0.0 * times),))
-    evaluator = Evaluator(model(fmu), [run], "w")
-    task = Task(0, 0, np.array([k, *coefficients]), "trajectory", effects)
-    (outcome,) = evaluator.evaluate(TaskBatch.of([task]))
-    evaluator.close()
+    outcome = answer(model(fmu), measured(times, inputs), [k, *coefficients], "trajectory", effects)
     assert outcome.ok, outcome.message
     found = outcome.trajectory
     return found.values[np.searchsorted(found.times, times), 0]
@@ -73,7 +75,7 @@ def test_values_between_the_points_are_on_the_line(own_fmu: Give, fmi: int) -> N
 
 @VERSIONS
 def test_steps_begin_at_the_start_of_the_experiment(own_fmu: Give, fmi: int) -> None:
-    late = simulated(own_fmu("fixed_step", fmi), 1.0, times=TIMES + 1000.05, start=1000.05)
+    late = simulated(own_fmu("fixed_step", fmi), 1.0, times=TIMES + 1000.05)
     np.testing.assert_allclose(late, simulated(own_fmu("fixed_step", fmi), 1.0), atol=1e-9)
 
 
@@ -125,16 +127,116 @@ def test_an_effect_with_states_of_its_own(own_fmu: Give, fmi: int) -> None:
     np.testing.assert_allclose(lagged, plain, atol=0.11)  # a step late at most
 
 
-def test_a_fit_finds_the_rate_and_says_what_it_did(
-    own_fmu: Give, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_fit_finds_the_rate_and_says_what_it_did(own_fmu: Give) -> None:
     fmu = own_fmu("fixed_step", 2)
     output = Output("y", TIMES, np.exp(-0.8 * TIMES))
-    run = Experiment("e", 0.0, 1.99, (), (output,))
-    problem = Problem(model(fmu), (Parameter("k", 1.0, 0.1, 3.0),), (run,))
+    runs = [Experiment(name, 0.0, 1.99, (), (output,)) for name in "ab"]
+    rate = (Parameter("k", 1.0, 0.1, 3.0),)
+    (note,) = Problem(model(fmu), rate, (runs[0], measured([0.0, 0.2], name="c"))).notes()
+    assert re.search(r"every 0\.1 s; experiment 'a' has times between", note)
+    problem = Problem(model(fmu), rate, tuple(runs))
     (note,) = problem.notes()
-    assert "every 0.1 s; experiment 'e' has times between them" in note
+    assert "2 experiments have times between" in note
     result = fit(problem, LeastSquares())
     assert result.estimates[0].value == pytest.approx(0.8, abs=2e-3)
-    print_model(Console(width=400), problem, "")
-    assert note in capsys.readouterr().out
+
+
+@pytest.fixture
+def fixed(own_fmu: Give, tmp_path: Path) -> Callable[..., Path]:
+    """A decay that takes any step and is described as if all had to be alike."""
+
+    def give(named: float | None = None, internal: float | None = None) -> Path:
+        said = 'canHandleVariableCommunicationStepSize="true"'
+        changes = {said: said.replace("true", "false")}
+        changes[' stepSize="0.1"'] = "" if named is None else f' stepSize="{named}"'
+        if internal is not None:
+            changes[said] = f'{changes.pop(said)} fixedInternalStepSize="{internal}"'
+        return with_description(own_fmu("dahlquist", 3), tmp_path / "fixed.fmu", changes)
+
+    return give
+
+
+def outcome_of(fmu: Path, times: list[float], step: float | None = None, k: float = 1.0) -> Outcome:
+    outcome = answer(model(fmu, step), measured(np.array(times)), [k])
+    assert outcome.ok, outcome.message
+    return outcome
+
+
+@pytest.mark.parametrize(
+    ("named", "internal", "step", "times", "steps"),
+    [
+        (None, None, None, [0.0, 0.1, 0.2], 2),
+        (None, None, None, [0.0, 0.1, 0.3, 0.4], 4),
+        (None, None, 0.05, [0.0, 0.15, 0.25], 5),
+        (None, None, 0.1, [5.0, 5.3, 105.0], 1000),
+        (0.2, 0.05, 0.1, [0.0, 0.3, 0.6], 6),
+        (0.2, 0.05, None, [0.0, 0.3, 0.6], 12),
+        (0.1, None, None, [0.0, 0.3, 0.6], 6),
+        (0.0, None, None, [0.0, 0.3, 0.6], 2),
+    ],
+)
+def test_the_step_is_the_configured_one_or_the_fmus_own_or_one_that_fits_all_times(
+    fixed: Callable[..., Path],
+    named: float | None,
+    internal: float | None,
+    step: float | None,
+    times: list[float],
+    steps: int,
+) -> None:
+    """Multiples of it need no interpolation."""
+    fmu = fixed(named, internal)
+    outcome = outcome_of(fmu, times, step)
+    assert outcome.steps == steps
+    np.testing.assert_allclose(-outcome.residuals, np.exp(times[0] - np.array(times)), atol=1e-8)
+    rate = (Parameter("k", 1.0, 0.1, 3.0),)
+    assert Problem(model(fmu, step), rate, (measured(np.array(times)),)).notes() == ()
+
+
+@pytest.mark.parametrize(
+    ("times", "step", "said"),
+    [
+        ([0.0, 0.1, 0.25], None, r"experiment 'e'.*fixed length.*set model\.step"),
+        ([0.0, 1.0], 1e-9, r"experiment 'e'.*more than model\.max_steps = 1000000"),
+    ],
+)
+def test_times_without_a_step_that_fits_are_refused_with_advice(
+    fixed: Callable[..., Path], times: list[float], step: float | None, said: str
+) -> None:
+    with pytest.raises(ModelError, match=said):
+        outcome_of(fixed(), times, step)
+
+
+def test_what_moves_at_events_alone_keeps_its_value(own_fmu: Give, tmp_path: Path) -> None:
+    """A counter that is 1 at first and one more after each second."""
+    said = 'canHandleVariableCommunicationStepSize="true"'
+    changes = {said: said.replace("true", "false")}
+    fmu = with_description(own_fmu("stair", 2), tmp_path / "stair.fmu", changes)
+    times = np.array([0.0, 0.4, 1.1, 1.3, 2.1])
+    outputs = tuple(Output(name, times, 0.0 * times) for name in ("counter", "y"))
+    run = Experiment("e", 0.0, 2.1, (), outputs)
+    steps = Model(fmu.name, fmu.read_bytes(), "co_simulation", Solver("fmu", 0.4), ())
+    outcome = answer(steps, run)
+    assert outcome.ok, outcome.message
+    assert outcome.residuals.tolist() == [-1.0, -1.0, -1.0, -2.0, -3.0] * 2
+
+
+@VERSIONS
+@pytest.mark.parametrize("knot", [7 * 0.1, 0.7 + 1e-9])
+def test_a_held_input_has_jumped_at_a_point_that_rounding_puts_before_it(
+    own_fmu: Give, fmi: int, knot: float
+) -> None:
+    """7 * 0.1 > 0.7, and 0.7 is before it."""
+    jump = Input("u", np.array([0.0, knot]), np.array([0.0, 2.0]), "hold")
+    times = np.array([0.0, 0.7, 0.8, 1.5])
+    late = np.maximum(times - 0.7, 0.0)
+    expected = np.exp(-times) + 2.0 * (1.0 - np.exp(-late))
+    found = simulated(own_fmu("fixed_step", fmi), 1.0, (jump,), times)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_inputs_between_the_points_are_linear_from_point_to_point(own_fmu: Give) -> None:
+    fmu, times = own_fmu("fixed_step", 2), np.array([0.0, 0.1, 0.2, 0.4])
+    between = Input("u", np.array([0.0, 0.15, 0.4]), np.array([0.0, 3.0, 3.0]))
+    on_points = Input("u", np.array([0.0, 0.1, 0.2, 0.4]), np.array([0.0, 2.0, 3.0, 3.0]))
+    found, expected = (simulated(fmu, 1.0, (u,), times) for u in (between, on_points))
+    np.testing.assert_allclose(found, expected, rtol=1e-12)

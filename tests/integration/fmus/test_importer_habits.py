@@ -10,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.simulated import answer, answers
 
-from workers.evaluate import Evaluator
 from workers.messages import Experiment, Input, Model, Outcome, Output, Solver, Task
-from workers.wire import TaskBatch
 
 Give = Callable[[str, int], Path]
 
@@ -38,11 +37,8 @@ def simulate(
     model = Model(fmu.name, fmu.read_bytes(), interface, solver, (parameter,))
     outputs = (Output("y", TIMES, np.zeros(len(TIMES))),)
     run = Experiment("e", 0.0, 2.0, inputs, outputs)
-    evaluator = Evaluator(model, [run], "w")
     tasks = [Task(i, 0, np.array([rate]), "residuals") for i, rate in enumerate(rates)]
-    outcomes = evaluator.evaluate(TaskBatch.of(tasks))
-    evaluator.close()
-    return outcomes
+    return answers(model, [run], tasks)
 
 
 def found(outcome: Outcome) -> np.ndarray:
@@ -91,9 +87,7 @@ def test_communication_steps_are_exact_multiples(own_fmu: Give, fmi: int) -> Non
     for step in (None, 0.01):
         model = Model(fmu.name, fmu.read_bytes(), "co_simulation", Solver("fmu", step), ("k",))
         run = Experiment("e", 100.0, float(times[-1]), (), (Output("y", times, 0.0 * times),))
-        evaluator = Evaluator(model, [run], "w")
-        (outcome,) = evaluator.evaluate(TaskBatch.of([Task(0, 0, np.array([0.7]), "residuals")]))
-        evaluator.close()
+        outcome = answer(model, run, [0.7], "residuals")
         np.testing.assert_allclose(found(outcome), np.exp(-0.7 * (times - 100.0)), rtol=1e-5)
 
 

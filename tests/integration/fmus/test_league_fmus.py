@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import shutil
-import zipfile
 from collections.abc import Callable
 
 import fmpy
 import numpy as np
 import pytest
-from build_fmus import build
 from fmpy.validation import validate_fmu
 from numpy.typing import NDArray
 from scipy.linalg import expm
+from support.fmu_texts import texts_from, texts_in
 from support.problems.springs import ROOT
 
 Array = NDArray[np.float64]
@@ -26,22 +24,10 @@ def name_of(path):
 
 
 @pytest.mark.parametrize("path", FMUS, ids=name_of)
-def test_is_valid_for_three_platforms(path):
+def test_is_valid_for_three_platforms_and_holds_its_sources(path):
     assert validate_fmu(str(path)) == []
     assert set(fmpy.supported_platforms(str(path))) >= {"linux64", "win64", "darwin64"}
-
-
-@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
-@pytest.mark.parametrize("path", FMUS, ids=name_of)
-def test_is_built_from_its_sources(path, tmp_path):
-    rebuilt = build(path.with_suffix(""), tmp_path)
-    assert text_files(rebuilt) == text_files(path)
-
-
-def text_files(archive):
-    with zipfile.ZipFile(archive) as contents:
-        names = [n for n in contents.namelist() if not n.startswith("binaries/")]
-        return {n: contents.read(n) for n in names}
+    assert texts_in(path) == texts_from(path.with_suffix(""))
 
 
 def two_compartments(t: Array) -> Array:

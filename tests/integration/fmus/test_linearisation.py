@@ -147,19 +147,6 @@ def test_a_pendulum_far_from_hanging():
     np.testing.assert_allclose(found.P, each(angle, rows), **EXACT)
 
 
-def test_cascaded_tanks():
-    k1, k2, kp = 0.06, 0.05, 0.055
-    model = model_of("cascaded_tanks", ("k1", "k2", "kp"))
-    found = linearised(model, driven("u", lambda t: 3 + 2 * np.sin(t)), (k1, k2, kp))
-    upper, lower = np.sqrt(found.states.T)
-    u = found.inputs[:, 0]
-    rows = [[-k1 / (2 * upper), 0], [k1 / (2 * upper), -k2 / (2 * lower)]]
-    np.testing.assert_allclose(found.A, each(u, rows), **EXACT)
-    np.testing.assert_allclose(found.B, each(u, [[kp], [0]]), **EXACT)
-    np.testing.assert_allclose(found.C, each(u, [[0, 1]]), **EXACT)
-    np.testing.assert_allclose(found.P, each(u, [[-upper, 0, u], [upper, -lower, 0]]), **EXACT)
-
-
 def test_inputs_that_nothing_drives_have_derivatives_too():
     """A motor whose data know no load torque: it is held at its start value."""
     model = model_of("dc_motor_belt", ("J_load",))

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.thinning import thinned
 
 from cluster_est import Experiment, Input, Output, Parameter, Problem, Solver, fit
 from cluster_est.methods.least_squares.method import LeastSquares
@@ -20,12 +21,7 @@ from workers.wire import OutcomeColumns, TaskBatch
 Give = Callable[[str, int], Path]
 Ask = Callable[..., Outcome]
 
-BOTH = pytest.mark.parametrize("fmi", [2, 3])
-SOLVERS = pytest.mark.parametrize(
-    "solver",
-    [Solver("dormand_prince", rtol=1e-10), Solver("rk4", step=1e-3)],
-    ids=lambda solver: solver.name,
-)
+SOLVERS = [Solver("dormand_prince", rtol=1e-10), Solver("rk4", step=1e-3)]
 TIMES = np.linspace(0.0, 5.0, 26)
 ACCURATE = Solver("dormand_prince", rtol=1e-10)
 RATES = tuple(f"{kind}{i}" for kind in "ab" for i in range(1, 6))
@@ -41,7 +37,7 @@ def input_at(t: float) -> float:
     return 0.5 * t if t < 2.0 else 1.0 - (t - 2.0) / 6.0
 
 
-def runge_kutta(slopes: Callable, x: np.ndarray, times: FloatArray, parts: int = 200) -> np.ndarray:
+def runge_kutta(slopes: Callable, x: np.ndarray, times: FloatArray, parts: int = 40) -> np.ndarray:
     """States at each time, by many steps of the classic method; complex where x is."""
     found = [x]
     for first, last in pairwise(times):
@@ -110,23 +106,27 @@ def ask(own_fmu: Give) -> Iterator[Ask]:
         each.close()
 
 
-@BOTH
-@SOLVERS
+CASES = {
+    "van_der_pol": (("mu", "x0", "x1"), [1.3, 2.0, 0.4], ("x0", "x1"), van_der_pol),
+    "chain": (
+        RATES, [1.0, 0.8, 0.6, 0.5, 0.4, 0.1, 0.15, 0.2, 0.25, 0.3],
+        ("x1", "x2", "x3", "x4", "x5", "y"), chain,
+    ),
+    "states_directional": (("k", "c", "x"), [1.2, 0.7, 1.5], ("y",), decay),
+}  # fmt: skip
+
+
 @pytest.mark.parametrize(
-    ("name", "parameters", "point", "outputs", "truth"),
-    [
-        ("van_der_pol", ("mu", "x0", "x1"), [1.3, 2.0, 0.4], ("x0", "x1"), van_der_pol),
-        (
-            "chain", RATES, [1.0, 0.8, 0.6, 0.5, 0.4, 0.1, 0.15, 0.2, 0.25, 0.3],
-            ("x1", "x2", "x3", "x4", "x5", "y"), chain,
-        ),
-        ("states_directional", ("k", "c", "x"), [1.2, 0.7, 1.5], ("y",), decay),
-    ],
-)  # fmt: skip
-def test_against_complex_steps(
-    ask: Ask, fmi: int, solver: Solver, name: str, parameters: tuple[str, ...], point: list[float],
-    outputs: tuple[str, ...], truth: Callable[[np.ndarray], np.ndarray],
-) -> None:  # fmt: skip
+    ("name", "fmi", "solver"),
+    thinned(
+        [(name, fmi, solver) for solver in SOLVERS for fmi in (2, 3) for name in CASES],
+        lambda name, *_: name,
+        lambda name, fmi, solver: (fmi, solver.name),
+    ),
+    ids=str,
+)
+def test_against_complex_steps(ask: Ask, name: str, fmi: int, solver: Solver) -> None:
+    parameters, point, outputs, truth = CASES[name]
     found = ask(name, fmi, measured(outputs), parameters, np.array(point), solver)
 
     expected = -by_complex_steps(truth, np.array(point)) / 0.5
@@ -135,8 +135,7 @@ def test_against_complex_steps(
     assert np.abs((found.sensitivities - expected) / scale).max() < 1e-6
 
 
-@BOTH
-@SOLVERS
+@pytest.mark.parametrize(("fmi", "solver"), [*zip((2, 3), SOLVERS, strict=True)], ids=str)
 def test_the_trajectory_keeps_its_bits(ask: Ask, fmi: int, solver: Solver) -> None:
     given = "states_directional", fmi, measured(("y",)), ("k", "c", "x"), np.array([1.2, 0.7, 1.5])
 
@@ -168,27 +167,28 @@ def test_curves_and_bounds_are_differentiated_too(ask: Ask) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "output", "parameter", "options", "why"),
+    ("given", "options", "why"),
     [
-        ("bouncing_ball", "height", "e", {}, "no directional derivatives"),
-        ("van_der_pol", "y", "mu", {"solver": Solver("cvode")}, "solver 'cvode'"),
+        (("bouncing_ball", "height", "e"), {}, "no directional derivatives"),
+        (("van_der_pol", "y", "mu"), {"solver": Solver("cvode")}, "solver 'cvode'"),
         (
-            "van_der_pol", "y", "mu",
+            ("van_der_pol", "y", "mu"),
             {"solver": Solver("fmu"), "interface": "co_simulation"}, "in model exchange only",
         ),
     ],
 )  # fmt: skip
 def test_it_says_why_there_are_none(
-    ask: Ask, name: str, output: str, parameter: str, options: dict, why: str
+    ask: Ask, given: tuple[str, str, str], options: dict, why: str
 ) -> None:
-    run = replace(measured((output,)), inputs=())
+    name, output, parameter = given
+    asked = name, 2, replace(measured((output,)), inputs=()), (parameter,), np.array([0.8])
 
-    found = ask(name, 2, run, (parameter,), np.array([0.8]), **options)
+    found = ask(*asked, **options)
 
     assert found.ok
     assert found.sensitivities is None
     assert why in found.message
-    plain = ask(name, 2, run, (parameter,), np.array([0.8]), want="residuals", **options)
+    plain = ask(*asked, want="residuals", **options)
     assert np.array_equal(found.residuals, plain.residuals)
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from fmu_trials.curve import compare_curves, trial
 from scipy.integrate import solve_ivp
+from support.simulated import answers
 from support.third_party import third_party_fmus
 
-from workers.evaluate import Evaluator
 from workers.fmu.description import describe
 from workers.messages import Experiment, Input, Limits, Model, Output, Solver, Task
 from workers.process.supervisor import SupervisedEvaluator
@@ -113,9 +113,7 @@ def test_a_model_in_python_counts_its_steps(fmus: Path) -> None:
     file = fmus / "FMU3Model.fmu"
     model = Model(file.name, file.read_bytes(), "co_simulation", Solver("fmu"), ("increment",))
     run = Experiment("e", 0.0, 5.0, (), (Output("output", TIMES, 0.0 * TIMES),))
-    evaluator = Evaluator(model, [run], "w")
     tasks = [Task(i, 0, np.array([x]), "trajectory") for i, x in enumerate((0.5, 2.0))]
-    for x, outcome in zip((0.5, 2.0), evaluator.evaluate(TaskBatch.of(tasks)), strict=True):
+    for x, outcome in zip((0.5, 2.0), answers(model, [run], tasks), strict=True):
         assert outcome.ok, outcome.message
         np.testing.assert_allclose(outcome.trajectory.values[:, 0], 3.0 + x * np.arange(51))
-    evaluator.close()

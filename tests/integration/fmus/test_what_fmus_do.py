@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.changed_fmus import with_description
+from support.simulated import answer
 
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
@@ -25,30 +27,21 @@ RUN = Experiment("e", 0.0, 1.0, (), (Output("y", TIMES, 0.0 * TIMES),))
 EXACT = Solver("dormand_prince", rtol=1e-9)
 
 
-def with_description(fmu: Path, change: Callable[[str], str], out: Path) -> Path:
-    """Copy an FMU whose model description is changed."""
-    with zipfile.ZipFile(fmu) as old, zipfile.ZipFile(out, "w") as new:
-        for name in old.namelist():
-            data = old.read(name)
-            if name == "modelDescription.xml":
-                data = change(data.decode()).encode()
-            new.writestr(name, data)
-    return out
-
-
 def test_a_binary_with_other_event_indicators_than_described_is_refused(
     own_fmu: Give, tmp_path: Path
 ) -> None:
-    def without(text: str) -> str:
-        changed, count = re.subn(r"<EventIndicator [^>]*/>", "", text)
-        assert count == 1
-        return changed
-
-    fmu = with_description(own_fmu("bouncing_ball", 3), without, tmp_path / "ball.fmu")
+    ball = own_fmu("bouncing_ball", 3)
+    (indicator,) = re.findall(r"<EventIndicator [^>]*/>", description_of(ball))
+    fmu = with_description(ball, tmp_path / "ball.fmu", {indicator: ""})
     model = Model(fmu.name, fmu.read_bytes(), "model_exchange", EXACT, ())
     run = Experiment("e", 0.0, 1.0, (), (Output("height", TIMES, 0.0 * TIMES),))
     with pytest.raises(ModelError, match=r"must have the 0 event indicators .* but has 1; export"):
         Evaluator(model, [run], "w")
+
+
+def description_of(fmu: Path) -> str:
+    with zipfile.ZipFile(fmu) as archive:
+        return archive.read("modelDescription.xml").decode()
 
 
 PRINTING = """
@@ -75,8 +68,25 @@ def test_what_an_fmu_prints_stays_out_of_the_output(own_fmu: Give) -> None:
     assert ended.stdout == "ok\n"
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
-def test_an_fmu_that_needs_its_tool_says_so(own_fmu: Give, fmi: int) -> None:
-    fmu = own_fmu("needs_tool", fmi)
-    with pytest.raises(ModelError, match=r"It said: the tool .* is not installed\..*; it needs .*"):
+@pytest.mark.parametrize(
+    ("name", "fmi", "said"),
+    [
+        ("needs_tool", 2, r"the tool .* is not installed.*it needs"),
+        ("needs_tool", 3, r"the tool .* is not installed.*it needs"),
+        ("wrong_platform", 2, r"must have .*linux64.* but has one for win64"),
+    ],
+)
+def test_an_fmu_that_cannot_work_here_is_refused_with_the_reason(
+    own_fmu: Give, name: str, fmi: int, said: str
+) -> None:
+    fmu = own_fmu(name, fmi)
+    with pytest.raises(ModelError, match=said):
         Evaluator(Model(fmu.name, fmu.read_bytes(), "co_simulation", Solver("fmu"), ()), [RUN], "w")
+
+
+def test_a_description_that_breaks_the_schema_does_no_harm(own_fmu: Give) -> None:
+    """dx/dt = -x from 1."""
+    fmu = own_fmu("invalid_xml", 2)
+    model = Model(fmu.name, fmu.read_bytes(), "model_exchange", EXACT, ())
+    outcome = answer(model, RUN)
+    np.testing.assert_allclose(-outcome.residuals, np.exp(-TIMES), rtol=1e-6)

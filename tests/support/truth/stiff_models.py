@@ -14,20 +14,6 @@ K1, K2, K3, DRAIN = 0.04, 3e7, 1e4, 0.1
 TIGHT = {"method": "Radau", "rtol": 1e-11, "atol": 1e-15}
 
 
-def van_der_pol(mu: float, times: np.ndarray) -> np.ndarray:
-    """x at the times, from x = 2 at rest."""
-
-    def slope(t, x):
-        return [x[1], mu * (1.0 - x[0] ** 2) * x[1] - x[0]]
-
-    def jacobian(t, x):
-        return [[0.0, 1.0], [-2.0 * mu * x[0] * x[1] - 1.0, mu * (1.0 - x[0] ** 2)]]
-
-    tight = {"method": "Radau", "jac": jacobian} if mu > 10.0 else {"method": "DOP853"}
-    span = (times[0], times[-1])
-    return solve_ivp(slope, span, [2.0, 0.0], t_eval=times, rtol=1e-12, atol=1e-13, **tight).y[0]
-
-
 def oscillation(times: np.ndarray) -> Experiment:
     """The oscillator left to itself."""
     measured = Output("y", times, np.zeros(len(times)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from workers.grid import build_grid
@@ -54,65 +54,37 @@ def signal(given: Input, at: FloatArray) -> FloatArray:
     return np.array([before[-1] if len(before) else given.values[0] for before in latest])
 
 
-@given(experiments)
-def test_times_increase_from_start_to_stop_and_hold_all_that_was_measured(
-    experiment: Experiment,
-) -> None:
-    grid = build_grid(experiment)
-    assert (grid.times[0], grid.times[-1]) == (START, STOP)
-    assert (np.diff(grid.times) > 0.0).all()
-    for output in experiment.outputs:
-        assert np.isin(output.times, grid.times).all()
-    for given_input in experiment.inputs:
-        inside = given_input.times[(given_input.times >= START) & (given_input.times <= STOP)]
-        assert np.isin(inside, grid.times).all()
-
-
-@given(experiments)
-def test_inputs_keep_their_samples_at_their_knots(experiment: Experiment) -> None:
-    grid = build_grid(experiment)
-    for column, given_input in enumerate(experiment.inputs):
-        at = np.searchsorted(grid.times, given_input.times)
-        inside = (given_input.times >= START) & (given_input.times <= STOP)
-        np.testing.assert_array_equal(
-            grid.inputs[at[inside], column], given_input.values[inside], strict=True
-        )
-
-
+@settings(max_examples=50)
 @given(experiments, st.floats(0.0, 0.999))
-def test_value_and_slope_reconstruct_a_signal_between_knots(
+def test_every_signal_is_on_the_grid_as_it_was_measured(
     experiment: Experiment, part: float
 ) -> None:
     grid = build_grid(experiment)
-    lengths = part * np.diff(grid.times)
-    between = grid.times[:-1] + lengths
-    for column, given_input in enumerate(experiment.inputs):
-        rebuilt = grid.inputs[:-1, column] + lengths * grid.slopes[:-1, column]
-        np.testing.assert_allclose(rebuilt, signal(given_input, between), rtol=0, atol=1e-9)
+    times = grid.times
+    assert (times[0], times[-1]) == (START, STOP)
+    assert (np.diff(times) > 0.0).all()
+    for output in experiment.outputs:
+        assert np.isin(output.times, times).all()
+    lengths = part * np.diff(times)
+    for column, known in enumerate(experiment.inputs):
+        values, slopes = grid.inputs[:, column], grid.slopes[:, column]
+        inside = (known.times >= START) & (known.times <= STOP)
+        assert np.isin(known.times[inside], times).all()
+        at_knots = np.searchsorted(times, known.times[inside])
+        np.testing.assert_array_equal(values[at_knots], known.values[inside], strict=True)
+        rebuilt = values[:-1] + lengths * slopes[:-1]
+        between = signal(known, times[:-1] + lengths)
+        np.testing.assert_allclose(rebuilt, between, rtol=0, atol=1e-9)
+        if known.interpolation == "hold":  # right-continuous
+            assert (slopes == 0.0).all()
+            np.testing.assert_array_equal(values, signal(known, times), strict=True)
+        early, late = times < known.times[0], times >= known.times[-1]
+        assert (values[early] == known.values[0]).all()
+        assert (values[late] == known.values[-1]).all()
+        assert (slopes[late] == 0.0).all()
 
 
-@given(experiments)
-def test_held_inputs_are_right_continuous(experiment: Experiment) -> None:
-    grid = build_grid(experiment)
-    for column, given_input in enumerate(experiment.inputs):
-        if given_input.interpolation == "hold":
-            assert (grid.slopes[:, column] == 0.0).all()
-            np.testing.assert_array_equal(
-                grid.inputs[:, column], signal(given_input, grid.times), strict=True
-            )
-
-
-@given(experiments)
-def test_inputs_keep_their_end_values_outside_their_samples(experiment: Experiment) -> None:
-    grid = build_grid(experiment)
-    for column, given_input in enumerate(experiment.inputs):
-        early = grid.times < given_input.times[0]
-        late = grid.times >= given_input.times[-1]
-        assert (grid.inputs[early, column] == given_input.values[0]).all()
-        assert (grid.inputs[late, column] == given_input.values[-1]).all()
-        assert (grid.slopes[late, column] == 0.0).all()
-
-
+@settings(max_examples=30)
 @given(experiments)
 def test_gather_picks_each_output_at_its_own_times(experiment: Experiment) -> None:
     grid = build_grid(experiment)

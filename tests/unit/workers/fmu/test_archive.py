@@ -130,7 +130,7 @@ def test_a_cache_that_cannot_be_written_is_said(tmp_path, monkeypatch):
 
 def test_any_damage_is_met_with_a_sentence(cache):
     small = spoiled_fmu(lambda e: [e.pop(n) for n in list(e) if n != "modelDescription.xml"])
-    for _ in range(200):
+    for _ in range(80):
         content = bytearray(small)
         for _ in range(CHANCE.randint(1, 4)):
             content[CHANCE.randrange(len(content))] = CHANCE.randrange(256)

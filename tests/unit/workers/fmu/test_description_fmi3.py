@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from support.described import END, HEAD_3, fmi3, read
 
 from workers.errors import ModelError
-from workers.fmu.parsing import arrays as description_arrays
-from workers.fmu.parsing.structure import VariableDependency
 
 TIME = '<Float64 name="time" valueReference="0" causality="independent"/>'
 SPRING = (
@@ -30,6 +30,14 @@ SIZED = (
 )
 
 
+NOTHING = "<ModelStructure/>"
+EMPTY_ARRAY = 'name="a" valueReference="8"'
+
+
+def array(attributes: str, inside: str) -> str:
+    return f"<Float64 {attributes}>{inside}</Float64>"
+
+
 def test_states_are_in_the_order_of_the_structure():
     found = fmi3(SPRING, STRUCTURE)
     assert found.version == "3.0"
@@ -42,12 +50,12 @@ def test_states_are_in_the_order_of_the_structure():
 
 
 def test_dependencies_are_told_where_declared():
-    found = fmi3(SPRING, STRUCTURE.replace(' dependencies="1"/', "/"))
-    assert found.dependencies == (
-        VariableDependency("y", "output", None),
-        VariableDependency("rate of v", "derivative", ("x", "v", "u")),
-        VariableDependency("rate of x", "derivative", ()),
-    )
+    found = fmi3(SPRING, STRUCTURE.replace(' dependencies="1"/', "/")).dependencies
+    assert [(each.name, each.role, each.on) for each in found] == [
+        ("y", "output", None),
+        ("rate of v", "derivative", ("x", "v", "u")),
+        ("rate of x", "derivative", ()),
+    ]
 
 
 def test_an_alias_is_a_variable_of_its_own():
@@ -62,7 +70,7 @@ def test_another_name_of_an_input_is_no_input_of_its_own():
     found = fmi3(
         '<Float64 name="u" valueReference="6" causality="input" start="0"><Alias name="force"/>'
         "</Float64>",
-        "<ModelStructure/>",
+        NOTHING,
     )
     assert [v.name for v in found.inputs()] == ["u"]
 
@@ -77,7 +85,7 @@ def test_another_name_of_an_input_is_no_input_of_its_own():
     ],
 )
 def test_every_type(type_name, kind):
-    found = fmi3(f'<{type_name} name="a" valueReference="1"/>', "<ModelStructure/>")
+    found = fmi3(f'<{type_name} name="a" valueReference="1"/>', NOTHING)
     variable = found.variables["a"]
     assert (variable.type, variable.kind) == (type_name, kind)
     assert variable.variability == ("continuous" if kind == "real" else "discrete")
@@ -88,7 +96,7 @@ def test_start_values():
         '<Boolean name="b" valueReference="1" start="true false"><Dimension start="2"/></Boolean>'
         '<Int8 name="i" valueReference="2" start="-3"/>'
         '<String name="s" valueReference="3"><Start value="7"/></String>',
-        "<ModelStructure/>",
+        NOTHING,
     ).variables
     assert [found[n].start for n in ("b[1]", "b[2]", "i", "s")] == [1.0, 0.0, -3.0, None]
 
@@ -98,7 +106,7 @@ def test_an_array_is_its_elements_in_row_major_order():
         '<Float64 name="A" valueReference="9" start="1 2 3 4 5 6" unit="m" max="10" nominal="2"'
         ' causality="parameter" variability="tunable"><Dimension start="2"/><Dimension start="3"/>'
         "</Float64>",
-        "<ModelStructure/>",
+        NOTHING,
     ).variables
     assert list(found) == ["A[1,1]", "A[1,2]", "A[1,3]", "A[2,1]", "A[2,2]", "A[2,3]"]
     assert [v.start for v in found.values()] == [1, 2, 3, 4, 5, 6]
@@ -125,29 +133,22 @@ def test_elements_of_array_states_are_states():
 
 
 @pytest.mark.parametrize(
-    ("structural", "names", "starts"),
+    ("start", "structural", "starts"),
     [
-        ({}, ["a[1]", "a[2]"], [5.0, 6.0]),
-        ({"n": 3}, ["a[1]", "a[2]", "a[3]"], [None] * 3),
-        ({"n": 0}, [], []),
+        ("5 6", {}, [5.0, 6.0]),
+        ("5 6", {"n": 3}, [None] * 3),
+        ("5 6", {"n": 0}, []),
+        ("5", {"n": 3}, [5.0, 5.0, 5.0]),  # one start value is that of every element
     ],
 )
-def test_structural_parameters_decide_sizes(structural, names, starts):
-    array = '<Float64 name="a" valueReference="8" start="5 6"><Dimension valueReference="7"/>'
-    found = fmi3(SIZED + array + "</Float64>", "<ModelStructure/>", structural=structural)
+def test_structural_parameters_decide_sizes(start, structural, starts):
+    sized = array(f'{EMPTY_ARRAY} start="{start}"', '<Dimension valueReference="7"/>')
+    found = fmi3(SIZED + sized, NOTHING, structural=structural)
     elements = [v for v in found.variables.values() if v.shape]
-    assert [v.name for v in elements] == names
+    assert [v.name for v in elements] == [f"a[{k + 1}]" for k in range(len(starts))]
     assert [v.start for v in elements] == starts
     assert found.variables["n"].settable
-
-
-def test_one_start_value_is_that_of_every_element():
-    array = (
-        '<Float64 name="a" valueReference="8" start="5"><Dimension valueReference="7"/></Float64>'
-    )
-    found = fmi3(SIZED + array, "<ModelStructure/>", structural={"n": 3})
-    assert [v.start for v in found.variables.values() if v.shape] == [5.0, 5.0, 5.0]
-    assert found.warnings == ()
+    assert (found.warnings == ()) is (not structural or start == "5")
 
 
 @pytest.mark.parametrize(
@@ -156,28 +157,24 @@ def test_one_start_value_is_that_of_every_element():
 )
 def test_structural_parameters_that_cannot_be(structural, sentence):
     with pytest.raises(ModelError, match=sentence):
-        fmi3(SIZED, "<ModelStructure/>", structural=structural)
+        fmi3(SIZED, NOTHING, structural=structural)
 
 
 @pytest.mark.parametrize("dimension", ['valueReference="99"', "", 'start="-1"', 'start="x"'])
 def test_an_array_of_unknown_size_is_left_out(dimension):
-    found = fmi3(
-        f'<Float64 name="a" valueReference="8"><Dimension {dimension}/></Float64>',
-        "<ModelStructure/>",
-    )
+    found = fmi3(array(EMPTY_ARRAY, f"<Dimension {dimension}/>"), NOTHING)
     assert found.variables == {}
     assert found.warnings == ("x.fmu: arrays whose size cannot be found are left out: 'a'",)
 
 
-def test_an_array_of_any_size_does_not_fill_the_memory(monkeypatch):
-    monkeypatch.setattr(description_arrays, "MAX_ELEMENTS", 10)
+def test_an_array_of_any_size_does_not_fill_the_memory():
     found = fmi3(
-        '<Float64 name="a" valueReference="8"><Dimension start="99999"/><Dimension start="99999"/>'
-        '</Float64><Float64 name="b" valueReference="9"><Dimension start="10"/></Float64>',
-        "<ModelStructure/>",
+        array(EMPTY_ARRAY, '<Dimension start="99999"/><Dimension start="99999"/>')
+        + '<Float64 name="b" valueReference="9"><Dimension start="10"/></Float64>',
+        NOTHING,
     )
     assert len(found.variables) == 10
-    assert "arrays beyond 10 elements in all are left out: 'a'" in found.warnings[0]
+    assert re.search(r"arrays beyond \d+ elements in all are left out: 'a'", found.warnings[0])
 
 
 def test_the_name_of_an_array_is_answered_with_an_element():
@@ -210,21 +207,15 @@ def test_what_its_interfaces_can_do():
     assert found.fixed_internal_step == 0.01
 
 
+DERIVATIVE = '<ContinuousStateDerivative valueReference="{}"/>'.format
+
+
 @pytest.mark.parametrize(
     ("structure", "why"),
     [
-        (
-            '<ContinuousStateDerivative valueReference="77"/>',
-            "its state derivative 1 is no variable",
-        ),
-        (
-            '<ContinuousStateDerivative valueReference="5"/>',
-            "its state derivative 'y' does not say of which variable it is one",
-        ),
-        (
-            '<ContinuousStateDerivative valueReference="3"/>' * 2,
-            "it lists the derivative of one state twice",
-        ),
+        (DERIVATIVE(77), "state derivative 1 is no variable"),
+        (DERIVATIVE(5), "state derivative 'y' does not say of which variable"),
+        (DERIVATIVE(3) * 2, "lists the derivative of one state twice"),
         ('<EventIndicator valueReference="x"/>', "one of its event indicators is no variable"),
     ],
 )
@@ -232,15 +223,10 @@ def test_model_exchange_needs_a_structure_that_holds(structure, why):
     structure = f"<ModelStructure>{structure}</ModelStructure>"
     found = fmi3(SPRING, structure)
     assert found.interfaces == ("co_simulation",)
-    sentence = f"its interface model exchange cannot be used, because {why}, and is left out"
-    assert found.warnings == (f"x.fmu: {sentence}",)
-    with pytest.raises(ModelError, match=f"cannot be used, because {why}; export it again"):
+    (warning,) = found.warnings
+    assert re.search(rf"^x.fmu: .*model exchange cannot be used.*{why}.*left out", warning)
+    with pytest.raises(ModelError, match=f"cannot be used.*{why}.*; export it again"):
         fmi3(SPRING, structure, interfaces='<ModelExchange modelIdentifier="m"/>')
-
-
-def test_scheduled_execution_alone_is_refused():
-    with pytest.raises(ModelError, match="offers scheduled execution alone; export it with one"):
-        fmi3(SPRING, interfaces='<ScheduledExecution modelIdentifier="m"/>')
 
 
 @pytest.mark.parametrize(
@@ -253,6 +239,13 @@ def test_later_versions_are_read(version, warning):
     assert any(warning in sentence for sentence in found.warnings)
 
 
-def test_a_draft_of_the_standard_is_refused():
-    with pytest.raises(ModelError, match=r"version 2.0 or 3.0 but is of 3.0-beta.2; export it as"):
-        read(HEAD_3.replace("3.0", "3.0-beta.2") + END)
+@pytest.mark.parametrize(
+    ("version", "interface", "said"),
+    [
+        ("3.0-beta.2", "CoSimulation", r"version 2.0 or 3.0 but is of 3.0-beta.2; export it as"),
+        ("3.0", "ScheduledExecution", "offers scheduled execution alone; export it with one"),
+    ],
+)
+def test_what_no_program_of_today_makes_is_refused(version, interface, said):
+    with pytest.raises(ModelError, match=said):
+        read(HEAD_3.replace("3.0", version) + f'<{interface} modelIdentifier="m"/>' + END)

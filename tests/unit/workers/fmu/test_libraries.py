@@ -136,7 +136,7 @@ def test_sections_that_are_damaged_mislead_nobody(library):
     assert missing_libraries(library(bytes(whole))) == ("libno-such.so.3",)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     st.booleans(),
     st.lists(st.tuples(st.integers(0, 400), st.integers(0, 255))),

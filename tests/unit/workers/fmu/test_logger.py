@@ -21,15 +21,16 @@ def alone(monkeypatch: pytest.MonkeyPatch) -> deque[str]:
 
 @pytest.mark.parametrize("name", ["model-1", " model-1 ", "", "another name"])
 def test_the_only_instance_gets_what_names_no_other(alone: deque[str], name: str) -> None:
-    logger._append(name, 3, b" it could not go on ")
-    logger._append(name, 0, b"all is well")
+    say = logger.log_message_3(name)
+    say(None, 3, b"", b" it could not go on ")
+    say(None, 0, b"", b"all is well")
     assert list(alone) == ["it could not go on"]
 
 
 def test_with_several_instances_only_a_name_tells(alone: deque[str]) -> None:
     other: deque[str] = deque()
     logger.open_log("model-2", other, shown=False)
-    logger._append("model-2", 3, b"it could not go on")
-    logger._append("nobody", 3, b"whose is this")
+    logger.log_message_3("model-2")(None, 3, b"", b"it could not go on")
+    logger.log_message_3("nobody")(None, 3, b"", b"whose is this")
     assert not alone
     assert list(other) == ["it could not go on"]

@@ -8,10 +8,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from support.processes_of_fmus import has_ended, kill, living, parent, wait_until, worker_since
 
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
@@ -27,7 +27,6 @@ from workers.messages import (
     Task,
 )
 from workers.process.supervisor import SupervisedEvaluator
-from workers.process.template_client import TEMPLATE
 from workers.wire import TaskBatch
 
 CRASHES, ABORTS, EXITS, HANGS, EATS_MEMORY = 1.0, 2.0, 3.0, 4.0, 5.0
@@ -68,26 +67,6 @@ def tasks(rates, kind=0.0, share=0.0, leak=0.0) -> list[Task]:
     ]
 
 
-def has_ended(process: int) -> bool:
-    """Whether a process is gone, or is soon; one that only its parent remembers counts as gone."""
-    deadline = time.monotonic() + 10.0
-    while time.monotonic() < deadline:
-        try:
-            state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
-        except OSError:
-            return True
-        if state == "Z":
-            return True
-        time.sleep(0.01)
-    return False
-
-
-def kill(process: int) -> None:
-    """End a process, and wait until it has: the signal may arrive later than what follows."""
-    os.kill(process, signal.SIGKILL)
-    assert has_ended(process)
-
-
 def in_batches(guard: SupervisedEvaluator, asked: list[Task], size: int = 10) -> list[Outcome]:
     return [
         outcome
@@ -96,8 +75,17 @@ def in_batches(guard: SupervisedEvaluator, asked: list[Task], size: int = 10) ->
     ]
 
 
+def bits(outcomes: list[Outcome]) -> list[bytes]:
+    assert all(outcome.ok for outcome in outcomes)
+    return [outcome.residuals.tobytes() for outcome in outcomes]
+
+
 def bad(share: float) -> set[int]:
     return {i for i, rate in enumerate(RATES.tolist()) if chance(rate) < share}
+
+
+HANGING = next(i for i in range(len(RATES)) if i in bad(0.05))
+HANG = TaskBatch.of([tasks(RATES, HANGS, 0.05)[HANGING]])
 
 
 @pytest.mark.parametrize(
@@ -130,63 +118,76 @@ def test_what_fails_is_an_outcome_and_spares_all_others(
     alone.close()
 
 
+@pytest.fixture
+def simulations(tmp_path, monkeypatch) -> Callable[[], int]:
+    """How many simulations there were since it was last asked."""
+    file = tmp_path / "simulations"
+    monkeypatch.setenv("SIMULATIONS_COUNTED_IN", str(file))
+
+    def count() -> int:
+        found = file.stat().st_size if file.exists() else 0
+        file.unlink(missing_ok=True)
+        return found
+
+    return count
+
+
+GOOD = np.array([rate for rate in RATES.tolist() if chance(rate) >= 0.2])
+CRASHING = next(rate for rate in RATES.tolist() if chance(rate) < 0.2)
+MIXED = np.array([GOOD[0], GOOD[1], CRASHING, GOOD[2]])
+"""Alone, three are simulated once and one twice."""
+
+
+def test_simulations_go_alone_until_they_are_known_and_after_a_failure(open_guard, simulations):
+    guard, mixed = open_guard(QUICK), TaskBatch.of(tasks(MIXED, CRASHES, 0.2))
+    good = tasks(GOOD[:4])
+
+    def ask() -> None:
+        assert [outcome.ok for outcome in guard.evaluate(mixed)] == [True, True, False, True]
+
+    ask()
+    assert simulations() == 5
+    ask()  # a while without failures has to pass first
+    assert simulations() == 5
+    for _ in range(130):
+        assert all(outcome.ok for outcome in guard.evaluate(TaskBatch.of(good)))
+    simulations()
+    ask()  # the batch, up to the crash, and then each of it alone
+    assert simulations() >= 3 + 4
+
+
 @pytest.mark.parametrize("want", USUAL)
-def test_whatever_is_sent_of_them_simulations_that_are_known_travel_together(
-    open_guard, monkeypatch, want
-):
-    sizes = []
-    real = SupervisedEvaluator._ask
-
-    def counted(guard, batch):
-        sizes.append(len(batch.ids))
-        return real(guard, batch)
-
-    monkeypatch.setattr(SupervisedEvaluator, "_ask", counted)
+def test_whatever_is_sent_of_them_known_simulations_travel_together(open_guard, simulations, want):
     guard = open_guard(QUICK)
-    batch = TaskBatch.of([replace(task, want=want) for task in tasks(RATES[:4])])
-    for _ in range(2):
-        assert all(outcome.ok for outcome in guard.evaluate(batch))
-    assert sizes == [1, 1, 1, 1, 4]
-
-
-def test_no_task_is_tried_more_than_twice_alone(open_guard, monkeypatch):
-    tried: dict[int, int] = {}
-    ask = SupervisedEvaluator._ask
-
-    def counted(self, batch):
-        for i in batch.ids.tolist():
-            tried[i] = tried.get(i, 0) + 1
-        return ask(self, batch)
-
-    monkeypatch.setattr(SupervisedEvaluator, "_ask", counted)
-    in_batches(open_guard(QUICK), tasks(RATES, CRASHES, 0.2))
-    assert max(tried.values()) <= 3
+    guard.evaluate(TaskBatch.of([replace(task, want=want) for task in tasks(GOOD[:4])]))
+    assert simulations() == 4
+    mixed = [replace(task, want=want) for task in tasks(MIXED, CRASHES, 0.2)]
+    assert [o.ok for o in guard.evaluate(TaskBatch.of(mixed))] == [True, True, False, True]
+    assert simulations() >= 3 + 4
 
 
 def test_what_sleeps_without_a_step_is_asked_again_and_then_ended(open_guard):
     """The next one is none the worse for it."""
     guard = open_guard(Limits(seconds=60.0, stall=0.3))
-    hanging = next(i for i in range(len(RATES)) if i in bad(0.05))
-    (outcome,) = guard.evaluate(TaskBatch.of([tasks(RATES, HANGS, 0.05)[hanging]]))
+    (outcome,) = guard.evaluate(HANG)
     assert outcome.status is Status.TIMEOUT
     assert "stood still for 0.3 s, in which no step ended" in outcome.message
-    (outcome,) = guard.evaluate(TaskBatch.of([tasks(RATES)[hanging]]))
+    (outcome,) = guard.evaluate(TaskBatch.of([tasks(RATES)[HANGING]]))
     assert outcome.ok
 
 
-def test_what_is_stopped_and_goes_on_is_no_failure(open_guard, monkeypatch):
+def test_what_is_stopped_and_goes_on_is_no_failure(open_guard):
     """It stands still for five times as long as it may, and no time passes for it."""
-    monkeypatch.setattr("workers.process.failures.LOAD_SECONDS", 0.2)
+    before = living()
     guard, asked = open_guard(Limits(stall=0.2)), tasks(RATES[:10])
-    expected = in_batches(guard, asked)
-    child = guard._child[0]
-    os.kill(child, signal.SIGSTOP)
-    timer = threading.Timer(1.0, os.kill, (child, signal.SIGCONT))
+    expected = bits(in_batches(guard, asked))
+    worker, _ = worker_since(before)
+    os.kill(worker, signal.SIGSTOP)
+    timer = threading.Timer(1.0, os.kill, (worker, signal.SIGCONT))
     timer.start()
-    found = in_batches(guard, asked)
+    assert bits(in_batches(guard, asked)) == expected
     timer.join()
-    assert guard._child[0] == child
-    assert [o.residuals.tobytes() for o in found] == [o.residuals.tobytes() for o in expected]
+    assert worker_since(before)[0] == worker
 
 
 def test_the_last_try_is_in_a_process_that_nothing_was_simulated_in(open_guard):
@@ -209,94 +210,59 @@ def test_too_much_memory_is_said_to_be_that(open_guard):
 
 
 def test_a_leak_is_bounded_and_changes_no_bit(open_guard):
-    asked = tasks(np.linspace(0.1, 1.9, 400), leak=1.0)
-    leaking, whole = open_guard(Limits(growth=30.0 * 2**20)), open_guard(Limits())
-    processes = set()
-    for first in range(0, len(asked), 10):
-        batch = TaskBatch.of(asked[first : first + 10])
-        outcomes, expected = leaking.evaluate(batch), whole.evaluate(batch)
-        assert [o.residuals.tobytes() for o in outcomes] == [
-            o.residuals.tobytes() for o in expected
-        ]
-        if leaking._child is not None:
-            processes.add(leaking._child[0])
-    assert len(processes) >= 400 / 45
+    asked = tasks(np.linspace(0.1, 1.9, 100), leak=4.0)
+    whole = open_guard(Limits())
+    before = living()
+    leaking, processes = open_guard(Limits(growth=30.0 * 2**20)), set()
+    for first in range(0, len(asked), 5):
+        processes.update(living().keys() - before.keys())
+        batch = TaskBatch.of(asked[first : first + 5])
+        assert bits(leaking.evaluate(batch)) == bits(whole.evaluate(batch))
+    assert len(processes) > 100 / 15
 
 
-def test_killed_from_outside_it_goes_on(open_guard):
-    guard = open_guard(QUICK)
-    asked = tasks(RATES)
-    before = in_batches(guard, asked)
-    for _ in range(3):
-        os.kill(guard._child[0], signal.SIGKILL)
-        after = in_batches(guard, asked)
-        assert all(outcome.ok for outcome in after)
-        assert [o.residuals.tobytes() for o in after] == [o.residuals.tobytes() for o in before]
-
-
-def test_even_without_the_process_that_forks_it_goes_on(open_guard):
-    guard = open_guard(QUICK)
-    asked = tasks(RATES)
-    before = in_batches(guard, asked)
+@pytest.mark.parametrize(
+    "which", ["worker", "fork server", pytest.param("template", marks=pytest.mark.slow)]
+)
+def test_killed_from_outside_it_goes_on(open_guard, which):
+    """Whichever process it is of those that an FMU's comes from."""
+    before = living()
+    guard, asked = open_guard(QUICK), tasks(RATES[:30])
+    expected = bits(in_batches(guard, asked))
     for _ in range(2):
-        child, fork_server = guard._child[0], guard._forks.server
-        kill(fork_server)
-        assert has_ended(child)
-        after = in_batches(guard, asked)
-        assert guard._forks.server != fork_server
-        assert [o.residuals.tobytes() for o in after] == [o.residuals.tobytes() for o in before]
-
-
-def test_even_without_the_process_that_all_of_them_come_from_it_goes_on(open_guard):
-    guard = open_guard(QUICK)
-    asked = tasks(RATES)
-    before = in_batches(guard, asked)
-    template, child = TEMPLATE._process.pid, guard._child[0]
-    kill(template)
-    kill(guard._forks.server)
-    assert has_ended(child)
-    after = in_batches(guard, asked)
-    assert [o.residuals.tobytes() for o in after] == [o.residuals.tobytes() for o in before]
-    assert TEMPLATE._process.pid != template
-
-
-def test_after_a_while_without_failures_tasks_travel_in_batches_again(open_guard, monkeypatch):
-    monkeypatch.setattr("workers.process.supervisor.CAREFUL", 20)
-    guard = open_guard(QUICK)
-    in_batches(guard, tasks(RATES))
-    os.kill(guard._child[0], signal.SIGKILL)
-    in_batches(guard, tasks(RATES))
-    sizes = []
-    ask = SupervisedEvaluator._ask
-    monkeypatch.setattr(
-        SupervisedEvaluator,
-        "_ask",
-        lambda self, batch: sizes.append(len(batch.ids)) or ask(self, batch),
-    )
-    in_batches(guard, tasks(RATES))
-    assert sizes == [10] * 6
+        worker, server = worker_since(before)
+        killed = {"worker": worker, "fork server": server, "template": parent(server)}[which]
+        kill(killed)
+        if which == "template":
+            kill(server)
+        assert has_ended(worker)
+        assert bits(in_batches(guard, asked)) == expected
+        assert worker_since(before)[0] != worker
 
 
 def test_nothing_is_left_running(open_guard):
+    before = living()
     guard = open_guard(QUICK)
     in_batches(guard, tasks(RATES[:4]))
-    child, fork_server = guard._child[0], guard._forks.server
+    worker, server = worker_since(before)
     guard.close()
     guard.close()
-    assert has_ended(fork_server)
-    assert has_ended(child)
+    assert has_ended(server)
+    assert has_ended(worker)
 
 
-def test_a_process_dies_with_its_guard_even_in_the_middle_of_a_hang(model, open_guard):
+def test_a_process_dies_with_its_fork_server_even_in_the_middle_of_a_hang(open_guard):
+    before = living()
     guard = open_guard(Limits(seconds=60.0))
-    hanging = next(i for i in range(len(RATES)) if i in bad(0.05))
-    _, connection = guard._child
-    connection.send(TaskBatch.of([tasks(RATES, HANGS, 0.05)[hanging]]))
-    child = guard._child[0]
-    assert not connection.poll(0.3)
-    os.kill(guard._forks.server, signal.SIGKILL)
-    assert has_ended(child)
-    guard._child = None
+    worker, server = worker_since(before)
+    asking = threading.Thread(target=guard.evaluate, args=(HANG,))
+    asking.start()
+    time.sleep(0.3)
+    assert asking.is_alive()
+    os.kill(server, signal.SIGKILL)
+    assert has_ended(worker)
+    # it may just be beginning another one, which has to be stopped too
+    assert wait_until(lambda: guard.stop() or not asking.is_alive())
 
 
 def test_an_fmu_that_cannot_be_loaded_is_refused_with_its_sentence(model):
@@ -305,17 +271,14 @@ def test_an_fmu_that_cannot_be_loaded_is_refused_with_its_sentence(model):
         SupervisedEvaluator(broken, EXPERIMENTS, "guarded", QUICK)
 
 
-def test_an_interrupt_leaves_no_answer_for_somebody_else(open_guard, monkeypatch):
-    guard = open_guard(QUICK)
-    asked = tasks(RATES[:4])
-    expected = in_batches(guard, asked)
+def test_an_interrupt_leaves_no_answer_for_somebody_else(open_guard):
+    guard, asked = open_guard(Limits(seconds=60.0)), tasks(RATES[:4])
+    expected = bits(in_batches(guard, asked))
 
-    def interrupted(*arguments):
-        raise KeyboardInterrupt
+    def interrupted() -> None:
+        threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+        guard.evaluate(HANG)
 
-    with monkeypatch.context() as patched:
-        patched.setattr(SupervisedEvaluator, "_wait", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            guard.evaluate(TaskBatch.of(tasks(RATES[10:14])))
-    again = in_batches(guard, asked)
-    assert [o.residuals.tobytes() for o in again] == [o.residuals.tobytes() for o in expected]
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert bits(in_batches(guard, asked)) == expected

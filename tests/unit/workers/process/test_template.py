@@ -7,20 +7,20 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from multiprocessing import reduction
 from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.processes_of_fmus import living, parent, wait_until, worker_since
 
-from workers.messages import Experiment, Input, Limits, Model, Outcome, Output, Task
+from workers.messages import Experiment, Input, Limits, Model, Output, Task
 from workers.process.orders import END, FORK
 from workers.process.supervisor import SupervisedEvaluator
-from workers.process.template_client import TEMPLATE, TemplateClient, shared_address
+from workers.process.template_client import TemplateClient, shared_address
 from workers.process.watch import SharedProgress
 from workers.wire import TaskBatch
 
@@ -35,44 +35,34 @@ EXPERIMENT = Experiment(
 CHECK = 'exec "$0" -c "from cluster_est.cli import run; run()" check "$1" 2>&-'
 
 
-@contextmanager
-def opened(model: Model) -> Iterator[SupervisedEvaluator]:
-    with closing(SupervisedEvaluator(model, (EXPERIMENT,), "guarded", Limits())) as guard:
-        yield guard
-
-
-def answer(guard: SupervisedEvaluator) -> Outcome:
+def answer(guard: SupervisedEvaluator) -> bytes:
     (outcome,) = guard.evaluate(TaskBatch.of([Task(0, 0, np.array([1.0, 0.0, 0.0, 0.0]))]))
-    return outcome
+    return outcome.residuals.tobytes()
 
 
-def test_it_is_one_for_all(model):
-    with opened(model) as one, opened(model) as other:
-        template = TEMPLATE._process.pid
-        assert one._forks.server != other._forks.server
-        assert answer(one).residuals.tobytes() == answer(other).residuals.tobytes()
-    with opened(model):
-        assert TEMPLATE._process.pid == template
+@pytest.mark.parametrize(
+    ("variable", "shared"), [(None, True), ("NEW_FOR_A_TEST", True), ("LD_NEW_FOR_A_TEST", False)]
+)
+def test_it_is_one_for_all_that_do_not_read_other_things_when_they_start(
+    model, monkeypatch, variable, shared
+):
+    found, before = [], living()
+    with ExitStack() as guards:
+        for _ in range(2):
+            guard = SupervisedEvaluator(model, (EXPERIMENT,), "guarded", Limits())
+            guards.enter_context(closing(guard))
+            _, server = worker_since(before)
+            found.append((answer(guard), server, parent(server)))
+            before = living()
+            if variable:
+                monkeypatch.setenv(variable, "1")
+    (one, server, template), (other, other_server, other_template) = found
+    assert one == other
+    assert server != other_server
+    assert (template == other_template) is shared
 
 
-def test_what_a_process_reads_only_when_it_starts_needs_another_one(model, monkeypatch):
-    with opened(model) as one:
-        template = TEMPLATE._process.pid
-        monkeypatch.setenv("LD_NEW_FOR_A_TEST", "1")
-        with opened(model) as other:
-            assert TEMPLATE._process.pid != template
-            assert answer(one).residuals.tobytes() == answer(other).residuals.tobytes()
-
-
-def test_other_variables_are_handed_on(model, monkeypatch):
-    with opened(model):
-        template = TEMPLATE._process.pid
-    monkeypatch.setenv("NEW_FOR_A_TEST", "1")
-    with opened(model) as guard:
-        assert TEMPLATE._process.pid == template
-        assert answer(guard).ok
-
-
+@pytest.mark.slow
 def test_a_program_needs_no_standard_error(own_fmu: Callable[[str, int], Path]) -> None:
     command = ["sh", "-c", CHECK, sys.executable, str(own_fmu("dahlquist", 2))]
     ended = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
@@ -93,12 +83,6 @@ def fork_server(client: TemplateClient, model: Model) -> Iterator[tuple[int, Con
     progress.close()
 
 
-def parent(process: int) -> int:
-    """The process that has forked another one."""
-    fields = Path(f"/proc/{process}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-    return int(fields[1])
-
-
 @pytest.fixture
 def group(tmp_path, monkeypatch) -> Iterator[list[TemplateClient]]:
     """Two programs that share a template, as far as it knows."""
@@ -115,7 +99,6 @@ def test_a_group_shares_one_that_is_nobody_s_child(model, group):
     with fork_server(group[0], model) as (one, _), fork_server(group[1], model) as (other, _):
         assert one != other
         assert parent(one) == parent(other) != os.getpid()
-        assert group[1]._process is None
         assert parent(parent(one)) != os.getpid()
 
 
@@ -126,12 +109,10 @@ def test_a_shared_one_goes_on_for_the_others_and_ends_with_the_last(model, group
     with fork_server(group[1], model) as (other, _):
         assert parent(other) == template
     group[1].close()
-    end = time.monotonic() + 30.0
-    while any(tmp_path.iterdir()) and time.monotonic() < end:
-        time.sleep(0.01)
-    assert not list(tmp_path.iterdir())
+    assert wait_until(lambda: not any(tmp_path.iterdir()))
 
 
+@pytest.mark.slow
 def test_a_shared_one_that_was_killed_is_replaced_for_all(model, group):
     with fork_server(group[0], model) as (one, _), fork_server(group[1], model) as (_, orders):
         killed = parent(one)
@@ -146,6 +127,7 @@ def test_a_shared_one_that_was_killed_is_replaced_for_all(model, group):
         assert orders.recv() > 0
 
 
+@pytest.mark.slow
 def test_where_no_socket_can_be_each_has_its_own(model, group, tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / ("long" * 30)))
     with fork_server(group[0], model) as (one, _), fork_server(group[1], model) as (other, _):

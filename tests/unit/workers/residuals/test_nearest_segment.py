@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
-from random import Random
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from workers.residuals import nearest_segment
 from workers.residuals.nearest_segment import (
     farthest_components,
     segment_distances,
@@ -98,11 +96,6 @@ def test_the_first_of_equally_near_segments_counts() -> None:
     np.testing.assert_array_equal(farthest_components(middle, SQUARE[::-1]), [1.0, 0.0])
 
 
-def test_different_points_may_give_the_components() -> None:
-    points = np.array([[1.0, -3.0], [-5.0, 0.0]])
-    np.testing.assert_array_equal(farthest_components(points, SQUARE), [5.0, 3.0])
-
-
 def test_a_segment_without_length_is_a_point() -> None:
     still, point = np.full((3, 2), 2.0), np.array([[8.0, 10.0]])
     np.testing.assert_array_equal(segment_distances(point, still), [5.0, 5.0])
@@ -114,16 +107,18 @@ def test_a_column_of_zeros_is_not_scaled() -> None:
     np.testing.assert_array_equal(segment_distances(np.array([[2.0, 7.0]]), flat), [7.0])
 
 
-def test_constraints_only_for_tolerances_that_are_not_zero() -> None:
-    points = np.array([[1.0, -3.0], [-5.0, 0.0]])  # farthest 5 and 3
-    for tolerances, expected in [
-        ([2.0, 4.0], [1.5, -0.25]),
-        ([0.0, 3.0], [0.0]),
-        ([10.0, 0.0], [-0.5]),
-        ([0.0, 0.0], []),
-    ]:
-        found = tolerance_constraints(points, SQUARE, np.array(tolerances))
-        np.testing.assert_array_equal(found, expected)
+@pytest.mark.parametrize(
+    ("tolerances", "expected"),
+    [([2.0, 4.0], [1.5, -0.25]), ([0.0, 3.0], [0.0]), ([10.0, 0.0], [-0.5]), ([0.0, 0.0], [])],
+)
+def test_constraints_only_for_tolerances_that_are_not_zero(
+    tolerances: list[float], expected: list[float]
+) -> None:
+    """One point is farthest in the first component, by 5, another one in the second, by 3."""
+    points = np.array([[1.0, -3.0], [-5.0, 0.0]])
+    np.testing.assert_array_equal(farthest_components(points, SQUARE), [5.0, 3.0])
+    found = tolerance_constraints(points, SQUARE, np.array(tolerances))
+    np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -152,16 +147,14 @@ def test_points_too_far_away_for_a_difference() -> None:
     assert not np.isfinite(farthest_components(-upright, upright)).all()
 
 
-@pytest.mark.parametrize("distances", BOTH)
-@pytest.mark.parametrize("pairs", [1, 40, 1000])
-def test_same_bits_in_whatever_parts(
-    distances: Distances, pairs: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_same_bits_in_whatever_parts_of_many_points() -> None:
     random = np.random.default_rng(3)
-    reference, points = curve(random, 20, 2), curve(random, 137, 2)
-    expected = distances(points, reference)
-    monkeypatch.setattr(nearest_segment, "MAX_PAIRS", pairs)
-    np.testing.assert_array_equal(distances(points, reference), expected)
+    reference, points = curve(random, 900, 2), curve(random, 2500, 2)
+    halves = [points[:1200], points[1200:]]
+    nearest = [segment_distances(each, reference) for each in halves]
+    np.testing.assert_array_equal(segment_distances(points, reference), np.minimum(*nearest))
+    farthest = [farthest_components(each, reference) for each in halves]
+    np.testing.assert_array_equal(farthest_components(points, reference), np.maximum(*farthest))
 
 
 @pytest.mark.parametrize("distances", BOTH)
@@ -190,80 +183,14 @@ def curves(draw: st.DrawFn) -> tuple[Array, Array]:
     return draw(lattice(dimensions, 1)), draw(lattice(dimensions, 2))
 
 
+@settings(max_examples=50)
 @given(curves())
 def test_agrees_with_plain_loops_where_points_repeat(pair: tuple[Array, Array]) -> None:
     expected = plain_segment_distances(*pair)
     np.testing.assert_allclose(segment_distances(*pair), expected, rtol=0, atol=1e-12)
 
 
-@given(curves(), st.lists(st.floats(1e-6, 1e6), min_size=3, max_size=3))
-def test_units_of_the_columns_do_not_matter_to_segments(
-    pair: tuple[Array, Array], factors: list[float]
-) -> None:
-    points, reference = pair
-    assume(np.abs(reference).max(axis=0).all())  # a column of zeros has no scale
-    units = np.array(factors[: points.shape[1]])
-    found = segment_distances(points * units, reference * units)
-    expected = segment_distances(points, reference)
-    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * (1 + expected.max()))
-
-
-@given(curves(), st.lists(st.integers(-1000, 1000), min_size=3, max_size=3))
-def test_components_do_not_change_when_both_curves_move(
-    pair: tuple[Array, Array], ticks: list[int]
-) -> None:
-    points, reference = pair
-    shift = np.array(ticks[: points.shape[1]]) / 8.0
-    expected = farthest_components(points, reference)
-    np.testing.assert_array_equal(farthest_components(points + shift, reference + shift), expected)
-
-
-@given(curves(), st.integers(-20, 20))
-def test_components_grow_with_the_curves(pair: tuple[Array, Array], power: int) -> None:
-    points, reference = pair
-    expected = 2.0**power * farthest_components(points, reference)
-    found = farthest_components(2.0**power * points, 2.0**power * reference)
-    np.testing.assert_array_equal(found, expected)
-
-
-@given(st.data(), curves())
-def test_another_point_never_raises_a_segment_distance_nor_lowers_a_component(
-    data: st.DataObject, pair: tuple[Array, Array]
-) -> None:
-    points, reference = pair
-    more = np.vstack([points, data.draw(lattice(points.shape[1], 1))])
-    assert (segment_distances(more, reference) <= segment_distances(points, reference)).all()
-    assert (farthest_components(more, reference) >= farthest_components(points, reference)).all()
-
-
-@pytest.mark.parametrize("distances", BOTH)
-@given(curves(), st.randoms())
-def test_the_order_of_the_points_does_not_matter(
-    distances: Distances, pair: tuple[Array, Array], random: Random
-) -> None:
-    points, reference = pair
-    order = list(range(len(points)))
-    random.shuffle(order)
-    expected = distances(points, reference)
-    np.testing.assert_array_equal(distances(points[order], reference), expected)
-
-
-@given(curves())
-def test_a_reference_that_runs_backwards(pair: tuple[Array, Array]) -> None:
-    points, reference = pair
-    found = segment_distances(points, reference[::-1])
-    expected = segment_distances(points, reference)[::-1]
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
-
-
-@given(curves(), st.lists(st.floats(0.0, 1.0), min_size=1, max_size=9))
-def test_nothing_is_far_from_itself(pair: tuple[Array, Array], places: list[float]) -> None:
-    _, reference = pair
-    np.testing.assert_array_equal(segment_distances(reference, reference), 0.0)
-    between = [a + t * (b - a) for a, b in pairwise(reference) for t in places]
-    assert (farthest_components(np.array(between), reference) <= 1e-12).all()
-
-
+@settings(max_examples=50)
 @given(curves(), st.lists(st.floats(0.0, 50.0), min_size=3, max_size=3))
 def test_constraints_hold_exactly_where_the_components_are_within_tolerance(
     pair: tuple[Array, Array], tolerances: list[float]

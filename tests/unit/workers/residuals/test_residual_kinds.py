@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import pickle
+import re
 import subprocess
 import sys
 import textwrap
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.problems.springs import FMU
+from support.simulated import answers
 
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
@@ -33,9 +34,8 @@ from workers.messages import (
 )
 from workers.residuals.base import SimulatedOutputs
 from workers.residuals.bounds import SignalBounds
-from workers.residuals.curve import CurveDistances, CurveTolerances
-from workers.residuals.functions import FunctionComparison, load
-from workers.wire import TaskBatch
+from workers.residuals.functions import FunctionComparison
+from workers.residuals.nearest_segment import segment_distances, tolerance_constraints
 
 TIMES = np.linspace(0.0, 2.0, 41)
 MODEL = Model(
@@ -80,11 +80,8 @@ EVERYTHING = replace(
 
 
 def ask(experiment: Experiment, points: FloatArray, want: str = "residuals") -> list[Outcome]:
-    evaluator = Evaluator(MODEL, [experiment], "w")
     tasks = [Task(i, 0, values, want) for i, values in enumerate(points)]  # type: ignore[arg-type]
-    outcomes = evaluator.evaluate(TaskBatch.of(tasks))
-    evaluator.close()
-    return outcomes
+    return answers(MODEL, [experiment], tasks)
 
 
 def simulated(signal: FloatArray, times: FloatArray, name: str = "y") -> SimulatedOutputs:
@@ -111,43 +108,42 @@ def test_the_largest_violation_of_each_side(seed, points):
         assert row.tolist() == [below, above]
 
 
+def violations(bounds: tuple[SignalBound, ...], signal: object) -> list[list[float]]:
+    """What points violate whose signal is that; (points, n)."""
+    rows = np.atleast_2d(np.asarray(signal, float) * np.ones(len(TIMES)))
+    return SignalBounds(bounds).compare(simulated(rows, TIMES)).values.tolist()
+
+
 def test_an_equality_keeps_the_gap_that_is_farthest_and_its_sign():
     signal = np.zeros((2, len(TIMES)))
     signal[0, 3], signal[0, 7] = 0.5, -0.75
     signal[1, 4] = 2.0
-    found = SignalBounds((bound(0.0, 0.0, scale=0.5, equality=True),))
-    assert found.compare(simulated(signal, TIMES)).values.tolist() == [[-1.5], [4.0]]
+    assert violations((bound(0.0, 0.0, scale=0.5, equality=True),), signal) == [[-1.5], [4.0]]
 
 
 def test_bounds_look_at_their_own_times_only():
     some = SignalBound("b", "y", TIMES[5:8], np.zeros(3), np.full(3, np.inf))
-    signal = np.full((1, len(TIMES)), -9.0)
-    signal[0, 5:8] = [1.0, 2.0, 3.0]
-    assert SignalBounds((some,)).compare(simulated(signal, TIMES)).values.tolist() == [[-1.0]]
+    signal = np.full(len(TIMES), -9.0)
+    signal[5:8] = [1.0, 2.0, 3.0]
+    assert violations((some,), signal) == [[-1.0]]
 
 
 def test_several_bounds_stand_one_after_the_other_as_their_names_do():
-    bounds = (bound(-1.0, np.inf), bound(-np.inf, 2.0), bound(0.0, 0.0, equality=True))
+    """One without limits is no constraint."""
+    nothing = bound(-np.inf, np.inf)
+    bounds = (bound(-1.0, np.inf), nothing, bound(-np.inf, 2.0), bound(0.0, 0.0, equality=True))
     experiment = replace(EXPERIMENT, bounds=bounds)
     assert experiment.constraint_names == ("b lower", "b upper", "b")
     assert experiment.equality == (False, False, True)
-    found = SignalBounds(bounds).compare(simulated(np.full((1, len(TIMES)), 5.0), TIMES))
-    assert found.values.tolist() == [[-6.0, 3.0, 5.0]]
-
-
-def test_a_bound_without_limits_is_no_constraint():
-    nothing = bound(-np.inf, np.inf)
-    assert nothing.names == ()
-    found = SignalBounds((nothing,)).compare(simulated(np.zeros((3, len(TIMES))), TIMES))
-    assert found.values.shape == (3, 0)
+    assert violations(bounds, 5.0) == [[-6.0, 3.0, 5.0]]
 
 
 def test_a_signal_that_is_no_number_violates_nothing_in_silence():
     signal = np.zeros((2, len(TIMES)))
     signal[0, 10] = np.nan
-    found = SignalBounds((bound(-1.0, 1.0),)).compare(simulated(signal, TIMES)).values
-    assert np.isnan(found[0]).all()
-    assert found[1].tolist() == [-1.0, -1.0]
+    first, second = violations((bound(-1.0, 1.0),), signal)
+    assert np.isnan(first).all()
+    assert second == [-1.0, -1.0]
 
 
 def test_violations_that_overflow_are_an_outcome():
@@ -161,45 +157,34 @@ def test_violations_that_overflow_are_an_outcome():
         assert "too large" in outcome.message
 
 
-def test_a_curve_has_a_residual_for_each_segment_and_constraints_for_tolerances():
-    """The simulated curve stands still at (3, 0); the measured one goes from (0, 0) over (4, 0)."""
-    reference = np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.0]])
-    curve = Curve(("a", "b"), reference, TIMES[:4], (0.5, 0.0))
-    record = np.zeros((1, len(TIMES), 2))
-    record[0, :, 0], record[0, :, 1] = 3.0, 0.25
-    seen = SimulatedOutputs(TIMES, ("a", "b"), record, np.zeros((1, 1)))
-    # over the largest absolute values, (4, 1): ends of the segments at 0.5 and 1, point at 0.75
-    expected = [np.hypot(0.25, 0.25), 0.25]
-    np.testing.assert_allclose(CurveDistances(curve).compare(seen).values, [expected])
-    np.testing.assert_allclose(CurveTolerances(curve).compare(seen).values, [[0.0 / 0.5 - 1.0]])
-    assert curve.names == ("tolerance of a",)
-
-
-def test_a_curve_takes_its_columns_by_name():
-    reference = np.array([[0.0, 0.0], [1.0, 10.0]])
-    curve = Curve(("b", "a"), reference, TIMES, (0.1, 1.0))
-    record = np.zeros((1, len(TIMES), 3))
-    record[0, :, 0] = np.linspace(0.0, 10.0, len(TIMES))  # a
-    record[0, :, 2] = np.linspace(0.0, 1.0, len(TIMES))  # b
-    seen = SimulatedOutputs(TIMES, ("a", "c", "b"), record, np.zeros((1, 1)))
-    np.testing.assert_allclose(CurveDistances(curve).compare(seen).values, [[0.0]], atol=1e-15)
-    np.testing.assert_allclose(CurveTolerances(curve).compare(seen).values, [[-1.0, -1.0]])
-
-
-def test_what_an_experiment_has_comes_in_the_order_of_its_names():
-    (outcome,) = ask(EVERYTHING, POINTS[:1], "trajectory")
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)], ids=["x and v", "v and x"])
+def test_what_an_experiment_has_comes_in_the_order_of_its_names(order):
+    """Those of curves in that of their variables."""
+    names = tuple("xv"[k] for k in order)
+    tolerances = tuple(LOOP.tolerances[k] for k in order)
+    turned = Curve(names, LOOP.points[:, list(order)], LOOP.times, tolerances)
+    experiment = replace(EVERYTHING, curve=turned)
+    (outcome,) = ask(experiment, POINTS[:1], "trajectory")
     assert outcome.ok
-    assert EVERYTHING.constraint_names == (
-        "tolerance of x", "tolerance of v", "speed lower", "speed upper", "energy"
+    assert experiment.constraint_names == (
+        *(f"tolerance of {name}" for name in names), "speed lower", "speed upper", "energy"
     )  # fmt: skip
-    assert EVERYTHING.recorded == ("y", "x", "v")
-    assert EVERYTHING.size == 21 + 3 == len(outcome.residuals)
+    assert experiment.recorded == ("y", *names)
+    assert experiment.size == 21 + 3 == len(outcome.residuals)
     trajectory = outcome.trajectory
     signal = dict(zip(trajectory.variables, trajectory.values.T, strict=True))
-    place = np.searchsorted(trajectory.times, EVERYTHING.outputs[0].times)
-    expected = (EVERYTHING.outputs[0].values - signal["y"][place]) / 0.5
+
+    def at(name: str, times: FloatArray) -> FloatArray:
+        return signal[name][np.searchsorted(trajectory.times, times)]
+
+    measured = EXPERIMENT.outputs[0]
+    expected = (measured.values - at("y", measured.times)) / 0.5
     np.testing.assert_array_equal(outcome.residuals[:21], expected)
-    v = signal["v"][np.searchsorted(trajectory.times, BOUND.times)]
+    points = np.column_stack([at(name, turned.times) for name in names])
+    np.testing.assert_array_equal(outcome.residuals[21:], segment_distances(points, turned.points))
+    farthest = tolerance_constraints(points, turned.points, np.array(tolerances))
+    np.testing.assert_array_equal(outcome.constraints[:2], farthest)
+    v = at("v", BOUND.times)
     np.testing.assert_array_equal(
         outcome.constraints[2:4], [np.max(-0.2 - v) / 0.1, np.max(v - 0.15) / 0.1]
     )
@@ -216,6 +201,7 @@ SCALAR = replace(EXPERIMENT, cost_function=function("energy"), bounds=(BOUND,))
 ALONE: dict[tuple[str, int], tuple] = {}
 
 
+@settings(max_examples=15)
 @given(
     st.sampled_from([EVERYTHING, USER, SCALAR]),
     st.lists(st.integers(0, len(POINTS) - 1), min_size=1, max_size=8),
@@ -330,28 +316,24 @@ def test_outputs_that_are_not_finite_are_said_to_be_even_behind_a_function():
     assert compared.values[1].tolist() == [1.0]
 
 
-def test_a_constraint_returns_one_number():
-    (outcome,) = ask(
-        replace(EXPERIMENT, constraint_functions=(user("return [1.0, 2.0]"),)), POINTS[:1]
-    )
-    assert "it must return one number but returned 2" in outcome.message
-    (outcome,) = ask(
-        replace(EXPERIMENT, constraint_functions=(user("return np.array([[7.0]])"),)), POINTS[:1]
-    )
-    assert outcome.constraints.tolist() == [7.0]
+@pytest.mark.parametrize(
+    ("body", "value"),
+    [("return np.array([[7.0]])", 7.0), ("return 3", 3.0), ("return True", 1.0),
+     ("return np.float32(2)", 2.0)],
+)  # fmt: skip
+def test_a_constraint_returns_one_number(body, value):
+    (outcome,) = ask(replace(EXPERIMENT, constraint_functions=(user(body),)), POINTS[:1])
+    assert outcome.constraints.tolist() == [value]
+    two = user("return [1.0, 2.0]")
+    (outcome,) = ask(replace(EXPERIMENT, constraint_functions=(two,)), POINTS[:1])
+    assert "must return one number but returned 2" in outcome.message
 
 
 def test_a_cost_function_returns_as_many_numbers_each_time():
     each = replace(EXPERIMENT, cost_function=user("return np.ones(2 + (run.values['m'] > 1.1))"))
     good, bad = ask(each, POINTS[[0, 1]])
     assert good.residuals.tolist() == [1.0, 1.0]
-    assert "it must return 2 numbers, as it did before, but returned 3" in bad.message
-
-
-def test_whole_numbers_and_truths_are_numbers():
-    for body, value in [("return 3", 3.0), ("return True", 1.0), ("return np.float32(2)", 2.0)]:
-        (outcome,) = ask(replace(EXPERIMENT, cost_function=user(body)), POINTS[:1])
-        assert outcome.residuals.tolist() == [value]
+    assert re.search("must return 2 numbers.*but returned 3", bad.message)
 
 
 def test_what_a_function_is_given():
@@ -409,8 +391,9 @@ def test_a_worker_that_lacks_the_module_says_so():
 
 
 def test_each_worker_has_a_module_of_its_own():
-    counted: Callable = load(UserFunction("counts", "f", "calls = []\ndef f(run):\n"
-                                      "    calls.append(run)\n    return len(calls)"))  # fmt: skip
-    other: Callable = load(UserFunction("counts", "f", "calls = []\ndef f(run):\n"
-                                    "    calls.append(run)\n    return len(calls)"))  # fmt: skip
-    assert [counted(None), counted(None), other(None)] == [1, 2, 1]
+    """One that counts its calls begins anew with each."""
+    counts = user("calls.append(run)\nreturn len(calls)")
+    counts = replace(counts, source="calls = []\n" + counts.source)
+    for _ in range(2):
+        outcomes = ask(replace(EXPERIMENT, cost_function=counts), POINTS[[0, 1]])
+        assert [o.residuals.tolist() for o in outcomes] == [[1.0], [2.0]]
