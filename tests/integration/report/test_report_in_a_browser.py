@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from support.reported import chromium, fitted_run
+from support.reported import chromium
 
 from cluster_est.report import write_report
 
@@ -34,12 +34,6 @@ class Seen:
     page: Any
     said: list[str] = field(default_factory=list)
     asked: list[str] = field(default_factory=list)
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory) -> Path:
-    """Two springs with an output that is seen at 150 times, and a third held out."""
-    return fitted_run(tmp_path_factory.mktemp("fit") / "run", experiments=3)
 
 
 @pytest.fixture(scope="module")
@@ -94,6 +88,7 @@ def test_everything_is_drawn_and_nobody_is_asked(seen, run):
     assert page.evaluate("document.documentElement.scrollWidth") <= 1440
 
 
+@pytest.mark.slow
 def test_what_is_written_beside_the_plots_does_not_overlap(seen):
     page = seen.page
     for kind, place, size in ((".x-axis", "x", "width"), (".y-axis", "y", "height")):
@@ -104,6 +99,7 @@ def test_what_is_written_beside_the_plots_does_not_overlap(seen):
                 assert first[place] + first[size] <= second[place] + 1.0
 
 
+@pytest.mark.slow
 def test_dragging_zooms_and_a_double_click_shows_all_again(seen, run):
     page = seen.page
     plot = page.locator(".panel.wide .plot").first
@@ -128,6 +124,7 @@ def test_dragging_zooms_and_a_double_click_shows_all_again(seen, run):
     assert seen.said == []
 
 
+@pytest.mark.slow
 def test_values_are_shown_under_the_pointer(seen, run):
     page = seen.page
     name = page.locator(".panel.wide").get_attribute("data-experiment")
@@ -147,6 +144,7 @@ def test_values_are_shown_under_the_pointer(seen, run):
     assert seen.said == []
 
 
+@pytest.mark.slow
 def test_curves_are_toggled(seen):
     page = seen.page
     assert (visible(page, "before"), visible(page, "after")) == (6, 6)
@@ -159,6 +157,7 @@ def test_curves_are_toggled(seen):
     assert seen.said == []
 
 
+@pytest.mark.slow
 def test_another_experiment_is_shown_in_large(seen):
     page = seen.page
     options = page.locator("select[name=experiment] option").all_text_contents()
@@ -173,6 +172,7 @@ def test_another_experiment_is_shown_in_large(seen):
     assert seen.said == []
 
 
+@pytest.mark.slow
 def test_a_small_chart_is_enlarged_and_made_small_again(seen):
     page = seen.page
     small = page.locator(".panel:not(.wide)").first
@@ -188,6 +188,7 @@ def test_a_small_chart_is_enlarged_and_made_small_again(seen):
     assert seen.said == []
 
 
+@pytest.mark.slow
 def test_it_fits_a_phone_and_follows_dark_mode(browser, run):
     phone = {"viewport": {"width": 390, "height": 844}}
     seen = opened(browser, write_report(run), color_scheme="dark", **phone)
@@ -204,6 +205,7 @@ def test_it_fits_a_phone_and_follows_dark_mode(browser, run):
     page.close()
 
 
+@pytest.mark.slow
 def test_it_is_whole_without_scripts(browser, run):
     context = browser.new_context(java_script_enabled=False)
     page = context.new_page()
@@ -214,6 +216,7 @@ def test_it_is_whole_without_scripts(browser, run):
     context.close()
 
 
+@pytest.mark.slow
 def test_on_paper_no_chart_is_wider_than_the_page(browser, run, tmp_path):
     seen = opened(browser, write_report(run), viewport={"width": 700, "height": 900})
     page = seen.page
