@@ -155,10 +155,9 @@ def test_get_and_set_state(exported):
     assert rest[-1] > rest[0]
 
 
-@pytest.mark.parametrize(("name", "value"), [("blob", "00"), ("int64", 2**40)])
-def test_what_the_run_needs_and_fmi_2_has_not_is_refused(own_fmu, tmp_path, name, value):
-    with pytest.raises(ModelError, match=f"'{name}' is .* of FMI 3.0 that has no like there"):
-        written(repair(own_fmu, (name, value)), tmp_path / "types.fmu")
+def test_what_the_run_needs_and_fmi_2_has_not_is_refused(own_fmu, tmp_path):
+    with pytest.raises(ModelError, match=r"'int64' is .* of FMI 3.0 that has no like there"):
+        written(repair(own_fmu, ("int64", 2**40)), tmp_path / "types.fmu")
 
 
 def test_an_original_that_ends_the_simulation_says_so(own_fmu, tmp_path):

@@ -270,7 +270,11 @@ def test_an_original_with_a_fixed_step_keeps_it(own_fmu, tmp_path, fmi):
 
 
 @pytest.mark.parametrize("fmi", FMI_2)
-@pytest.mark.parametrize("effects", [(), (Effect("push", "der(x)", "constant"),)], ids=len)
+@pytest.mark.parametrize(
+    "effects",
+    [pytest.param((), marks=pytest.mark.slow), (Effect("push", "der(x)", "constant"),)],
+    ids=len,
+)
 def test_directional_derivatives_pass_through_where_no_effect_touches_them(
     own_fmu, tmp_path, effects, fmi
 ):
@@ -307,6 +311,7 @@ def test_what_the_original_says_passes_through(own_fmu, tmp_path, fmi):
     assert any(line.startswith("original FMU: ") for line in said)
 
 
+@pytest.mark.slow
 def test_the_same_repair_is_the_same_archive(spring, tmp_path):
     written(repair_of(model(), experiment(), (M, K, C), *TOGETHER), tmp_path / "spring.fmu")
     assert (tmp_path / "spring.fmu").read_bytes() == (spring / "exported.fmu").read_bytes()
