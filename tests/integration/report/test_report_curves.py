@@ -135,7 +135,8 @@ def test_of_more_charts_than_a_page_can_hold_those_with_the_largest_errors_are_d
 
 
 @pytest.mark.parametrize(
-    ("seconds", "unit"), [(10.0, "s"), (3600.0, "min"), (90_000.0, "h"), (3e6, "days")]
+    ("seconds", "unit"),
+    [(0.05, "ms"), (10.0, "s"), (300.0, "s"), (3600.0, "min"), (9e4, "h"), (3e6, "days")],
 )
 def test_time_is_in_the_unit_in_which_one_thinks_of_it(copied, seconds, unit):
     slow = copied
@@ -144,11 +145,6 @@ def test_time_is_in_the_unit_in_which_one_thinks_of_it(copied, seconds, unit):
         table["time"] *= seconds / table.time.max()
         pq.write_table(pa.Table.from_pandas(table), slow / f"{name}.parquet")
     assert f"time ({unit})" in Figures(write_report(slow)).panels[0].texts
-
-
-def test_every_chart_says_what_it_shows(figures):
-    assert all(svg["role"] == "img" and svg["aria-label"] for svg in figures.svgs)
-    assert figures.titles == len(figures.svgs) >= 8
 
 
 def test_the_first_picture_has_before_after_and_noise(run, figures, errors):

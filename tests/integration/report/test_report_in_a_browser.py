@@ -63,7 +63,13 @@ def seen(browser, run) -> Iterator[Seen]:
     found = opened(browser, write_report(run), viewport={"width": 1440, "height": 900})
     found.page.locator(".panel.wide").scroll_into_view_if_needed()
     yield found
+    assert found.said == []
     found.page.close()
+
+
+@pytest.fixture
+def page(seen) -> Any:
+    return seen.page
 
 
 def view(page: Any) -> list[float]:
@@ -89,8 +95,7 @@ def test_everything_is_drawn_and_nobody_is_asked(seen, run):
 
 
 @pytest.mark.slow
-def test_what_is_written_beside_the_plots_does_not_overlap(seen):
-    page = seen.page
+def test_what_is_written_beside_the_plots_does_not_overlap(page):
     for kind, place, size in ((".x-axis", "x", "width"), (".y-axis", "y", "height")):
         for axis in page.locator(kind).all():
             boxes = sorted((t.bounding_box() for t in axis.locator("span").all()),
@@ -100,8 +105,7 @@ def test_what_is_written_beside_the_plots_does_not_overlap(seen):
 
 
 @pytest.mark.slow
-def test_dragging_zooms_and_a_double_click_shows_all_again(seen, run):
-    page = seen.page
+def test_dragging_zooms_and_a_double_click_shows_all_again(page, run):
     plot = page.locator(".panel.wide .plot").first
     whole = plot.locator("svg").get_attribute("viewBox")
     box = plot.bounding_box()
@@ -121,12 +125,10 @@ def test_dragging_zooms_and_a_double_click_shows_all_again(seen, run):
     page.mouse.dblclick(x + 0.5 * width, y + 0.5 * height)
     assert view(page) == []
     assert plot.locator("svg").get_attribute("viewBox") == whole
-    assert seen.said == []
 
 
 @pytest.mark.slow
-def test_values_are_shown_under_the_pointer(seen, run):
-    page = seen.page
+def test_values_are_shown_under_the_pointer(page, run):
     name = page.locator(".panel.wide").get_attribute("data-experiment")
     table = pq.read_table(run / "residuals.parquet").to_pandas()
     own = table[table.experiment == name]
@@ -141,12 +143,10 @@ def test_values_are_shown_under_the_pointer(seen, run):
     assert measured == pytest.approx(row.measured, abs=5e-3 * np.ptp(own.measured))
     page.mouse.move(5, 5)
     assert page.locator(".panel.wide .tip").is_hidden()
-    assert seen.said == []
 
 
 @pytest.mark.slow
-def test_curves_are_toggled(seen):
-    page = seen.page
+def test_curves_are_toggled(page):
     assert (visible(page, "before"), visible(page, "after")) == (6, 6)
     page.locator("input[name=before]").uncheck()
     assert (visible(page, "before"), visible(page, "after")) == (0, 6)
@@ -154,12 +154,10 @@ def test_curves_are_toggled(seen):
     assert (visible(page, "before"), visible(page, "after")) == (0, 0)
     page.locator("input[name=before]").check()
     assert (visible(page, "before"), visible(page, "after")) == (6, 0)
-    assert seen.said == []
 
 
 @pytest.mark.slow
-def test_another_experiment_is_shown_in_large(seen):
-    page = seen.page
+def test_another_experiment_is_shown_in_large(page):
     options = page.locator("select[name=experiment] option").all_text_contents()
     assert options == ["all", "e0", "e1", "e2"]
     for name in ["e0", "e1", "e2"]:
@@ -169,12 +167,10 @@ def test_another_experiment_is_shown_in_large(seen):
         assert seen_now[0].bounding_box()["width"] > 900
     page.locator("select[name=experiment]").select_option("")
     assert sum(p.is_visible() for p in page.locator(".panel").all()) == 3
-    assert seen.said == []
 
 
 @pytest.mark.slow
-def test_a_small_chart_is_enlarged_and_made_small_again(seen):
-    page = seen.page
+def test_a_small_chart_is_enlarged_and_made_small_again(page):
     small = page.locator(".panel:not(.wide)").first
     name = small.get_attribute("data-experiment")
     panel = page.locator(f".panel[data-experiment={name}]")
@@ -185,7 +181,6 @@ def test_a_small_chart_is_enlarged_and_made_small_again(seen):
     assert after["height"] > before["height"]
     panel.locator("button").click()
     assert panel.bounding_box()["width"] == pytest.approx(before["width"])
-    assert seen.said == []
 
 
 @pytest.mark.slow
