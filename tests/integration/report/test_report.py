@@ -140,7 +140,13 @@ def test_what_is_no_run_or_damaged_is_said_in_a_sentence(copied, tmp_path, capsy
 
 def test_a_fit_writes_its_report_and_ends_as_it_would_without(tmp_path, capsys):
     report = tmp_path / "run" / "report.html"
-    run = ["fit", str(write_config(tmp_path)), "--overwrite", "--out", str(report.parent)]
+    run = [
+        "fit",
+        str(write_config(tmp_path, roles=("train",))),
+        "--overwrite",
+        "--out",
+        str(report.parent),
+    ]
     assert main([*run, "--no-report"]) == 0
     assert not report.exists()
     assert main(run) == 0
