@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Callable
+from functools import cache
 from html import unescape
 from pathlib import Path
 
@@ -129,27 +131,28 @@ KINDS = {
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory) -> dict[str, Path]:
-    """A fit with all that a fit can have, a front, a closed loop, and what else writes tables."""
+def run(tmp_path_factory) -> Callable[[str], Path]:
+    """The folder of a run of a kind, which is made when it is first asked for."""
     folder = tmp_path_factory.mktemp("runs")
-    found = {name: folder / name for name in (*KINDS, "design", "sweep")}
-    for name, extra in KINDS.items():
-        (folder / f"{name}.toml").write_text(to_toml(BASE | extra))
-        command = name if name in ("close-loop", "sensitivity") else "fit"
-        code = main([command, str(folder / f"{name}.toml"), "--out", str(found[name])])
-        assert code in (0, 1)  # the front is cut short
     limits = {"duration": 4.0, "sample_time": 0.1, "candidates": 10}
     limits |= {"inputs": {"F": {"lower": -1.0, "upper": 1.0}}}
     axis = {"name": "start", "key": "parameters.m.start", "values": [1.0]}
-    for name, tree in (
-        ("limits", limits),
-        ("sweep", {"configs": ["close-loop.toml"], "axes": [axis]}),
-    ):
+    files = {name: BASE | extra for name, extra in KINDS.items()}
+    files |= {"limits": limits, "sweep": {"configs": ["close-loop.toml"], "axes": [axis]}}
+    for name, tree in files.items():
         (folder / f"{name}.toml").write_text(to_toml(tree))
-    given = ["--limits", str(folder / "limits.toml"), "--out", str(folder / "design.csv")]
-    assert main(["design", str(found["fit"]), *given]) == 0
-    assert main(["sweep", str(folder / "sweep.toml"), "--out", str(found["sweep"])]) == 0
-    return found
+
+    @cache
+    def made(name: str) -> Path:
+        command = name if name in ("close-loop", "sensitivity", "sweep") else "fit"
+        given, out = [command, str(folder / f"{name}.toml")], folder / name
+        if name == "design":
+            given = ["design", str(made("fit")), "--limits", str(folder / "limits.toml")]
+            out = folder / "design.csv"
+        assert main([*given, "--out", str(out)]) in (0, 1)  # the front is cut short
+        return folder / name
+
+    return made
 
 
 def columns(run: Path) -> dict[str, dict[str, str]]:
@@ -187,9 +190,18 @@ COLUMN = re.compile(r"^\| `([^`]+)` \| ([^|]+) \| [^|]* \| [^|]*\w[^|]* \|$", re
 DESCRIBED = described()
 
 
-@pytest.mark.parametrize("name", [*KINDS, "design"])
-def test_every_column_that_a_run_writes_is_described(runs, name):
-    for table, found in columns(runs[name]).items():
+BY_DEFAULT = ("fit", "close-loop")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in BY_DEFAULT else pytest.param(name, marks=pytest.mark.slow)
+        for name in (*KINDS, "design")
+    ],
+)
+def test_every_column_that_a_run_writes_is_described(run, name):
+    for table, found in columns(run(name)).items():
         always, in_loops = DESCRIBED[table]
         known = always | (in_loops if name == "close-loop" else {})
         if table == "next_input":
@@ -198,16 +210,18 @@ def test_every_column_that_a_run_writes_is_described(runs, name):
             assert {key: plain(type_) for key, type_ in found.items()} == known, table
 
 
-def test_every_column_of_a_sweeps_summary_is_described(runs):
-    found = columns(runs["sweep"])["summary"]
+@pytest.mark.slow
+def test_every_column_of_a_sweeps_summary_is_described(run):
+    found = columns(run("sweep"))["summary"]
     known = {k: v for k, v in found.items() if k != "start" and not k.startswith("parameter ")}
     said, _ = DESCRIBED["summary"]
     assert set(known) == set(said)
     assert {k: v for k, v in known.items() if v != "null"}.items() <= said.items()
 
 
-def test_every_table_that_is_described_is_written_by_some_run(runs):
-    written = {name for run in runs.values() for name in columns(run)}
+@pytest.mark.slow
+def test_every_table_that_is_described_is_written_by_some_run(run):
+    written = {table for name in (*KINDS, "design", "sweep") for table in columns(run(name))}
     assert set(DESCRIBED) - written <= {"directions"}  # where something is not determined
 
 

@@ -111,6 +111,7 @@ def test_a_fit_shows_the_shapes_of_the_effects_that_it_declares(closed, shape):
     assert "der(v) over v (m/s), where the training data were" in page.text
 
 
+@pytest.mark.slow
 def test_a_difference_has_the_same_shape_with_and_without_blanks(closed):
     spring = 'name = "spring"\nsite = "der(v)"\nform = "linear"\nparameters.k.start = -0.1'
     shapes = [

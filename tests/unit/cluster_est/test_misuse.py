@@ -24,23 +24,21 @@ HUBER = COSTS["huber"]
 HUGE = 10**400
 SPRINGS = spring_problem(experiments=2, samples=40).problem
 MODEL = ce.read_model(FMU, ["m"])
+USUAL = {
+    ce.Parameter: {"name": "m", "start": 1.0},
+    ce.Problem: {"model": MODEL, "parameters": [MASS], "experiments": [RUN]},
+    ce.fit: {"problem": SPRINGS},
+    ce.close_loop: {"problem": SPRINGS},
+    ce.add_effect: {"problem": SPRINGS, "site": "der(v)", "form": "coulomb"},
+    ce.read_model: {"path": FMU},
+    ce.read_problem: {"path": CONFIG},
+}
+"""Arguments that a case does not name."""
 
 
 @cache
 def found():
     return ce.fit(SPRINGS)
-
-
-def of_parameters(**given):
-    return ce.Parameter(**{"name": "m", "start": 1.0} | given)
-
-
-def of_a_problem(**given):
-    return ce.Problem(**{"model": MODEL, "parameters": [MASS], "experiments": [RUN]} | given)
-
-
-def of_a_fit(**given):
-    return ce.fit(SPRINGS, **given)
 
 
 def of_resources(**given):
@@ -55,28 +53,12 @@ def of_starts(**given):
     return ce.fit(SPRINGS, multistart=ce.Multistart(**given))
 
 
-def of_an_effect(**given):
-    return ce.add_effect(**{"problem": SPRINGS, "site": "der(v)", "form": "coulomb"} | given)
-
-
-def of_a_model(**given):
-    return ce.read_model(**{"path": FMU} | given)
-
-
 def of_a_simulation(**values):
     return ce.simulate(SPRINGS, values=values)
 
 
-def of_a_config(**given):
-    return ce.read_problem(CONFIG, **given)
-
-
 def of_an_export(**given):
     return found().export("a.fmu", **given)
-
-
-def of_a_loop(**given):
-    return ce.close_loop(SPRINGS, **given)
 
 
 def of_a_table(name):
@@ -89,40 +71,40 @@ def of_residuals(at=None, **given):
 
 
 REFUSED = [
-    (of_parameters, {"start": np.nan}, "m.start: must be a finite number.*nan"),
-    (of_parameters, {"start": "1"}, "m.start: must be a number.*'1'"),
-    (of_parameters, {"start": HUGE}, "m.start: must be a finite number of a usual size.*1000"),
-    (of_parameters, {"start": -1.0, "scale": "log"}, "m.scale: a log scale needs a positive start"),
-    (of_parameters, {"lower": 2.0, "upper": 0.5}, "m.bounds: the lower bound must be below"),
-    (of_parameters, {"lower": None}, "m.lower: must be a number, or infinite.*None"),
-    (of_parameters, {"lower": np.nan}, "m.bounds: the lower bound must be below the upper one"),
-    (of_parameters, {"lower": 3.0}, r"m.start: must lie in its bounds \[3, inf\].*1"),
-    (of_parameters, {"upper": HUGE}, "m.upper: must be a number, or infinite for no bound.*1000"),
-    (of_parameters, {"scale": "logarithmic"}, "m.scale: must be 'linear' or 'log'.*'logarithmic'"),
-    (of_parameters, {"per": 1}, 'm.per: must be "experiment" or "group:KEY".*1'),
-    (of_parameters, {"variable": 1}, "m.variable: must be text.*1"),
-    (of_parameters, {"name": 1}, "name: must be text.*1"),
-    (of_parameters, {"fixed": "no"}, "m.fixed: must be true or false.*'no'"),
-    (of_parameters, {"auxiliary": 1}, "m.auxiliary: must be true or false.*1"),
-    (of_a_problem, {"model": str(FMU)}, "problem.model: must be a Model"),
-    (of_a_problem, {"experiments": RUN}, "problem.experiments: must be a list of Experiment.*one"),
-    (of_a_problem, {"experiments": [RUN, RUN]}, "experiment id 'a'.*must appear once.*twice"),
-    (of_a_problem, {"experiments": []}, "experiments: at least one must have role = .train"),
-    (of_a_problem, {"parameters": {"m": 1.0}}, r"parameters\[0\]: must be a Parameter.*'m'"),
-    (of_a_problem, {"parameters": []}, "parameters: must be those of the model"),
-    (of_a_problem, {"cost": "huber"}, "problem.cost: must be a Cost.*'huber'.*import"),
-    (of_a_problem, {"cost": HUBER}, r"problem.cost: must be a Cost.*class.*HuberCost\("),
-    (of_a_problem, {"cost": HUBER(scale=-1.0)}, "cost.options.scale: must be at least"),
-    (of_a_fit, {"method": "leastsquares"}, "method.name.*'leastsquares'.*did you mean 'least_sq"),
-    (of_a_fit, {"method": ce.LeastSquares}, "method: must be a Method.*class.*call it"),
-    (of_a_fit, {"method": 3}, "method: must be a Method.*3; give a method or its name"),
-    (of_a_fit, {"method": ce.LeastSquares(trials=0)}, "options.trials: must be at least 1.*0"),
-    (of_a_fit, {"method": ce.LeastSquares(ftol="a")}, "options.ftol: must be a number.*'a'"),
-    (of_a_fit, {"resources": "ray"}, r"resources: must be a Resources.*Resources\('ray'\)"),
-    (of_a_fit, {"seed": -1}, "method.seed: must be at least 0.*-1"),
-    (of_a_fit, {"seed": 0.5}, "method.seed: must be a whole number.*0.5"),
-    (of_a_fit, {"multistart": 5}, r"multistart: must be a Multistart.*5; write Multistart\(5\)"),
-    (of_a_fit, {"uncertainty": "all"}, "uncertainty: must be an UncertaintySettings.*'all'"),
+    (ce.Parameter, {"start": np.nan}, "m.start: must be a finite number.*nan"),
+    (ce.Parameter, {"start": "1"}, "m.start: must be a number.*'1'"),
+    (ce.Parameter, {"start": HUGE}, "m.start: must be a finite number of a usual size.*1000"),
+    (ce.Parameter, {"start": -1.0, "scale": "log"}, "m.scale: a log scale needs a positive start"),
+    (ce.Parameter, {"lower": 2.0, "upper": 0.5}, "m.bounds: the lower bound must be below"),
+    (ce.Parameter, {"lower": None}, "m.lower: must be a number, or infinite.*None"),
+    (ce.Parameter, {"lower": np.nan}, "m.bounds: the lower bound must be below the upper one"),
+    (ce.Parameter, {"lower": 3.0}, r"m.start: must lie in its bounds \[3, inf\].*1"),
+    (ce.Parameter, {"upper": HUGE}, "m.upper: must be a number, or infinite for no bound.*1000"),
+    (ce.Parameter, {"scale": "logarithmic"}, "m.scale: must be 'linear' or 'log'.*'logarithmic'"),
+    (ce.Parameter, {"per": 1}, 'm.per: must be "experiment" or "group:KEY".*1'),
+    (ce.Parameter, {"variable": 1}, "m.variable: must be text.*1"),
+    (ce.Parameter, {"name": 1}, "name: must be text.*1"),
+    (ce.Parameter, {"fixed": "no"}, "m.fixed: must be true or false.*'no'"),
+    (ce.Parameter, {"auxiliary": 1}, "m.auxiliary: must be true or false.*1"),
+    (ce.Problem, {"model": str(FMU)}, "problem.model: must be a Model"),
+    (ce.Problem, {"experiments": RUN}, "problem.experiments: must be a list of Experiment.*one"),
+    (ce.Problem, {"experiments": [RUN, RUN]}, "experiment id 'a'.*must appear once.*twice"),
+    (ce.Problem, {"experiments": []}, "experiments: at least one must have role = .train"),
+    (ce.Problem, {"parameters": {"m": 1.0}}, r"parameters\[0\]: must be a Parameter.*'m'"),
+    (ce.Problem, {"parameters": []}, "parameters: must be those of the model"),
+    (ce.Problem, {"cost": "huber"}, "problem.cost: must be a Cost.*'huber'.*import"),
+    (ce.Problem, {"cost": HUBER}, r"problem.cost: must be a Cost.*class.*HuberCost\("),
+    (ce.Problem, {"cost": HUBER(scale=-1.0)}, "cost.options.scale: must be at least"),
+    (ce.fit, {"method": "leastsquares"}, "method.name.*'leastsquares'.*did you mean 'least_sq"),
+    (ce.fit, {"method": ce.LeastSquares}, "method: must be a Method.*class.*call it"),
+    (ce.fit, {"method": 3}, "method: must be a Method.*3; give a method or its name"),
+    (ce.fit, {"method": ce.LeastSquares(trials=0)}, "options.trials: must be at least 1.*0"),
+    (ce.fit, {"method": ce.LeastSquares(ftol="a")}, "options.ftol: must be a number.*'a'"),
+    (ce.fit, {"resources": "ray"}, r"resources: must be a Resources.*Resources\('ray'\)"),
+    (ce.fit, {"seed": -1}, "method.seed: must be at least 0.*-1"),
+    (ce.fit, {"seed": 0.5}, "method.seed: must be a whole number.*0.5"),
+    (ce.fit, {"multistart": 5}, r"multistart: must be a Multistart.*5; write Multistart\(5\)"),
+    (ce.fit, {"uncertainty": "all"}, "uncertainty: must be an UncertaintySettings.*'all'"),
     (of_resources, {"executor": "dask"}, "executor.name: there is no 'dask'.*'local'"),
     (of_resources, {"executor": 3}, "executor.name: there is no 3"),
     (of_resources, {"workers": 0}, "executor.workers: must be greater than 0.*0"),
@@ -139,28 +121,32 @@ REFUSED = [
     (of_starts, {"points": 3}, "multistart.points: must be a list of dicts.*3"),
     (of_starts, {"points": ({}, {"k": "a"})}, r"points\[1\].k: must be a number.*'a'"),
     (of_starts, {"points": ({1: 2.0},)}, r"points\[0\]: must be text.*1"),
-    (of_an_effect, {"problem": "a.toml"}, "problem: must be a Problem.*'a.toml'"),
-    (of_an_effect, {"site": 3}, "effect.site: must be text.*3"),
-    (of_an_effect, {"form": 3}, "effect.form: must be text.*3"),
-    (of_an_effect, {"equation": 3}, "effect.equation: must be text.*3"),
-    (of_an_effect, {"variables": "v"}, "effect.variables: must be a list of text.*one alone"),
-    (of_an_effect, {"start": "a"}, "effect.start: must be a dict.*'a'"),
-    (of_an_effect, {"start": {"k": "a"}}, "effect.start.k: must be a number.*'a'"),
-    (of_an_effect, {"start": {1: 2.0}}, "effect.start: must be text.*1"),
-    (of_a_model, {"path": "no.fmu"}, r"model.fmu: no.fmu cannot be read.*No such file"),
-    (of_a_model, {"path": 3}, "model.fmu: must be a path.*3"),
-    (of_a_model, {"path": ROOT / "pyproject.toml"}, "must be an FMU, which is a zip file"),
-    (of_a_model, {"parameters": ["q"]}, "model.parameters: mass_spring_damper.fmu.*variable 'q'"),
-    (of_a_model, {"structure": 3}, "model.structure: must be a dict.*3.*{name: value}"),
-    (of_a_model, {"structure": {"n": "a"}}, "model.structure.n: must be a whole number.*'a'"),
-    (of_a_model, {"solver": "ode45"}, "model.solver: must be 'dormand_prince', 'rk4', 'cvode'"),
-    (of_a_model, {"solver": "fmu"}, "model.solver: must be dormand_prince.*for model_exchange"),
-    (of_a_model, {"interface": "me"}, "model.interface: must be 'auto', 'model_exchange' or"),
+    (ce.add_effect, {"problem": "a.toml"}, "problem: must be a Problem.*'a.toml'"),
+    (ce.add_effect, {"site": 3}, "effect.site: must be text.*3"),
+    (ce.add_effect, {"form": 3}, "effect.form: must be text.*3"),
+    (ce.add_effect, {"equation": 3}, "effect.equation: must be text.*3"),
+    (ce.add_effect, {"variables": "v"}, "effect.variables: must be a list of text.*one alone"),
+    (ce.add_effect, {"start": "a"}, "effect.start: must be a dict.*'a'"),
+    (ce.add_effect, {"start": {"k": "a"}}, "effect.start.k: must be a number.*'a'"),
+    (ce.add_effect, {"start": {1: 2.0}}, "effect.start: must be text.*1"),
+    (ce.read_model, {"path": "no.fmu"}, r"model.fmu: no.fmu cannot be read.*No such file"),
+    (ce.read_model, {"path": 3}, "model.fmu: must be a path.*3"),
+    (ce.read_model, {"path": ROOT / "pyproject.toml"}, "must be an FMU, which is a zip file"),
+    (
+        ce.read_model,
+        {"parameters": ["q"]},
+        "model.parameters: mass_spring_damper.*variable 'q'",
+    ),
+    (ce.read_model, {"structure": 3}, "model.structure: must be a dict.*3.*{name: value}"),
+    (ce.read_model, {"structure": {"n": "a"}}, "model.structure.n: must be a whole number.*'a'"),
+    (ce.read_model, {"solver": "ode45"}, "model.solver: must be 'dormand_prince', 'rk4', 'cvode'"),
+    (ce.read_model, {"solver": "fmu"}, "model.solver: must be dormand_prince.*for model_exchange"),
+    (ce.read_model, {"interface": "me"}, "model.interface: must be 'auto', 'model_exchange' or"),
     (of_a_simulation, {"kk": 1.0}, "values.kk: must be named as an unknown of the problem"),
     (of_a_simulation, {"k": "1"}, "values.k: must be a number.*'1'"),
-    (of_a_config, {"allow_code": "no"}, "allow_code: must be true or false.*'no'"),
+    (ce.read_problem, {"allow_code": "no"}, "allow_code: must be true or false.*'no'"),
     (of_an_export, {"experiment": 3}, "experiment: must be text.*3"),
-    (of_a_loop, {"settings": "der(v)"}, r"closed_loop: must be a LoopSettings.*'der\(v"),
+    (ce.close_loop, {"settings": "der(v)"}, r"closed_loop: must be a LoopSettings.*'der\(v"),
     (of_a_table, {"name": 3}, "table: must be text.*3"),
     (of_residuals, {"differences": "fwd"}, "must be 'forward' or 'central'.*'fwd'"),
     (of_residuals, {"at": "a"}, "x must be a list of numbers.*'a'"),
@@ -213,9 +199,9 @@ POSITIONAL = [
 
 @pytest.mark.parametrize(("use", "given", "said"), REFUSED)
 def test_what_cannot_be_is_refused_in_a_sentence(use, given, said):
-    expected = ModelError if use is of_a_model else ClusterEstError
+    expected = ModelError if use is ce.read_model else ClusterEstError
     with pytest.raises(expected, match=WHERE.get(use, "") + said):
-        use(**given)
+        use(**USUAL.get(use, {}) | given)
 
 
 @pytest.mark.parametrize(("use", "given", "said"), POSITIONAL)
@@ -240,7 +226,7 @@ def test_an_argument_that_cannot_be_is_refused_in_a_sentence(use, given, said):
 @pytest.mark.parametrize("use", [ce.fit, ce.simulate, ce.residuals])
 def test_experiments_that_the_fmu_is_not_for(use, change, said):
     with pytest.raises((ProblemError, ModelError), match=said):
-        use(of_a_problem(experiments=[replace(RUN, **change)]))
+        use(ce.Problem(MODEL, [MASS], [replace(RUN, **change)]))
 
 
 @pytest.mark.parametrize("use", [ce.fit, ce.simulate, ce.residuals, ce.close_loop])
