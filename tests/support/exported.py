@@ -22,7 +22,7 @@ from fmpy.fmi2 import (
 
 from cluster_est import Parameter, Problem
 from cluster_est.export.repair import repaired
-from cluster_est.export.write import ExportRequest, RepairedModel, write_forms
+from cluster_est.export.write import ExportRequest, write_forms
 from workers.effects.definition import define_all
 from workers.fmu.description import describe_model
 from workers.messages import Effect, Experiment, FloatArray, Model
@@ -37,7 +37,7 @@ def repair_of(
     effects: Sequence[Effect],
     coefficients: Sequence[float],
     errors: Sequence[dict[str, Any]] = (),
-) -> RepairedModel:
+):
     """What a run with these values would give: they are declared to be known."""
     made = define_all(tuple(effects), describe_model(model), model.interface, (experiment,))
     names = [f"{each.effect.name}.{c.name}" for each in made for c in each.form.coefficients]
@@ -47,14 +47,14 @@ def repair_of(
     return repaired(problem, (), experiment.id, errors=errors)
 
 
-def written(repair: RepairedModel, path: Path) -> tuple[str, ...]:
+def written(repair, path: Path) -> tuple[str, ...]:
     """Write an exported FMU, whose C gives no warning, and return the notes."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CC", "cc -Werror")
         return write_forms(repair, ExportRequest(fmu=path)).notes
 
 
-def unpacked(repair: RepairedModel, folder: Path) -> Path:
+def unpacked(repair, folder: Path) -> Path:
     """The exported FMU as a folder; beside it, in that folder, the archive."""
     written(repair, folder / "exported.fmu")
     with zipfile.ZipFile(folder / "exported.fmu") as archive:

@@ -239,8 +239,19 @@ def _names(form: str) -> tuple[str, ...]:
     return tuple((DERIVATIVE[form][1] or "v").split())
 
 
-def _at_input(changed: Callable[[float, np.ndarray, float], float]) -> Callable[[], np.ndarray]:
-    return lambda: solve(lambda t, x, f: plain(t, x, changed(t, x, f)))[:, 0]
+def _forced(term: Callable[..., Any]) -> np.ndarray:
+    """The position where a term is added to the force."""
+    return solve(lambda t, x, f: plain(t, x, f + term(t, x, f)))[:, 0]
+
+
+def _changed(law: Callable[..., Any], c: tuple[float, ...]) -> np.ndarray:
+    """The position where something takes the place of the force."""
+    return solve(lambda t, x, f: plain(t, x, law(f, t, *c)))[:, 0]
+
+
+def _varied(share: Callable[..., Any]) -> np.ndarray:
+    """The position where the damping varies by a share of itself."""
+    return solve(pushed(lambda t, x, f: -C / M * share(t, x[1]) * x[1]))[:, 0]
 
 
 def _functions() -> Iterator[FormTruth]:
@@ -251,8 +262,7 @@ def _functions() -> Iterator[FormTruth]:
         # a kink of an effect is not on the grid, so the tolerance only holds step by step
         yield FormTruth("derivative", form, c, variables, partial(_first, slope), 1e-7)
     for form in FORCES:
-        term = _term(form)
-        force = _at_input(lambda t, x, f, term=term: f + term(t, x, f))
+        force = partial(_forced, _term(form))
         variables = ("x",) if form == "product" else _names(form)
         yield FormTruth("input", form, DERIVATIVE[form][0], variables, force, 2e-7)
     for form, sign in TERMS.items():
@@ -263,17 +273,15 @@ def _functions() -> Iterator[FormTruth]:
     yield _shown("feed_through", (0.01,), ("v",), 0.01, lambda t, x, f: x[1])
     for form, (here, there, law) in CHANGES.items():
         if here:
-            changed = _at_input(lambda t, x, f, c=here, law=law: law(f, t, *c))
-            yield FormTruth("input", form, here, (), changed, 2e-7, 1e-3)
+            yield FormTruth("input", form, here, (), partial(_changed, law, here), 2e-7, 1e-3)
         if there:
             shown = partial(lambda law, c: law(base()[:, 0], TIMES, *c), law, there)
             yield FormTruth("output", form, there, (), shown, 1e-8, 1e-8)
     for form, (c, of, share) in PARAMETER.items():
-        slope = pushed(lambda t, x, f, share=share: -C / M * share(t, x[1]) * x[1])
         bar = 1e-6 if form.startswith("table") else 2e-8
         in_steps = 1e-4 if form == "drift" else 0.0  # it is set at the communication points
         variables = tuple(of.replace("t", "").split())
-        yield FormTruth("parameter", form, c, variables, partial(_first, slope), bar, in_steps)
+        yield FormTruth("parameter", form, c, variables, partial(_varied, share), bar, in_steps)
 
 
 def _first(slope: Slope, *starts: float) -> np.ndarray:
