@@ -27,10 +27,11 @@ class DrawnPlot:
         across, down = points(path)
         return value(self.x, across), value(self.y, UNITS - down)
 
-    def across(self, name: str) -> np.ndarray:
-        """The values across of a mark in a plot whose rows have names."""
+    def by_row(self, name: str, count: int) -> tuple[np.ndarray, list[int]]:
+        """The values across of a mark in a plot of so many rows, and the rows, from above."""
         (path,) = self.paths[name]
-        return value(self.x, points(path)[0])
+        across, down = points(path)
+        return value(self.x, across), np.rint(down / UNITS * count - 0.5).astype(int).tolist()
 
     def grain(self, scale: str) -> float:
         """Half of what one place is worth, and a little."""
@@ -55,7 +56,7 @@ class Figures(HTMLParser):
         self.found: list[DrawnFigure] = []
         self.svgs: list[dict[str, str | None]] = []
         self.titles = 0
-        self._open = False
+        self.in_figure = False
         self.feed(path.read_text(encoding="utf-8"))
 
     def by_id(self, name: str) -> DrawnFigure:
@@ -71,23 +72,23 @@ class Figures(HTMLParser):
         known = dict(attrs)
         if tag == "figure":
             self.found.append(DrawnFigure(known))
-            self._open = True
+            self.in_figure = True
         elif tag == "div" and known.get("class") == "plot":
             self.found[-1].plots.append(DrawnPlot("", known["data-x"] or "", known["data-y"] or ""))
         elif tag == "svg":
             self.svgs.append(known)
             self.found[-1].plots[-1].title = known["aria-label"] or ""
-        elif tag == "title" and self._open:
+        elif tag == "title" and self.in_figure:
             self.titles += 1
         elif tag == "path" and "data-name" in known:
             paths = self.found[-1].plots[-1].paths
             paths.setdefault(known["data-name"] or "", []).append(known["d"] or "")
 
     def handle_endtag(self, tag: str) -> None:
-        self._open = self._open and tag != "figure"
+        self.in_figure = self.in_figure and tag != "figure"
 
     def handle_data(self, data: str) -> None:
-        if self._open and data.strip():
+        if self.in_figure and data.strip():
             self.found[-1].texts.append(data.strip())
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import zipfile
 from collections.abc import Sequence
 from ctypes import CFUNCTYPE, c_char_p, c_int, c_void_p, cast
 from pathlib import Path
@@ -19,16 +20,13 @@ from fmpy.fmi2 import (
     fmi2CallbackLoggerTYPE,
 )
 
-from cluster_est.export.repaired_fmu.fmu import archive_files
-from cluster_est.export.repaired_fmu.layout import lay_out
-from cluster_est.export.repaired_model import EstimatedValue, RepairedModel
-from cluster_est.problem.parameter import Parameter
-from cluster_est.problem.problem import Problem
-from workers.effects.definition import define
+from cluster_est import Parameter, Problem
+from cluster_est.export.repair import repaired
+from cluster_est.export.write import ExportRequest, write_forms
+from workers.effects.definition import define_all
 from workers.fmu.description import describe_model
 from workers.messages import Effect, Experiment, FloatArray, Model
 
-COMPILER = ("cc", "-Werror")
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no compiler cc")
 
 
@@ -38,34 +36,29 @@ def repair_of(
     values: Sequence[float],
     effects: Sequence[Effect],
     coefficients: Sequence[float],
-) -> RepairedModel:
-    """What a run with these values would give."""
-    description = describe_model(model)
-    signals = tuple(given.variable for given in experiment.signals)
-    made = [define(effect, description, model.interface, signals) for effect in effects]
-    left, found, parameters = list(coefficients), [], []
-    for definition in made:
-        names = [f"{definition.effect.name}.{c.name}" for c in definition.form.coefficients]
-        own = tuple(EstimatedValue(name, "", left.pop(0)) for name in names)
-        found.append(own)
-        parameters += [Parameter(f.name, f.value) for f in own]
-    own_parameters = [Parameter(n, v) for n, v in zip(model.parameters, values, strict=True)]
-    problem = Problem(model, (*own_parameters, *parameters), (experiment,), effects=tuple(effects))
-    known = tuple(EstimatedValue(n, "", v) for n, v in zip(model.parameters, values, strict=True))
-    return RepairedModel(
-        "test", problem, description, tuple(made), tuple(found), known, experiment.values, ()
-    )
+    errors: Sequence[dict[str, Any]] = (),
+):
+    """What a run with these values would give: they are declared to be known."""
+    made = define_all(tuple(effects), describe_model(model), model.interface, (experiment,))
+    names = [f"{each.effect.name}.{c.name}" for each in made for c in each.form.coefficients]
+    known = zip((*model.parameters, *names), (*values, *coefficients), strict=True)
+    parameters = tuple(Parameter(name, value, fixed=True) for name, value in known)
+    problem = Problem(model, parameters, (experiment,), effects=tuple(effects))
+    return repaired(problem, (), experiment.id, errors=errors)
 
 
-def unpacked(repair: RepairedModel, folder: Path) -> Path:
-    """The exported FMU as a folder."""
-    for name, content in archive_files(lay_out(repair), COMPILER).items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if name.endswith("/"):
-            path.mkdir(exist_ok=True)
-        else:
-            path.write_bytes(content)
+def written(repair, path: Path) -> tuple[str, ...]:
+    """Write an exported FMU, whose C gives no warning, and return the notes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CC", "cc -Werror")
+        return write_forms(repair, ExportRequest(fmu=path)).notes
+
+
+def unpacked(repair, folder: Path) -> Path:
+    """The exported FMU as a folder; beside it, in that folder, the archive."""
+    written(repair, folder / "exported.fmu")
+    with zipfile.ZipFile(folder / "exported.fmu") as archive:
+        archive.extractall(folder)
     return folder
 
 
@@ -102,8 +95,8 @@ class Exported:
             modelIdentifier=interface.modelIdentifier,
             instanceName="one",
         )
-        self._callbacks = _callbacks([] if said is None else said)
-        self.fmu.instantiate(callbacks=self._callbacks)
+        self.callbacks = _callbacks([] if said is None else said)
+        self.fmu.instantiate(callbacks=self.callbacks)
 
     def set(self, name: str, value: float) -> None:
         self.fmu.setReal([self.references[name]], [value])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -18,8 +19,6 @@ HOSTILE = '</script><img src=x onerror="alert(1)"><b>&amp;'
 
 def fitted_run(folder: Path, **options) -> Path:
     """The run folder of a fit of two or more springs, the last of them held out."""
-    from dataclasses import replace
-
     problem = spring_problem(noise=0.01, **options).problem
     *others, last = problem.experiments
     problem = replace(problem, experiments=(*others, replace(last, role="test")))
@@ -42,7 +41,7 @@ class Page(HTMLParser):
         self.elements: list[tuple[str, dict[str, str | None]]] = []
         self.texts: list[str] = []
         self.scripts: list[tuple[dict[str, str | None], str]] = []
-        self._within: tuple[str, dict[str, str | None]] = ("", {})
+        self.within: tuple[str, dict[str, str | None]] = ("", {})
         self.feed(path.read_text(encoding="utf-8"))
 
     @property
@@ -56,13 +55,13 @@ class Page(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.elements.append((tag, dict(attrs)))
-        self._within = (tag, dict(attrs))
+        self.within = (tag, dict(attrs))
 
     def handle_endtag(self, tag: str) -> None:
-        self._within = ("", {})
+        self.within = ("", {})
 
     def handle_data(self, data: str) -> None:
-        tag, attributes = self._within
+        tag, attributes = self.within
         if tag == "script":
             self.scripts.append((attributes, data))
         elif tag != "style":

@@ -34,7 +34,12 @@ AT_SIX = {
 """The cost of a residual of 6 sigma, with a scale of 1."""
 
 
-@pytest.mark.parametrize("name", PICTURES)
+SLOW = ("multiple_shooting", "process_noise")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in PICTURES]
+)
 def test_the_picture_is_that_of_the_library_today(name):
     shown, drawn = (DOCS / f"{name}.svg").read_text(encoding="utf-8"), PICTURES[name]()
     assert POINT.sub("#", shown) == POINT.sub("#", drawn)

@@ -11,7 +11,6 @@ from scipy.integrate import solve_ivp
 from support.truth.systems_with_missing_effects import missing_effect_problem, started
 
 import cluster_est as ce
-from cluster_est.problem.effects.declared import DeclaredCoefficient, DeclaredEffect, make_effect
 from workers.messages import Experiment, FloatArray
 
 MASS, SPRING, DAMPER = 1.2, 30.0, 0.6
@@ -30,16 +29,8 @@ def simulated(run: Experiment, *, lag: bool) -> FloatArray:
         rate = (push - SPRING * x - DAMPER * v) / MASS - (0.0 if lag else dry)
         return [v, rate, (x - shown) / LAG]
 
-    start = dict(run.values)["x"]
-    found = solve_ivp(
-        rates,
-        (0.0, run.stop),
-        [start, 0.0, start],
-        t_eval=position.times,
-        rtol=1e-9,
-        atol=1e-11,
-        max_step=0.01,
-    )
+    start, how = dict(run.values)["x"], {"rtol": 1e-9, "atol": 1e-11, "max_step": 0.01}
+    found = solve_ivp(rates, (0.0, run.stop), [start, 0.0, start], t_eval=position.times, **how)
     return np.asarray(found.y[2 if lag else 0])
 
 
@@ -58,33 +49,28 @@ def shown(*, lag: bool = True) -> ce.Problem:
     return started(replace(problem, experiments=tuple(runs)), m=1.1, k=33.0, c=0.7)
 
 
-@pytest.mark.parametrize("factor", [0.1, 0.2, 5.0, 10.0])
+def tried(*values: float) -> list[object]:
+    """The last by default."""
+    *others, last = values
+    return [*(pytest.param(value, marks=pytest.mark.slow) for value in others), last]
+
+
+@pytest.mark.parametrize("factor", tried(0.2, 5.0, 10.0, 0.1))
 def test_a_lag_is_found_from_a_start_far_off(factor: float) -> None:
-    problem = shown()
-    declared = DeclaredEffect(
-        "", "output y", "lag", coefficients={"tau": DeclaredCoefficient(factor * LAG)}
-    )
-    made = make_effect(declared)
-    effect, parameters = made.effect, made.parameters
-    fit = ce.fit(replace(problem, effects=(effect,), parameters=(*problem.parameters, *parameters)))
+    fit = ce.fit(ce.add_effect(shown(), "output y", "lag", start={"tau": factor * LAG}))
     assert fit.x["lag.tau"] == pytest.approx(LAG, rel=0.02)
     assert fit.failures == 0
     assert fit.rmse("train") == pytest.approx(1.0, rel=0.1)
 
 
-@pytest.mark.parametrize("factor", [5.0, 10.0])
+@pytest.mark.parametrize("factor", tried(5.0, 10.0))
 def test_a_speed_is_found_without_a_trial_at_nothing(factor: float) -> None:
     # with a linear scale and a bound of 0 two to ten simulations fail at vs = 0
-    problem = shown(lag=False)
-    given = {
-        "k": DeclaredCoefficient(0.8 * DRY),
-        "peak": DeclaredCoefficient(0.8 * PEAK),
-        "width": DeclaredCoefficient(WIDTH, fixed=True),
-        "vs": DeclaredCoefficient(factor * SPEED),
-    }
-    made = make_effect(DeclaredEffect("", "der(v)", "stribeck", coefficients=given))
-    effect, parameters = made.effect, made.parameters
-    fit = ce.fit(replace(problem, effects=(effect,), parameters=(*problem.parameters, *parameters)))
+    starts = {"k": 0.8 * DRY, "peak": 0.8 * PEAK, "width": WIDTH, "vs": factor * SPEED}
+    grown = ce.add_effect(shown(lag=False), "der(v)", "stribeck", start=starts)
+    *others, width = grown.parameters
+    assert width.name == "stribeck.width"
+    fit = ce.fit(replace(grown, parameters=(*others, replace(width, fixed=True))))
     assert fit.failures == 0
     assert fit.x["stribeck.vs"] == pytest.approx(SPEED, rel=0.05)
     assert fit.rmse("train") == pytest.approx(1.0, rel=0.1)

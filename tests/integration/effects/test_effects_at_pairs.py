@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import ode
 from support.problems.springs import ROOT
+from support.simulated import Worker
 from support.truth.form_terms import PAIR, TRAVEL
 
-from cluster_est.export.text import effect_equation
 from workers.effects.definition import define
 from workers.effects.site import open_pairs, parse_site
 from workers.effects.units import coefficient_units
-from workers.evaluate import Evaluator
 from workers.fmu.description import describe
-from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
-from workers.wire import TaskBatch
+from workers.messages import Effect, Experiment, Input, Model, Output, Solver
 
 FMU = ROOT / "configs" / "models" / "quarter_car.fmu"
 M_BODY, M_WHEEL, SPRING, DAMPER, TYRE = 300.0, 40.0, 2e4, 900.0, 1.8e5
@@ -39,26 +37,31 @@ def solved(force):
             (suspension - TYRE * (z_wheel - road)) / M_WHEEL + wheel,
         ]
 
-    x = solve_ivp(
-        slope, (0, TIMES[-1]), np.zeros(4), t_eval=TIMES, rtol=1e-9, atol=1e-11, max_step=0.01
-    ).y
+    solver = ode(slope).set_integrator("dop853", rtol=1e-9, atol=1e-11, nsteps=10_000)
+    solver.set_initial_value(np.zeros(4), 0.0)
+    x = np.array([np.zeros(4), *(solver.integrate(t) for t in TIMES[1:])]).T
     return np.column_stack([x[1], x[0] - x[2]])
 
 
-def simulated(effect, coefficients):
+def experiment():
     outputs = tuple(Output(n, TIMES, np.zeros(len(TIMES))) for n in ("velocity", "travel"))
     zeros = tuple((n, 0.0) for n in ("z_body", "v_body", "z_wheel", "v_wheel"))
     values = (*VALUES.items(), ("k_tyre", TYRE), *zeros)
     inputs = (Input("road", TIMES, ROAD),)
-    experiment = Experiment("e", 0.0, float(TIMES[-1]), inputs, outputs, values)
+    return Experiment("e", 0.0, float(TIMES[-1]), inputs, outputs, values)
+
+
+@pytest.fixture(scope="module")
+def simulated():
+    """Outputs with an effect, by one worker."""
     solver = Solver("dormand_prince", rtol=1e-10)
-    model = Model(FMU.name, FMU.read_bytes(), "model_exchange", solver, ())
-    evaluator = Evaluator(model, (experiment,), "w")
-    task = Task(0, 0, np.array(coefficients), "trajectory", (effect,))
-    (outcome,) = evaluator.evaluate(TaskBatch.of([task]))
-    evaluator.close()
-    assert outcome.ok, outcome.message
-    return outcome.trajectory.values
+    worker = Worker(Model(FMU.name, FMU.read_bytes(), "model_exchange", solver, ()), experiment())
+    return lambda effect, coefficients: worker.outputs(coefficients, effects=[effect])[0]
+
+
+@pytest.fixture(scope="module")
+def without():
+    return solved(lambda x: (0.0, 0.0))
 
 
 DEPTH = "max(z_wheel - z_body - at, 0)"
@@ -78,7 +81,7 @@ PLACES = {
 
 
 @pytest.mark.parametrize("form", PAIR)
-def test_a_force_between_two_states(form):
+def test_a_force_between_two_states(simulated, without, form):
     coefficients, variables, law = PAIR[form]
     k, back, *_ = coefficients
 
@@ -87,14 +90,13 @@ def test_a_force_between_two_states(form):
         return -k * here, back * here
 
     truth = solved(force)
-    without = solved(lambda x: (0.0, 0.0))
     assert np.abs(truth - without).max() > 3e-4
     effect = Effect("e", "pair v_body,v_wheel", form, variables)
     np.testing.assert_allclose(simulated(effect, coefficients), truth, atol=1e-6)
 
 
 @pytest.mark.parametrize("values", [7, 13, 25])
-def test_a_curve_between_two_states_acts_on_both_in_proportion(values):
+def test_a_curve_between_two_states_acts_on_both_in_proportion(simulated, without, values):
     coarse = (2.0, 1.5, 1.2, 0.1, -0.8, -1.0, -2.5)
     places = np.linspace(-0.03, 0.04, values)
     heights = np.interp(places, np.linspace(-0.03, 0.04, 7), coarse)
@@ -105,14 +107,14 @@ def test_a_curve_between_two_states_acts_on_both_in_proportion(values):
         return here, -7.5 * here
 
     truth = solved(force)
-    assert np.abs(truth - solved(lambda x: (0.0, 0.0))).max() > 3e-3
+    assert np.abs(truth - without).max() > 3e-3
     form = "table" if values == 7 else f"table_{values}"
     effect = Effect("e", "pair v_body,v_wheel", form, TRAVEL)
     found = simulated(effect, (*heights, 7.5, places[0], places[-1]))
     np.testing.assert_allclose(found, truth, atol=2e-5)
 
 
-def test_an_equation_of_ones_own_with_a_reaction():
+def test_an_equation_of_ones_own_with_a_reaction(simulated, without):
     """A one-sided stop between two masses, which pushes both apart."""
 
     def force(x):
@@ -120,16 +122,9 @@ def test_an_equation_of_ones_own_with_a_reaction():
         return push / M_BODY, -push / M_WHEEL
 
     truth = solved(force)
-    assert np.abs(truth - solved(lambda x: (0.0, 0.0))).max() > 3e-3
+    assert np.abs(truth - without).max() > 3e-3
     coefficients = (4e4 / M_BODY, 4e4 / M_WHEEL, 0.01)
     np.testing.assert_allclose(simulated(STOP, coefficients), truth, atol=2e-5)
-
-
-def test_an_equation_with_a_reaction_is_read_as_two():
-    definition = define(STOP, describe(FMU.name, FMU.read_bytes()), "model_exchange")
-    assert effect_equation(definition) == (
-        f"der(v_body) += k * {DEPTH}, der(v_wheel) += -back * {DEPTH}"
-    )
 
 
 def test_the_pairs_that_a_search_should_try_have_one_unit():
@@ -145,23 +140,24 @@ def test_commas_within_brackets_belong_to_a_name():
     assert str(site) == "pair x[1,2],a.b[3]"
 
 
-UNITS = [
-    (Effect("e", "pair v_body,v_wheel", "gap", TRAVEL), ("m/s^2/m", "m/s^2/m", "m")),
-    (Effect("e", "pair z_body,v_wheel", "coulomb", ("road",)), ("m/s", "m/s^2", "m")),
-    (Effect("e", "pair v_body,v_wheel", "table", TRAVEL), (*["m/s^2"] * 7, "1", "m", "m")),
-    (Effect("e", "der(v_body)", "quadratic"), ("m/s^2/(m/s)^2",)),
-    (Effect("e", "der(v_body)", "product", ("z_body", "v_body")), ("m/s^2/(m (m/s))",)),
-    (Effect("e", "der(v_body)", "dahl"), ("m/s^2", "m")),
-    (Effect("e", "output velocity", "drift"), ("m/s^2",)),
-    (Effect("e", "output velocity", "hum"), ("m/s", "m/s", "rad/s")),
-    (Effect("e", "input road", "cubic"), ("1/m^2",)),
-    (Effect("e", "parameter k_spring", "drift"), ("1/s", "s")),
-    (Effect("e", "output travel", "feed_through", ("sun",)), ("m/?",)),
-]
-
-
-@pytest.mark.parametrize(("effect", "units"), UNITS)
-def test_units_of_coefficients(effect, units):
+@pytest.mark.parametrize(
+    ("site", "form", "variables", "units"),
+    [
+        ("pair v_body,v_wheel", "gap", TRAVEL, ("m/s^2/m", "m/s^2/m", "m")),
+        ("pair z_body,v_wheel", "coulomb", ("road",), ("m/s", "m/s^2", "m")),
+        ("pair v_body,v_wheel", "table", TRAVEL, (*["m/s^2"] * 7, "1", "m", "m")),
+        ("der(v_body)", "quadratic", (), ("m/s^2/(m/s)^2",)),
+        ("der(v_body)", "product", ("z_body", "v_body"), ("m/s^2/(m (m/s))",)),
+        ("der(v_body)", "dahl", (), ("m/s^2", "m")),
+        ("output velocity", "drift", (), ("m/s^2",)),
+        ("output velocity", "hum", (), ("m/s", "m/s", "rad/s")),
+        ("input road", "cubic", (), ("1/m^2",)),
+        ("parameter k_spring", "drift", (), ("1/s", "s")),
+        ("output travel", "feed_through", ("sun",), ("m/?",)),
+    ],
+)
+def test_units_of_coefficients(site, form, variables, units):
     description = describe(FMU.name, FMU.read_bytes())
+    effect = Effect("e", site, form, variables)
     definition = define(effect, description, "model_exchange", ("sun",))
     assert coefficient_units(definition, description) == units

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from functools import cache
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
 from support.problems.springs import FMU
+from support.simulated import Worker
+from support.thinning import thinned
 from support.truth.exact_linear import position
 from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M, plain, solve
 
 from workers.effects.memory import SampledSignal, rate_limit
-from workers.evaluate import Evaluator
-from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
-from workers.wire import TaskBatch
+from workers.messages import Effect, Experiment, Input, Model, Output, Solver
 
 EXACT = Solver("dormand_prince", rtol=1e-10)
 CO_SIMULATION = Solver("fmu", step=0.002)
@@ -26,15 +27,8 @@ def simulated(effects, coefficients, solver, force=FORCE, interpolation="linear"
     experiment = Experiment("e", 0.0, float(TIMES[-1]), (given,), (output,), (("x", START[0]),))
     interface = "co_simulation" if solver.name == "fmu" else "model_exchange"
     model = Model(FMU.name, FMU.read_bytes(), interface, solver, ("m", "k", "c"))
-    evaluator = Evaluator(model, (experiment,), "w")
-    tasks = [
-        Task(i, 0, np.array([M, K, C, *row]), "trajectory", tuple(effects))
-        for i, row in enumerate(coefficients)
-    ]
-    outcomes = evaluator.evaluate(TaskBatch.of(tasks))
-    evaluator.close()
-    assert all(o.ok for o in outcomes), outcomes
-    return [o.trajectory.values[:, 0] for o in outcomes]
+    points = [(M, K, C, *row) for row in coefficients]
+    return [y[:, 0] for y in Worker(model, experiment).outputs(*points, effects=effects)]
 
 
 def behind_a_play(signal, half):
@@ -52,6 +46,7 @@ def behind_a_play(signal, half):
 FINE = 64
 
 
+@cache
 def played(half, gain=1.0):
     """The position behind a play that is followed in steps much finer than the samples."""
     times = np.linspace(TIMES[0], TIMES[-1], FINE * (len(TIMES) - 1) + 1)
@@ -84,22 +79,35 @@ def limited(times, force, fastest, first):
     return np.array(out)
 
 
-@pytest.mark.parametrize("form", ["rate_limit", "rate_limit_from_rest"])
-@pytest.mark.parametrize("interpolation", ["linear", "hold"])
-@pytest.mark.parametrize("solver", [EXACT, CO_SIMULATION])
-def test_a_limited_rate_of_an_input(solver, interpolation, form):
+RATE_LIMITS = ("rate_limit", "rate_limit_from_rest")
+RATES = (4.0, 25.0, 0.5)
+
+
+@cache
+def behind_a_limit(interpolation, from_rest):
+    """The position without a limit, and those for each rate."""
     finer = 16 * FINE  # a step of the truth is as wrong as what the signal does in it
     times = np.linspace(TIMES[0], TIMES[-1], finer * (len(TIMES) - 1) + 1)
     force = np.interp(times, TIMES, FORCE)
     if interpolation == "hold":
         force = FORCE[np.searchsorted(TIMES, times + 1e-9, side="right") - 1]
-    effect, first = Effect("e", "input F", form), force[0] if form == "rate_limit" else 0.0
     assert abs(force[0]) > 0.1
-    rates = (4.0, 25.0, 0.5)
-    several = simulated([effect], [(rate,) for rate in rates], solver, FORCE, interpolation)
-    unlimited = position(times, force, M, K, C, *START)[::finer]
-    for rate, found in zip(rates, several, strict=True):
-        truth = position(times, limited(times, force, rate, first), M, K, C, *START)[::finer]
+    forces = [limited(times, force, rate, 0.0 if from_rest else force[0]) for rate in RATES]
+    return [position(times, each, M, K, C, *START)[::finer] for each in (force, *forces)]
+
+
+@pytest.mark.parametrize(
+    ("solver", "interpolation", "form"),
+    thinned(
+        list(product((EXACT, CO_SIMULATION), ("linear", "hold"), RATE_LIMITS)),
+        *(lambda *case, i=i: case[i] for i in range(3)),
+    ),
+)
+def test_a_limited_rate_of_an_input(solver, interpolation, form):
+    effect = Effect("e", "input F", form)
+    several = simulated([effect], [(rate,) for rate in RATES], solver, FORCE, interpolation)
+    unlimited, *truths = behind_a_limit(interpolation, form == "rate_limit_from_rest")
+    for truth, found in zip(truths, several, strict=True):
         assert np.abs(truth - unlimited).max() > 1e-3
         np.testing.assert_allclose(found, truth, atol=6e-5)
 

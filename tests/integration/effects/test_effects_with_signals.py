@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.integrate import solve_ivp
 from support.problems.springs import ROOT
+from support.simulated import simulated as one_simulation
 
 from cluster_est.cli import main
 from workers.errors import EffectError
@@ -60,15 +62,14 @@ def experiment(signals=SIGNALS):
     return Experiment("e", 0.0, float(TIMES[-1]), inputs, (output,), values, signals=signals)
 
 
-def simulated(effects, coefficients, solver, run=None):
+def model(solver=EXACT):
     interface = "co_simulation" if solver.name == "fmu" else "model_exchange"
-    model = Model(FMU.name, FMU.read_bytes(), interface, solver, ("R_room_wall",))
-    evaluator = Evaluator(model, (run or experiment(),), "w")
-    task = Task(0, 0, np.array([R_ROOM, *coefficients]), "trajectory", tuple(effects))
-    (outcome,) = evaluator.evaluate(TaskBatch.of([task]))
-    evaluator.close()
-    assert outcome.ok, outcome.message
-    return outcome.trajectory.values[:, 0]
+    return Model(FMU.name, FMU.read_bytes(), interface, solver, ("R_room_wall",))
+
+
+def simulated(effects, coefficients, solver, run=None):
+    found = one_simulation(model(solver), run or experiment(), (R_ROOM, *coefficients), effects)
+    return found[:, 0]
 
 
 @pytest.mark.parametrize("solver", [EXACT, Solver("rk4", step=60.0)])
@@ -115,8 +116,7 @@ def test_a_difference_with_a_signal_and_an_own_equation():
 
 def test_points_in_a_batch_give_what_each_gives_alone():
     """One parameter and several known values, which NumPy would lay out column by column."""
-    model = Model(FMU.name, FMU.read_bytes(), "model_exchange", EXACT, ("R_room_wall",))
-    evaluator = Evaluator(model, (experiment(),), "w")
+    evaluator = Evaluator(model(), (experiment(),), "w")
     effect = Effect("e", "der(T_room)", "linear", ("sun",))
     for effects, size in (((), 1), ((effect,), 2)):
         points = [np.array([r, GAIN])[:size] for r in (0.003, 0.004, 0.005)]
@@ -137,11 +137,10 @@ def test_signals_are_part_of_an_experiments_key_where_there_are_any():
 
 def test_an_experiment_without_the_signal_is_refused():
     dark = replace(experiment(()), id="dark")
-    model = Model(FMU.name, FMU.read_bytes(), "model_exchange", EXACT, ())
-    evaluator = Evaluator(model, (experiment(), dark), "w")
+    evaluator = Evaluator(model(), (experiment(), dark), "w")
     effect = Effect("e", "der(T_room)", "linear", ("sun",))
-    task = Task(0, 1, np.array([GAIN]), "trajectory", (effect,))
-    with pytest.raises(EffectError, match=r"'dark': an effect needs the signal 'sun'"):
+    task = Task(0, 1, np.array([R_ROOM, GAIN]), "trajectory", (effect,))
+    with pytest.raises(EffectError, match=r"'dark'.*signal 'sun'"):
         evaluator.evaluate(TaskBatch.of([task]))
     evaluator.close()
 
@@ -171,53 +170,54 @@ outputs = {{ y = "room" }}
 """
 
 
-@pytest.fixture
-def config(tmp_path):
+DARK = """
+[[experiments]]
+id = "dark"
+data = "run.csv"
+time = "t"
+inputs = { P = "heating", T_out = "outdoors" }
+outputs = { y = "room" }
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """With what the config reads."""
+    made = tmp_path_factory.mktemp("sun")
     measured = solved(warming=lambda sun: GAIN * sun)
-    rows = zip(TIMES, HEATING, OUTDOORS, SUN, measured, strict=True)
-    lines = ["t,heating,outdoors,sunshine,room"]
-    lines += [",".join(repr(float(v)) for v in row) for row in rows]
-    (tmp_path / "run.csv").write_text("\n".join(lines))
-
-    def write(old="", new=""):
-        path = tmp_path / "config.toml"
-        path.write_text(CONFIG.format(fmu=json.dumps(str(FMU))).replace(old, new))
-        return str(path)
-
-    return write
+    columns = np.column_stack([TIMES, HEATING, OUTDOORS, SUN, measured])
+    head = "t,heating,outdoors,sunshine,room"
+    np.savetxt(made / "run.csv", columns, "%.17g", ",", header=head, comments="")
+    return made
 
 
-def test_the_sun_is_fitted_from_a_config(config, tmp_path):
-    assert main(["fit", config(), "--out", str(tmp_path / "run")]) == 0
-    rows = pq.read_table(tmp_path / "run" / "parameters.parquet").to_pylist()
+def written(folder, old="", new=""):
+    path = folder / "config.toml"
+    path.write_text(CONFIG.format(fmu=json.dumps(str(FMU))).replace(old, new))
+    return str(path)
+
+
+def test_the_sun_is_fitted_from_a_config(folder):
+    assert main(["fit", written(folder), "--out", str(folder / "run"), "--no-report"]) == 0
+    rows = pq.read_table(folder / "run" / "parameters.parquet").to_pylist()
     found = {row["label"]: row["value"] for row in rows if row["estimated_on"] == "train"}
     assert found == pytest.approx({"R_room_wall": R_ROOM, "sun.k": GAIN}, rel=1e-5)
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "phrase"),
+    ("old", "new", "said"),
     [
-        ('["sun"]', '["son"]', "unknown variable 'son'; did you mean 'sun'?"),
-        ("{ sun =", "{ T_wall =", "T_wall: must not be the name of a variable of room.fmu"),
+        ('["sun"]', '["son"]', "'son'.*did you mean 'sun'"),
+        ("{ sun =", "{ T_wall =", "T_wall.*must not be.*variable of room.fmu"),
         ("{ sun =", "{ t =", "t: must not be named t or s"),
-        ("sunshine", "sunshin", "has no column 'sunshin'; did you mean 'sunshine'?"),
-        ('= "sunshine"', "= 3", "must be a column's name or { column, interpolation }"),
+        ("sunshine", "sunshin", "'sunshin'.*did you mean 'sunshine'"),
+        ('= "sunshine"', "= 3", "must be a column's name"),
         ("signals =", "signal =", "did you mean"),
+        ('outputs = { y = "room" }', f'outputs = {{ y = "room" }}{DARK}', "'dark'.*must.*'sun'"),
     ],
 )
-def test_a_wrong_signal_is_one_sentence(config, capsys, old, new, phrase):
-    assert main(["check", config(old, new)]) == 2
-    said = capsys.readouterr().err
-    assert phrase in said
-    assert "Traceback" not in said
-
-
-def test_every_experiment_must_have_the_signals_of_the_effects(config, capsys):
-    path = config()
-    with open(path, "a") as opened:
-        opened.write(
-            '[[experiments]]\nid = "dark"\ndata = "run.csv"\ntime = "t"\n'
-            'inputs = { P = "heating", T_out = "outdoors" }\noutputs = { y = "room" }\n'
-        )
-    assert main(["check", path]) == 2
-    assert "experiment 'dark'.signals: must have 'sun'" in capsys.readouterr().err
+def test_a_wrong_signal_is_one_sentence(folder, capsys, old, new, said):
+    assert main(["check", written(folder, old, new)]) == 2
+    error = capsys.readouterr().err
+    assert re.search(said, error)
+    assert "Traceback" not in error

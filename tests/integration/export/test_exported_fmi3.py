@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
+import zipfile
 from ctypes import byref, c_double, c_int
-from dataclasses import replace
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from fmpy import read_model_description
+from fmpy import extract, read_model_description
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from support.described import packed
-from support.exported import Exported, co_simulated, needs_compiler, repair_of, unpacked
+from support.exported import Exported, co_simulated, needs_compiler, repair_of, unpacked, written
 
 from cluster_est.errors import ModelError
-from cluster_est.export.repaired_fmu.fmi3_document import as_fmi_2
-from cluster_est.export.repaired_fmu.fmi3_variables import flatten
-from cluster_est.export.repaired_fmu.fmu import write_fmu
-from cluster_est.export.repaired_fmu.layout import lay_out
-from workers.fmu.description import describe
 from workers.messages import Effect, Experiment, Model, Output, Solver
 
 pytestmark = needs_compiler
+TUPLE = "x86_64-linux"
 DISCARD, LAST_SUCCESSFUL_TIME, TERMINATED = 2, 2, 3
 TIMES = np.linspace(0.0, 1.0, 11)
 RATES = (1.0, 2.0, 3.0, 4.0)
@@ -35,22 +32,27 @@ KNOWN = (
 SLOWED = Effect("slowed", "der(z[3])", "linear", ("z[3]",))
 
 
-@pytest.fixture(scope="module")
-def repair(own_fmu):
+def repair(own_fmu, *known):
     """Variables of every type, with four states z that decay, one the slower by an effect."""
     archive = own_fmu("types", 3)
     outputs = tuple(Output(f"y_z[{k}]", TIMES, np.zeros(11)) for k in (1, 2, 3, 4))
-    measured = Experiment("e", 0.0, 1.0, (), outputs, KNOWN)
-    model = Model(
-        archive.name, archive.read_bytes(), "model_exchange", Solver("dormand_prince", rtol=1e-10),
-        ("rates[2]",), (("n", 4),),
-    )  # fmt: skip
+    measured = Experiment("e", 0.0, 1.0, (), outputs, (*KNOWN, *known))
+    solver = Solver("dormand_prince", rtol=1e-10)
+    content = archive.read_bytes()
+    model = Model(archive.name, content, "model_exchange", solver, ("rates[2]",), (("n", 4),))
     return repair_of(model, measured, (RATES[1],), (SLOWED,), (0.5,))
 
 
 @pytest.fixture(scope="module")
-def folder(repair, tmp_path_factory):
-    return unpacked(repair, tmp_path_factory.mktemp("types"))
+def types(own_fmu, tmp_path_factory):
+    """The exported FMU as a file, and the notes on it."""
+    path = tmp_path_factory.mktemp("types") / "types.fmu"
+    return path, written(repair(own_fmu), path)
+
+
+@pytest.fixture(scope="module")
+def folder(types):
+    return Path(extract(str(types[0]), str(types[0].parent / "unpacked")))
 
 
 @pytest.fixture
@@ -66,10 +68,10 @@ def reference(exported, name):
     return [exported.references[name]]
 
 
-def test_the_description_is_one_of_fmi_2(repair, tmp_path):
-    notes = write_fmu(repair, tmp_path / "types.fmu")
-    assert validate_fmu(str(tmp_path / "types.fmu")) == []
-    described = read_model_description(str(tmp_path / "types.fmu"))
+def test_the_description_is_one_of_fmi_2(types):
+    path, notes = types
+    assert validate_fmu(str(path)) == []
+    described = read_model_description(str(path))
     variables = {v.name: v for v in described.modelVariables}
     assert described.fmiVersion == "2.0"
     assert "blob" not in variables
@@ -93,17 +95,22 @@ def test_elements_of_arrays_move_as_they_should(exported, k):
     np.testing.assert_allclose(found, np.exp(-rate * TIMES), rtol=0.0, atol=1e-8)
 
 
+def read(exported, name):
+    """A value that is no real number, or three of a vector."""
+    if name == "y_vector":
+        return [exported.get(f"y_vector[{k}]") for k in (1, 2, 3)]
+    kinds = {"y_boolean": exported.fmu.getBoolean, "y_text": exported.fmu.getString}
+    return kinds.get(name, exported.fmu.getInteger)(reference(exported, name))[0]
+
+
 def test_values_of_every_type(exported):
     """Those of the run first; then others, again after a reset."""
     fmu = exported.fmu
+    of_the_run = {"y_integer": 7, "y_int8": -3, "y_boolean": 0, "y_mode": 3, "y_text": b"longer"}
     for _ in range(2):
         exported.begin({"u_vector[2]": 10.0, "u_float32": 0.5})
-        assert list(fmu.getInteger(reference(exported, "y_integer"))) == [7]
-        assert list(fmu.getInteger(reference(exported, "y_int8"))) == [-3]
-        assert list(fmu.getBoolean(reference(exported, "y_boolean"))) == [0]
-        assert list(fmu.getInteger(reference(exported, "y_mode"))) == [3]
-        assert list(fmu.getString(reference(exported, "y_text"))) == [b"longer"]
-        assert [exported.get(f"y_vector[{k}]") for k in (1, 2, 3)] == [1.0, 15.0, 3.0]
+        assert {name: read(exported, name) for name in of_the_run} == of_the_run
+        assert read(exported, "y_vector") == [1.0, 15.0, 3.0]
         assert exported.get("y_float32") == 0.75
         fmu.reset()
     fmu.setInteger(reference(exported, "uint8"), [200])
@@ -111,11 +118,9 @@ def test_values_of_every_type(exported):
     fmu.setBoolean(reference(exported, "boolean"), [True])
     fmu.setString(reference(exported, "text"), ["x"])
     exported.begin({"weights[3]": 0.0})
-    assert list(fmu.getInteger(reference(exported, "y_uint8"))) == [200]
-    assert list(fmu.getInteger(reference(exported, "y_integer"))) == [-8]
-    assert list(fmu.getBoolean(reference(exported, "y_boolean"))) == [1]
-    assert list(fmu.getString(reference(exported, "y_text"))) == [b"x"]
-    assert [exported.get(f"y_vector[{k}]") for k in (1, 2, 3)] == [1.0, 5.0, 0.0]
+    others = {"y_uint8": 200, "y_integer": -8, "y_boolean": 1, "y_text": b"x"}
+    assert {name: read(exported, name) for name in others} == others
+    assert read(exported, "y_vector") == [1.0, 5.0, 0.0]
 
 
 def test_integers_that_are_too_large_are_an_error(exported):
@@ -140,7 +145,7 @@ def test_get_and_set_state(exported):
     fmu.setFMUState(early)
     exported.set("weights[3]", 60.0)
     exported.begin({})
-    assert [exported.get(f"y_vector[{k}]") for k in (1, 2, 3)] == [40.0, 5.0, 60.0]
+    assert read(exported, "y_vector") == [40.0, 5.0, 60.0]
     co_simulated(exported, TIMES[:6], {}, "y")
     kept = fmu.serializeFMUstate(fmu.getFMUState())
     rest = co_simulated(exported, TIMES, {}, "y", first=5)
@@ -150,11 +155,9 @@ def test_get_and_set_state(exported):
     assert rest[-1] > rest[0]
 
 
-@pytest.mark.parametrize(("name", "value"), [("blob", "00"), ("int64", 2**40)])
-def test_what_the_run_needs_and_fmi_2_has_not_is_refused(repair, name, value):
-    needed = replace(repair, known=(*repair.known, (name, value)))
-    with pytest.raises(ModelError, match=f"'{name}' is .* of FMI 3.0 that has no like there"):
-        lay_out(needed)
+def test_what_the_run_needs_and_fmi_2_has_not_is_refused(own_fmu, tmp_path):
+    with pytest.raises(ModelError, match=r"'int64' is .* of FMI 3.0 that has no like there"):
+        written(repair(own_fmu, ("int64", 2**40)), tmp_path / "types.fmu")
 
 
 def test_an_original_that_ends_the_simulation_says_so(own_fmu, tmp_path):
@@ -208,24 +211,24 @@ RICH = """<fmiModelDescription fmiVersion="3.0" modelName="rich" instantiationTo
 
 
 def test_units_and_types_are_kept_and_the_rest_is_left_out(tmp_path):
-    flat = flatten(describe("rich.fmu", packed(RICH)), {})
-    assert flat.left_out == ("vast", "texts[1]", "texts[2]", "clock")
-    root = as_fmi_2(ElementTree.fromstring(RICH), flat.description)
-    root.set("guid", "g")
-    (tmp_path / "modelDescription.xml").write_bytes(ElementTree.tostring(root))
-    assert validate_fmu(str(tmp_path)) == []
-    variables = {v.name: v for v in read_model_description(str(tmp_path)).modelVariables}
+    """It is described alone: there is no code that could be loaded."""
+    archive = packed(RICH, f"binaries/{TUPLE}/rich.so")
+    output = Output("T", TIMES, np.zeros(11))
+    model = Model("rich.fmu", archive, "model_exchange", Solver("dormand_prince"), ())
+    path = tmp_path / "rich_repaired.fmu"
+    notes = written(repair_of(model, Experiment("e", 0.0, 1.0, (), (output,)), (), (), ()), path)
+    assert any("is without vast, texts[1], texts[2], clock, which FMI 2" in note for note in notes)
+    assert validate_fmu(str(path)) == []
+    variables = {v.name: v for v in read_model_description(str(path)).modelVariables}
     hot, far = variables["T"], variables["far"]
-    assert (hot.type, hot.declaredType.name, hot.unit, hot.displayUnit) == (
-        "Real",
-        "Hot",
-        "K",
-        None,
-    )
+    assert (hot.type, hot.declaredType.name) == ("Real", "Hot")
+    assert (hot.unit, hot.displayUnit) == ("K", None)
     assert variables["same"].valueReference == hot.valueReference
     assert (variables["n"].declaredType.name, variables["n"].declaredType.max) == ("Count", None)
     assert (far.type, far.start) == ("Integer", "7")
-    assert [variables[f"v[{k}]"].start for k in (1, 2)] == ["1", "2"]
+    assert [float(variables[f"v[{k}]"].start) for k in (1, 2)] == [1.0, 2.0]
+    with zipfile.ZipFile(path) as opened:
+        root = ElementTree.fromstring(opened.read("modelDescription.xml"))
     assert root.find("ModelExchange").get("providesDirectionalDerivative") is None
     (unknown,) = root.findall("ModelStructure/Outputs/Unknown")
     assert unknown.get("dependencies") == "6 7"

@@ -20,6 +20,16 @@ def test_it_is_stored_without_outputs(stored):
     assert all(cell.outputs == [] and cell.execution_count is None for cell in cells)
 
 
+def test_its_cells_run_one_after_the_other(stored, monkeypatch, capsys):
+    monkeypatch.chdir(PATH.parent)
+    known = {}
+    for cell in stored.cells:
+        if cell.cell_type == "code":
+            exec(cell.source, known)
+    assert "True converged" in capsys.readouterr().out
+
+
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # of Jupyter's own parts
 def test_it_runs_and_shows_what_its_text_says(stored):
     run = NotebookClient(stored, timeout=120, resources={"metadata": {"path": str(PATH.parent)}})

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 from support.cut_logs import cut
 from support.drawn import Figures
-from support.reported import HOSTILE, Page, fitted_run
+from support.reported import HOSTILE, Page
 from support.truth.springs_with_friction import write_config
 
 from cluster_est.cli import main
@@ -22,12 +22,12 @@ from cluster_est.report import write_report
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory) -> Path:
-    return fitted_run(tmp_path_factory.mktemp("fit") / "run", experiments=3)
+def page(run) -> Page:
+    return Page(write_report(run))
 
 
-def copied(run: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(run, tmp_path / "copy"))
+def sections(page: Page) -> list[str]:
+    return [attributes["id"] for attributes in page.of("section") if "id" in attributes]
 
 
 def change(path: Path, table: str, column: str, value: object, row: int = 0) -> None:
@@ -37,16 +37,15 @@ def change(path: Path, table: str, column: str, value: object, row: int = 0) -> 
     pq.write_table(pa.Table.from_pylist(rows), path / f"{table}.parquet")
 
 
-def test_the_verdict_comes_first_and_what_follows_is_in_order(run):
-    page = Page(write_report(run))
-    text = page.text
+def test_the_verdict_comes_first_and_what_follows_is_in_order(page):
     order = ["The fit reached a solution", "parameter values of", "The error fell from",
              "The cost fell", "Error before and after, over", "Errors before and after",
              "Parameters", "How the search went", "Workers and failures"]  # fmt: skip
-    places = [text.index(each) for each in order]
+    places = [page.text.index(each) for each in order]
     assert places == sorted(places)
-    ids = [attributes["id"] for attributes in page.of("section") if "id" in attributes]
-    assert ids == ["errors", "curves", "parameters", "search", "workers", "provenance"]
+    assert sections(page) == [
+        "errors", "curves", "parameters", "search", "workers", "provenance"
+    ]  # fmt: skip
 
 
 def test_the_same_folder_gives_the_same_page(run, tmp_path):
@@ -55,8 +54,7 @@ def test_the_same_folder_gives_the_same_page(run, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.html", "b.html"]
 
 
-def test_only_its_own_scripts_may_run_and_nothing_is_fetched(run):
-    page = Page(write_report(run))
+def test_only_its_own_scripts_may_run_and_nothing_is_fetched(run, page):
     (policy,) = [
         attributes["content"]
         for attributes in page.of("meta")
@@ -65,11 +63,9 @@ def test_only_its_own_scripts_may_run_and_nothing_is_fetched(run):
     allowed = dict(part.strip().split(" ", 1) for part in policy.split(";"))
     assert allowed["default-src"] == "'none'"
     assert not re.search(r"https?:|\*|unsafe-eval", policy)
-    running = [text for attributes, text in page.scripts if "type" not in attributes]
-    assert len(running) == 1
-    for text in running:
-        digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
-        assert f"'sha256-{digest}'" in allowed["script-src"]
+    (running,) = [text for attributes, text in page.scripts if "type" not in attributes]
+    digest = base64.b64encode(hashlib.sha256(running.encode()).digest()).decode()
+    assert f"'sha256-{digest}'" in allowed["script-src"]
     assert "'unsafe-inline'" not in allowed["script-src"]
     assert not page.of("link")
     assert not page.of("iframe")
@@ -78,8 +74,8 @@ def test_only_its_own_scripts_may_run_and_nothing_is_fetched(run):
     assert not re.search(r"https?://|//[a-z]|@import|url\(", text)
 
 
-def test_values_from_files_are_escaped_wherever_they_come_from(run, tmp_path):
-    hostile = copied(run, tmp_path)
+def test_values_from_files_are_escaped_wherever_they_come_from(copied):
+    hostile = copied
     for table, column in (
         ("errors", "output"), ("errors", "unit"), ("errors", "experiment"), ("residuals", "unit"),
         ("parameters", "label"), ("parameters", "unit"), ("searches", "search"),
@@ -106,8 +102,8 @@ def test_values_from_files_are_escaped_wherever_they_come_from(run, tmp_path):
     }
 
 
-def test_a_run_that_goes_on_says_so_and_loads_itself_again(run, tmp_path):
-    going = copied(run, tmp_path)
+def test_a_run_that_goes_on_says_so_and_loads_itself_again(copied):
+    going = copied
     facts = json.loads((going / "run.json").read_text())
     kept = {k: facts[k] for k in ("format", "seed", "started", "fmu", "versions", "config_hash")}
     (going / "run.json").write_text(json.dumps({**kept, "status": "running", "verdict": None}))
@@ -118,13 +114,12 @@ def test_a_run_that_goes_on_says_so_and_loads_itself_again(run, tmp_path):
     assert page.of("body") == [{"data-reload": "7.0"}]
     assert "The run goes on" in page.text
     assert "every 7 s" in page.text
-    ids = [attributes["id"] for attributes in page.of("section") if "id" in attributes]
-    assert ids == ["search", "workers", "provenance"]
+    assert sections(page) == ["search", "workers", "provenance"]
     assert page.of("body") != Page(write_report(going)).of("body")
 
 
-def test_an_interrupted_run_shows_what_is_there(run, tmp_path):
-    left = copied(run, tmp_path)
+def test_an_interrupted_run_shows_what_is_there(copied):
+    left = copied
     for path in [*left.glob("*.parquet"), left / "progress.jsonl", left / "config.toml"]:
         path.unlink()
     shutil.rmtree(left / "evaluations")
@@ -134,31 +129,33 @@ def test_an_interrupted_run_shows_what_is_there(run, tmp_path):
     assert "It left no results" in text
 
 
-@pytest.mark.parametrize(("name", "said"), [("nothing", "has no run.json"), ("run", "damaged")])
-def test_what_is_no_run_or_damaged_is_said_in_a_sentence(run, tmp_path, capsys, name, said):
-    folder = tmp_path / "nothing"
-    if name == "run":
-        folder = copied(run, tmp_path)
-        (folder / "parameters.parquet").write_bytes(b"PAR1 not really")
-    assert main(["report", str(folder)]) == 2
-    error = capsys.readouterr().err
-    assert said in error
-    assert error.count("\n") == 1
+def test_what_is_no_run_or_damaged_is_said_in_a_sentence(copied, tmp_path, capsys):
+    (copied / "parameters.parquet").write_bytes(b"PAR1 not really")
+    for folder, said in ((tmp_path / "nothing", "has no run.json"), (copied, "damaged")):
+        assert main(["report", str(folder)]) == 2
+        error = capsys.readouterr().err
+        assert said in error
+        assert error.count("\n") == 1
 
 
 def test_a_fit_writes_its_report_and_ends_as_it_would_without(tmp_path, capsys):
-    config = write_config(tmp_path)
-    run = ["fit", str(config), "--overwrite", "--out", str(tmp_path / "run")]
+    report = tmp_path / "run" / "report.html"
+    run = [
+        "fit",
+        str(write_config(tmp_path, roles=("train",))),
+        "--overwrite",
+        "--out",
+        str(report.parent),
+    ]
     assert main([*run, "--no-report"]) == 0
-    assert not (tmp_path / "run" / "report.html").exists()
+    assert not report.exists()
     assert main(run) == 0
-    assert (tmp_path / "run" / "report.html").is_file()
-    assert f"report: {tmp_path / 'run' / 'report.html'}" in capsys.readouterr().out
-    (tmp_path / "run" / "report.html").unlink()
-    (tmp_path / "run" / "report.html").mkdir()
+    assert report.is_file()
+    assert f"report: {report}" in capsys.readouterr().out
+    report.unlink()
+    report.mkdir()
     assert main(run) == 0
-    error = capsys.readouterr().err
-    assert "the report could not be written" in error
+    assert "the report could not be written" in capsys.readouterr().err
 
 
 def test_a_report_goes_where_it_is_told(run, tmp_path, capsys):

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from support.drawn import UNITS, DrawnFigure, DrawnPlot, Figures, points, value
-from support.reported import Page, fitted_run
+from support.drawn import DrawnFigure, Figures
+from support.reported import Page
 
 from cluster_est.report import write_report
 
@@ -21,12 +20,13 @@ SMALL = 1_500_000
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory) -> Path:
-    return fitted_run(tmp_path_factory.mktemp("fit") / "run", experiments=3)
+def figures(run) -> Figures:
+    return Figures(write_report(run))
 
 
-def copied(run: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(run, tmp_path / "copy"))
+@pytest.fixture(scope="module")
+def errors(run):
+    return pq.read_table(run / "errors.parquet").to_pandas()
 
 
 def panel(figures: Figures, experiment: str) -> DrawnFigure:
@@ -34,8 +34,7 @@ def panel(figures: Figures, experiment: str) -> DrawnFigure:
     return found
 
 
-def test_curves_are_those_of_the_tables(run):
-    figures = Figures(write_report(run))
+def test_curves_are_those_of_the_tables(run, figures):
     table = pq.read_table(run / "residuals.parquet").to_pandas()
     shown = [(p.attributes["data-experiment"], p.attributes["data-output"]) for p in figures.panels]
     assert shown == list(dict.fromkeys(zip(table.experiment, table.output, strict=True)))
@@ -53,19 +52,19 @@ def test_curves_are_those_of_the_tables(run):
         assert values == pytest.approx(expected.to_numpy()[at], abs=plot.grain(plot.y))
 
 
-def test_between_measured_times_the_simulated_curves_are_those_of_the_trajectories(run):
+def test_between_measured_times_the_simulated_curves_are_those_of_the_trajectories(run, figures):
     fine = pq.read_table(run / "trajectories.parquet").to_pandas()
     own = fine[fine.experiment == "e0"]
-    plot = panel(Figures(write_report(run)), "e0").plots[0]
+    plot = panel(figures, "e0").plots[0]
     for name, column in (("after", "simulated"), ("before", "simulated_before")):
         time, values = plot.curve(name)
         expected = np.interp(time, own.time, own[column])
         assert values == pytest.approx(expected, abs=2e-3 * np.ptp(own[column]))
 
 
-def test_the_curves_before_have_the_error_before(run):
+def test_the_curves_before_have_the_error_before(run, errors):
     table = pq.read_table(run / "residuals.parquet").to_pandas()
-    for row in pq.read_table(run / "errors.parquet").to_pylist():
+    for row in errors.to_dict("records"):
         own = table[(table.experiment == row["experiment"]) & (table.output == row["output"])]
         for column, when in (("simulated_before", "before"), ("simulated", "after")):
             found = math.sqrt(((own.measured - own[column]) ** 2).mean())
@@ -74,8 +73,8 @@ def test_the_curves_before_have_the_error_before(run):
     assert fine["simulated_before"].null_count == 0
 
 
-def test_runs_of_versions_without_curves_before_have_a_report(run, tmp_path):
-    old = copied(run, tmp_path)
+def test_runs_of_versions_without_curves_before_have_a_report(copied):
+    old = copied
     for name in ("residuals", "trajectories"):
         table = pq.read_table(old / f"{name}.parquet").drop_columns(["simulated_before"])
         pq.write_table(table, old / f"{name}.parquet")
@@ -88,34 +87,27 @@ def test_a_report_of_a_fit_is_small(run):
     assert write_report(run).stat().st_size < 300_000
 
 
-def with_long_experiments(run: Path, tmp_path: Path, count: int) -> tuple[Path, list[float]]:
-    """A run of many experiments of 10,000 samples, and when each has its one spike."""
-    long = copied(run, tmp_path)
-    times, generator = np.arange(10_000) * 0.01, np.random.default_rng(0)
+def put_long_experiments(folder: Path, count: int, samples: int) -> list[float]:
+    """Into the tables of a run, each with one spike; when it is."""
+    times, generator = np.arange(samples) * 0.01, np.random.default_rng(0)
     tables, spikes = [], []
     for number in range(count):
         measured = np.sin(times) + 0.1 * generator.normal(size=len(times))
         spike = int(generator.integers(len(times)))
         measured[spike] = 50.0
         spikes.append(float(times[spike]))
-        columns = {
-            "experiment": np.full(len(times), f"run{number}"),
-            "role": np.full(len(times), "train"),
-            "output": np.full(len(times), "y"),
-            "time": times,
-            "measured": measured,
-            "simulated": np.sin(times),
-            "simulated_before": np.cos(times),
-            "residual": measured - np.sin(times),
-        }
+        columns = {"experiment": f"run{number}", "role": "train", "output": "y"}
+        columns = {name: np.full(len(times), text) for name, text in columns.items()}
+        columns |= {"time": times, "measured": measured, "residual": measured - np.sin(times)}
+        columns |= {"simulated": np.sin(times), "simulated_before": np.cos(times)}
         tables.append(pa.table(columns))
-    pq.write_table(pa.concat_tables(tables), long / "residuals.parquet")
-    return long, spikes
+    pq.write_table(pa.concat_tables(tables), folder / "residuals.parquet")
+    return spikes
 
 
-def test_many_long_experiments_stay_small_and_keep_their_peaks(run, tmp_path):
-    long, spikes = with_long_experiments(run, tmp_path, 20)
-    path = write_report(long)
+def test_many_long_experiments_stay_small_and_keep_their_peaks(copied):
+    spikes = put_long_experiments(copied, 20, 10_000)
+    path = write_report(copied)
     assert path.stat().st_size < SMALL
     figures = Figures(path)
     assert len(figures.panels) == 20
@@ -128,21 +120,26 @@ def test_many_long_experiments_stay_small_and_keep_their_peaks(run, tmp_path):
 
 
 def test_of_more_charts_than_a_page_can_hold_those_with_the_largest_errors_are_drawn(
-    run, tmp_path, monkeypatch
+    copied, errors
 ):
-    monkeypatch.setattr("cluster_est.report.sections.curves.MOST_PANELS", 2)
-    errors = pq.read_table(run / "errors.parquet").to_pandas()
-    expected = set(errors.nlargest(2, "normalised_after").experiment)
-    path = write_report(run, tmp_path / "few.html")
-    assert {p.attributes["data-experiment"] for p in Figures(path).panels} == expected
-    assert "Of 3 charts the 2 with the largest errors are drawn." in Page(path).text
+    put_long_experiments(copied, 252, 10)
+    (row, *_) = errors.to_dict("records")
+    sizes = np.random.default_rng(1).permutation(252) + 1.0
+    rows = [row | {"experiment": f"run{i}", "normalised_after": s} for i, s in enumerate(sizes)]
+    pq.write_table(pa.Table.from_pylist(rows), copied / "errors.parquet")
+    path = write_report(copied)
+    smallest = {f"run{i}" for i in np.argsort(sizes)[:2]}
+    drawn = {p.attributes["data-experiment"] for p in Figures(path).panels}
+    assert drawn == {f"run{i}" for i in range(252)} - smallest
+    assert "Of 252 charts the 250 with the largest errors are drawn." in Page(path).text
 
 
 @pytest.mark.parametrize(
-    ("seconds", "unit"), [(10.0, "s"), (3600.0, "min"), (90_000.0, "h"), (3e6, "days")]
+    ("seconds", "unit"),
+    [(0.05, "ms"), (10.0, "s"), (300.0, "s"), (3600.0, "min"), (9e4, "h"), (3e6, "days")],
 )
-def test_time_is_in_the_unit_in_which_one_thinks_of_it(run, tmp_path, seconds, unit):
-    slow = copied(run, tmp_path)
+def test_time_is_in_the_unit_in_which_one_thinks_of_it(copied, seconds, unit):
+    slow = copied
     for name in ("residuals", "trajectories"):
         table = pq.read_table(slow / f"{name}.parquet").to_pandas()
         table["time"] *= seconds / table.time.max()
@@ -150,37 +147,20 @@ def test_time_is_in_the_unit_in_which_one_thinks_of_it(run, tmp_path, seconds, u
     assert f"time ({unit})" in Figures(write_report(slow)).panels[0].texts
 
 
-def test_every_chart_says_what_it_shows(run):
-    figures = Figures(write_report(run))
-    assert all(svg["role"] == "img" and svg["aria-label"] for svg in figures.svgs)
-    assert figures.titles == len(figures.svgs) >= 8
-
-
-def plot_of_rows(plot: DrawnPlot, name: str) -> tuple[np.ndarray, list[int]]:
-    """Values across of a mark in a plot of rows, and the row of each, from above."""
-    (path,) = plot.paths[name]
-    across, down = points(path)
-    rows = np.rint(down / UNITS * 3 - 0.5).astype(int)
-    return value(plot.x, across), rows.tolist()
-
-
-def test_the_first_picture_has_before_after_and_noise(run):
-    figure = Figures(write_report(run)).by_id("before-and-after")
+def test_the_first_picture_has_before_after_and_noise(run, figures, errors):
+    figure = figures.by_id("before-and-after")
     assert {"noise", "before", "after", "e0", "e1", "e2 (held out)"} <= set(figure.texts)
     (plot,) = figure.plots
-    errors = pq.read_table(run / "errors.parquet").to_pandas()
     noise = json.loads((run / "run.json").read_text())["residuals"]["outputs"][0]
     divisor = 1.0 if noise["declared"] else noise["noise_over_sigma"]
     for name in ("before", "after"):
-        sizes, rows = plot_of_rows(plot, name)
+        sizes, rows = plot.by_row(name, 3)
         assert rows == [0, 1, 2]
         expected = errors[f"normalised_{name}"].to_numpy() / divisor
         assert sizes == pytest.approx(expected, rel=2e-3)
 
 
-def test_it_opens_on_the_experiment_where_the_error_has_changed_most(run):
-    errors = pq.read_table(run / "errors.parquet").to_pandas()
+def test_it_opens_on_the_experiment_where_the_error_has_changed_most(figures, errors):
     change = (errors.normalised_before - errors.normalised_after).abs()
-    panels = Figures(write_report(run)).panels
-    wide = [p for p in panels if "wide" in (p.attributes["class"] or "")]
+    wide = [p for p in figures.panels if "wide" in (p.attributes["class"] or "")]
     assert [p.attributes["data-experiment"] for p in wide] == [errors.experiment[change.idxmax()]]

@@ -11,19 +11,13 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from support.reported import chromium, fitted_run
+from support.reported import chromium
 
 from cluster_est.report import write_report
 
 FLAGS = [
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
+    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
 ]
 
 
@@ -34,12 +28,6 @@ class Seen:
     page: Any
     said: list[str] = field(default_factory=list)
     asked: list[str] = field(default_factory=list)
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory) -> Path:
-    """Two springs with an output that is seen at 150 times, and a third held out."""
-    return fitted_run(tmp_path_factory.mktemp("fit") / "run", experiments=3)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +57,13 @@ def seen(browser, run) -> Iterator[Seen]:
     found = opened(browser, write_report(run), viewport={"width": 1440, "height": 900})
     found.page.locator(".panel.wide").scroll_into_view_if_needed()
     yield found
+    assert found.said == []
     found.page.close()
+
+
+@pytest.fixture
+def page(seen) -> Any:
+    return seen.page
 
 
 def view(page: Any) -> list[float]:
@@ -94,8 +88,8 @@ def test_everything_is_drawn_and_nobody_is_asked(seen, run):
     assert page.evaluate("document.documentElement.scrollWidth") <= 1440
 
 
-def test_what_is_written_beside_the_plots_does_not_overlap(seen):
-    page = seen.page
+@pytest.mark.slow
+def test_what_is_written_beside_the_plots_does_not_overlap(page):
     for kind, place, size in ((".x-axis", "x", "width"), (".y-axis", "y", "height")):
         for axis in page.locator(kind).all():
             boxes = sorted((t.bounding_box() for t in axis.locator("span").all()),
@@ -104,8 +98,8 @@ def test_what_is_written_beside_the_plots_does_not_overlap(seen):
                 assert first[place] + first[size] <= second[place] + 1.0
 
 
-def test_dragging_zooms_and_a_double_click_shows_all_again(seen, run):
-    page = seen.page
+@pytest.mark.slow
+def test_dragging_zooms_and_a_double_click_shows_all_again(page, run):
     plot = page.locator(".panel.wide .plot").first
     whole = plot.locator("svg").get_attribute("viewBox")
     box = plot.bounding_box()
@@ -125,11 +119,10 @@ def test_dragging_zooms_and_a_double_click_shows_all_again(seen, run):
     page.mouse.dblclick(x + 0.5 * width, y + 0.5 * height)
     assert view(page) == []
     assert plot.locator("svg").get_attribute("viewBox") == whole
-    assert seen.said == []
 
 
-def test_values_are_shown_under_the_pointer(seen, run):
-    page = seen.page
+@pytest.mark.slow
+def test_values_are_shown_under_the_pointer(page, run):
     name = page.locator(".panel.wide").get_attribute("data-experiment")
     table = pq.read_table(run / "residuals.parquet").to_pandas()
     own = table[table.experiment == name]
@@ -144,11 +137,10 @@ def test_values_are_shown_under_the_pointer(seen, run):
     assert measured == pytest.approx(row.measured, abs=5e-3 * np.ptp(own.measured))
     page.mouse.move(5, 5)
     assert page.locator(".panel.wide .tip").is_hidden()
-    assert seen.said == []
 
 
-def test_curves_are_toggled(seen):
-    page = seen.page
+@pytest.mark.slow
+def test_curves_are_toggled(page):
     assert (visible(page, "before"), visible(page, "after")) == (6, 6)
     page.locator("input[name=before]").uncheck()
     assert (visible(page, "before"), visible(page, "after")) == (0, 6)
@@ -156,11 +148,10 @@ def test_curves_are_toggled(seen):
     assert (visible(page, "before"), visible(page, "after")) == (0, 0)
     page.locator("input[name=before]").check()
     assert (visible(page, "before"), visible(page, "after")) == (6, 0)
-    assert seen.said == []
 
 
-def test_another_experiment_is_shown_in_large(seen):
-    page = seen.page
+@pytest.mark.slow
+def test_another_experiment_is_shown_in_large(page):
     options = page.locator("select[name=experiment] option").all_text_contents()
     assert options == ["all", "e0", "e1", "e2"]
     for name in ["e0", "e1", "e2"]:
@@ -170,11 +161,10 @@ def test_another_experiment_is_shown_in_large(seen):
         assert seen_now[0].bounding_box()["width"] > 900
     page.locator("select[name=experiment]").select_option("")
     assert sum(p.is_visible() for p in page.locator(".panel").all()) == 3
-    assert seen.said == []
 
 
-def test_a_small_chart_is_enlarged_and_made_small_again(seen):
-    page = seen.page
+@pytest.mark.slow
+def test_a_small_chart_is_enlarged_and_made_small_again(page):
     small = page.locator(".panel:not(.wide)").first
     name = small.get_attribute("data-experiment")
     panel = page.locator(f".panel[data-experiment={name}]")
@@ -185,9 +175,9 @@ def test_a_small_chart_is_enlarged_and_made_small_again(seen):
     assert after["height"] > before["height"]
     panel.locator("button").click()
     assert panel.bounding_box()["width"] == pytest.approx(before["width"])
-    assert seen.said == []
 
 
+@pytest.mark.slow
 def test_it_fits_a_phone_and_follows_dark_mode(browser, run):
     phone = {"viewport": {"width": 390, "height": 844}}
     seen = opened(browser, write_report(run), color_scheme="dark", **phone)
@@ -204,6 +194,7 @@ def test_it_fits_a_phone_and_follows_dark_mode(browser, run):
     page.close()
 
 
+@pytest.mark.slow
 def test_it_is_whole_without_scripts(browser, run):
     context = browser.new_context(java_script_enabled=False)
     page = context.new_page()
@@ -214,6 +205,7 @@ def test_it_is_whole_without_scripts(browser, run):
     context.close()
 
 
+@pytest.mark.slow
 def test_on_paper_no_chart_is_wider_than_the_page(browser, run, tmp_path):
     seen = opened(browser, write_report(run), viewport={"width": 700, "height": 900})
     page = seen.page

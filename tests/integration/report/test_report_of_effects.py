@@ -26,35 +26,54 @@ def closed(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def declared(closed) -> Path:
-    """A fit of the same experiments with the effect in its config, as the loop has written it."""
-    (effect,) = json.loads((closed / "run.json").read_text())["effects"]
-    config = closed.parent / "declared.toml"
-    original = (closed.parent / "config.toml").read_text()
-    config.write_text(f"{original}\n{effect['config']}")
-    assert main(["fit", str(config), "--out", str(closed.parent / "fit")]) == 0
-    return closed.parent / "fit"
+def figures(closed) -> Figures:
+    return Figures(write_report(closed))
 
 
-def test_a_closed_loop_shows_its_effect_with_its_band_and_where_the_data_were(closed):
-    path = write_report(closed)
-    text = Page(path).text
+@pytest.fixture(scope="module")
+def text(closed) -> str:
+    return Page(write_report(closed)).text
+
+
+@pytest.fixture(scope="module")
+def shape(closed) -> dict:
+    (found,) = rows_of(closed, "shapes")
+    return found
+
+
+def rows_of(run: Path, table: str) -> list[dict]:
+    return pq.read_table(run / f"{table}.parquet").to_pylist()
+
+
+def facts_of(run: Path) -> dict:
+    return json.loads((run / "run.json").read_text())
+
+
+def fitted(closed: Path, name: str, effect: str) -> Path:
+    """A fit of the same experiments with an effect in its config."""
+    config, out = closed.parent / f"{name}.toml", closed.parent / name
+    config.write_text(f"{(closed.parent / 'config.toml').read_text()}\n{effect}")
+    assert main(["fit", str(config), "--out", str(out), "--no-report"]) == 0
+    return out
+
+
+def test_a_closed_loop_shows_its_effect_with_its_band_and_where_the_data_were(
+    closed, figures, text, shape
+):
     for said in ("The missing effects were found", "der(v) += -k * tanh(v / width)", "Candidates"):
         assert said in text
-    (shape,) = pq.read_table(closed / "shapes.parquet").to_pylist()
     x, y, low, high = (np.array(shape[name]) for name in ("x", "y", "lower", "upper"))
     assert (shape["part"], shape["variable"], shape["variable_unit"]) == ("der(v)", "v", "m/s")
     fast = np.abs(x) > 5.0 * WIDTH
     assert y[fast] == pytest.approx(-FRICTION * np.sign(x[fast]), rel=0.05)
     assert np.all((low <= y) & (y <= high))
-    (row,) = [r for r in pq.read_table(closed / "effects.parquet").to_pylist()
-              if r["coefficient"] == "k"]  # fmt: skip
+    (row,) = [row for row in rows_of(closed, "effects") if row["coefficient"] == "k"]
     assert (high - low)[fast] == pytest.approx(2 * 1.96 * row["std_error"], rel=0.01)
     samples = pq.read_table(closed / "trajectories.parquet").to_pandas()
     train = pq.read_table(closed / "errors.parquet").to_pandas().query("role == 'train'")
     expected = samples[samples.experiment.isin(train.experiment)]
     assert sum(shape["counts"]) == len(expected)
-    figure = Figures(path).by_id(f"shape-{shape['effect']}-0")
+    figure = figures.by_id(f"shape-{shape['effect']}-0")
     across, up = figure.plots[0].curve("effect")
     drawn = np.interp(across, x, y)
     assert up[np.abs(across) > 5.0 * WIDTH] == pytest.approx(
@@ -62,8 +81,7 @@ def test_a_closed_loop_shows_its_effect_with_its_band_and_where_the_data_were(cl
     )
 
 
-def test_what_the_residuals_ask_for_without_a_form_is_the_friction(closed):
-    (shape,) = pq.read_table(closed / "shapes.parquet").to_pylist()
+def test_what_the_residuals_ask_for_without_a_form_is_the_friction(figures, shape):
     at, free, error = (np.array(shape[name]) for name in ("free_x", "free_y", "free_error"))
     assert len(at) >= 8
     inside = np.histogram(at, shape["edges"])[0]
@@ -72,82 +90,74 @@ def test_what_the_residuals_ask_for_without_a_form_is_the_friction(closed):
     assert known.sum() >= 4
     truth = -FRICTION * np.sign(at[known])
     assert np.all(np.abs(free[known] - truth) < 4.0 * error[known] + 0.1 * FRICTION)
-    plot = Figures(write_report(closed)).by_id(f"shape-{shape['effect']}-0").plots[0]
+    plot = figures.by_id(f"shape-{shape['effect']}-0").plots[0]
     across, up = plot.curve("what the residuals ask for")
     order = [int(np.abs(at - x).argmin()) for x in across]
     assert up == pytest.approx(free[order], abs=plot.grain(plot.y))
 
 
-def test_a_fit_shows_the_shapes_of_the_effects_that_it_declares(closed, declared):
-    (found,) = pq.read_table(closed / "shapes.parquet").to_pylist()
-    (shape,) = pq.read_table(declared / "shapes.parquet").to_pylist()
+def test_a_fit_shows_the_shapes_of_the_effects_that_it_declares(closed, shape):
+    """The effect is declared as the loop has written it."""
+    (effect,) = facts_of(closed)["effects"]
+    declared = fitted(closed, "declared", effect["config"])
+    (own,) = rows_of(declared, "shapes")
     for name in ("effect", "part", "variable", "variable_unit", "unit"):
-        assert shape[name] == found[name]
-    low, high = (np.interp([-0.5, 0.5], row["x"], row["y"]) for row in (shape, found))
+        assert own[name] == shape[name]
+    low, high = (np.interp([-0.5, 0.5], row["x"], row["y"]) for row in (own, shape))
     assert low == pytest.approx(high, rel=0.02)
-    assert sum(shape["counts"]) == sum(found["counts"])
+    assert sum(own["counts"]) == sum(shape["counts"])
     page = Page(write_report(declared))
     assert "Effects that were declared" in page.text
     assert "der(v) over v (m/s), where the training data were" in page.text
 
 
+@pytest.mark.slow
 def test_a_difference_has_the_same_shape_with_and_without_blanks(closed):
-    shapes = []
-    for number, variable in enumerate(("x - v", "x-v")):
-        config = closed.parent / f"difference{number}.toml"
-        config.write_text(
-            f"{(closed.parent / 'config.toml').read_text()}\n[[effects]]\n"
-            f'name = "spring"\nsite = "der(v)"\nform = "linear"\nvariables = ["{variable}"]\n'
-            "parameters = { k = { start = -0.1 } }\n"
-        )
-        run = closed.parent / f"difference{number}"
-        assert main(["fit", str(config), "--out", str(run)]) == 0
-        shapes += pq.read_table(run / "shapes.parquet").to_pylist()
-    apart, together = shapes
+    spring = 'name = "spring"\nsite = "der(v)"\nform = "linear"\nparameters.k.start = -0.1'
+    shapes = [
+        rows_of(fitted(closed, name, f'[[effects]]\n{spring}\nvariables = ["{of}"]'), "shapes")
+        for name, of in (("apart", "x - v"), ("together", "x-v"))
+    ]
+    (apart,), (together,) = shapes
     assert sum(apart["counts"]) > 100
     assert (together["x"], together["y"]) == (apart["x"], apart["y"])
 
 
-def test_the_likely_sets_of_effects_are_named_with_their_probabilities(closed):
-    said = json.loads((closed / "run.json").read_text())["likely"]
-    rows = pq.read_table(closed / "structures.parquet").to_pylist()
+def test_the_likely_sets_of_effects_are_named_with_their_probabilities(closed, text):
+    said, rows = facts_of(closed)["likely"], rows_of(closed, "structures")
     known = sorted((row["probability"] for row in rows if row["probability"] >= 0.0), reverse=True)
     assert sum(known) == pytest.approx(1.0)
     assert f"the data give coulomb at der(v) {percent(known[0])} of the probability" in said
-    page = Page(write_report(closed)).text
-    assert f"O{said[1:]}." in page
-    assert page.count(percent(known[0])) >= 2  # there, and in the table of the step
+    assert f"O{said[1:]}." in text
+    assert text.count(percent(known[0])) >= 2  # there, and in the table of the step
 
 
-def test_how_often_the_effect_is_chosen_again_is_said(closed, capsys):
-    said = json.loads((closed / "run.json").read_text())["resampled"]
-    rows = pq.read_table(closed / "structures.parquet").to_pylist()
+def test_how_often_the_effect_is_chosen_again_is_said(closed, text, capsys):
+    said, rows = facts_of(closed)["resampled"], rows_of(closed, "structures")
     shares = {tuple(row["effects"]): row["chosen"] for row in rows if row["chosen"] >= 0.0}
     assert sum(shares.values()) == pytest.approx(1.0)
     assert shares["coulomb at der(v)",] > 0.5
     assert f"the best set is coulomb at der(v) in {percent(shares['coulomb at der(v)',])}" in said
-    assert f"{said[:1].upper()}{said[1:]}." in Page(write_report(closed)).text
+    assert f"{said[:1].upper()}{said[1:]}." in text
     assert main(["show", str(closed)]) == 0
     assert " ".join(said.split()) in " ".join(capsys.readouterr().out.split())
 
 
-def test_the_path_of_the_search_has_every_set_of_effects(closed):
-    rows = pq.read_table(closed / "structures.parquet").to_pylist()
-    rows = [row for row in rows if row["effects"]]
+def test_the_path_of_the_search_has_every_set_of_effects(closed, figures):
+    rows = [row for row in rows_of(closed, "structures") if row["effects"]]
     rows.sort(key=lambda row: (row["step"], -row["closed"]))
-    figure = Figures(write_report(closed)).by_id("steps")
+    figure = figures.by_id("steps")
     (plot,) = figure.plots
-    texts = figure.texts
-    assert [t for t in texts if t[:2] in {f"{row['step']}:" for row in rows}] == [
+    assert [t for t in figure.texts if t[:2] in {f"{row['step']}:" for row in rows}] == [
         f"{row['step']}: {' + '.join(row['effects'])}" for row in rows
     ]
-    accepted = plot.across("accepted")
+    accepted, _ = plot.by_row("accepted", len(rows))
     expected = [100.0 * row["closed"] for row in rows if row["accepted"]]
     assert accepted == pytest.approx(expected, abs=plot.grain(plot.x))
 
 
-def test_searches_of_one_name_are_points_in_their_order(closed):
-    (plot,) = Figures(write_report(closed)).by_id("convergence").plots
+def test_searches_of_one_name_are_points_in_their_order(closed, figures):
+    (plot,) = figures.by_id("convergence").plots
     lines = [json.loads(line) for line in (closed / "progress.jsonl").read_text().splitlines()]
     lines = [line for line in lines if "search" in line]
     drawn = {}

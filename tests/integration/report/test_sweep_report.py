@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from support.drawn import UNITS, Figures, points, value
+from support.drawn import Figures
 from support.reported import HOSTILE, Page
 
 from cluster_est.cli import main
@@ -65,13 +64,10 @@ def test_its_pictures_show_the_errors_and_the_estimates_of_every_run(sweep):
         (estimates, "k", 3),
     ):
         (plot,) = figure.plots
-        (path,) = plot.paths[name]
-        across, down = points(path)
-        place = np.rint(down / UNITS * 3 - 0.5).astype(int)
+        values, place = plot.by_row(name, 3)
         best_first = [each[column] for each in sorted(RUNS, key=lambda each: each[2])]
-        expected = [best_first[i] for i in place]
-        assert value(plot.x, across) == pytest.approx(expected, rel=2e-3)
-        assert sorted(place.tolist()) == [0, 1, 2]
+        assert values == pytest.approx([best_first[i] for i in place], rel=2e-3)
+        assert sorted(place) == [0, 1, 2]
 
 
 def test_texts_of_its_table_are_escaped_and_nothing_is_fetched(sweep):

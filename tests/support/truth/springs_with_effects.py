@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.integrate import solve_ivp
+from scipy.integrate import ode
 
 M, K, C = 1.2, 30.0, 0.6
 TIMES = np.arange(200) * 0.02
@@ -41,6 +41,6 @@ def solve(
         def inside(t, x, i=i, rise=rise):
             return slope(t, x, force[i] + rise * (t - times[i]))
 
-        step = solve_ivp(inside, (times[i], times[i + 1]), states[-1], rtol=1e-11, atol=1e-13)
-        states.append(step.y[:, -1])
+        solver = ode(inside).set_integrator("dop853", rtol=1e-10, atol=1e-12, nsteps=100_000)
+        states.append(solver.set_initial_value(states[-1], times[i]).integrate(times[i + 1]))
     return np.array(states)

@@ -1,8 +1,10 @@
-"""A config whose spring has dry friction that its model lacks: NumPy's own Runge-Kutta."""
+"""A config whose spring has dry friction that its model lacks: a Runge-Kutta of its own."""
 
 from __future__ import annotations
 
 import json
+import math
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -46,22 +48,22 @@ def position(force: np.ndarray, friction: float) -> np.ndarray:
     """x(t) of m v' = F - k x - c v - m friction tanh(v / width), by classic Runge-Kutta."""
     m, k, c = TRUE["m"], TRUE["k"], TRUE["c"]
 
-    def slope(x: np.ndarray, f: float) -> np.ndarray:
-        dry = friction * np.tanh(x[1] / WIDTH)
-        return np.array([x[1], (f - k * x[0] - c * x[1]) / m - dry])
+    def slope(x: float, v: float, f: float) -> tuple[float, float]:
+        return v, (f - k * x - c * v) / m - friction * math.tanh(v / WIDTH)
 
-    x, found = np.array([START, 0.0]), [START]
+    x, v, found = START, 0.0, [START]
     step = (TIMES[1] - TIMES[0]) / SUBSTEPS
-    for i in range(len(TIMES) - 1):
-        rise = (force[i + 1] - force[i]) / SUBSTEPS
+    for before, after in pairwise(force.tolist()):
+        rise = (after - before) / SUBSTEPS
         for j in range(SUBSTEPS):
-            f = force[i] + j * rise
-            a = slope(x, f)
-            b = slope(x + 0.5 * step * a, f + 0.5 * rise)
-            d = slope(x + 0.5 * step * b, f + 0.5 * rise)
-            e = slope(x + step * d, f + rise)
-            x = x + step / 6.0 * (a + 2.0 * b + 2.0 * d + e)
-        found.append(float(x[0]))
+            f = before + j * rise
+            xa, va = slope(x, v, f)
+            xb, vb = slope(x + 0.5 * step * xa, v + 0.5 * step * va, f + 0.5 * rise)
+            xc, vc = slope(x + 0.5 * step * xb, v + 0.5 * step * vb, f + 0.5 * rise)
+            xd, vd = slope(x + step * xc, v + step * vc, f + rise)
+            x += step / 6.0 * (xa + 2.0 * xb + 2.0 * xc + xd)
+            v += step / 6.0 * (va + 2.0 * vb + 2.0 * vc + vd)
+        found.append(x)
     return np.array(found)
 
 

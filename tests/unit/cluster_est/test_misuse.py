@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import pytest
 from support.problems.springs import FMU, ROOT, spring_problem
 
 import cluster_est as ce
-from cluster_est.costs import Cost
-from cluster_est.costs.robust import HuberCost
-from cluster_est.errors import (
-    ClusterEstError,
-    ConfigError,
-    ModelError,
-    ProblemError,
-    RunFolderError,
-)
+from cluster_est.costs import COSTS, Cost
+from cluster_est.errors import ClusterEstError, ModelError, ProblemError
 from cluster_est.problem.formulas import Formula, ParameterConstraint
 from workers.messages import Limits
 
@@ -27,332 +20,222 @@ DRIVEN, MEASURED = ce.Input("F", T, T), ce.Output("y", T, T)
 RUN = ce.Experiment("a", 0.0, 1.0, [DRIVEN], [MEASURED])
 CONFIG = ROOT / "configs" / "mass_spring_damper.toml"
 MASS = ce.Parameter("m", 1.0, 0.1, 10.0)
+HUBER = COSTS["huber"]
+HUGE = 10**400
+SPRINGS = spring_problem(experiments=2, samples=40).problem
+MODEL = ce.read_model(FMU, ["m"])
+USUAL = {
+    ce.Parameter: {"name": "m", "start": 1.0},
+    ce.Problem: {"model": MODEL, "parameters": [MASS], "experiments": [RUN]},
+    ce.fit: {"problem": SPRINGS},
+    ce.close_loop: {"problem": SPRINGS},
+    ce.add_effect: {"problem": SPRINGS, "site": "der(v)", "form": "coulomb"},
+    ce.read_model: {"path": FMU},
+    ce.read_problem: {"path": CONFIG},
+}
+"""Arguments that a case does not name."""
+
+
+@cache
+def found():
+    return ce.fit(SPRINGS)
+
+
+def of_resources(**given):
+    return ce.fit(SPRINGS, resources=ce.Resources(**given))
+
+
+def of_limits(**given):
+    return of_resources(limits=Limits(**given))
+
+
+def of_starts(**given):
+    return ce.fit(SPRINGS, multistart=ce.Multistart(**given))
+
+
+def of_a_simulation(**values):
+    return ce.simulate(SPRINGS, values=values)
+
+
+def of_an_export(**given):
+    return found().export("a.fmu", **given)
+
+
+def of_a_table(name):
+    return found().table(name)
+
+
+def of_residuals(at=None, **given):
+    with ce.residuals(SPRINGS, **given) as f:
+        f(at)
+
+
+REFUSED = [
+    (ce.Parameter, {"start": np.nan}, "m.start: must be a finite number.*nan"),
+    (ce.Parameter, {"start": "1"}, "m.start: must be a number.*'1'"),
+    (ce.Parameter, {"start": HUGE}, "m.start: must be a finite number of a usual size.*1000"),
+    (ce.Parameter, {"start": -1.0, "scale": "log"}, "m.scale: a log scale needs a positive start"),
+    (ce.Parameter, {"lower": 2.0, "upper": 0.5}, "m.bounds: the lower bound must be below"),
+    (ce.Parameter, {"lower": None}, "m.lower: must be a number, or infinite.*None"),
+    (ce.Parameter, {"lower": np.nan}, "m.bounds: the lower bound must be below the upper one"),
+    (ce.Parameter, {"lower": 3.0}, r"m.start: must lie in its bounds \[3, inf\].*1"),
+    (ce.Parameter, {"upper": HUGE}, "m.upper: must be a number, or infinite for no bound.*1000"),
+    (ce.Parameter, {"scale": "logarithmic"}, "m.scale: must be 'linear' or 'log'.*'logarithmic'"),
+    (ce.Parameter, {"per": 1}, 'm.per: must be "experiment" or "group:KEY".*1'),
+    (ce.Parameter, {"variable": 1}, "m.variable: must be text.*1"),
+    (ce.Parameter, {"name": 1}, "name: must be text.*1"),
+    (ce.Parameter, {"fixed": "no"}, "m.fixed: must be true or false.*'no'"),
+    (ce.Parameter, {"auxiliary": 1}, "m.auxiliary: must be true or false.*1"),
+    (ce.Problem, {"model": str(FMU)}, "problem.model: must be a Model"),
+    (ce.Problem, {"experiments": RUN}, "problem.experiments: must be a list of Experiment.*one"),
+    (ce.Problem, {"experiments": [RUN, RUN]}, "experiment id 'a'.*must appear once.*twice"),
+    (ce.Problem, {"experiments": []}, "experiments: at least one must have role = .train"),
+    (ce.Problem, {"parameters": {"m": 1.0}}, r"parameters\[0\]: must be a Parameter.*'m'"),
+    (ce.Problem, {"parameters": []}, "parameters: must be those of the model"),
+    (ce.Problem, {"cost": "huber"}, "problem.cost: must be a Cost.*'huber'.*import"),
+    (ce.Problem, {"cost": HUBER}, r"problem.cost: must be a Cost.*class.*HuberCost\("),
+    (ce.Problem, {"cost": HUBER(scale=-1.0)}, "cost.options.scale: must be at least"),
+    (ce.fit, {"method": "leastsquares"}, "method.name.*'leastsquares'.*did you mean 'least_sq"),
+    (ce.fit, {"method": ce.LeastSquares}, "method: must be a Method.*class.*call it"),
+    (ce.fit, {"method": 3}, "method: must be a Method.*3; give a method or its name"),
+    (ce.fit, {"method": ce.LeastSquares(trials=0)}, "options.trials: must be at least 1.*0"),
+    (ce.fit, {"method": ce.LeastSquares(ftol="a")}, "options.ftol: must be a number.*'a'"),
+    (ce.fit, {"resources": "ray"}, r"resources: must be a Resources.*Resources\('ray'\)"),
+    (ce.fit, {"seed": -1}, "method.seed: must be at least 0.*-1"),
+    (ce.fit, {"seed": 0.5}, "method.seed: must be a whole number.*0.5"),
+    (ce.fit, {"multistart": 5}, r"multistart: must be a Multistart.*5; write Multistart\(5\)"),
+    (ce.fit, {"uncertainty": "all"}, "uncertainty: must be an UncertaintySettings.*'all'"),
+    (of_resources, {"executor": "dask"}, "executor.name: there is no 'dask'.*'local'"),
+    (of_resources, {"executor": 3}, "executor.name: there is no 3"),
+    (of_resources, {"workers": 0}, "executor.workers: must be greater than 0.*0"),
+    (of_resources, {"workers": "2"}, "executor.workers: must be a whole number"),
+    (of_resources, {"budget": 9}, "budget: must be a Budget.*9"),
+    (of_resources, {"budget": ce.Budget(0)}, "budget.evaluations: must be greater than"),
+    (of_limits, {"seconds": "a"}, "executor.limits.seconds: must be a number.*'a'"),
+    (of_limits, {"stall": -1}, "executor.limits.stall: must be greater than 0.*-1"),
+    (of_limits, {"growth": T}, "executor.limits.growth: must be a number.*array"),
+    (of_limits, {"memory": np.nan}, "executor.limits.memory: must be a finite number"),
+    (of_starts, {"n": 0}, "multistart.n: must be greater than 0.*0"),
+    (of_starts, {"sampler": "lhs"}, "multistart.sampler: must be 'sobol', 'latin"),
+    (of_starts, {"points": {"k": 1.0}}, "multistart.points: must be a list of dicts"),
+    (of_starts, {"points": 3}, "multistart.points: must be a list of dicts.*3"),
+    (of_starts, {"points": ({}, {"k": "a"})}, r"points\[1\].k: must be a number.*'a'"),
+    (of_starts, {"points": ({1: 2.0},)}, r"points\[0\]: must be text.*1"),
+    (ce.add_effect, {"problem": "a.toml"}, "problem: must be a Problem.*'a.toml'"),
+    (ce.add_effect, {"site": 3}, "effect.site: must be text.*3"),
+    (ce.add_effect, {"form": 3}, "effect.form: must be text.*3"),
+    (ce.add_effect, {"equation": 3}, "effect.equation: must be text.*3"),
+    (ce.add_effect, {"variables": "v"}, "effect.variables: must be a list of text.*one alone"),
+    (ce.add_effect, {"start": "a"}, "effect.start: must be a dict.*'a'"),
+    (ce.add_effect, {"start": {"k": "a"}}, "effect.start.k: must be a number.*'a'"),
+    (ce.add_effect, {"start": {1: 2.0}}, "effect.start: must be text.*1"),
+    (ce.read_model, {"path": "no.fmu"}, r"model.fmu: no.fmu cannot be read.*No such file"),
+    (ce.read_model, {"path": 3}, "model.fmu: must be a path.*3"),
+    (ce.read_model, {"path": ROOT / "pyproject.toml"}, "must be an FMU, which is a zip file"),
+    (
+        ce.read_model,
+        {"parameters": ["q"]},
+        "model.parameters: mass_spring_damper.*variable 'q'",
+    ),
+    (ce.read_model, {"structure": 3}, "model.structure: must be a dict.*3.*{name: value}"),
+    (ce.read_model, {"structure": {"n": "a"}}, "model.structure.n: must be a whole number.*'a'"),
+    (ce.read_model, {"solver": "ode45"}, "model.solver: must be 'dormand_prince', 'rk4', 'cvode'"),
+    (ce.read_model, {"solver": "fmu"}, "model.solver: must be dormand_prince.*for model_exchange"),
+    (ce.read_model, {"interface": "me"}, "model.interface: must be 'auto', 'model_exchange' or"),
+    (of_a_simulation, {"kk": 1.0}, "values.kk: must be named as an unknown of the problem"),
+    (of_a_simulation, {"k": "1"}, "values.k: must be a number.*'1'"),
+    (ce.read_problem, {"allow_code": "no"}, "allow_code: must be true or false.*'no'"),
+    (of_an_export, {"experiment": 3}, "experiment: must be text.*3"),
+    (ce.close_loop, {"settings": "der(v)"}, r"closed_loop: must be a LoopSettings.*'der\(v"),
+    (of_a_table, {"name": 3}, "table: must be text.*3"),
+    (of_residuals, {"differences": "fwd"}, "must be 'forward' or 'central'.*'fwd'"),
+    (of_residuals, {"at": "a"}, "x must be a list of numbers.*'a'"),
+    (ce.UncertaintySettings, {"profiles": "all"}, "profiles: must be a list of text.*one alone"),
+    (ce.UncertaintySettings, {"profiles": 3}, "profiles: must be a list of text.*3"),
+    (ce.UncertaintySettings, {"profiles": (3,)}, r"profiles\[0\]: must be text.*3"),
+    (ce.UncertaintySettings, {"at_once": 0}, "at_once: must be at least 1.*0"),
+    (ce.UncertaintySettings, {"steps": 0}, "steps: must be at least 1.*0"),
+    (ce.UncertaintySettings, {"steps": 2.5}, "steps: must be a whole number.*2.5"),
+    (ce.UncertaintySettings, {"max_steps": 1}, "max_steps: must be at least 2.*1"),
+    (ce.UncertaintySettings, {"bootstrap": -1}, "bootstrap: must be at least 0.*-1"),
+    (ce.UncertaintySettings, {"bootstrap": True}, "bootstrap: must be a whole number.*true"),
+    (ce.UncertaintySettings, {"confidence": "a"}, "confidence: must be a number.*'a'"),
+    (ce.UncertaintySettings, {"confidence": 95}, "confidence: must be at least 0.5.*below 1.*95"),
+    (ce.UncertaintySettings, {"rise": np.nan}, "rise: must be finite"),
+    (ce.LoopSettings, {"sites": "der(v)"}, "sites: must be a list of text.*one alone"),
+    (ce.LoopSettings, {"forms": (1,)}, r"forms\[0\]: must be text.*1"),
+    (ce.LoopSettings, {"max_effects": 1.5}, "max_effects: must be a whole number.*1.5"),
+    (ce.LoopSettings, {"max_effects": "a"}, "max_effects: must be a whole number.*'a'"),
+    (ce.LoopSettings, {"significance": "a"}, "significance: must be a number.*'a'"),
+    (ce.LoopSettings, {"significance": 0}, "significance: must lie between 0 and 1.*0"),
+    (ce.LoopSettings, {"draws": 99}, "draws: must be at least 100.*99"),
+    (ce.LoopSettings, {"pairs": "no"}, "pairs: must be true or false.*'no'"),
+    (ce.LoopSettings, {"thresholds": 3}, "thresholds: must be a LoopThresholds.*3"),
+]
+WHERE = {ce.UncertaintySettings: "uncertainty.", ce.LoopSettings: "closed_loop."}
 BELOW = Formula("k - 3", ("k",))
+POSITIONAL = [
+    (ParameterConstraint, ("c", "k<3"), "constraint 'c'.formula: must be a Formula.*'k<3'"),
+    (ParameterConstraint, (1, BELOW), "constraint.name: must be text.*1"),
+    (ParameterConstraint, ("c", BELOW, "no"), "'c'.equality: must be true or false.*'no'"),
+    (ParameterConstraint, ("c", BELOW, False, 0), "'c'.scale: must be greater than 0.*0"),
+    (Formula, (3, ("k",)), "formula: must be text.*3"),
+    (Formula, ("k", "k"), "formula.known: must be a list of text.*one alone"),
+    (ce.fit, (ce.read_config(CONFIG),), "use build_problem"),
+    (ce.simulate, (SPRINGS, {"k": 1.0}), "resources: must be a Resources"),
+    (ce.read_config, (3,), "config: must be a path.*3"),
+    (ce.read_config, (None,), "config: must be a path.*None"),
+    (ce.read_config, (CONFIG, 3), "overrides: must be a list of text.*3"),
+    (ce.read_config, (CONFIG, [3]), r"overrides\[0\]: must be text.*3"),
+    (ce.read_config, (CONFIG, "a=b"), "overrides: must be a list of text.*one alone"),
+    (ce.read_problem, (3,), "config: must be a path.*3"),
+    (ce.read_problem, (CONFIG, "a=b"), "overrides: must be a list of text.*one alone"),
+    (ce.read_table, (3,), "table: must be a path.*3"),
+    (ce.read_table, (None,), "table: must be a path.*None"),
+    (ce.build_problem, ("a.toml", ROOT), "config: must be a Config.*'a.toml'.*read_p"),
+    (ce.build_problem, (ce.read_config(CONFIG), 3), "base: must be a path.*3"),
+]
 
 
-def limited(**limits):
-    return ce.Resources(limits=Limits(**limits))
+@pytest.mark.parametrize(("use", "given", "said"), REFUSED)
+def test_what_cannot_be_is_refused_in_a_sentence(use, given, said):
+    expected = ModelError if use is ce.read_model else ClusterEstError
+    with pytest.raises(expected, match=WHERE.get(use, "") + said):
+        use(**USUAL.get(use, {}) | given)
 
 
-@pytest.fixture(scope="module")
-def problem():
-    return spring_problem(experiments=2, samples=40).problem
-
-
-@pytest.fixture(scope="module")
-def model():
-    return ce.read_model(FMU, ["m"])
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"start": np.nan}, "m.start: must be a finite number but is nan"),
-        ({"start": "1"}, "m.start: must be a number but is '1'"),
-        ({"lower": 2.0, "upper": 0.5}, "m.bounds: the lower bound must be below the upper one"),
-        ({"lower": None}, "m.lower: must be a number, or infinite for no bound, but is None"),
-        ({"lower": np.nan}, "m.bounds: the lower bound must be below the upper one"),
-        ({"lower": 3.0}, "m.start: must lie in its bounds [3, inf] but is 1"),
-        ({"scale": "logarithmic"}, "m.scale: must be 'linear' or 'log' but is 'logarithmic'"),
-        ({"start": -1.0, "scale": "log"}, "m.scale: a log scale needs a positive start"),
-        ({"per": 1}, 'm.per: must be "experiment" or "group:KEY" but is 1'),
-        ({"variable": 1}, "m.variable: must be text but is 1"),
-        ({"name": 1}, "name: must be text but is 1"),
-        ({"start": 10**400}, "m.start: must be a finite number of a usual size but is 1000"),
-        ({"upper": 10**400}, "m.upper: must be a number, or infinite for no bound, but is 1000"),
-        ({"fixed": "no"}, "m.fixed: must be true or false but is 'no'"),
-        ({"auxiliary": 1}, "m.auxiliary: must be true or false but is 1"),
-    ],
-)
-def test_a_parameter_that_cannot_be(given, said):
-    with pytest.raises(ProblemError, match=re.escape(f"parameters.{said}")):
-        ce.Parameter(**{"name": "m", "start": 1.0} | given)
+@pytest.mark.parametrize(("use", "given", "said"), POSITIONAL)
+def test_an_argument_that_cannot_be_is_refused_in_a_sentence(use, given, said):
+    with pytest.raises(ClusterEstError, match=said):
+        use(*given)
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"model": str(FMU)}, "problem.model: must be a Model but is"),
-        ({"experiments": RUN}, "problem.experiments: must be a list of Experiment but is one"),
-        ({"experiments": [RUN, RUN]}, "experiment id 'a': must appear once but appears twice"),
-        ({"experiments": []}, 'experiments: at least one must have role = "train"'),
-        ({"parameters": {"m": 1.0}}, "problem.parameters[0]: must be a Parameter but is 'm'"),
-        ({"parameters": []}, "parameters: must be those of the model"),
-        ({"cost": "huber"}, "problem.cost: must be a Cost but is 'huber'; import one"),
-        ({"cost": HuberCost}, "problem.cost: must be a Cost but is the class; call it: HuberCost("),
-        ({"cost": HuberCost(scale=-1.0)}, "cost.options.scale: must be at least"),
+        ({"inputs": (DRIVEN, DRIVEN)}, "experiment 'a'.inputs 'F': must appear once"),
+        ({"inputs": (ce.Input("force", T, T),)}, "has no variable 'force'"),
+        ({"inputs": (ce.Input("k", T, T),)}, "'k' must be an input of"),
+        ({"outputs": (ce.Output("q", T, T),)}, "experiment 'a'.outputs: mass_spring"),
+        ({"outputs": (ce.Output("F", T, T),)}, "must be a variable that mass_spring"),
+        ({"outputs": (ce.Output("k", T, T),)}, "is of causality 'parameter'"),
+        ({"values": {"k": "x"}}, "must be a number, because the variable is of type real"),
+        ({"values": {"F": 1.0}}, "must not be an input of the same experiment"),
     ],
 )
-def test_a_problem_that_cannot_be(model, change, said):
-    given = {"model": model, "parameters": [MASS], "experiments": [RUN]}
-    with pytest.raises(ProblemError, match=re.escape(said)):
-        ce.Problem(**given | change)
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        (("c", "k<3"), "constraint 'c'.formula: must be a Formula but is 'k<3'; make constraints"),
-        ((1, BELOW), "constraint.name: must be text but is 1"),
-        (("c", BELOW, "no"), "constraint 'c'.equality: must be true or false but is 'no'"),
-        (("c", BELOW, False, 0), "constraint 'c'.scale: must be greater than 0 but is 0"),
-    ],
-)
-def test_a_constraint_that_cannot_be(given, said):
-    with pytest.raises(ProblemError, match=re.escape(said)):
-        ParameterConstraint(*given)
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ((3, ("k",)), "formula: must be text but is 3"),
-        (("k", "k"), "formula.known: must be a list of text but is one alone"),
-    ],
-)
-def test_a_formula_that_cannot_be(given, said):
-    with pytest.raises(ProblemError, match=re.escape(said)):
-        Formula(*given)
-
-
-@pytest.mark.parametrize(
-    ("experiment", "said"),
-    [
-        (replace(RUN, inputs=(DRIVEN, DRIVEN)), "experiment 'a'.inputs 'F': must appear once"),
-        (replace(RUN, inputs=(ce.Input("force", T, T),)), "has no variable 'force'"),
-        (replace(RUN, inputs=(ce.Input("k", T, T),)), "'k' must be an input of"),
-        (replace(RUN, outputs=(ce.Output("q", T, T),)), "experiment 'a'.outputs: mass_spring"),
-        (replace(RUN, outputs=(ce.Output("F", T, T),)), "must be a variable that mass_spring"),
-        (replace(RUN, outputs=(ce.Output("k", T, T),)), "but is of causality 'parameter'"),
-        (replace(RUN, values={"k": "x"}), "must be a number, because the variable is of type real"),
-        (replace(RUN, values={"F": 1.0}), "must not be an input of the same experiment but is"),
-    ],
-)
-def test_experiments_that_the_fmu_is_not_for(model, experiment, said):
-    problem = ce.Problem(model, [MASS], [experiment])
-    for use in (ce.fit, ce.simulate, ce.residuals):
-        with pytest.raises((ProblemError, ModelError), match=re.escape(said)):
-            use(problem)
-
-
-FIT = [
-    ({"method": "leastsquares"}, "method.name: there is no 'leastsquares'; did you mean 'least_sq"),
-    ({"method": ce.LeastSquares}, "method: must be a Method but is the class; call it"),
-    ({"method": 3}, "method: must be a Method but is 3; give a method or its name"),
-    ({"method": ce.LeastSquares(trials=0)}, "method.options.trials: must be at least 1 but is 0"),
-    ({"method": ce.LeastSquares(ftol="a")}, "method.options.ftol: must be a number but is 'a'"),
-    ({"resources": "ray"}, "resources: must be a Resources but is 'ray'; write Resources('ray')"),
-    ({"resources": ce.Resources("dask")}, "executor.name: there is no 'dask'; it has 'local'"),
-    ({"resources": ce.Resources(3)}, "executor.name: there is no 3"),
-    ({"resources": ce.Resources(workers=0)}, "executor.workers: must be greater than 0 but is 0"),
-    ({"resources": ce.Resources(workers="2")}, "executor.workers: must be a whole number but is"),
-    ({"resources": ce.Resources(budget=9)}, "budget: must be a Budget but is 9"),
-    ({"resources": ce.Resources(budget=ce.Budget(0))}, "budget.evaluations: must be greater than"),
-    ({"resources": limited(seconds="a")}, "executor.limits.seconds: must be a number but is 'a'"),
-    ({"resources": limited(stall=-1)}, "executor.limits.stall: must be greater than 0 but is -1"),
-    ({"resources": limited(growth=T)}, "executor.limits.growth: must be a number but is array"),
-    ({"resources": limited(memory=np.nan)}, "executor.limits.memory: must be a finite number but"),
-    ({"seed": -1}, "method.seed: must be at least 0 but is -1"),
-    ({"seed": 0.5}, "method.seed: must be a whole number but is 0.5"),
-    ({"multistart": 5}, "multistart: must be a Multistart but is 5; write Multistart(5)"),
-    ({"multistart": ce.Multistart(n=0)}, "multistart.n: must be greater than 0 but is 0"),
-    ({"multistart": ce.Multistart(sampler="lhs")}, "multistart.sampler: must be 'sobol', 'latin"),
-    (
-        {"multistart": ce.Multistart(points={"k": 1.0})},
-        "multistart.points: must be a list of dicts",
-    ),
-    (
-        {"multistart": ce.Multistart(points=3)},
-        "multistart.points: must be a list of dicts but is 3",
-    ),
-    (
-        {"multistart": ce.Multistart(points=({}, {"k": "a"}))},
-        "multistart.points[1].k: must be a number but is 'a'",
-    ),
-    (
-        {"multistart": ce.Multistart(points=({1: 2.0},))},
-        "multistart.points[0]: must be text but is 1",
-    ),
-    ({"uncertainty": "all"}, "uncertainty: must be an UncertaintySettings but is 'all'"),
-]
-
-
-@pytest.mark.parametrize(("change", "said"), FIT)
-def test_a_fit_that_cannot_be(problem, change, said):
-    with pytest.raises(ProblemError, match=re.escape(said)):
-        ce.fit(problem, **change)
+@pytest.mark.parametrize("use", [ce.fit, ce.simulate, ce.residuals])
+def test_experiments_that_the_fmu_is_not_for(use, change, said):
+    with pytest.raises((ProblemError, ModelError), match=said):
+        use(ce.Problem(MODEL, [MASS], [replace(RUN, **change)]))
 
 
 @pytest.mark.parametrize("use", [ce.fit, ce.simulate, ce.residuals, ce.close_loop])
 @pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ("first.toml", "problem: must be a Problem but is 'first.toml'; use read_problem('first.t"),
-        (None, "problem: must be a Problem but is None"),
-    ],
+    ("given", "said"), [("first.toml", r".*use read_problem\('first.t"), (None, ".*None")]
 )
 def test_what_is_no_problem(use, given, said):
-    with pytest.raises(ProblemError, match=re.escape(said)):
+    with pytest.raises(ProblemError, match=f"problem: must be a Problem{said}"):
         use(given)
-
-
-def test_a_config_is_no_problem_yet():
-    config = ce.read_config(str(ROOT / "configs" / "mass_spring_damper.toml"))
-    with pytest.raises(ProblemError, match="; use build_problem"):
-        ce.fit(config)
-
-
-def test_values_to_simulate_at_are_those_of_unknowns(problem):
-    with pytest.raises(
-        ProblemError, match=r"values\.kk: must be named as an unknown of the problem"
-    ):
-        ce.simulate(problem, values={"kk": 1.0})
-    with pytest.raises(ProblemError, match=r"values\.k: must be a number but is '1'"):
-        ce.simulate(problem, values={"k": "1"})
-    with pytest.raises(ProblemError, match="resources: must be a Resources but is"):
-        ce.simulate(problem, {"k": 1.0})
-
-
-def test_residuals_at_no_point(problem):
-    with pytest.raises(ProblemError, match="must be 'forward' or 'central' but is 'fwd'"):
-        ce.residuals(problem, differences="fwd")
-    with (
-        ce.residuals(problem) as f,
-        pytest.raises(ProblemError, match="x must be a list of numbers but is 'a'"),
-    ):
-        f("a")
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"profiles": "all"}, "profiles: must be a list of text but is one alone"),
-        ({"profiles": 3}, "profiles: must be a list of text but is 3"),
-        ({"profiles": (3,)}, "profiles[0]: must be text but is 3"),
-        ({"profiles": ("k",), "at_once": 0}, "at_once: must be at least 1 but is 0"),
-        ({"steps": 0}, "steps: must be at least 1 but is 0"),
-        ({"steps": 2.5}, "steps: must be a whole number but is 2.5"),
-        ({"max_steps": 1}, "max_steps: must be at least 2 but is 1"),
-        ({"bootstrap": -1}, "bootstrap: must be at least 0 but is -1"),
-        ({"bootstrap": True}, "bootstrap: must be a whole number but is true"),
-        ({"confidence": "a"}, "confidence: must be a number but is 'a'"),
-        ({"confidence": 95}, "confidence: must be at least 0.5 and below 1 but is 95"),
-        ({"rise": np.nan}, "rise: must be finite"),
-    ],
-)
-def test_intervals_that_cannot_be(given, said):
-    with pytest.raises(ProblemError, match=re.escape(f"uncertainty.{said}")):
-        ce.UncertaintySettings(**given)
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"sites": "der(v)"}, "sites: must be a list of text but is one alone"),
-        ({"forms": (1,)}, "forms[0]: must be text but is 1"),
-        ({"max_effects": 1.5}, "max_effects: must be a whole number but is 1.5"),
-        ({"max_effects": "a"}, "max_effects: must be a whole number but is 'a'"),
-        ({"significance": "a"}, "significance: must be a number but is 'a'"),
-        ({"significance": 0}, "significance: must lie between 0 and 1 but is 0"),
-        ({"draws": 99}, "draws: must be at least 100 but is 99"),
-        ({"pairs": "no"}, "pairs: must be true or false but is 'no'"),
-        ({"thresholds": 3}, "thresholds: must be a LoopThresholds but is 3"),
-    ],
-)
-def test_a_closed_loop_that_cannot_be(given, said):
-    with pytest.raises(ProblemError, match=re.escape(f"closed_loop.{said}")):
-        ce.LoopSettings(**given)
-
-
-def test_what_is_no_settings_of_a_closed_loop(problem):
-    with pytest.raises(ProblemError, match=r"closed_loop: must be a LoopSettings but is 'der\(v"):
-        ce.close_loop(problem, settings="der(v)")
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"path": "no.fmu"}, "model.fmu: no.fmu cannot be read (No such file or directory)"),
-        ({"path": 3}, "model.fmu: must be a path but is 3"),
-        ({"path": ROOT / "pyproject.toml"}, "must be an FMU, which is a zip file, but is not"),
-        ({"parameters": ["q"]}, "model.parameters: mass_spring_damper.fmu has no variable 'q'"),
-        ({"structure": 3}, "model.structure: must be a dict but is 3; write {name: value}"),
-        ({"structure": {"n": "a"}}, "model.structure.n: must be a whole number but is 'a'"),
-        ({"solver": "ode45"}, "model.solver: must be 'dormand_prince', 'rk4', 'cvode' or 'fmu'"),
-        (
-            {"solver": "fmu"},
-            "model.solver: must be dormand_prince, rk4 or cvode for model_exchange",
-        ),
-        (
-            {"interface": "me"},
-            "model.interface: must be 'auto', 'model_exchange' or 'co_simulation'",
-        ),
-    ],
-)
-def test_a_model_that_cannot_be_read(given, said):
-    with pytest.raises(ModelError, match=re.escape(said)):
-        ce.read_model(**{"path": FMU} | given)
-
-
-@pytest.mark.parametrize(
-    ("read", "given", "said"),
-    [
-        (ce.read_config, (3,), "config: must be a path but is 3"),
-        (ce.read_config, (None,), "config: must be a path but is None"),
-        (ce.read_config, (CONFIG, 3), "overrides: must be a list of text but is 3"),
-        (ce.read_config, (CONFIG, [3]), "overrides[0]: must be text but is 3"),
-        (
-            ce.read_config,
-            (CONFIG, "a=b"),
-            "overrides: must be a list of text but is one alone; put",
-        ),
-        (ce.read_problem, (3,), "config: must be a path but is 3"),
-        (ce.read_problem, (CONFIG, "a=b"), "overrides: must be a list of text but is one alone"),
-        (ce.read_table, (3,), "table: must be a path but is 3"),
-        (ce.read_table, (None,), "table: must be a path but is None"),
-        (
-            ce.build_problem,
-            ("a.toml", ROOT),
-            "config: must be a Config but is 'a.toml'; use read_p",
-        ),
-        (ce.build_problem, (ce.read_config(CONFIG), 3), "base: must be a path but is 3"),
-    ],
-)
-def test_what_cannot_be_read(read, given, said):
-    with pytest.raises(ClusterEstError, match=re.escape(said)):
-        read(*given)
-
-
-def test_code_is_allowed_by_true_alone():
-    with pytest.raises(ConfigError, match="allow_code: must be true or false but is 'no'"):
-        ce.read_problem(CONFIG, allow_code="no")
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"problem": "a.toml"}, "problem: must be a Problem but is 'a.toml'"),
-        ({"site": 3}, "effect.site: must be text but is 3"),
-        ({"form": 3}, "effect.form: must be text but is 3"),
-        ({"equation": 3}, "effect.equation: must be text but is 3"),
-        ({"variables": "v"}, "effect.variables: must be a list of text but is one alone"),
-        ({"start": "a"}, "effect.start: must be a dict but is 'a'; write"),
-        ({"start": {"k": "a"}}, "effect.start.k: must be a number but is 'a'"),
-        ({"start": {1: 2.0}}, "effect.start: must be text but is 1"),
-    ],
-)
-def test_an_effect_that_cannot_be_added(problem, given, said):
-    whole = {"problem": problem, "site": "der(v)", "form": "coulomb"}
-    with pytest.raises(ClusterEstError, match=re.escape(said)):
-        ce.add_effect(**whole | given)
-
-
-def test_what_a_result_has_not(problem, tmp_path):
-    found = ce.fit(problem)
-    with pytest.raises(RunFolderError, match="table: must be text but is 3"):
-        found.table(3)
-    with pytest.raises(ProblemError, match="experiment: must be text but is 3"):
-        found.export(tmp_path / "a.fmu", experiment=3)
 
 
 class TestWhatIsHarmless:
@@ -364,13 +247,10 @@ class TestWhatIsHarmless:
         force = ce.Input("F", [0, 1, 2, 3], [0, 1, 0, 1])
         measured = ce.Output("y", [1, 2, 3], [0.01, 0.05, 0.03])
         run = ce.Experiment("a", 0, 3, [force], [measured])
-        found = ce.fit(ce.Problem(ce.read_model(FMU, ["m"]), [MASS], [run]), "lsqnonlin")
-        assert found.success
+        assert ce.fit(ce.Problem(MODEL, [MASS], [run]), "lsqnonlin").success
+        assert ce.fit(SPRINGS, "least_squares").x == found().x
 
-    def test_a_method_by_name_is_the_method(self, problem):
-        assert ce.fit(problem, "least_squares").x == ce.fit(problem, ce.LeastSquares()).x
-
-    def test_options_of_a_cost_of_ones_own_are_left_to_it(self, problem):
+    def test_options_of_a_cost_of_ones_own_are_left_to_it(self):
         @dataclass(frozen=True)
         class Own(Cost):
             name = "own"
@@ -382,4 +262,4 @@ class TestWhatIsHarmless:
             def value(self, residuals, outputs):
                 return float(np.abs(residuals).sum())
 
-        assert replace(problem, cost=Own()).cost.limits == (1.0,)
+        assert replace(SPRINGS, cost=Own()).cost.limits == (1.0,)

@@ -6,9 +6,9 @@ from typing import ClassVar
 
 import pytest
 
-from cluster_est.costs.base import Cost
-from cluster_est.executors.base import WorkerPool
-from cluster_est.methods.base import Method
+from cluster_est.costs import Cost
+from cluster_est.executors import WorkerPool
+from cluster_est.methods import Method
 
 
 @pytest.mark.parametrize("base", [Cost, Method, WorkerPool])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
 from support.problems.springs import ROOT
 
 STARTED = """
@@ -24,6 +25,7 @@ print("as before")
 """
 
 
+@pytest.mark.slow
 def test_no_command_imports_pandas_and_python_users_lose_nothing(tmp_path):
     config = ROOT / "configs" / "mass_spring_damper.toml"
     done = subprocess.run(

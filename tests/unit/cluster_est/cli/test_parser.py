@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
+import sys
 import tomllib
-from importlib import metadata
-from pathlib import Path
 
 import pytest
+from support.problems.springs import ROOT
 
-from cluster_est.cli import parser
-
-PROJECT = Path(__file__).parents[4] / "pyproject.toml"
+from cluster_est.cli import main
 
 
-def test_the_version_is_that_of_the_project(capsys):
+@pytest.mark.parametrize("installed", [True, False])
+def test_the_version_is_that_of_the_project_where_it_is_installed(capsys, monkeypatch, installed):
+    if not installed:
+        monkeypatch.setattr(sys, "path", [])
     with pytest.raises(SystemExit) as ended:
-        parser.parse(["--version"])
+        main(["--version"])
     assert ended.value.code == 0
-    version = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]["version"]
-    assert capsys.readouterr().out == f"cluster-est {version}\n"
-
-
-def test_a_folder_in_which_it_is_not_installed_has_no_version(capsys, monkeypatch):
-    def missing(name):
-        raise metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(parser, "version", missing)
-    with pytest.raises(SystemExit):
-        parser.parse(["--version"])
-    assert "not installed" in capsys.readouterr().out
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    printed = capsys.readouterr().out
+    assert (printed == f"cluster-est {project['version']}\n") is installed
+    assert ("not installed" in printed) is not installed

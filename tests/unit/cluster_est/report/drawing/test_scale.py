@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.drawn import UNITS
 
 from cluster_est.report.drawing import Scale
-from cluster_est.report.drawing.scale import UNITS, nice_step
-from cluster_est.report.drawing.time_unit import time_unit
 
 FINITE = st.floats(-1e9, 1e9)
 
@@ -37,15 +36,14 @@ def test_written_values_are_few_evenly_spaced_and_different(low, span, count):
 @pytest.mark.parametrize(
     ("low", "high", "texts"),
     [
-        (0.0, 10.0, ["0", "2", "4", "6", "8", "10"]),
-        (-0.05, 0.05, ["\u22120.04", "\u22120.02", "0", "0.02", "0.04"]),
-        (0.0, 3e6, ["0", "1e6", "2e6", "3e6"]),
-        (1e7, 1e7 + 4.0, ["1.0000000e7", "1.0000001e7", "1.0000002e7", "1.0000003e7",
-                          "1.0000004e7"]),
+        (0.0, 10.0, "0 2 4 6 8 10"),
+        (-0.05, 0.05, "\u22120.04 \u22120.02 0 0.02 0.04"),
+        (0.0, 3e6, "0 1e6 2e6 3e6"),
+        (1e7, 1e7 + 4.0, "1.0000000e7 1.0000001e7 1.0000002e7 1.0000003e7 1.0000004e7"),
     ],
-)  # fmt: skip
+)
 def test_they_are_round_and_have_the_digits_they_need(low, high, texts):
-    assert [text for _, text in Scale(low, high).ticks(4)] == texts
+    assert [text for _, text in Scale(low, high).ticks(4)] == texts.split()
 
 
 def test_a_scale_of_large_ratios_is_logarithmic_where_it_may_be():
@@ -64,15 +62,6 @@ def test_values_that_are_equal_or_none_have_a_scale_too():
     for values in (np.full(3, 5.0), np.zeros(2), np.array([np.nan]), np.zeros(0)):
         scale = Scale.around(values)
         assert scale.high > scale.low
-    assert nice_step(1.0, 0) > 0.0
-
-
-@pytest.mark.parametrize(
-    ("span", "name"),
-    [(0.05, "ms"), (10.0, "s"), (300.0, "s"), (3600.0, "min"), (86400.0, "h"), (1e6, "days")],
-)
-def test_time_spans_have_the_unit_in_which_one_thinks_of_them(span, name):
-    assert time_unit(span).name == name
 
 
 @pytest.mark.parametrize("low", [-1.31, -0.99, 0.02, 311.3])

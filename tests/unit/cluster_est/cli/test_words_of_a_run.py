@@ -1,0 +1,257 @@
+"""What a terminal and a report say of a run, from what stands in its folder."""
+
+from __future__ import annotations
+
+import json
+import re
+from math import nan
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from support.reported import Page
+
+from cluster_est.cli import main
+from cluster_est.report import write_report
+from cluster_est.report.activity import FailureGroup, LogActivity
+
+PARAMETER = {
+    "label": "k", "value": 1.0, "start": 2.0, "lower": 0.0, "upper": 9.0, "lower95": 0.9,
+    "upper95": 1.1, "value_before": 2.0, "lower95_before": 1.9, "upper95_before": 2.1, "unit": "N",
+    "estimated_on": "train", "at_bound": "",
+}  # fmt: skip
+ERROR = {
+    "experiment": "a", "role": "train", "output": "y", "samples": 100, "unit": "m",
+    "rmse_before": 2.0, "rmse_after": 1.0, "normalised_before": 4.0, "normalised_after": 2.0,
+    "relative_before": 0.4, "relative_after": 0.2,
+}  # fmt: skip
+NOISELESS = ERROR | {"normalised_before": nan, "normalised_after": nan}
+LOST = NOISELESS | {"rmse_before": nan, "rmse_after": nan, "relative_after": nan}
+EMPTY = LOST | {"experiment": "b", "samples": 0, "relative_before": nan}
+FIT = {
+    "status": "done", "cost_before": 4.0, "cost": 3.0, "iterations": 3, "evaluations": 9,
+    "simulations": 100, "failures": 0, "seconds": 1.0, "message": "", "notes": [],
+}  # fmt: skip
+LOOP = FIT | {
+    "verdict": "found", "summary": "", "effects": [], "errors_over": "estimated noise",
+    "errors": {}, "rejected": [], "noise": {}, "sites": [],
+}  # fmt: skip
+OLD = {
+    "name": "square_v", "family": "stiffness", "site": "der(v)", "form": "square",
+    "variables": ["v"], "equation": "der(v) += k * v^2", "alternatives": [], "evidence": [],
+    "config": "", "parameters": {
+        "k": {"value": -0.35, "unit": "1/m", "fixed": False, "lower95": None, "upper95": None},
+    },
+}  # fmt: skip
+NEW = OLD | {"words": "drag", "sentence": "Drag at der(v): der(v) += k * v^2.", "also": []}
+SAME = {
+    "form": "table", "site": "der(v)", "equation": "der(v) += table", "criterion": 1.0,
+    "experiment": "a", "output": "y", "time": 1.0, "difference": 0.0,
+}  # fmt: skip
+
+
+@pytest.fixture
+def stored(tmp_path):
+    """Write a run folder."""
+
+    def write(facts, parameters=(PARAMETER,), errors=(ERROR,)):
+        for name, rows in (("parameters", parameters), ("errors", errors)):
+            pq.write_table(pa.Table.from_pylist([*rows]), tmp_path / f"{name}.parquet")
+        (tmp_path / "run.json").write_text(json.dumps(facts))
+        return tmp_path
+
+    return write
+
+
+@pytest.fixture
+def printed(stored, capsys):
+    def show(facts, **tables):
+        assert main(["show", str(stored(facts, **tables))]) == 0
+        return capsys.readouterr().out
+
+    return show
+
+
+@pytest.fixture
+def page(stored):
+    def show(facts, activity=None, **tables):
+        text = Page(write_report(stored(facts, **tables), activity=activity)).text
+        return text.replace("\u2009", " ")
+
+    return show
+
+
+@pytest.mark.parametrize(
+    ("effect", "in_terminal", "on_page"),
+    [
+        (OLD, ["effect square_v (stiffness) at der(v)", "  der(v) += k * v^2"],
+         "Added to the model: square of v at der(v)."),
+        (NEW, ["effect square_v (drag) at der(v)", "  Drag at der(v): der(v) += k * v^2."],
+         "Added to the model: drag at der(v)."),
+    ],
+    ids=["of an earlier version", "today"],
+)  # fmt: skip
+def test_words_and_sentence_take_the_place_of_family_and_equation(
+    printed, page, effect, in_terminal, on_page
+):
+    facts = LOOP | {"effects": [effect]}
+    said = printed(facts)
+    assert all(text in said for text in in_terminal)
+    assert ("stiffness" in said) is (effect is OLD)
+    assert on_page in page(facts)
+
+
+@pytest.mark.parametrize(
+    ("difference", "advice"),
+    [(0.0, "nothing in these data tells them apart"), (3.0, "where they differ most")],
+)
+def test_nobody_is_told_to_dwell_where_nothing_differs(printed, difference, advice):
+    effect = NEW | {"alternatives": [SAME | {"difference": difference}]}
+    said = printed(LOOP | {"effects": [effect]})
+    assert advice in said
+    assert "0 times" not in said
+
+
+def test_a_coefficient_at_its_bound_is_not_said_to_be_undetermined(printed):
+    held = NEW["parameters"]["k"] | {"at_bound": "lower"}
+    said = printed(LOOP | {"effects": [NEW | {"parameters": {"k": held}}]})
+    assert "95 %: at its lower bound" in said
+    assert "not determined" not in said
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        (ERROR, ["2", "1", "m", "4", "2"]),
+        (NOISELESS, ["2", "1", "m", "unknown", "unknown"]),
+        (LOST, ["failed", "failed", "m", "failed", "failed"]),
+        (EMPTY, ["m"]),
+    ],
+    ids=["known", "without noise", "lost", "without samples"],
+)
+def test_only_a_simulation_that_failed_is_said_to_have_failed(printed, row, words):
+    (line,) = re.findall(rf"^{row['experiment']}  .*$", printed(LOOP, errors=[row]), re.MULTILINE)
+    assert line.split()[4:] == words
+
+
+def test_a_noise_that_is_not_known_has_not_failed(printed):
+    said = printed(LOOP | {"noise": {"y": None}})
+    assert "noise estimated from the residuals: y unknown" in said
+
+
+@pytest.mark.parametrize(
+    ("facts", "narrow"),
+    [
+        (LOOP | {"verdict": "unexplained"}, True),
+        (LOOP, False),
+        (FIT | {"residuals": {"too_narrow": True}}, True),
+        (FIT | {"residuals": {"too_narrow": False}}, False),
+    ],
+)
+def test_intervals_do_not_allow_for_what_is_missing(printed, page, facts, narrow):
+    coefficient = NEW["parameters"]["k"] | {"lower95": -0.4, "upper95": -0.3}
+    if "effects" in facts:
+        facts = facts | {"effects": [NEW | {"parameters": {"k": coefficient}}]}
+        assert ("95 % (too narrow): -0.4 .. -0.3" in printed(facts)) is narrow
+    assert ("95 % interval (too narrow)" in printed(facts)) is narrow
+    assert ("95 % interval (too narrow)" in page(facts)) is narrow
+
+
+@pytest.mark.parametrize(
+    ("tried", "in_terminal", "on_page"),
+    [
+        ({}, "7 failed)", "7 of 100 simulations failed (7.00 %)."),  # of an earlier version
+        ({"failures_in_search": 0}, "7 failed)", "7 of 100 simulations failed (7.00 %)."),
+        ({"failures_in_search": 7}, "7 failed, all while effects were tried", "all of them while"),
+        ({"failures_in_search": 5}, "7 failed, 5 while effects were tried", "5 of them while"),
+    ],
+)
+def test_failures_of_effects_that_were_only_tried_are_called_so(
+    printed, page, tried, in_terminal, on_page
+):
+    facts = LOOP | {"failures": 7} | tried
+    assert in_terminal in printed(facts)
+    assert on_page in page(facts)
+
+
+@pytest.mark.parametrize(
+    ("logged", "failures", "said"), [((0, 0), 7, "7"), ((50, 2), 7, "2"), ((0, 0), 0, "none")]
+)
+def test_failures_of_a_run_without_a_log_are_not_forgotten(page, logged, failures, said):
+    """A run that was saved from Python has none."""
+    simulations, failed = logged
+    groups = (FailureGroup("timeout", "late", failed, 0, ("a",)),) if failed else ()
+    none = np.zeros(0)
+    activity = LogActivity(simulations, ("w",), none.astype(int), none, none, groups)
+    text = page(LOOP | {"failures": failures}, activity)
+    assert f"{said} failed" in text
+    assert ("simulations failed (" in text) is (said != "none")
+
+
+@pytest.mark.parametrize(
+    ("status", "said"), [("interrupted", "not simulated"), ("failed", "failed")]
+)
+def test_what_was_not_simulated_did_not_fail(printed, status, said):
+    parameter = PARAMETER | {"lower95": nan, "upper95": nan}
+    text = printed(
+        FIT | {"status": status, "cost": nan},
+        parameters=[parameter],
+        errors=[ERROR | {"rmse_after": nan, "relative_after": nan}],
+    )
+    assert f"cost 4 -> {said} in 3 iterations" in text
+    assert re.search(rf"2 +{said} +m", text)
+    assert "nan" not in text
+    assert ("not determined" in text) is (status == "failed")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        (1.5, 1.5, "The error is 1.50 times the estimated noise on training experiments."),
+        (1.5, 1.2, "The error fell from 1.50 to 1.20 times"),
+        (1.2, 1.5, "The error rose from 1.20 to 1.50 times"),
+        (nan, 1.5, "The error is 1.50 times"),
+    ],
+)
+def test_an_error_that_stays_has_not_fallen(page, before, after, said):
+    row = ERROR | {"normalised_before": before, "normalised_after": after}
+    assert said in page(LOOP, errors=[row])
+
+
+@pytest.mark.parametrize(
+    ("facts", "said"),
+    [
+        (LOOP | {"cost": 4.0}, "The cost is 4.000, as it was with the declared model, fitted."),
+        (FIT | {"cost": 4.0}, "The cost is 4.000, as it was at the start values."),
+        (LOOP | {"cost": 2.0}, "The cost fell from"),
+        (LOOP | {"cost": 8.0}, "The cost rose from"),
+    ],
+)
+def test_a_cost_that_stays_has_not_fallen(page, facts, said):
+    assert said in page(facts)
+
+
+def test_an_experiment_without_samples_hides_no_error_and_has_not_failed(page):
+    text = page(LOOP, errors=[ERROR, EMPTY])
+    assert "fell from 4.00 to 2.00 times" in text
+    assert text.count("failed") == 1  # none of the simulations
+    assert "none failed" in text
+    lost = page(LOOP, errors=[ERROR | {"rmse_after": nan, "normalised_after": nan}])
+    assert lost.count("failed") > 1
+
+
+@pytest.mark.parametrize("width", [30, 50, 80, 200])
+def test_a_terminal_gets_whole_words_and_an_indent(printed, monkeypatch, width):
+    """A file gets one line."""
+    sentence = "Coulomb friction at der(v): der(v) += -k * tanh(v / width), with k = 0.5015 m/s^2"
+    (whole,) = re.findall(r"verdict: .*\n", printed(LOOP | {"summary": sentence}))
+    assert whole == f"verdict: found: {sentence}\n"
+    for name, value in (("FORCE_COLOR", "1"), ("NO_COLOR", "1"), ("COLUMNS", str(width))):
+        monkeypatch.setenv(name, value)
+    text, _ = re.split(r"\n(?=run )", printed(LOOP | {"summary": sentence}))
+    lines = text.split("\n")
+    assert all(len(line) <= width for line in lines)
+    assert " ".join(text.split()) == whole.rstrip()
+    assert all(line.startswith(" " * 4) for line in lines[1:])
+    assert (len(lines) == 1) is (width == 200)
