@@ -125,7 +125,7 @@ def followed(problem: FunctionProblem, method: Method, seed: int = 0) -> Followe
     """Search without a runner, request by request."""
     space, executor = problem.space(), FunctionExecutor(problem.residuals, problem.constraints)
     search = method.search(space, np.random.default_rng(seed))
-    request, requests = next(search), []
+    request, requests = next(search), list[Points]()
     while True:
         requests.append(replace(request, x=request.x.copy()))
         executor.submit([Task(i, 0, x) for i, x in enumerate(request.x)])
