@@ -131,7 +131,13 @@ ORDER = (
 )
 
 
-@pytest.mark.parametrize("entry", [entry for entry in ENTRIES if entry.kinds], ids=str)
+@pytest.mark.parametrize(
+    "entry",
+    thinned(
+        [pytest.param(entry, id=str(entry)) for entry in ENTRIES if entry.kinds],
+        lambda entry: (entry.method.name, getattr(entry.method, "algorithm", "")),
+    ),
+)
 class TestSearch:
     def test_can_be_closed_at_any_time(self, entry):
         problem = chosen(entry, ROSENBROCK)

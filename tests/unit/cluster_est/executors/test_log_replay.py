@@ -176,7 +176,7 @@ def keys(folder: Path) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_an_asynchronous_search_goes_the_same_way_again(tmp_path: Path, seed: int) -> None:
     first, _ = searched(tmp_path, seed)
     course = keys(tmp_path)

@@ -35,7 +35,7 @@ def search(
     return runner.run(requests), purposes
 
 
-@pytest.mark.parametrize("trials", [1, 4])
+@pytest.mark.parametrize("trials", [1, pytest.param(4, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("problem", [ROSENBROCK, FOUR], ids=lambda problem: problem.name)
 def test_the_last_points_are_steps(problem, trials):
     method = LeastSquares(trials=trials)

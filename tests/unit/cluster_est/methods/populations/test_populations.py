@@ -126,8 +126,7 @@ def solve(problem, method, residuals=None, seed=0, executor=None):
     ("method", "problem", "tolerance"),
     thinned(
         [pytest.param(*case, id=f"{case[0].name}-{case[1].name}") for case in MINIMA],
-        lambda method, problem, tolerance: method,
-        lambda method, problem, tolerance: problem.name,
+        lambda method, problem, tolerance: method.name,
     ),
 )
 def test_finds_the_minimum(method, problem, tolerance):
@@ -144,6 +143,7 @@ def test_mostly_finds_the_least_of_several_minima(method, problem, tolerance):
     assert (costs <= problem.minimum + tolerance).sum() >= 4
 
 
+@pytest.mark.slow
 def test_isres_keeps_an_equality_to_many_digits():
     solution = HS7.solve(Isres())
     assert solution.ending is Ending.CONVERGED
@@ -281,6 +281,7 @@ def fingerprints():
     return [*found, front.x.tobytes().hex()]
 
 
+@pytest.mark.slow
 def test_a_new_process_gets_the_same_bits():
     code = "import test_populations; print(*test_populations.fingerprints())"
     paths = os.pathsep.join(sys.path)
