@@ -43,4 +43,20 @@ ALIASES = {
 }
 """Names that users of other tools know."""
 
-__all__ = ["ALIASES", "METHODS", "Method"]
+__all__ = [
+    "ALIASES",
+    "METHODS",
+    "AsynchronousPatternSearch",
+    "Cmaes",
+    "DifferentialEvolution",
+    "GeneticAlgorithm",
+    "Isres",
+    "LeastSquares",
+    "Method",
+    "NelderMead",
+    "Nsga2",
+    "ParticleSwarm",
+    "PatternSearch",
+    "ScipyLeastSquares",
+    "Sqp",
+]

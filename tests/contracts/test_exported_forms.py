@@ -13,6 +13,7 @@ from support.exported import (
     unpacked,
 )
 from support.problems.springs import FMU
+from support.thinning import thinned
 from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M
 
 from workers.effects.forms import FORMS, FormCondition
@@ -50,7 +51,12 @@ CASES = [
     or (solver == "rk4" and kind in ("derivative", "input"))
     or (solver == "fmu" and kind not in ("derivative", "pair"))
 ]
-CASES += FINE
+CASES = thinned(
+    [*CASES, *FINE],
+    lambda kind, group, solver: kind,
+    lambda kind, group, solver: group.rstrip("_0123456789"),
+    lambda kind, group, solver: solver,
+)
 
 
 def model(solver):

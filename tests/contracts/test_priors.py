@@ -66,6 +66,13 @@ class TestPrior:
         assert "2" in prior.said()
 
 
+NORMAL, LOG_NORMAL = NormalPrior(1.0, 0.1), LogNormalPrior(1.0, 2.0)
+
+
+def with_prior(prior, *values, **more):
+    return Parameter("k", *values, prior=prior, **more)
+
+
 def test_sixty_eight_percent_of_a_log_normal_lie_within_its_factor():
     prior = LogNormalPrior(3.0, 2.0)
     assert prior.residual(6.0) == pytest.approx(1.0)
@@ -79,20 +86,11 @@ def test_sixty_eight_percent_of_a_log_normal_lie_within_its_factor():
         (lambda: NormalPrior(math.nan, 1.0), "prior.mean: must be a finite number"),
         (lambda: LogNormalPrior(-1.0, 2.0), "prior.median: must be greater than 0"),
         (lambda: LogNormalPrior(1.0, 1.0), "prior.factor: must be greater than 1"),
-        (
-            lambda: Parameter("k", 1.0, fixed=True, prior=NormalPrior(1.0, 0.1)),
-            "parameters.k.prior: must be left out where there is fixed",
-        ),
-        (
-            lambda: Parameter("k", 0.0, 0.0, 5.0, prior=LogNormalPrior(1.0, 2.0)),
-            "parameters.k.start: must be above 0 with a log-normal prior",
-        ),
-        (
-            lambda: Parameter("k", 1.0, -1.0, 5.0, prior=LogNormalPrior(1.0, 2.0)),
-            "parameters.k.bounds: must not be below 0 with a log-normal prior but begin at -1",
-        ),
+        (lambda: with_prior(NORMAL, 1.0, fixed=True), "k.prior: must be left out.* fixed"),
+        (lambda: with_prior(LOG_NORMAL, 0.0, 0.0, 5.0), "k.start: must be above 0.*log-normal"),
+        (lambda: with_prior(LOG_NORMAL, 1.0, -1.0, 5.0), "k.bounds: must not be below 0.*-1"),
     ],
 )
 def test_a_mistake_is_met_with_a_sentence(make, said):
-    with pytest.raises(ProblemError, match=f"^{said}"):
+    with pytest.raises(ProblemError, match=said):
         make()

@@ -4,38 +4,36 @@ from __future__ import annotations
 
 import math
 import pickle
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from support.problems.answering import reduced
 from support.problems.curves import CurveExecutor, Curves
 from support.problems.method_entries import ENTRIES
 from support.problems.springs import spring_problem
+from support.thinning import thinned
 
-from cluster_est import Budget, Experiment, LeastSquares, Output, Parameter, Resources, fit
+from cluster_est import Budget, Experiment, Multistart, Output, Parameter, Resources, fit
 from cluster_est.costs import COSTS
-from cluster_est.methods import METHODS
+from cluster_est.methods import METHODS, DifferentialEvolution, LeastSquares, Nsga2, PatternSearch
 from cluster_est.methods.given_points import GivenPoints
-from cluster_est.methods.pattern_search.method import PatternSearch
-from cluster_est.methods.populations.differential_evolution import DifferentialEvolution
-from cluster_est.methods.populations.nsga2 import Nsga2
-from cluster_est.problem.search_space.reduction import LEAST_RESIDUALS, want_of
-from cluster_est.problem.search_space.space import make_space
-from cluster_est.running.multistart import Multistart, search_from_starts
+from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.running.multistart import search_from_starts
 from cluster_est.running.runner import Runner
-from cluster_est.running.search_state import SearchRequest, suited
+from cluster_est.running.search_state import SearchRequest
 from workers.evaluate import Evaluator
 from workers.messages import REDUCTIONS, Curve, Outcome, SignalBound, Status, Task, UserFunction
-from workers.residuals.reduce import reduce_residuals
 from workers.wire import OutcomeColumns, TaskBatch
 
 REDUCIBLE = {name: cost for name, cost in COSTS.items() if cost.reduction is not None}
 COUNTS = (7, 0, 1, 13)
 RESIDUALS = arrays(np.float64, sum(COUNTS), elements=st.floats(-1e6, 1e6))
 TIMES = np.linspace(0.1, 3.0, 30)
+SLOW = pytest.mark.slow
 
 
 def test_only_sums_over_residuals_can_be_reduced():
@@ -46,25 +44,14 @@ def test_only_sums_over_residuals_can_be_reduced():
 
 
 @pytest.mark.parametrize("cost", REDUCIBLE.values(), ids=lambda cost: cost.name)
-class TestCost:
-    @given(residuals=RESIDUALS)
-    def test_is_the_same(self, cost, residuals):
-        reduced = reduce_residuals(residuals, COUNTS, cost.reduction)
-        assert len(reduced) == 3
-        power = 2 if cost.name == "sse" else 1
-        truth = math.fsum(abs(r) ** power for r in residuals.tolist())
-        assert cost().value(reduced, np.arange(3)) == pytest.approx(truth, rel=1e-12, abs=1e-300), (
-            "`value` must be the same of one reduced number for each output: else set no reduction"
-        )
-
-    def test_a_view_of_a_batch_gives_the_same_bits(self, cost):
-        batch = np.random.default_rng(0).normal(size=(21, 5))
-        for column in range(5):
-            found = [
-                reduce_residuals(each, COUNTS, cost.reduction)
-                for each in (batch[:, column], np.array(batch[:, column]))
-            ]
-            assert found[0].tobytes() == found[1].tobytes()
+@given(residuals=RESIDUALS)
+def test_a_cost_is_the_same(cost, residuals):
+    found = reduced(residuals, COUNTS, cost.reduction)
+    power = 2 if cost.name == "sse" else 1
+    truth = math.fsum(abs(r) ** power for r in residuals.tolist())
+    assert cost().value(found, np.arange(3)) == pytest.approx(truth, rel=1e-12, abs=1e-300), (
+        "`value` must be the same of one reduced number for each output: else set no reduction"
+    )
 
 
 def experiment(*samples: int, **more: object) -> Experiment:
@@ -74,29 +61,30 @@ def experiment(*samples: int, **more: object) -> Experiment:
     return Experiment("e", 0.0, 100.0, (), outputs, **more)  # type: ignore[arg-type]
 
 
+def space_of(*experiments: Experiment, cost: str = "sse") -> SearchSpace:
+    """As a method gets it that looks at no residual."""
+    named = tuple(replace(each, id=f"e{i}") for i, each in enumerate(experiments))
+    problem = replace(decays(cost).problem(), experiments=named)
+    return replace(make_space(problem, tuple(range(len(experiments)))), reduced=True)
+
+
 class TestWant:
     def test_it_must_save_something(self):
-        cost = COSTS["sse"]()
-        few, many = LEAST_RESIDUALS, LEAST_RESIDUALS + 1
-        assert want_of(experiment(few, few), cost) == "residuals"
-        assert want_of(experiment(few, many), cost) == "squares"
-        assert want_of(experiment(0, many, 0), cost) == "squares"
-        assert want_of(experiment(0), cost) == "residuals"
+        samples = (10, 10), (10, 11), (0, 11, 0)
+        wants = space_of(*(experiment(*each) for each in samples)).wants
+        assert wants == ("residuals", "squares", "squares")
 
     @pytest.mark.parametrize("name", COSTS)
     def test_the_cost_says_how(self, name):
         expected = {"sse": "squares", "sae": "absolutes"}.get(name, "residuals")
-        assert want_of(experiment(50), COSTS[name]()) == expected, "name its reduction here"
+        assert space_of(experiment(50), cost=name).wants == (expected,), "name its reduction here"
 
     def test_what_a_function_returns_is_left_alone(self):
         own = experiment(50, cost_function=UserFunction("none", "cost"))
-        assert want_of(own, COSTS["sse"]()) == "residuals"
+        assert space_of(own).wants == ("residuals",)
 
     def test_the_space_says_what_is_of_which_output(self):
-        problem = decays("sse").problem()
-        short = experiment(3)
-        problem = replace(problem, experiments=(short, *problem.experiments))
-        space = replace(make_space(problem, (0, 1, 2)), reduced=True)
+        space = space_of(experiment(3), *decays("sse").problem().experiments)
         assert space.wants == ("residuals", "squares", "squares")
         assert space.outputs.tolist() == [0, 0, 0, 0, 1, 0, 1]
         assert [rows.stop for rows in space.rows] == [3, 5, 7]
@@ -126,9 +114,22 @@ def test_methods_that_work_on_residuals_get_them_all():
         )
 
 
-@pytest.mark.parametrize("cost", REDUCIBLE)
-@pytest.mark.parametrize("entry", BLIND, ids=str)
-def test_a_method_goes_the_same_way(entry, cost, monkeypatch):
+def seeing_all(method):
+    """The same method, but one that is given every residual."""
+    kind = type(method)
+    seeing = type(kind.__name__, (kind,), {"needs_every_residual": True})
+    return seeing(**{each.name: getattr(method, each.name) for each in fields(method)})
+
+
+@pytest.mark.parametrize(
+    ("entry", "cost"),
+    thinned(
+        [pytest.param(e, cost, id=f"{e}-{cost}") for e in BLIND for cost in REDUCIBLE],
+        lambda entry, cost: str(entry),
+        lambda entry, cost: cost,
+    ),
+)
+def test_a_method_goes_the_same_way(entry, cost):
     """Bit by bit, because 16 equal residuals of an output make the same sum either way."""
 
     def formula(times, values, e):
@@ -142,17 +143,16 @@ def test_a_method_goes_the_same_way(entry, cost, monkeypatch):
     measured = [np.zeros((outputs, 16))]
     curves = Curves(formula, parameters, np.arange(16.0), measured, cost=COSTS[cost]())
     ways = []
-    for every in (True, False):
-        monkeypatch.setattr(type(entry.method), "needs_every_residual", every)
+    for method in (seeing_all(entry.method), entry.method):
         asked, sizes = [], set()
 
         def record(origin, outcome, asked=asked, sizes=sizes):
             asked.append(origin.task.values.tolist())
             sizes.add(len(outcome.residuals))
 
-        runner = Runner(CurveExecutor(curves), Budget(evaluations=1000), record)
-        (found,) = runner.run([SearchRequest("test", entry.method, curves.space(), 3)])
-        assert sizes == {16 * outputs if every else outputs}
+        runner = Runner(CurveExecutor(curves), Budget(evaluations=400), record)
+        (found,) = runner.run([SearchRequest("test", method, curves.space(), 3)])
+        assert sizes == {outputs if method is entry.method else 16 * outputs}
         ways.append((asked, found.ending, found.iterations))
     assert len(ways[0][0]) > 50
     assert ways[0] == ways[1], (
@@ -162,12 +162,9 @@ def test_a_method_goes_the_same_way(entry, cost, monkeypatch):
 
 
 @pytest.mark.parametrize("kind", ["outputs", "experiments"])
-def test_objectives_are_kept_apart(kind, monkeypatch):
-    curves, fronts = decays("sse"), []
+def test_objectives_are_kept_apart(kind):
     method = Nsga2(objectives=kind, population=20, max_generations=5)
-    for every in (True, False):
-        monkeypatch.setattr(Nsga2, "needs_every_residual", every)
-        fronts.append(curves.solve(method)[2].others)
+    fronts = [decays("sse").solve(each)[2].others for each in (seeing_all(method), method)]
     assert len(fronts[0]) == len(fronts[1]) > 2
     for one, other in zip(*fronts, strict=True):
         np.testing.assert_allclose(one.objectives, other.objectives, rtol=1e-12)
@@ -222,25 +219,23 @@ class TestWorker:
             for each in ("residuals", want)
         }
         assert run.counts == (0, 150, 19)
-        assert run.counts_in(want) == (0, 1, 1)
-        for whole, reduced in zip(answers["residuals"], answers[want], strict=True):
-            assert (whole.status, whole.message) == (reduced.status, reduced.message)
+        for whole, short in zip(answers["residuals"], answers[want], strict=True):
+            assert (whole.status, whole.message) == (short.status, short.message)
             if not whole.ok:
-                assert reduced.residuals is None
+                assert short.residuals is None
                 continue
             parts = whole.residuals[:150], whole.residuals[150:]
             norm = 2 if want == "squares" else 1
             truth = [np.linalg.norm(part, norm) for part in parts]
-            np.testing.assert_allclose(reduced.residuals, truth, rtol=1e-12)
-            assert whole.constraints.tobytes() == reduced.constraints.tobytes()
+            np.testing.assert_allclose(short.residuals, truth, rtol=1e-12)
+            assert whole.constraints.tobytes() == short.constraints.tobytes()
         alone = worker.evaluate(TaskBatch.of([Task(3, 0, values[3], want)]))[0]
         assert alone.residuals.tobytes() == answers[want][3].residuals.tobytes()
 
     def test_traffic_shrinks_with_the_samples(self):
         sizes = []
         residuals = np.random.default_rng(0).normal(size=200_000)
-        counts = (10_000,) * 20
-        for sent in (residuals, reduce_residuals(residuals, counts, "squares")):
+        for sent in (residuals, reduced(residuals, (10_000,) * 20, "squares")):
             outcomes = [Outcome(i, Status.OK, sent, worker="w") for i in range(10)]
             sizes.append(len(pickle.dumps(OutcomeColumns.of(outcomes))))
         assert sizes[0] > 100 * sizes[1]
@@ -249,7 +244,7 @@ class TestWorker:
 class TestFit:
     METHOD = DifferentialEvolution(population=12, max_generations=6)
 
-    @pytest.mark.parametrize("starts", [1, 3])
+    @pytest.mark.parametrize("starts", [1, pytest.param(3, marks=SLOW)])
     def test_solutions_have_every_residual(self, starts):
         truth = spring_problem(experiments=2, noise=0.01)
         train, test = truth.problem.experiments
@@ -263,13 +258,13 @@ class TestFit:
         assert result.cost == result.solution.cost
         assert all(np.isfinite(e.std_error) for e in result.estimates if e.label == "m")
 
-    def test_bits_do_not_depend_on_workers(self):
+    @pytest.mark.parametrize("place", [("local", 3), pytest.param(("processes", 2), marks=SLOW)])
+    def test_bits_do_not_depend_on_workers(self, place):
         problem = spring_problem(experiments=3, noise=0.01).problem
-        places = ("local", 1), ("local", 3), ("processes", 2)
-        results = [fit(problem, self.METHOD, Resources(name, workers=n)) for name, n in places]
-        values = [np.array([e.value for e in result.estimates]).tobytes() for result in results]
-        assert len(set(values)) == 1
-        assert len({result.solution.cost for result in results}) == 1
+        places = ("local", 1), place
+        one, other = (fit(problem, self.METHOD, Resources(n, workers=k)) for n, k in places)
+        assert [e.value for e in one.estimates] == [e.value for e in other.estimates]
+        assert one.solution.cost == other.solution.cost
 
     @pytest.mark.parametrize("method", [METHOD, LeastSquares()], ids=lambda m: m.name)
     def test_points_that_only_compete_are_asked_for_like_those_that_follow(self, method):
@@ -280,9 +275,3 @@ class TestFit:
         )
         search_from_starts(runner, curves.space(), method, Multistart(2, screen=4), 0)
         assert set(wants) == {"squares" if method is self.METHOD else "residuals"}
-
-
-def test_a_space_is_reduced_for_those_who_do_not_look():
-    space = decays("sse").space()
-    assert suited(space, LeastSquares()) is space
-    assert suited(space, TestFit.METHOD).wants == ("squares", "squares")

@@ -2,269 +2,186 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from support.problems.functions import FunctionProblem
 
 from cluster_est.costs.base import Cost
+from cluster_est.costs.sum_squared import SumSquared
+from cluster_est.costs.total import TotalCost
 
 ROOT2, ROOT3, ROOT7 = np.sqrt([2.0, 3.0, 7.0])
+TOTAL = TotalCost()
+"""For an objective that is no sum of squares."""
+Formula = Callable[[np.ndarray], object]
 
 
-@dataclass(frozen=True)
-class Total(Cost):
-    """F = the sum of the residuals: for an objective that is no sum of squares."""
+def held(
+    name: str,
+    residuals: Formula,
+    start: tuple[float, ...],
+    minimum: float = np.nan,
+    *,
+    least: Sequence[Formula] = (),
+    equal: Sequence[Formula] = (),
+    cost: Cost | None = None,
+    **more,
+) -> FunctionProblem:
+    """Make a problem with constraints that must be at most 0, and others that must be 0.
 
-    name: ClassVar[str] = "total"
-
-    def value(self, residuals, outputs):
-        return float(np.add.reduce(residuals))
-
-    def weights(self, residuals, outputs):
-        return None
-
-
-def scalar(function):
-    """An objective as the only residual of a `Total`."""
-    return lambda x: np.array([function(x)])
-
-
-def at_most(*functions):
-    """Constraints, each a function of x that must be at most 0 (or 0)."""
-    return lambda x: np.array([function(x) for function in functions])
+    Formulas may give lists or numbers.
+    """
+    both = [*least, *equal]
+    if both:
+        more["constraints"] = lambda x: np.array([each(x) for each in both], np.float64)
+    return FunctionProblem(
+        name,
+        lambda x: np.atleast_1d(np.asarray(residuals(x), np.float64)),
+        start,
+        minimum,
+        equality=(False,) * len(least) + (True,) * len(equal),
+        cost=cost or SumSquared(),
+        **more,
+    )
 
 
-LEAST, EQUAL = False, True
+def hs(named, residuals: Formula, *, box=(None, None), **more) -> FunctionProblem:
+    """Make a problem of the collection from its name, start and minimum, and all the rest."""
+    return held(named[0], residuals, *named[1:], lower=box[0], upper=box[1], **more)
+
+
+def objective(named, formula: Formula, **more) -> FunctionProblem:
+    """Make one whose objective is no sum of squares."""
+    return hs(named, formula, cost=TOTAL, **more)
+
+
+def quadratic(constant, slope, matrix) -> Formula:
+    """c + g'x + x'Qx."""
+    return lambda x: constant + np.dot(slope, x) + x @ np.array(matrix) @ x
+
 
 CONSTRAINED = [
-    FunctionProblem(
-        "hs5 bounds only",
-        scalar(lambda x: np.sin(x[0] + x[1]) + (x[0] - x[1]) ** 2 - 1.5 * x[0] + 2.5 * x[1] + 1.0),
-        (0.0, 0.0),
-        -ROOT3 / 2.0 - np.pi / 3.0,
-        (-1.5, -3.0),
-        (4.0, 3.0),
-        cost=Total(),
+    objective(
+        ("hs5 bounds only", (0.0, 0.0), -ROOT3 / 2.0 - np.pi / 3.0),
+        lambda x: np.sin(x[0] + x[1]) + (x[0] - x[1]) ** 2 - 1.5 * x[0] + 2.5 * x[1] + 1.0,
+        box=((-1.5, -3.0), (4.0, 3.0)),
     ),
-    FunctionProblem(
-        "hs6",
-        lambda x: np.array([1.0 - x[0]]),
-        (-1.2, 1.0),
-        0.0,
-        constraints=at_most(lambda x: 10.0 * (x[1] - x[0] ** 2)),
-        equality=(EQUAL,),
+    hs(
+        ("hs6", (-1.2, 1.0), 0.0), lambda x: 1.0 - x[0], equal=[lambda x: 10.0 * (x[1] - x[0] ** 2)]
     ),
-    FunctionProblem(
-        "hs7",
-        scalar(lambda x: np.log(1.0 + x[0] ** 2) - x[1]),
-        (2.0, 2.0),
-        -ROOT3,
-        constraints=at_most(lambda x: (1.0 + x[0] ** 2) ** 2 + x[1] ** 2 - 4.0),
-        equality=(EQUAL,),
-        cost=Total(),
+    objective(
+        ("hs7", (2.0, 2.0), -ROOT3),
+        lambda x: np.log(1.0 + x[0] ** 2) - x[1],
+        equal=[lambda x: (1.0 + x[0] ** 2) ** 2 + x[1] ** 2 - 4.0],
     ),
-    FunctionProblem(
-        "hs11",
-        scalar(lambda x: (x[0] - 5.0) ** 2 + x[1] ** 2 - 25.0),
-        (4.9, 0.1),
-        -8.498464223,
-        constraints=at_most(lambda x: x[0] ** 2 - x[1]),
-        equality=(LEAST,),
-        cost=Total(),
+    objective(
+        ("hs11", (4.9, 0.1), -8.498464223),
+        lambda x: (x[0] - 5.0) ** 2 + x[1] ** 2 - 25.0,
+        least=[lambda x: x[0] ** 2 - x[1]],
     ),
-    FunctionProblem(
-        "hs14",
-        lambda x: np.array([x[0] - 2.0, x[1] - 1.0]),
-        (2.0, 2.0),
-        9.0 - 2.875 * ROOT7,
-        constraints=at_most(
-            lambda x: 0.25 * x[0] ** 2 + x[1] ** 2 - 1.0, lambda x: x[0] - 2.0 * x[1] + 1.0
-        ),
-        equality=(LEAST, EQUAL),
+    hs(
+        ("hs14", (2.0, 2.0), 9.0 - 2.875 * ROOT7),
+        lambda x: [x[0] - 2.0, x[1] - 1.0],
+        least=[lambda x: 0.25 * x[0] ** 2 + x[1] ** 2 - 1.0],
+        equal=[lambda x: x[0] - 2.0 * x[1] + 1.0],
     ),
-    FunctionProblem(
-        "hs15",
-        lambda x: np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]]),
-        (-2.0, 1.0),
-        306.5,
-        (-np.inf, -np.inf),
-        (0.5, np.inf),
-        constraints=at_most(lambda x: 1.0 - x[0] * x[1], lambda x: -x[0] - x[1] ** 2),
-        equality=(LEAST, LEAST),
+    hs(
+        ("hs15", (-2.0, 1.0), 306.5),
+        lambda x: [10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]],
+        box=((-np.inf, -np.inf), (0.5, np.inf)),
+        least=[lambda x: 1.0 - x[0] * x[1], lambda x: -x[0] - x[1] ** 2],
     ),
-    FunctionProblem(
-        "hs22",
-        lambda x: np.array([x[0] - 2.0, x[1] - 1.0]),
-        (2.0, 2.0),
-        1.0,
-        constraints=at_most(lambda x: x[0] + x[1] - 2.0, lambda x: x[0] ** 2 - x[1]),
-        equality=(LEAST, LEAST),
+    hs(
+        ("hs22", (2.0, 2.0), 1.0),
+        lambda x: [x[0] - 2.0, x[1] - 1.0],
+        least=[lambda x: x[0] + x[1] - 2.0, lambda x: x[0] ** 2 - x[1]],
     ),
-    FunctionProblem(
-        "hs26",
-        lambda x: np.array([x[0] - x[1], (x[1] - x[2]) ** 2]),
-        (-2.6, 2.0, 2.0),
-        0.0,
-        constraints=at_most(lambda x: (1.0 + x[1] ** 2) * x[0] + x[2] ** 4 - 3.0),
-        equality=(EQUAL,),
+    hs(
+        ("hs26", (-2.6, 2.0, 2.0), 0.0),
+        lambda x: [x[0] - x[1], (x[1] - x[2]) ** 2],
+        equal=[lambda x: (1.0 + x[1] ** 2) * x[0] + x[2] ** 4 - 3.0],
     ),
-    FunctionProblem(
-        "hs27",
-        lambda x: np.array([0.1 * (x[0] - 1.0), x[1] - x[0] ** 2]),
-        (2.0, 2.0, 2.0),
-        0.04,
-        constraints=at_most(lambda x: x[0] + x[2] ** 2 + 1.0),
-        equality=(EQUAL,),
+    hs(
+        ("hs27", (2.0, 2.0, 2.0), 0.04),
+        lambda x: [0.1 * (x[0] - 1.0), x[1] - x[0] ** 2],
+        equal=[lambda x: x[0] + x[2] ** 2 + 1.0],
     ),
-    FunctionProblem(
-        "hs35",
-        scalar(
-            lambda x: (
-                9.0
-                - 8.0 * x[0]
-                - 6.0 * x[1]
-                - 4.0 * x[2]
-                + 2.0 * x[0] ** 2
-                + 2.0 * x[1] ** 2
-                + x[2] ** 2
-                + 2.0 * x[0] * x[1]
-                + 2.0 * x[0] * x[2]
-            )
-        ),
-        (0.5, 0.5, 0.5),
-        1.0 / 9.0,
-        (0.0, 0.0, 0.0),
-        (np.inf, np.inf, np.inf),
-        constraints=at_most(lambda x: x[0] + x[1] + 2.0 * x[2] - 3.0),
-        equality=(LEAST,),
-        cost=Total(),
+    objective(
+        ("hs35", (0.5, 0.5, 0.5), 1.0 / 9.0),
+        quadratic(9.0, [-8.0, -6.0, -4.0], [[2.0, 1.0, 1.0], [1.0, 2.0, 0.0], [1.0, 0.0, 1.0]]),
+        box=((0.0, 0.0, 0.0), (np.inf, np.inf, np.inf)),
+        least=[lambda x: x[0] + x[1] + 2.0 * x[2] - 3.0],
     ),
-    FunctionProblem(
-        "hs39",
-        scalar(lambda x: -x[0]),
-        (2.0, 2.0, 2.0, 2.0),
-        -1.0,
-        constraints=at_most(
-            lambda x: x[1] - x[0] ** 3 - x[2] ** 2, lambda x: x[0] ** 2 - x[1] - x[3] ** 2
-        ),
-        equality=(EQUAL, EQUAL),
-        cost=Total(),
+    objective(
+        ("hs39", (2.0, 2.0, 2.0, 2.0), -1.0),
+        lambda x: -x[0],
+        equal=[lambda x: x[1] - x[0] ** 3 - x[2] ** 2, lambda x: x[0] ** 2 - x[1] - x[3] ** 2],
     ),
-    FunctionProblem(
-        "hs40",
-        scalar(lambda x: -np.prod(x)),
-        (0.8, 0.8, 0.8, 0.8),
-        -0.25,
-        constraints=at_most(
+    objective(
+        ("hs40", (0.8, 0.8, 0.8, 0.8), -0.25),
+        lambda x: -np.prod(x),
+        equal=[
             lambda x: x[0] ** 3 + x[1] ** 2 - 1.0,
             lambda x: x[0] ** 2 * x[3] - x[2],
             lambda x: x[3] ** 2 - x[1],
-        ),
-        equality=(EQUAL, EQUAL, EQUAL),
-        cost=Total(),
+        ],
     ),
-    FunctionProblem(
-        "hs42",
+    hs(
+        ("hs42", (1.0, 1.0, 1.0, 1.0), 28.0 - 10.0 * ROOT2),
         lambda x: x - np.array([1.0, 2.0, 3.0, 4.0]),
-        (1.0, 1.0, 1.0, 1.0),
-        28.0 - 10.0 * ROOT2,
-        constraints=at_most(lambda x: x[0] - 2.0, lambda x: x[2] ** 2 + x[3] ** 2 - 2.0),
-        equality=(EQUAL, EQUAL),
+        equal=[lambda x: x[0] - 2.0, lambda x: x[2] ** 2 + x[3] ** 2 - 2.0],
     ),
-    FunctionProblem(
-        "hs43 Rosen-Suzuki",
-        scalar(
-            lambda x: (
-                x[0] ** 2
-                + x[1] ** 2
-                + 2.0 * x[2] ** 2
-                + x[3] ** 2
-                - 5.0 * x[0]
-                - 5.0 * x[1]
-                - 21.0 * x[2]
-                + 7.0 * x[3]
-            )
-        ),
-        (0.0, 0.0, 0.0, 0.0),
-        -44.0,
-        constraints=at_most(
-            lambda x: x @ x + x[0] - x[1] + x[2] - x[3] - 8.0,
-            lambda x: x[0] ** 2 + 2 * x[1] ** 2 + x[2] ** 2 + 2 * x[3] ** 2 - x[0] - x[3] - 10.0,
-            lambda x: 2 * x[0] ** 2 + x[1] ** 2 + x[2] ** 2 + 2 * x[0] - x[1] - x[3] - 5.0,
-        ),
-        equality=(LEAST, LEAST, LEAST),
-        cost=Total(),
+    objective(
+        ("hs43 Rosen-Suzuki", (0.0, 0.0, 0.0, 0.0), -44.0),
+        quadratic(0.0, [-5.0, -5.0, -21.0, 7.0], np.diag([1.0, 1.0, 2.0, 1.0])),
+        least=[
+            quadratic(-8.0, [1.0, -1.0, 1.0, -1.0], np.eye(4)),
+            quadratic(-10.0, [-1.0, 0.0, 0.0, -1.0], np.diag([1.0, 2.0, 1.0, 2.0])),
+            quadratic(-5.0, [2.0, -1.0, 0.0, -1.0], np.diag([2.0, 1.0, 1.0, 0.0])),
+        ],
     ),
-    FunctionProblem(
-        "hs48",
-        lambda x: np.array([x[0] - 1.0, x[1] - x[2], x[3] - x[4]]),
-        (3.0, 5.0, -3.0, 2.0, -2.0),
-        0.0,
-        constraints=at_most(
-            lambda x: np.add.reduce(x) - 5.0, lambda x: x[2] - 2.0 * (x[3] + x[4]) + 3.0
-        ),
-        equality=(EQUAL, EQUAL),
+    hs(
+        ("hs48", (3.0, 5.0, -3.0, 2.0, -2.0), 0.0),
+        lambda x: [x[0] - 1.0, x[1] - x[2], x[3] - x[4]],
+        equal=[lambda x: np.add.reduce(x) - 5.0, lambda x: x[2] - 2.0 * (x[3] + x[4]) + 3.0],
     ),
-    FunctionProblem(
-        "hs60",
-        lambda x: np.array([x[0] - 1.0, x[0] - x[1], (x[1] - x[2]) ** 2]),
-        (2.0, 2.0, 2.0),
-        0.03256820025,
-        (-10.0, -10.0, -10.0),
-        (10.0, 10.0, 10.0),
-        constraints=at_most(lambda x: x[0] * (1.0 + x[1] ** 2) + x[2] ** 4 - 4.0 - 3.0 * ROOT2),
-        equality=(EQUAL,),
+    hs(
+        ("hs60", (2.0, 2.0, 2.0), 0.03256820025),
+        lambda x: [x[0] - 1.0, x[0] - x[1], (x[1] - x[2]) ** 2],
+        box=((-10.0, -10.0, -10.0), (10.0, 10.0, 10.0)),
+        equal=[lambda x: x[0] * (1.0 + x[1] ** 2) + x[2] ** 4 - 4.0 - 3.0 * ROOT2],
     ),
     # published start (-5, 5, 0), which is outside the bounds
-    FunctionProblem(
-        "hs65",
-        lambda x: np.array([x[0] - x[1], (x[0] + x[1] - 10.0) / 3.0, x[2] - 5.0]),
-        (-4.5, 4.5, 0.0),
-        0.9535288567,
-        (-4.5, -4.5, -5.0),
-        (4.5, 4.5, 5.0),
-        constraints=at_most(lambda x: x @ x - 48.0),
-        equality=(LEAST,),
+    hs(
+        ("hs65", (-4.5, 4.5, 0.0), 0.9535288567),
+        lambda x: [x[0] - x[1], (x[0] + x[1] - 10.0) / 3.0, x[2] - 5.0],
+        box=((-4.5, -4.5, -5.0), (4.5, 4.5, 5.0)),
+        least=[lambda x: x @ x - 48.0],
     ),
-    FunctionProblem(
-        "hs71",
-        scalar(lambda x: x[0] * x[3] * (x[0] + x[1] + x[2]) + x[2]),
-        (1.0, 5.0, 5.0, 1.0),
-        17.0140173,
-        (1.0, 1.0, 1.0, 1.0),
-        (5.0, 5.0, 5.0, 5.0),
-        constraints=at_most(lambda x: 25.0 - np.prod(x), lambda x: x @ x - 40.0),
-        equality=(LEAST, EQUAL),
-        cost=Total(),
+    objective(
+        ("hs71", (1.0, 5.0, 5.0, 1.0), 17.0140173),
+        lambda x: x[0] * x[3] * (x[0] + x[1] + x[2]) + x[2],
+        box=((1.0, 1.0, 1.0, 1.0), (5.0, 5.0, 5.0, 5.0)),
+        least=[lambda x: 25.0 - np.prod(x)],
+        equal=[lambda x: x @ x - 40.0],
     ),
-    FunctionProblem(
-        "hs77",
-        lambda x: np.array(
-            [x[0] - 1.0, x[0] - x[1], x[2] - 1.0, (x[3] - 1.0) ** 2, (x[4] - 1.0) ** 3]
-        ),
-        (2.0, 2.0, 2.0, 2.0, 2.0),
-        0.24150513,
-        constraints=at_most(
+    hs(
+        ("hs77", (2.0, 2.0, 2.0, 2.0, 2.0), 0.24150513),
+        lambda x: [x[0] - 1.0, x[0] - x[1], x[2] - 1.0, (x[3] - 1.0) ** 2, (x[4] - 1.0) ** 3],
+        equal=[
             lambda x: x[0] ** 2 * x[3] + np.sin(x[3] - x[4]) - 2.0 * ROOT2,
             lambda x: x[1] + x[2] ** 4 * x[3] ** 2 - 8.0 - ROOT2,
-        ),
-        equality=(EQUAL, EQUAL),
+        ],
     ),
-    FunctionProblem(
-        "hs79",
-        lambda x: np.array(
-            [x[0] - 1.0, x[0] - x[1], x[1] - x[2], (x[2] - x[3]) ** 2, (x[3] - x[4]) ** 2]
-        ),
-        (2.0, 2.0, 2.0, 2.0, 2.0),
-        0.0787768209,
-        constraints=at_most(
+    hs(
+        ("hs79", (2.0, 2.0, 2.0, 2.0, 2.0), 0.0787768209),
+        lambda x: [x[0] - 1.0, x[0] - x[1], x[1] - x[2], (x[2] - x[3]) ** 2, (x[3] - x[4]) ** 2],
+        equal=[
             lambda x: x[0] + x[1] ** 2 + x[2] ** 3 - 2.0 - 3.0 * ROOT2,
             lambda x: x[1] - x[2] ** 2 + x[3] + 2.0 - 2.0 * ROOT2,
             lambda x: x[0] * x[4] - 2.0,
-        ),
-        equality=(EQUAL, EQUAL, EQUAL),
+        ],
     ),
 ]
 """From W. Hock, K. Schittkowski, Test Examples for Nonlinear Programming Codes, Lecture Notes in

@@ -6,19 +6,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from support.problems.answering import AnsweringExecutor, answer_with
 
 from cluster_est import Experiment, LeastSquares, Model, Output, Parameter, Problem, Solver
 from cluster_est.costs.base import Cost
 from cluster_est.costs.sum_squared import SumSquared
-from cluster_est.executors import Executor
 from cluster_est.methods import Method
 from cluster_est.methods.base import Solution
 from cluster_est.problem.formulas import parse_constraint
 from cluster_est.problem.search_space.space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
-from workers.messages import REDUCTIONS, Outcome, Status
-from workers.residuals.reduce import reduce_residuals
 
 Formula = Callable[[np.ndarray, np.ndarray, int], np.ndarray]
 
@@ -73,23 +71,13 @@ class Curves:
         return runner, space, solution
 
 
-class CurveExecutor(Executor):
+class CurveExecutor(AnsweringExecutor):
     """Answers a task with measured - formula; not finite counts as a failure."""
 
-    workers = 1
-
     def __init__(self, curves: Curves) -> None:
+        super().__init__()
         self._curves = curves
-        self._queue: list = []
         self.answered = 0
-
-    def submit(self, tasks):
-        self._queue += tasks
-
-    def completed(self):
-        outcomes = [self._answer(task) for task in self._queue]
-        self._queue = []
-        return outcomes
 
     def _answer(self, task):
         self.answered += 1
@@ -97,19 +85,8 @@ class CurveExecutor(Executor):
         with np.errstate(all="ignore"):
             found = curves.formula(curves.times, task.values, task.experiment)
         residuals = (curves.measured[task.experiment] - found).ravel()
-        if not np.isfinite(residuals).all():
-            return Outcome(task.id, Status.NOT_FINITE, message="the formula is not finite")
-        if task.want in REDUCTIONS:
-            counts = [len(curves.times)] * (len(residuals) // len(curves.times))
-            residuals = reduce_residuals(residuals, counts, task.want)
-        return Outcome(task.id, Status.OK, residuals)
+        size = len(curves.times)
+        return answer_with(task, residuals, [size] * (len(residuals) // size))
 
     def cancel(self, tasks):
         return []
-
-    @property
-    def busy(self):
-        return 0
-
-    def close(self):
-        pass

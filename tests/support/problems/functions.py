@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from support.problems.answering import AnsweringExecutor, answer_with
 
-from cluster_est import Experiment, Model, Output, Parameter, Problem, Solver
+from cluster_est import Budget, Experiment, Model, Output, Parameter, Problem, Solver
 from cluster_est.costs.base import Cost
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.executors import Executor
 from cluster_est.methods import Method
-from cluster_est.methods.base import Solution
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.methods.base import Points, Solution
+from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.running.evaluation import assemble_evaluation
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
-from workers.messages import REDUCTIONS, Outcome, Status, UserFunction
-from workers.residuals.reduce import reduce_residuals
+from workers.messages import Outcome, Task, UserFunction
 
 
 @dataclass(frozen=True)
@@ -54,14 +55,28 @@ class FunctionProblem:
         model = Model("none", b"", "model_exchange", Solver("rk4"), names)
         return Problem(model, parameters, (experiment,), self.cost)
 
-    def solve(self, method: Method, seed: int = 0, workers: int = 1) -> Solution:
-        problem = self.problem()
-        with FunctionExecutor(self.residuals, self.constraints, workers) as executor:
-            request = SearchRequest("test", method, make_space(problem, (0,)), seed)
-            return Runner(executor).run([request])[0]
+    def space(self) -> SearchSpace:
+        return make_space(self.problem(), (0,))
+
+    def answer(self, task: Task) -> Outcome:
+        """Answer a task as a worker would."""
+        return FunctionExecutor(self.residuals, self.constraints)._answer(task)
+
+    def solve(
+        self,
+        method: Method,
+        seed: int = 0,
+        workers: int = 1,
+        *,
+        executor: Executor | None = None,
+        budget: Budget | None = None,
+    ) -> Solution:
+        opened = executor or FunctionExecutor(self.residuals, self.constraints, workers)
+        request = SearchRequest("test", method, self.space(), seed)
+        return Runner(opened, budget).run([request])[0]
 
 
-class FunctionExecutor(Executor):
+class FunctionExecutor(AnsweringExecutor):
     """Answers a task with the residuals of a function; not finite counts as a failure.
 
     Of several workers, the one that began last is always the first to answer.
@@ -73,46 +88,62 @@ class FunctionExecutor(Executor):
         constraints: Callable[[np.ndarray], np.ndarray] | None = None,
         workers: int = 1,
     ) -> None:
+        super().__init__()
         self.workers = workers
         self._residuals = residuals
         self._constraints = constraints or (lambda x: np.zeros(0))
-        self._queue: list = []
-
-    def submit(self, tasks):
-        self._queue += tasks
 
     def completed(self):
         if self.workers > 1 and self._queue:
             return [self._answer(self._queue.pop(min(self.workers, len(self._queue)) - 1))]
-        outcomes = [self._answer(task) for task in self._queue]
-        self._queue = []
-        return outcomes
+        return super().completed()
 
     def _answer(self, task):
         with np.errstate(all="ignore"):
             values = np.asarray(self._residuals(task.values), np.float64)
-        if not np.isfinite(values).all():
-            return Outcome(task.id, Status.NOT_FINITE, message="the function is not finite")
-        if task.want in REDUCTIONS:
-            values = reduce_residuals(values, [len(values)], task.want)
         constraints = np.asarray(self._constraints(task.values), np.float64)
-        return Outcome(task.id, Status.OK, values, constraints=constraints)
+        return answer_with(task, values, [len(values)], constraints)
 
-    def cancel(self, tasks):
-        removed = [task.id for task in self._queue if task.id in tasks]
-        self._queue = [task for task in self._queue if task.id not in removed]
-        return removed
+
+@dataclass(frozen=True)
+class Followed:
+    """A search that was driven by hand: what it found, and all that it asked for."""
+
+    solution: Solution
+    requests: list[Points]
 
     @property
-    def busy(self):
-        return 0
+    def points(self) -> np.ndarray:
+        return np.vstack([request.x for request in self.requests])
 
-    def close(self):
-        pass
+    @property
+    def purposes(self) -> list[str]:
+        return [request.purpose for request in self.requests]
+
+
+def followed(problem: FunctionProblem, method: Method, seed: int = 0) -> Followed:
+    """Search without a runner, request by request."""
+    space, executor = problem.space(), FunctionExecutor(problem.residuals, problem.constraints)
+    search = method.search(space, np.random.default_rng(seed))
+    request, requests = next(search), list[Points]()
+    while True:
+        requests.append(replace(request, x=request.x.copy()))
+        executor.submit([Task(i, 0, x) for i, x in enumerate(request.x)])
+        pairs = enumerate(zip(request.x, executor.completed(), strict=True))
+        answers = [assemble_evaluation(space, x, (outcome,), i) for i, (x, outcome) in pairs]
+        try:
+            request = search.send(answers)
+        except StopIteration as end:
+            return Followed(end.value, requests)
 
 
 def rosenbrock(x):
     return np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
+
+
+def walled(x):
+    """The same, but right of its minimum and below the valley nothing can be simulated."""
+    return rosenbrock(x) if x[1] > -2.0 and x[0] < 1.05 else np.full(2, np.nan)
 
 
 def powell_singular(x):
@@ -132,12 +163,8 @@ def brown_dennis(x):
 
 
 def freudenstein_roth(x):
-    return np.array(
-        [
-            -13.0 + x[0] + ((5.0 - x[1]) * x[1] - 2.0) * x[1],
-            -29.0 + x[0] + ((x[1] + 1.0) * x[1] - 14.0) * x[1],
-        ]
-    )
+    first = -13.0 + x[0] + ((5.0 - x[1]) * x[1] - 2.0) * x[1]
+    return np.array([first, -29.0 + x[0] + ((x[1] + 1.0) * x[1] - 14.0) * x[1]])
 
 
 def kowalik_osborne(x):
@@ -153,8 +180,10 @@ def bard(x):
     return y - (x[0] + u / (v * x[1] + np.minimum(u, v) * x[2]))
 
 
+ROSENBROCK = FunctionProblem("rosenbrock", rosenbrock, (-1.2, 1.0), 0.0)
+WALLED = replace(ROSENBROCK, name="walled", residuals=walled)
 PROBLEMS = [
-    FunctionProblem("rosenbrock", rosenbrock, (-1.2, 1.0), 0.0),
+    ROSENBROCK,
     FunctionProblem("rosenbrock far", rosenbrock, (-120.0, 100.0), 0.0),
     FunctionProblem("powell singular", powell_singular, (3.0, -1.0, 0.0, 1.0), 0.0),
     FunctionProblem("beale", beale, (1.0, 0.8), 0.0),
@@ -171,3 +200,8 @@ PROBLEMS = [
 ]
 """Minima from J. J. More, B. S. Garbow, K. E. Hillstrom, Testing unconstrained optimization
 software, ACM TOMS 7 (1981) 17-41, doi:10.1145/355934.355936, to more digits where known."""
+
+
+def named(name: str, problems: list[FunctionProblem] = PROBLEMS) -> FunctionProblem:
+    """Give the problem of this name."""
+    return next(problem for problem in problems if problem.name == name)

@@ -5,55 +5,62 @@ Ray gives up a start that takes too long, as it does on a busy machine; it is st
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 import ray
 
 from cluster_est.errors import ExecutorError
-from cluster_est.executors.ray_cluster import connect
+from cluster_est.executors import executor_class
+
+Failing = Callable[..., list[object]]
+TIMED_OUT = Exception("timed out during startup.\nmore")
+
+
+@pytest.fixture
+def failing(monkeypatch: pytest.MonkeyPatch) -> Failing:
+    """Let Ray fail with errors, one a start; gives the addresses at which it is started."""
+
+    def fail_with(*errors: Exception) -> list[object]:
+        starts: list[object] = []
+
+        def start(**options: object) -> None:
+            starts.append(options["address"])
+            if len(starts) <= len(errors):
+                raise errors[len(starts) - 1]
+
+        monkeypatch.setattr(ray, "init", start)
+        return starts
+
+    return fail_with
 
 
 @pytest.mark.parametrize(
     ("address", "error", "said"),
     [
-        (None, Exception("timed out during startup.\nmore"), r"Ray did not start on this machine"),
-        ("local", RuntimeError("no port"), r'\(no port\); .* set executor.name to "processes"'),
-        ("10.0.0.1:6379", ConnectionError("refused"), r"answers at '10.0.0.1:6379' \(refused\)"),
-        ("auto", TimeoutError(), r"answers at 'auto' \(TimeoutError\); start one, or remove"),
+        (None, TIMED_OUT, "Ray did not start on this machine"),
+        ("local", RuntimeError("no port"), 'no port.*executor.name to "processes"'),
+        ("10.0.0.1:6379", ConnectionError("refused"), "answers at '10.0.0.1:6379'.*refused"),
+        ("auto", TimeoutError(), "answers at 'auto'.*TimeoutError.*start one, or remove"),
     ],
 )
 def test_why_ray_does_not_start_is_a_sentence(
-    monkeypatch: pytest.MonkeyPatch, address: str | None, error: Exception, said: str
+    failing: Failing, address: str | None, error: Exception, said: str
 ) -> None:
-    def fail(**_options: object) -> None:
-        raise error
-
-    monkeypatch.setattr(ray, "init", fail)
+    failing(*[error] * 9)
     with pytest.raises(ExecutorError, match=said) as caught:
-        connect(2, address)
+        executor_class("ray").join(2, address)
     assert "\n" not in str(caught.value)
 
 
-def test_ray_is_started_again_on_a_busy_machine(monkeypatch: pytest.MonkeyPatch) -> None:
-    starts: list[object] = []
-
-    def late(**options: object) -> None:
-        starts.append(options["address"])
-        if len(starts) < 3:
-            raise Exception("timed out during startup.")
-
-    monkeypatch.setattr(ray, "init", late)
-    assert connect(2, None)
+def test_ray_is_started_again_on_a_busy_machine(failing: Failing) -> None:
+    starts = failing(TIMED_OUT, TIMED_OUT)
+    executor_class("ray").join(2, None)
     assert starts == ["local"] * 3
 
 
-def test_a_cluster_that_does_not_answer_is_asked_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    starts: list[object] = []
-
-    def refuse(**options: object) -> None:
-        starts.append(options["address"])
-        raise ConnectionError("refused")
-
-    monkeypatch.setattr(ray, "init", refuse)
+def test_a_cluster_that_does_not_answer_is_asked_once(failing: Failing) -> None:
+    starts = failing(ConnectionError("refused"), ConnectionError("refused"))
     with pytest.raises(ExecutorError, match="refused"):
-        connect(2, "10.0.0.1:6379")
+        executor_class("ray").join(2, "10.0.0.1:6379")
     assert starts == ["10.0.0.1:6379"]

@@ -3,40 +3,30 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
+from support.problems.functions import Followed, FunctionProblem, followed
 
-from cluster_est.methods.base import Ending, Evaluation
+from cluster_est.methods.base import Ending
 from cluster_est.methods.given_points import GivenPoints
-from workers.messages import Outcome, Status
 
 
-def evaluation(cost):
-    if np.isnan(cost):
-        return Evaluation((Outcome(0, Status.NOT_FINITE, message="at 3 s"),), cost)
-    return Evaluation((Outcome(0, Status.OK, np.array([cost])),), cost)
-
-
-def looked(*costs):
+def looked(*costs: float) -> Followed:
     points = np.arange(2.0 * len(costs)).reshape(-1, 2)
-    look = GivenPoints(points, "trial")
-    steps = look.search(None, np.random.default_rng(0))
-    asked = next(steps)
-    assert asked.x is points
-    assert asked.purpose == "trial"
-    answers = [evaluation(cost) for cost in costs]
-    with pytest.raises(StopIteration) as end:
-        steps.send(answers)
-    assert end.value.value.evaluations == tuple(answers)
-    return end.value.value
+    by_place = FunctionProblem("", lambda x: np.sqrt([costs[int(x[0]) // 2]]), (0.0, 0.0), 0.0)
+    found = followed(by_place, GivenPoints(points, "trial"))
+    assert found.purposes == ["trial"]
+    np.testing.assert_array_equal(found.points, points)
+    evaluations = [each.cost for each in found.solution.evaluations]
+    np.testing.assert_allclose(evaluations, costs)
+    return found
 
 
 def test_it_ends_at_the_best_point():
-    found = looked(3.0, np.nan, 1.0, 2.0)
-    assert found.x.tolist() == [4.0, 5.0]
-    assert (found.cost, found.ending) == (1.0, Ending.CONVERGED)
+    solution = looked(9.0, np.nan, 1.0, 4.0).solution
+    assert solution.x.tolist() == [4.0, 5.0]
+    assert (solution.cost, solution.ending) == (1.0, Ending.CONVERGED)
 
 
 def test_all_may_fail():
-    found = looked(np.nan, np.nan)
-    assert found.ending is Ending.START_FAILED
-    assert "at 3 s" in found.message
+    solution = looked(np.nan, np.nan).solution
+    assert solution.ending is Ending.START_FAILED
+    assert "not finite" in solution.message

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.problems.functions import FunctionExecutor, FunctionProblem, beale
+from support.problems.functions import FunctionExecutor, FunctionProblem
+from support.scripted import Scripted, ask
 from support.shuffling_executor import ShufflingExecutor
 
-from cluster_est import Budget, LeastSquares
+from cluster_est import Budget, LeastSquares, Multistart
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Ending, Method, Points, Search, Solution
+from cluster_est.methods import Method
+from cluster_est.methods.base import Ending, Search, Solution
 from cluster_est.problem.formulas import parse_constraint
 from cluster_est.problem.search_space.space import SearchSpace, make_space
 from cluster_est.running.multistart import (
-    Multistart,
     MultistartResult,
     cluster,
     make_starts,
@@ -28,7 +28,6 @@ from cluster_est.running.multistart import (
 )
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
-from workers.messages import Outcome, Status, Task
 
 MINIMA = np.array(
     [
@@ -61,6 +60,7 @@ def boxed(function, size: int = 2) -> FunctionProblem:
 
 
 HIMMELBLAU = boxed(himmelblau)
+HALF_DEAD = boxed(half_dead)
 PAIRS = boxed(three_pairs, 6)
 
 
@@ -72,15 +72,22 @@ def space_of(problem: FunctionProblem, *constraints: str, scale: str = "linear")
     return make_space(replace(made, parameters=scaled, constraints=tuple(demands)), (0,))
 
 
-def runner_of(problem: FunctionProblem, budget: Budget | None = None) -> Runner:
-    return Runner(FunctionExecutor(problem.residuals, problem.constraints), budget)
+def runner_of(problem: FunctionProblem, **more) -> Runner:
+    return Runner(FunctionExecutor(problem.residuals, problem.constraints), **more)
+
+
+def shuffled(problem: FunctionProblem, seed: int, workers: int, **more) -> Runner:
+    return Runner(ShufflingExecutor(problem.answer, seed, workers), **more)
 
 
 def search(
-    problem: FunctionProblem, multistart: Multistart, method: Method | None = None, seed: int = 0
+    problem: FunctionProblem,
+    multistart: Multistart,
+    method: Method | None = None,
+    runner: Runner | None = None,
 ) -> MultistartResult:
-    space = space_of(problem)
-    return search_from_starts(runner_of(problem), space, method or LeastSquares(), multistart, seed)
+    runner = runner or runner_of(problem)
+    return search_from_starts(runner, space_of(problem), method or LeastSquares(), multistart, 0)
 
 
 def bits(found: MultistartResult) -> tuple[bytes, list[tuple[bytes, float, str]], object, object]:
@@ -206,15 +213,14 @@ def test_screening_takes_the_best_of_many():
 
 
 def test_screening_passes_over_what_fails():
-    found = search(boxed(half_dead), Multistart(9, screen=4))
+    found = search(HALF_DEAD, Multistart(9, screen=4))
     assert (found.starts[1:, 0] <= 0.0).all()
     assert -1 not in found.minimum
 
 
 def test_screening_prefers_what_satisfies_the_constraints():
     problem = replace(HIMMELBLAU, constraints=lambda x: x[:1] + 2.0, equality=(False,))
-    multistart = Multistart(9, screen=8)
-    starts = make_starts(runner_of(problem), make_space(problem.problem(), (0,)), multistart)
+    starts = make_starts(runner_of(problem), space_of(problem), Multistart(9, screen=8))
     assert (starts[1:, 0] <= -2.0).all()
 
 
@@ -259,9 +265,8 @@ def test_neither_order_nor_units_decide_which_minima_are_one(order, unit):
 
 def test_a_point_that_violates_constraints_is_no_better_minimum_for_its_cost():
     problem = replace(HIMMELBLAU, constraints=lambda x: x[:1] - 1.0, equality=(False,))
-    runner, space = runner_of(problem), make_space(problem.problem(), (0,))
-    ends = runner.run([SearchRequest(n, Stay(), space.starting_at(np.array(x)))
-                       for n, x in (("bad", [3.0, 2.0]), ("good", [0.0, 0.0]))])  # fmt: skip
+    space, places = space_of(problem), np.array([[3.0, 2.0], [0.0, 0.0]])
+    ends = runner_of(problem).run([STAY.on(space.starting_at(x)) for x in places])
     assert [end.cost for end in ends] == [0.0, 170.0]
     minima, _ = cluster(space, ends, 1e-3)
     assert minima == (1, 0)
@@ -278,21 +283,18 @@ def test_without_any_minimum_the_best_point_is_taken():
 # --- when starts are enough
 
 
-@dataclass(frozen=True)
-class Stay(Method):
+def stay(space: SearchSpace) -> Search:
     """Take the start for a minimum; some take longer than others to do so."""
+    start = space.start[0]
+    (found,) = yield ask(space, [start], "start")
+    for i in range(int(10 * abs(start)) % 7):
+        yield ask(space, [start * (0.9 - 0.01 * i)], "trial")
+    if not found.ok:
+        return Solution(space.start, np.nan, Ending.START_FAILED, found.reason, at=found)
+    return Solution(space.start, found.cost, Ending.CONVERGED, at=found)
 
-    name: ClassVar[str] = "stay"
-    needs_residuals: ClassVar[bool] = False
-    keeps_constraints: ClassVar[bool] = True
 
-    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
-        (at,) = yield Points(space.start[None, :], "start")
-        for i in range(int(10 * abs(space.start[0])) % 7):
-            yield Points(space.start[None, :] * (0.9 - 0.01 * i), "trial")
-        if not at.ok:
-            return Solution(space.start, np.nan, Ending.START_FAILED, at.reason, at=at)
-        return Solution(space.start, at.cost, Ending.CONVERGED, at=at)
+STAY = Scripted(stay)
 
 
 def stays(x0: Sequence[float]) -> tuple[dict[str, float], ...]:
@@ -313,7 +315,7 @@ def stays(x0: Sequence[float]) -> tuple[dict[str, float], ...]:
 )
 def test_patience_counts_starts_in_a_row_without_a_new_minimum(patience, given, searches):
     multistart = Multistart(points=stays(given), patience=patience)
-    found = search(HIMMELBLAU, multistart, Stay())
+    found = search(HIMMELBLAU, multistart, STAY)
     assert len(found.solutions) == len(found.starts) == len(found.minimum) == searches
     assert len(found.minima) == len({0, *given[: searches - 1]})
 
@@ -321,7 +323,7 @@ def test_patience_counts_starts_in_a_row_without_a_new_minimum(patience, given, 
 def test_failed_starts_bring_nothing_new_but_end_nothing_before_the_first_minimum():
     dead_at_first = boxed(lambda x: himmelblau(x) if x[0] < 0.0 else np.full(2, np.nan))
     multistart = Multistart(points=stays([1, 2, 3, -1, 1, 2, 3, -2]), patience=2)
-    found = search(dead_at_first, multistart, Stay())
+    found = search(dead_at_first, multistart, STAY)
     assert found.minimum == (-1, -1, -1, -1, 0, -1, -1)
 
 
@@ -332,15 +334,11 @@ def test_failed_starts_bring_nothing_new_but_end_nothing_before_the_first_minimu
     st.lists(st.sampled_from([0.0, 0.3, 0.5, 1.1, 1.7, 2.9]), min_size=1, max_size=9),
 )
 def test_which_starts_are_enough_does_not_depend_on_which_is_faster(seed, workers, at_once, given):
-    def run(executor, most) -> MultistartResult:
-        multistart = Multistart(points=stays(given), patience=2, at_once=most)
-        return search_from_starts(Runner(executor), space_of(HIMMELBLAU), Stay(), multistart, 0)
-
-    def answer(task: Task) -> Outcome:
-        return Outcome(task.id, Status.OK, himmelblau(task.values), constraints=np.zeros(0))
-
-    expected = bits(run(FunctionExecutor(himmelblau), 1))
-    assert bits(run(ShufflingExecutor(answer, seed, workers), at_once)) == expected
+    multistart = Multistart(points=stays(given), patience=2)
+    expected = bits(search(HIMMELBLAU, replace(multistart, at_once=1), STAY))
+    runner = shuffled(HIMMELBLAU, seed, workers)
+    found = search(HIMMELBLAU, replace(multistart, at_once=at_once), STAY, runner)
+    assert bits(found) == expected
 
 
 # --- what is found
@@ -390,37 +388,8 @@ def test_every_minimum_that_separate_fits_find():
     assert found.best.cost == min(s.cost for s in alone if s.ending.success)
 
 
-@pytest.mark.parametrize("at_once", [1, 5, 64])
-def test_interleaving_changes_no_bit(at_once):
-    expected = bits(search(PAIRS, Multistart(12)))
-    assert bits(search(PAIRS, Multistart(12, at_once=at_once))) == expected
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(1, 5), st.integers(1, 8))
-@settings(max_examples=15)
-def test_order_of_arrival_changes_no_bit(seed, workers, at_once):
-    problem = boxed(half_dead)
-
-    def answer(task: Task) -> Outcome:
-        values = half_dead(task.values)
-        if np.isnan(values).any():
-            return Outcome(task.id, Status.NOT_FINITE, message="the function is not finite")
-        return Outcome(task.id, Status.OK, values, constraints=np.zeros(0))
-
-    multistart = Multistart(6, at_once=at_once)
-    runner = Runner(ShufflingExecutor(answer, seed, workers))
-    found = search_from_starts(runner, space_of(problem), LeastSquares(), multistart, 0)
-    assert bits(found) == bits(search(problem, Multistart(6)))
-
-
-def test_same_seed_same_bits():
-    multistart = Multistart(8, screen=2, seed=5)
-    assert bits(search(PAIRS, multistart)) == bits(search(PAIRS, multistart))
-    assert bits(search(PAIRS, multistart)) != bits(search(PAIRS, replace(multistart, seed=6)))
-
-
 def test_starts_that_fail_spoil_no_other():
-    found = search(boxed(half_dead), Multistart(16))
+    found = search(HALF_DEAD, Multistart(16))
     assert 0 < found.minimum.count(-1) < 16
     for start, end, number in zip(found.starts, found.solutions, found.minimum, strict=True):
         failed = bool(start[0] > 0.0)
@@ -430,18 +399,9 @@ def test_starts_that_fail_spoil_no_other():
     assert found.best.cost < 1e-12
 
 
-def test_one_search_is_the_search_itself():
-    problem = FunctionProblem("beale", beale, (1.0, 0.8), 0.0)
-    found = search(problem, Multistart())
-    (alone,) = separate(problem, [np.array([1.0, 0.8])])
-    assert found.best.x.tobytes() == alone.x.tobytes()
-    assert (found.minima, found.minimum) == ((0,), (0,))
-
-
 def test_a_budget_ends_all_with_what_they_have():
-    space = space_of(HIMMELBLAU)
-    runner = runner_of(HIMMELBLAU, Budget(evaluations=30))
-    found = search_from_starts(runner, space, LeastSquares(), Multistart(40), 0)
+    runner = runner_of(HIMMELBLAU, budget=Budget(evaluations=30))
+    found = search(HIMMELBLAU, Multistart(40), runner=runner)
     assert len(found.solutions) == 40
     endings = {s.ending for s in found.solutions}
     assert Ending.BUDGET in endings
@@ -453,18 +413,12 @@ SHORT = 60
 """Points: enough for three searches of two unknowns, as `plan_for_budget` counts them."""
 
 
-def begun(problem: FunctionProblem, evaluations: int, n: int, method: Method | None = None):
+def begun(problem: FunctionProblem, evaluations: int, n: int):
     """The result with a budget, and the names of the searches in the order of their simulations."""
     seen: list[str] = []
-    runner = Runner(
-        FunctionExecutor(problem.residuals, problem.constraints),
-        Budget(evaluations=evaluations),
-        record=lambda origin, _: seen.append(origin.search),
-    )
-    found = search_from_starts(
-        runner, space_of(problem), method or LeastSquares(), Multistart(n), 0
-    )
-    return found, list(dict.fromkeys(seen)), runner
+    budget = Budget(evaluations=evaluations)
+    runner = runner_of(problem, budget=budget, record=lambda origin, _: seen.append(origin.search))
+    return search(problem, Multistart(n), runner=runner), list(dict.fromkeys(seen)), runner
 
 
 def test_a_budget_too_short_for_all_starts_goes_to_the_best_ones():
@@ -498,7 +452,7 @@ def test_one_start_is_not_tried_before_its_search():
 
 
 def test_starts_that_fail_come_last():
-    found, _, _ = begun(boxed(half_dead), SHORT, 16)
+    found, _, _ = begun(HALF_DEAD, SHORT, 16)
     failed = [bool(x[0] > 0.0) for x in found.starts]
     assert failed == sorted(failed)
     assert found.best.cost < 1e-6
@@ -507,9 +461,6 @@ def test_starts_that_fail_come_last():
 @given(st.integers(0, 2**32 - 1), st.integers(1, 5))
 @settings(max_examples=15)
 def test_a_short_budget_ends_at_the_same_bits_whatever_order_answers_come_in(seed, workers):
-    def answer(task: Task) -> Outcome:
-        return Outcome(task.id, Status.OK, himmelblau(task.values), constraints=np.zeros(0))
-
-    runner = Runner(ShufflingExecutor(answer, seed, workers), Budget(evaluations=SHORT))
-    shuffled = search_from_starts(runner, space_of(HIMMELBLAU), LeastSquares(), Multistart(12), 0)
-    assert bits(shuffled) == bits(begun(HIMMELBLAU, SHORT, 12)[0])
+    runner = shuffled(HIMMELBLAU, seed, workers, budget=Budget(evaluations=SHORT))
+    found = search(HIMMELBLAU, Multistart(12), runner=runner)
+    assert bits(found) == bits(begun(HIMMELBLAU, SHORT, 12)[0])

@@ -7,11 +7,10 @@ import pytest
 from support.problems.curves import Curves
 
 from cluster_est import LeastSquares, Parameter
-from cluster_est.methods import block_matrix
+from cluster_est.methods import ScipyLeastSquares
 from cluster_est.methods.base import Ending
-from cluster_est.methods.derivatives import differences
 from cluster_est.running.search_state import SearchRequest
-from cluster_est.uncertainty import assess, examine
+from cluster_est.uncertainty import examine
 
 TIMES = np.linspace(0.0, 3.0, 12)
 SHARED = np.array([1.0, 0.5, 2.0, 0.3, 0.7])
@@ -24,7 +23,7 @@ def formula(times, values, experiment):
     return gain * (shape + c * np.cos(3.0 * times) + d * np.sin(5.0 * times)) + offset
 
 
-def many(bounded=False, experiments=300, noise=0.05):
+def many(experiments, bounded=False, noise=0.05):
     """5 shared unknowns, and a gain and an offset of each experiment."""
     generator = np.random.default_rng(3)
     gains = generator.uniform(0.5, 1.5, experiments)
@@ -44,48 +43,34 @@ def many(bounded=False, experiments=300, noise=0.05):
 
 
 @pytest.mark.parametrize("bounded", [False, True])
-def test_the_minimum_does_not_depend_on_what_holds_the_jacobian(bounded, monkeypatch):
-    problem = many(bounded, experiments=30)
-    _, space, whole = problem.solve()
-    monkeypatch.setattr(block_matrix, "LEAST_SIZE", 10)
-    _, _, blocks = problem.solve()
-    assert space.size == 5 + 60
+def test_enough_experiments_for_blocks_end_where_scipy_sees_no_better_point(bounded):
+    runner, space, blocks = many(110, bounded).solve()
+    assert space.size == 5 + 220
     assert blocks.ending is Ending.CONVERGED
-    assert blocks.cost == pytest.approx(whole.cost, rel=1e-12)
-    np.testing.assert_allclose(blocks.x, whole.x, atol=1e-6)
-    held = [np.minimum(s.x - space.lower, space.upper - s.x) < 1e-9 for s in (blocks, whole)]
+    whole = ScipyLeastSquares(algorithm="dogbox")
+    (theirs,) = runner.run([SearchRequest("whole", whole, space.starting_at(blocks.x))])
+    assert blocks.cost == pytest.approx(theirs.cost, rel=1e-12)
+    np.testing.assert_allclose(blocks.x, theirs.x, atol=1e-6)
+    held = [np.minimum(s.x - space.lower, space.upper - s.x) < 1e-9 for s in (blocks, theirs)]
     np.testing.assert_array_equal(*held)
     assert held[0].sum() > 10 if bounded else not held[0].any()
 
 
-def test_three_hundred_experiments_end_where_the_whole_matrix_sees_no_better_point(monkeypatch):
-    problem = many(experiments=300)
-    runner, space, blocks = problem.solve()
-    assert (space.size, len(space.colours)) == (605, 7)
-    assert blocks.ending is Ending.CONVERGED
-    monkeypatch.setattr(block_matrix, "LEAST_SIZE", 10**9)
-    again = SearchRequest("fit", LeastSquares(), space.starting_at(blocks.x))
-    (whole,) = runner.run([again])
-    assert whole.iterations <= 1
-    assert blocks.cost == pytest.approx(whole.cost, rel=1e-12)
-    np.testing.assert_allclose(blocks.x, whole.x, atol=1e-6)
-
-
-def test_intervals_do_not_depend_on_what_holds_the_jacobian(monkeypatch):
-    problem = many(experiments=30)
-    runner, space, whole = problem.solve()
-    monkeypatch.setattr(block_matrix, "LEAST_SIZE", 10)
-    monkeypatch.setattr(differences, "LARGE", 0)
-    _, _, blocks = problem.solve()
-    assert blocks.jacobian is None
-    assert blocks.block_jacobian is not None
-    np.testing.assert_allclose(blocks.block_jacobian.dense(), whole.jacobian, atol=1e-4)
-    expected, found = assess(space, whole), examine(runner, space, blocks)
-    np.testing.assert_allclose(
-        [each.std_error for each in found.intervals],
-        [each.std_error for each in expected.intervals],
-        rtol=1e-5,
-    )
+def test_intervals_from_a_jacobian_that_is_too_large_for_one_array():
+    """A slope that all share and an offset of each: their variances are known."""
+    count, times = 1100, np.linspace(0.0, 1.0, 7)
+    truth = np.random.default_rng(5).normal(size=(count, 8))
+    measured = [2.0 * times + row[0] + 0.1 * row[1:] for row in truth]
+    parameters = Parameter("slope", 1.0), Parameter("offset", 0.0, per="experiment")
+    lines = Curves(lambda t, v, e: v[0] * t + v[1], parameters, times, measured)
+    runner, space, solution = lines.solve(LeastSquares(trials=1))
+    assert solution.jacobian is None
+    assert solution.block_jacobian is not None
+    noise = solution.cost / (7 * count - count - 1)
+    spread = 1.0 / (count * np.sum((times - times.mean()) ** 2))
+    expected = [spread, *[1.0 / 7.0 + times.mean() ** 2 * spread] * count]
+    found = [each.std_error for each in examine(runner, space, solution).intervals]
+    np.testing.assert_allclose(found, np.sqrt(noise * np.array(expected)), rtol=1e-5)
 
 
 def test_directions_are_measured_again_where_the_jacobian_is_in_blocks(monkeypatch):
@@ -99,8 +84,8 @@ def test_directions_are_measured_again_where_the_jacobian_is_in_blocks(monkeypat
         Parameter("other", 0.6, per="experiment"),
     )
     measured = [twice(TIMES, [2.0, 0.5, 0.5 * e], e) + 0.01 * TIMES**2 for e in range(8)]
-    monkeypatch.setattr(block_matrix, "LEAST_SIZE", 10)
-    monkeypatch.setattr(differences, "LARGE", 0)
+    monkeypatch.setattr("cluster_est.methods.block_matrix.LEAST_SIZE", 10)
+    monkeypatch.setattr("cluster_est.methods.derivatives.differences.LARGE", 0)
     runner, space, blocks = Curves(twice, parameters, TIMES, measured).solve()
     found = examine(runner, space, blocks)
     assert blocks.jacobian is None
@@ -113,7 +98,8 @@ def test_directions_are_measured_again_where_the_jacobian_is_in_blocks(monkeypat
 
 
 def test_the_space_of_many_experiments_grows_with_their_number_only():
-    space = many(experiments=300).space()
+    space = many(300).space()
+    assert (space.size, len(space.colours)) == (605, 7)
     assert sum(len(acting) for acting in space.acting) == 300 * 7
     np.testing.assert_array_equal(space.acting[7], [0, 1, 2, 3, 4, 5 + 7, 305 + 7])
     table = space.physical(np.arange(605.0))
