@@ -229,12 +229,15 @@ def test_an_error_that_stays_has_not_fallen(page, before, after, said):
     ],
 )
 def test_a_cost_that_stays_has_not_fallen(page, facts, said):
-    assert said in page(facts)
+    text = page(facts)
+    assert said in text
+    assert "before 4.000" in text  # among the figures
 
 
 def test_an_experiment_without_samples_hides_no_error_and_has_not_failed(page):
     text = page(LOOP, errors=[ERROR, EMPTY])
     assert "fell from 4.00 to 2.00 times" in text
+    assert "before 4.00, over the estimated noise" in text
     assert text.count("failed") == 1  # none of the simulations
     assert "none failed" in text
     lost = page(LOOP, errors=[ERROR | {"rmse_after": nan, "normalised_after": nan}])
