@@ -176,14 +176,8 @@ def test_a_limit_is_drawn_over_what_was_measured_before_it():
     assert np.abs(curve.y).max() == pytest.approx(limit, rel=0.01)
 
 
-@pytest.mark.parametrize(
-    "forms",
-    [
-        ("coulomb", "stribeck", "cubic", "lag"),
-        pytest.param((), id="all forms", marks=pytest.mark.slow),
-    ],
-)
-def test_a_switch_that_is_wide_is_one_friction_with_its_width(forms):
+@pytest.mark.slow
+def test_a_switch_that_is_wide_is_one_friction_with_its_width():
     """It is not patched, and written to the config with an unknown width."""
     problem = measured_springs(
         pushed(lambda t, x, f: -2.0 * np.tanh(x[1] / 0.02)),
@@ -194,7 +188,7 @@ def test_a_switch_that_is_wide_is_one_friction_with_its_width(forms):
         roles=("train", "train", "test"),
     )
     sites = ("der(v)", "input F", "output y")
-    result = ce.close_loop(problem, settings=ce.LoopSettings(sites=sites, forms=forms))
+    result = ce.close_loop(problem, settings=ce.LoopSettings(sites=sites))
     assert result.verdict == Verdict.FOUND
     (effect,) = result.effects
     assert (effect.site, effect.form) == ("der(v)", "coulomb")

@@ -203,8 +203,8 @@ def distance(parameters: dict[str, float]) -> float:
     return float(np.sqrt(np.mean([np.log(parameters[n] / TRUE[n]) ** 2 for n in TRUE])))
 
 
-SLOW = ("friction", "slow sensor", "dead zone", "hardening")
-"""Beside one case by default for each kind of site; those of inputs are in small searches too."""
+SLOW = {*CASES} - {"bent sensor", "ageing"}
+"""A friction and a dead zone are found by default in `test_close_loop.py` and small searches."""
 each_case = pytest.mark.parametrize(
     "name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in CASES]
 )
