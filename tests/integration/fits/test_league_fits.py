@@ -53,7 +53,8 @@ def test_rocket_without_air(monkeypatch):
     assert errors("rocket", monkeypatch) == pytest.approx(expected, rel=1e-5)
 
 
-@pytest.mark.parametrize("textbook", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow
+@pytest.mark.parametrize("textbook", [False, True])
 def test_wrist_with_and_without_dry_friction(monkeypatch, textbook):
     data = table("league/ur5e/moves.csv")
     speed = data["qd5"]

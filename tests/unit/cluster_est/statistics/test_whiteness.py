@@ -56,6 +56,7 @@ def test_cumulants_are_those_of_the_whole_quadratic_form(kernel):
     assert found == pytest.approx((powers[0], 2.0 * powers[1], 8.0 * powers[2]))
 
 
+@pytest.mark.slow
 def test_white_noise_is_rarely_called_smooth():
     generator, made = np.random.default_rng(1), null()
     remove = OrthogonalProjection(made.basis).remove

@@ -70,6 +70,7 @@ class TestAutoregression:
         found = fit_noise([record], 0)[0]
         np.testing.assert_allclose(found.coefficients, coefficients, atol=0.03)
 
+    @pytest.mark.slow
     def test_what_a_fit_took_of_the_noise_is_given_back(self):
         """A line in each of many short records takes much of it: more than half of g_1."""
         generator = np.random.default_rng(2)
