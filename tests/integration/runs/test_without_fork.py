@@ -25,7 +25,16 @@ for command in json.loads(sys.argv[1]):
     ends.append((code, out.getvalue(), err.getvalue()))
 print(json.dumps(ends))
 """
-REFUSED = ("fit", "close-loop", "sensitivity")
+
+
+def ends_of(commands: list[list[str]]) -> list[tuple[int, str, str]]:
+    """The exit code, the output and the errors of commands on a system without these."""
+    program = [sys.executable, "-c", PROGRAM, json.dumps(commands)]
+    done = subprocess.run(program, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    ends = json.loads(done.stdout.splitlines()[-1])
+    assert not any("Traceback" in out + err for _, out, err in ends)
+    return ends
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +44,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def told(folder: Path) -> dict[str, tuple[int, str, str]]:
-    """The exit code, the output and the errors of commands on a system without these."""
+    """The ends of several commands."""
     (folder / "broken.fmu").write_bytes(b"no archive")
     run = str(folder / "run")
     commands = {
@@ -44,14 +53,7 @@ def told(folder: Path) -> dict[str, tuple[int, str, str]]:
         "check broken": ["check", str(folder / "broken.fmu")],
         "replay": ["replay", run, "0"],
     }
-    forked = "--out", str(folder / "never"), "executor.name=processes"
-    commands |= {f"forked {name}": [name, SPRING, *forked] for name in REFUSED}
-    program = [sys.executable, "-c", PROGRAM, json.dumps([*commands.values()])]
-    done = subprocess.run(program, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    ends = json.loads(done.stdout.splitlines()[-1])
-    assert not any("Traceback" in out + err for _, out, err in ends)
-    return dict(zip(commands, ends, strict=True))
+    return dict(zip(commands, ends_of([*commands.values()]), strict=True))
 
 
 def test_a_fit_in_this_process_works(told, folder) -> None:
@@ -74,13 +76,16 @@ def test_check_says_in_a_sentence_what_cannot_be_loaded(told) -> None:
     assert "broken.fmu" in out + err
 
 
-@pytest.mark.parametrize("command", REFUSED)
-def test_processes_are_refused_in_a_sentence(told, folder, command: str) -> None:
-    code, _, err = told[f"forked {command}"]
-    assert code == 2
-    assert err.startswith('cluster-est: executor.name: "processes" needs a system that can')
-    assert err.endswith('choose "local"\n')
-    assert not (folder / "never").exists()
+@pytest.mark.parametrize(
+    "commands", [["fit"], pytest.param(["close-loop", "sensitivity"], marks=pytest.mark.slow)]
+)
+def test_processes_are_refused_in_a_sentence(tmp_path, commands: list[str]) -> None:
+    chosen = "--out", str(tmp_path / "run"), "executor.name=processes"
+    for code, _, err in ends_of([[command, SPRING, *chosen] for command in commands]):
+        assert code == 2
+        assert err.startswith('cluster-est: executor.name: "processes" needs a system that can')
+        assert err.endswith('choose "local"\n')
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_replay_says_what_it_lacks(told) -> None:
