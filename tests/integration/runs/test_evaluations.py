@@ -62,7 +62,7 @@ def test_a_budget_ends_the_search_with_the_best_point_so_far():
     assert result.cost < result.cost_before
 
 
-@pytest.mark.parametrize("trials", [1, 2, 7])
+@pytest.mark.parametrize("trials", [1, 2, pytest.param(7, marks=pytest.mark.slow)])
 def test_the_number_of_trials_changes_the_way_but_not_the_minimum(trials):
     truth = spring_problem(noise=0.01)
     few = fit(truth.problem, LeastSquares(trials=trials))

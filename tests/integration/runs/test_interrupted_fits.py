@@ -1,73 +1,82 @@
-"""A fit that is interrupted writes what it has, says so, and can be taken up again."""
+"""A fit that is interrupted writes what it has and says so."""
 
 from __future__ import annotations
 
-import json
+import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 
-import pyarrow.parquet as pq
 import pytest
-from support.problems.springs import ROOT
+from support.observed_executor import observe
+from support.run_folders import SPRING, facts, rows
 
-CONFIG = ROOT / "configs" / "mass_spring_damper.toml"
-SLOW = (
-    *("model.interface=model_exchange", "model.solver=rk4", "model.step=2e-4"),
-    *("multistart.n=10", "parameters.c.bounds=[0.0, 2.0]"),
+from cluster_est.cli import main
+
+HOW: dict[str, Callable[[int, Path], None]] = {
+    "terminate": lambda process, _: os.kill(process, signal.SIGTERM),
+    "stop file": lambda _, run: (run / "stop").touch(),
+    "ctrl-c": lambda process, _: os.kill(process, signal.SIGINT),
+}
+STARTS = "multistart.n=10", "parameters.c.bounds=[0.0, 2.0]"
+SLOW = "model.interface=model_exchange", "model.solver=rk4", "model.step=2e-4", *STARTS
+
+
+def check_best_so_far(run: Path) -> None:
+    found = facts(run)
+    assert found["status"] == "interrupted"
+    assert found["cost"] < found["cost_before"]
+    assert not (run / "stop").exists()
+    assert rows(run, "parameters")
+    assert "interrupted" in {row["ending"] for row in rows(run, "searches")}
+
+
+@pytest.mark.parametrize("how", HOW)
+def test_the_best_so_far_is_written(tmp_path, monkeypatch, capsys, how):
+    run, observer = tmp_path / "run", observe(monkeypatch)
+
+    def interrupt_in_the_searches(call: int) -> None:
+        if not asked and len(observer.simulated) > 300:  # the starts alone are 50
+            asked.append(call)
+            HOW[how](os.getpid(), run)
+            end = time.monotonic() + 10.0
+            while how == "stop file" and (run / "stop").exists() and time.monotonic() < end:
+                time.sleep(0.01)
+
+    asked: list[int] = []
+    observer.before = interrupt_in_the_searches
+    assert main(["fit", SPRING, "--out", str(run), "--no-report", *STARTS]) == 130
+    assert asked
+    assert "Traceback" not in capsys.readouterr().err
+    check_best_so_far(run)
+
+
+@pytest.mark.parametrize(
+    ("how", "executor"),
+    [
+        pytest.param(
+            *case,
+            marks=[pytest.mark.slow] if case != ("ctrl-c", "processes") else [],
+            id=" ".join(case),
+        )
+        for case in product(HOW, ["local", "processes"])
+    ],
 )
-FEWER = "multistart.n=3", "model.step=2e-3"
-
-
-def start(out: Path, *more: str) -> subprocess.Popen:
-    command = [sys.executable, "-m", "cluster_est.cli", "fit", str(CONFIG), "--out", str(out)]
-    return subprocess.Popen(
-        [*command, *SLOW, *more], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-
-
-def wait_for_searches(out: Path, process: subprocess.Popen, size: int) -> None:
-    """Until the log has grown to a size in bytes; the starts alone, 10 at most, take 170 kB."""
-    log = out / "evaluations" / "00000.arrows"
-    while process.poll() is None and (not log.is_file() or log.stat().st_size < size):
-        time.sleep(0.02)
-
-
-@pytest.mark.parametrize("executor", ["local", "processes"])
-@pytest.mark.parametrize("how", ["ctrl-c", "terminate", "stop file"])
-def test_the_best_so_far_is_written(tmp_path, executor, how):
+def test_a_program_that_is_interrupted_writes_the_best_so_far(tmp_path, how, executor):
     run = tmp_path / "run"
-    process = start(run, f"executor.name={executor}", "executor.workers=2")
-    wait_for_searches(run, process, 1_000_000)
-    if how == "stop file":
-        (run / "stop").touch()
-    else:
-        process.send_signal(signal.SIGINT if how == "ctrl-c" else signal.SIGTERM)
-    _, said = process.communicate(timeout=120)
+    command = [sys.executable, "-m", "cluster_est.cli", "fit", SPRING, "--out", str(run), *SLOW]
+    where = f"executor.name={executor}", "executor.workers=2", "--no-report"
+    with subprocess.Popen([*command, *where], stderr=subprocess.PIPE, text=True) as process:
+        log = run / "evaluations" / "00000.arrows"
+        # until the searches are under way: the starts alone take 170 kB
+        while process.poll() is None and (not log.is_file() or log.stat().st_size < 1_000_000):
+            time.sleep(0.02)
+        HOW[how](process.pid, run)
+        _, said = process.communicate(timeout=120)
     assert process.returncode == 130
     assert "Traceback" not in said
-    facts = json.loads((run / "run.json").read_text(encoding="utf-8"))
-    assert facts["status"] == "interrupted"
-    assert facts["cost"] < facts["cost_before"]
-    assert not (run / "stop").exists()
-    assert pq.read_table(run / "parameters.parquet").num_rows > 0
-    endings = set(pq.read_table(run / "searches.parquet")["ending"].to_pylist())
-    assert "interrupted" in endings
-
-
-def test_an_interrupted_run_is_taken_up_again_with_the_same_bits(tmp_path):
-    once = start(tmp_path / "once", "executor.workers=2", *FEWER)
-    interrupted = start(tmp_path / "again", *FEWER)
-    wait_for_searches(tmp_path / "again", interrupted, 150_000)
-    interrupted.send_signal(signal.SIGINT)
-    interrupted.communicate(timeout=120)
-    assert interrupted.returncode == 130
-    again = start(tmp_path / "again", "--resume", *FEWER)
-    for process in (once, again):
-        process.communicate(timeout=300)
-        assert process.returncode == 0
-    for table in ("parameters", "minima", "searches", "errors", "residuals"):
-        files = [tmp_path / name / f"{table}.parquet" for name in ("once", "again")]
-        assert files[0].read_bytes() == files[1].read_bytes()
+    check_best_so_far(run)

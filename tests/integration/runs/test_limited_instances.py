@@ -1,7 +1,6 @@
 """Never more instances of an FMU than `executor.instances` allows, and few in all.
 
-The FMU counts its instances itself. The truth of the fits is the solution of x' = -k x, x(0) = 1,
-by hand: exp(-k t).
+The FMU counts its instances itself. The truth of the fits is the solution by hand.
 """
 
 from __future__ import annotations
@@ -10,40 +9,38 @@ import json
 import math
 import os
 import signal
-import threading
+import subprocess
+import sys
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from support.counted import VARIABLE, CountedInstances
+from support.decays import RATE, answered, check_decays, decay_problem, write_decay
+from support.descendants import descendants
+from support.run_folders import facts, rows
 
-from cluster_est import Parameter, Problem, fit
+from cluster_est import Problem, fit
 from cluster_est.cli import main
-from cluster_est.errors import ExecutorError, ProblemError, UnsuitableExecutorError
-from cluster_est.executors.processes import ProcessExecutor
+from cluster_est.errors import ProblemError, UnsuitableExecutorError
 from cluster_est.preflight.bare_fmu import bare_problem
 from cluster_est.running.resources import Resources
 from cluster_est.running.trials.reset_policy import open_with_reset
 from workers.evaluate import Evaluator
 from workers.fmu.description import describe_model
 from workers.fmu.instance import FmuInstance
-from workers.messages import Experiment, Limits, Model, Outcome, Output, Solver, Status, Task
-from workers.process.forked import ForkClient
-from workers.process.supervisor import SupervisedEvaluator
+from workers.messages import Status, Task
 from workers.wire import TaskBatch
 
 Give = Callable[[str, int], Path]
 Run = Callable[..., int]
 
-RATE = 1.3
-TIMES = np.linspace(0.0, 2.0, 41)
 CRASHES, FATAL = 2.7, 2.2
 """Rates at which the FMU does that."""
-FORKED = pytest.mark.parametrize("executor", ["local", "processes"])
+slow = pytest.mark.slow
 
 
 @pytest.fixture
@@ -57,59 +54,29 @@ def counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CountedInstances
 
 
 @pytest.fixture
+def asked(own_fmu: Give) -> Problem:
+    return decay_problem(own_fmu("counts_instances", 2))
+
+
+@pytest.fixture
 def run(own_fmu: Give, tmp_path: Path) -> Run:
     """Runs a command on four records of a decay; the run is in `run`."""
 
     def do(command: str, *overrides: str, noise: float = 0.0) -> int:
-        generator, text = np.random.default_rng(0), ""
-        for name in "abcd":
-            y = np.exp(-RATE * TIMES) + noise * generator.standard_normal(len(TIMES))
-            rows = [f"{t!r},{v!r}" for t, v in zip(TIMES.tolist(), y.tolist(), strict=True)]
-            (tmp_path / f"{name}.csv").write_text("time,y\n" + "\n".join(rows) + "\n")
-            text += f'[[experiments]]\nid = "{name}"\ndata = "{name}.csv"\ntime = "time"\n'
-            text += 'outputs = { y = "y" }\n'
-        config = "parameters.k = { start = 0.7, bounds = [0.01, 1.9] }\n"
-        config += f'[model]\nfmu = "{own_fmu("counts_instances", 2)}"\n{text}'
-        path = tmp_path / "config.toml"
-        path.write_text(config, encoding="utf-8")
-        out = [] if command == "check" else ["--out", str(tmp_path / "run"), "--overwrite"]
-        return main([command, str(path), *out, *overrides])
+        config = write_decay(tmp_path, own_fmu("counts_instances", 2), noise)
+        out = ["--out", str(tmp_path / "run"), "--overwrite", "--no-report"]
+        return main([command, str(config), *(out if command != "check" else []), *overrides])
 
     return do
 
 
-def problem(fmu: Path, solver: str = "dormand_prince") -> Problem:
-    model = Model(fmu.name, fmu.read_bytes(), "model_exchange", Solver(solver), ("k",))  # type: ignore[arg-type]
-    output = Output("y", TIMES, np.exp(-RATE * TIMES))
-    runs = tuple(Experiment(name, 0.0, 2.0, (), (output,)) for name in "abcd")
-    return Problem(model, (Parameter("k", 0.7, 0.01, 3.0),), runs)
-
-
 def estimate(folder: Path) -> float:
-    rows = pq.read_table(folder / "run" / "parameters.parquet").to_pylist()
-    return next(float(row["value"]) for row in rows if row["parameter"] == "k")
+    found = rows(folder / "run", "parameters")
+    return next(float(row["value"]) for row in found if row["parameter"] == "k")
 
 
 def simulations(folder: Path) -> int:
-    return int(json.loads((folder / "run" / "run.json").read_text())["simulations"])
-
-
-def answered(executor: object, rates: list[float], first: int = 0) -> list[Outcome]:
-    """The outcomes of tasks, in their order."""
-    tasks = [Task(first + i, i % 4, np.array([rate])) for i, rate in enumerate(rates)]
-    executor.submit(tasks)  # type: ignore[attr-defined]
-    found: dict[int, Outcome] = {}
-    while len(found) < len(tasks):
-        found |= {outcome.task: outcome for outcome in executor.completed()}  # type: ignore[attr-defined]
-    return [found[task.id] for task in tasks]
-
-
-def check(outcomes: list[Outcome], rates: list[float]) -> None:
-    """Compare those that succeeded with the solution by hand."""
-    for outcome, rate in zip(outcomes, rates, strict=True):
-        if outcome.ok:
-            expected = np.exp(-RATE * TIMES) - np.exp(-rate * TIMES)
-            assert np.allclose(outcome.residuals, expected, atol=1e-6)
+    return int(facts(folder / "run")["simulations"])
 
 
 def test_without_a_limit_there_are_as_many_as_workers(run: Run, counted: CountedInstances) -> None:
@@ -118,7 +85,7 @@ def test_without_a_limit_there_are_as_many_as_workers(run: Run, counted: Counted
     assert counted.most == 5
 
 
-@FORKED
+@pytest.mark.parametrize("executor", ["processes", pytest.param("local", marks=slow)])
 def test_eight_workers_share_three_instances(
     run: Run,
     counted: CountedInstances,
@@ -146,8 +113,15 @@ def test_a_limit_that_changes_nothing_is_not_mentioned(
     assert counted.most == 2
 
 
-@FORKED
-@pytest.mark.parametrize("instances", [1, 3])
+@pytest.mark.parametrize(
+    ("executor", "instances"),
+    [
+        ("local", 1),
+        ("processes", 3),
+        pytest.param("local", 3, marks=slow),
+        pytest.param("processes", 1, marks=slow),
+    ],
+)
 def test_the_error_of_the_solver_is_measured_in_the_place_of_a_worker(
     run: Run, counted: CountedInstances, tmp_path: Path, executor: str, instances: int
 ) -> None:
@@ -155,8 +129,7 @@ def test_the_error_of_the_solver_is_measured_in_the_place_of_a_worker(
     limit = f"executor.instances={instances}", "executor.workers=3", f"executor.name={executor}"
     assert run("fit", "model.solver=rk4", *limit) == 0
     assert counted.most == instances
-    facts = json.loads((tmp_path / "run" / "run.json").read_text(encoding="utf-8"))
-    assert facts["solver_error"]["experiments"] == 4
+    assert facts(tmp_path / "run")["solver_error"]["experiments"] == 4
 
     workers = 1 if executor == "local" else instances
     counted.forget()
@@ -165,7 +138,7 @@ def test_the_error_of_the_solver_is_measured_in_the_place_of_a_worker(
     assert counted.made == instances + 1, "the measurement keeps its instance for all simulations"
 
 
-@FORKED
+@pytest.mark.parametrize("executor", ["processes", pytest.param("local", marks=slow)])
 def test_a_closed_loop_keeps_to_it(
     run: Run, counted: CountedInstances, tmp_path: Path, executor: str
 ) -> None:
@@ -173,12 +146,21 @@ def test_a_closed_loop_keeps_to_it(
     assert run("close-loop", *limit, noise=1e-3) == 0
     assert counted.most == 2
     assert counted.made < 20 < simulations(tmp_path)
-    facts = json.loads((tmp_path / "run" / "run.json").read_text(encoding="utf-8"))
-    assert "a finer one fails" not in json.dumps(facts), "the error of the solver was measured"
+    said = json.dumps(facts(tmp_path / "run"))
+    assert "a finer one fails" not in said, "the error of the solver was measured"
 
 
-@pytest.mark.parametrize("instances", [1, 2, 3])
-@pytest.mark.parametrize("solver", ["dormand_prince", "cvode"])
+@pytest.mark.parametrize(
+    ("instances", "solver"),
+    [
+        (1, "dormand_prince"),
+        (2, "cvode"),
+        pytest.param(3, "dormand_prince", marks=slow),
+        pytest.param(1, "cvode", marks=slow),
+        pytest.param(2, "dormand_prince", marks=slow),
+        pytest.param(3, "cvode", marks=slow),
+    ],
+)
 def test_a_check_keeps_to_it(
     run: Run,
     counted: CountedInstances,
@@ -201,7 +183,7 @@ def test_a_check_of_an_fmu_that_fails_keeps_to_it(run: Run, counted: CountedInst
     assert counted.most == 1
 
 
-@FORKED
+@pytest.mark.parametrize("executor", ["processes", pytest.param("local", marks=slow)])
 def test_cvode_finds_the_same_with_one_instance(
     run: Run, counted: CountedInstances, tmp_path: Path, executor: str
 ) -> None:
@@ -222,82 +204,53 @@ def test_cvode_finds_the_same_with_one_instance(
 def test_cvode_uses_the_derivatives_with_one_instance_too(
     own_fmu: Give, counted: CountedInstances
 ) -> None:
-    asked = problem(own_fmu("counts_instances", 2), "cvode")
+    asked = decay_problem(own_fmu("counts_instances", 2), "cvode")
     model = Resources(instances=3).limited(asked.model).of_worker(0)
-    batch = TaskBatch.of([Task(i, i, np.array([1.0 + 0.1 * i])) for i in range(4)])
+    rates = [1.0, 1.1, 1.2, 1.3]
+    batch = TaskBatch.of([Task(i, i, np.array([rate])) for i, rate in enumerate(rates)])
     with closing(Evaluator(model, asked.experiments, "one of three")) as evaluator:
-        check(evaluator.evaluate(batch), [1.0, 1.1, 1.2, 1.3])
+        check_decays(evaluator.evaluate(batch), rates)
         assert evaluator.simulator.gives_jacobian
     assert counted.most == 1, "the seats of other workers are theirs"
 
 
-def test_sensitivities_take_no_further_instances(own_fmu: Give, counted: CountedInstances) -> None:
+def test_sensitivities_take_no_further_instances(asked: Problem, counted: CountedInstances) -> None:
     """Without a limit two more are made for k, by which the FMU has no directional derivative."""
-    asked = problem(own_fmu("counts_instances", 2))
     batch = TaskBatch.of([Task(0, 0, np.array([1.0]), "sensitivities")])
     limited = Resources(instances=5).limited(asked.model)
     most = []
     for model in (asked.model, limited, limited.of_worker(0)):
         with closing(Evaluator(model, asked.experiments, "alone")) as evaluator:
-            (outcome,) = evaluator.evaluate(batch)
-        check([outcome], [1.0])
+            check_decays(evaluator.evaluate(batch), [1.0])
         most.append(counted.most)
         counted.forget()
     assert most == [3, 1, 1]
 
 
+@pytest.mark.parametrize("turns", [2, pytest.param(6, marks=slow)])
 def test_crashes_and_kills_never_make_one_too_many(
-    own_fmu: Give, counted: CountedInstances
+    asked: Problem, counted: CountedInstances, turns: int
 ) -> None:
-    asked = problem(own_fmu("counts_instances", 2))
     rates = [CRASHES if i % 9 == 4 else 1.0 + 0.01 * i for i in range(60)]
-    resources = Resources("processes", 8, instances=3)
-    with open_with_reset(asked, resources)[0] as pool:
-        assert isinstance(pool, ProcessExecutor)
+    with open_with_reset(asked, Resources("processes", 8, instances=3))[0] as pool:
         assert pool.workers == 3
-        for turn in range(6):
+        for turn in range(turns):
             outcomes = answered(pool, rates, 100 * turn)
-            check(outcomes, rates)
+            check_decays(outcomes, rates)
             crashed = [i for i, outcome in enumerate(outcomes) if outcome.status is Status.CRASH]
             assert crashed == [i for i, rate in enumerate(rates) if rate == CRASHES]
             assert sum(outcome.ok for outcome in outcomes) == len(rates) - len(crashed)
-            for guard in pool._guards:  # that which would have seen the FMU's process end
-                os.kill(guard._forks.server, signal.SIGKILL)
-    assert counted.made > 20
+            servers = descendants(2)  # those that would have seen the FMU's process end
+            assert len(servers) == 3
+            for server in servers:
+                os.kill(server, signal.SIGKILL)
+    assert counted.made > 6 * turns
     assert counted.most == 3
 
 
-def test_a_process_that_is_slow_to_end_is_waited_for(
-    own_fmu: Give, counted: CountedInstances, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As if nobody knew what has become of it: its signal is late, and its end is not reported."""
-    asked = problem(own_fmu("counts_instances", 2))
-    model = replace(Resources(instances=1).limited(asked.model), reset="process")
-    late: list[threading.Timer] = []
-    end = os.kill
-
-    def later(process: int, number: int) -> None:
-        late.append(threading.Timer(0.5, end, (process, number)))
-        late[-1].start()
-
-    guard = SupervisedEvaluator(model, asked.experiments, "guarded", Limits())
-    with monkeypatch.context() as patched:
-        patched.setattr("workers.process.supervisor.os.kill", later)
-        patched.setattr(ForkClient, "wait", lambda *_: None)
-        outcomes = [guard.once(Task(i, 0, np.array([1.0 + 0.1 * i]))) for i in range(4)]
-        for timer in late:
-            timer.join()
-    guard.close()
-    check(outcomes, [1.0, 1.1, 1.2, 1.3])
-    assert len(late) == 4
-    assert counted.made == 4
-    assert counted.most == 1
-
-
-def test_an_instance_that_was_let_go_is_followed_by_a_new_one(own_fmu: Give) -> None:
+def test_an_instance_that_was_let_go_is_followed_by_a_new_one(asked: Problem) -> None:
     """A new one is not reset: were it taken for the old one, nor would be all others of a batch."""
-    model = problem(own_fmu("counts_instances", 2)).model
-    instance = FmuInstance(model, describe_model(model))
+    instance = FmuInstance(asked.model, describe_model(asked.model))
     first, second = instance.begin(), instance.begin()
     assert first.reset != second.reset
     assert not instance.is_new
@@ -316,14 +269,13 @@ def test_instances_that_disturb_each_other_are_found_out_within_the_limit(own_fm
 
 
 def test_after_a_fatal_error_the_process_is_ended_and_its_neighbours_are_answered(
-    own_fmu: Give, counted: CountedInstances
+    asked: Problem, counted: CountedInstances
 ) -> None:
-    asked = problem(own_fmu("counts_instances", 2))
     rates = [FATAL if i % 7 == 3 else 1.0 + 0.01 * i for i in range(40)]
     with open_with_reset(asked, Resources("processes", 2, instances=2))[0] as pool:
         answered(pool, [1.0] * 8)  # from now on tasks travel together
         outcomes = answered(pool, rates, 100)
-    check(outcomes, rates)
+    check_decays(outcomes, rates)
     fatal = [i for i, outcome in enumerate(outcomes) if not outcome.ok]
     assert fatal == [i for i, rate in enumerate(rates) if rate == FATAL]
     assert {outcomes[i].status for i in fatal} == {Status.SOLVER_FAILURE}
@@ -332,16 +284,19 @@ def test_after_a_fatal_error_the_process_is_ended_and_its_neighbours_are_answere
 
 
 def test_after_a_fatal_error_in_this_process_there_is_no_other_instance(
-    own_fmu: Give, counted: CountedInstances, monkeypatch: pytest.MonkeyPatch
+    own_fmu: Give, counted: CountedInstances, tmp_path: Path
 ) -> None:
-    """It may not be freed, so that the limit can only be held by ending here, with a sentence."""
-    monkeypatch.setattr("workers.fmu.seats._taken", {})
-    monkeypatch.setattr("workers.fmu.seats._lost", set())
-    asked = problem(own_fmu("counts_instances", 2))
-    with open_with_reset(asked, Resources("local", 1, instances=1))[0] as pool:
-        answered(pool, [1.0, 1.1])
-        with pytest.raises(ExecutorError, match=r"^executor\.instances: .* fatal .*; choose exec"):
-            answered(pool, [1.0, FATAL, 1.1], 100)
+    """It may not be freed, so that the limit can only be held by ending, with a sentence."""
+    config = write_decay(tmp_path, own_fmu("counts_instances", 2))
+    fatal = f"parameters.k.start={FATAL}", "parameters.k.bounds=[0.01,3.0]"
+    command = ["fit", str(config), "--out", str(tmp_path / "run"), "executor.instances=1", *fatal]
+    program = [sys.executable, "-m", "cluster_est.cli", *command]
+    done = subprocess.run(program, capture_output=True, text=True, check=False)
+    assert done.returncode == 2, done.stdout
+    said = " ".join(done.stderr.split())
+    assert "executor.instances: " in said
+    assert "fatal" in said
+    assert 'choose executor.name = "processes"' in said
     assert counted.most == 1
 
 
@@ -349,20 +304,19 @@ def test_after_a_fatal_error_in_this_process_there_is_no_other_instance(
 def test_each_simulation_in_a_new_one_is_never_two(
     own_fmu: Give, counted: CountedInstances, policy: str
 ) -> None:
-    asked = problem(own_fmu("counts_instances", 3))
+    asked = decay_problem(own_fmu("counts_instances", 3))
     asked = replace(asked, model=replace(asked.model, reset=policy))  # type: ignore[arg-type]
     rates = [1.0 + 0.01 * i for i in range(20)]
     with open_with_reset(asked, Resources("processes", 4, instances=2))[0] as pool:
         outcomes = answered(pool, rates)
-    check(outcomes, rates)
+    check_decays(outcomes, rates)
     assert all(outcome.ok for outcome in outcomes)
     assert counted.made >= 20
     assert counted.most == 2
 
 
-def test_two_runs_of_a_program_share_the_limit(own_fmu: Give, counted: CountedInstances) -> None:
+def test_two_runs_of_a_program_share_the_limit(asked: Problem, counted: CountedInstances) -> None:
     """Also where the pool of the first has hardly ended when that of the second begins."""
-    asked = problem(own_fmu("counts_instances", 2))
     for executor in ("processes", "local", "processes"):
         found = fit(asked, resources=Resources(executor, 3, instances=2))
         assert found.estimates[0].value == pytest.approx(RATE, rel=1e-5)
@@ -370,7 +324,6 @@ def test_two_runs_of_a_program_share_the_limit(own_fmu: Give, counted: CountedIn
 
 
 @pytest.mark.parametrize("instances", [0, -1, 1.5, True, "3", math.inf])
-def test_a_limit_that_is_no_count_is_refused(own_fmu: Give, instances: object) -> None:
-    asked = problem(own_fmu("counts_instances", 2))
+def test_a_limit_that_is_no_count_is_refused(asked: Problem, instances: object) -> None:
     with pytest.raises(ProblemError, match=r"^executor\.instances: must be"):
         fit(asked, resources=Resources(instances=instances))  # type: ignore[arg-type]

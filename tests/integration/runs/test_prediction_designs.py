@@ -2,32 +2,30 @@
 
 from __future__ import annotations
 
-import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pacsv
-import pyarrow.parquet as pq
 import pytest
 from scipy.optimize import least_squares
 from scipy.signal import lsim
-from support.problems.springs import ROOT
+from support.designs import design_of, designed, limits_text, read_text, spring_fit
+from support.run_folders import SPRING, change_facts, facts, rows, tables
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.errors import ProblemError
-from cluster_est.experiment_design.limits import ExperimentLimits, InputLimits, SignalLimits
+from cluster_est.errors import ClusterEstError, ProblemError
 from cluster_est.experiment_design.settings import DesignSettings
 from cluster_est.experiment_design.targets import PredictionTarget
 from cluster_est.toml import to_toml
 
-SPRING = str(ROOT / "configs" / "mass_spring_damper.toml")
 TIMES = 0.02 * np.arange(251)
 FORCE = 0.8 + 0.3 * np.sin(0.9 * TIMES)
-WIDE = ExperimentLimits(
-    {"u": InputLimits(-3.0, 3.0)}, 4.0, 0.05, signals={"y": SignalLimits(-9.0, 9.0)}
+WIDE = limits_text(
+    tail="[signals.y]\nlower = -9.0\nupper = 9.0", name="u", within=(-3.0, 3.0), duration=4.0
 )
 PLANNED = 3.0 * np.cos(1.3 * TIMES)
 NOISE = 0.01
@@ -64,6 +62,12 @@ def linear(tmp_path_factory, own_fmu):
     return result, rest
 
 
+def wide(result, candidates, *targets):
+    """The design that narrows predictions of the linear model."""
+    settings = DesignSettings(predictions=targets, candidates=candidates)
+    return ce.design(result, read_text(WIDE).limits, settings=settings)
+
+
 def planned(values=PLANNED, name="planned"):
     return ce.Experiment(name, 0.0, float(TIMES[-1]), (ce.Input("u", TIMES, values),), ())
 
@@ -87,8 +91,7 @@ def test_the_standard_deviations_are_those_of_a_linear_model(linear):
     assert {e.label: e.value for e in result.estimates if e.estimated_on == "train"} == (
         pytest.approx({"b.k": coefficients[0], "f.k": coefficients[1]}, abs=1e-5)
     )
-    targets = (PredictionTarget(planned(), ("y",)), PredictionTarget("run"))
-    found = ce.design(result, WIDE, settings=DesignSettings(predictions=targets, candidates=16))
+    found = wide(result, 16, PredictionTarget(planned(), ("y",)), PredictionTarget("run"))
     assert found.criterion[0] == "v"
     before = variance * np.linalg.inv(old.T @ old)
 
@@ -127,8 +130,7 @@ def test_an_input_that_is_certain_already_is_not_worth_much(linear):
     result, _ = linear
 
     def share(target):
-        settings = DesignSettings(predictions=(target,), candidates=10)
-        (row,) = ce.design(result, WIDE, settings=settings).predictions
+        (row,) = wide(result, 10, target).predictions
         return row.std_error_after / row.std_error_before
 
     assert share(PredictionTarget("run")) > 2.0 * share(PredictionTarget(planned(-3.0 + 0 * TIMES)))
@@ -165,9 +167,8 @@ def test_predictions_scatter_as_was_expected():
     parameters = tuple(p for p in problem.parameters if p.name != "x0")
     model = replace(problem.model, parameters=("m", "k", "c"))
     first = ce.fit(ce.Problem(model, parameters, (measured, target)))
-    settings = DesignSettings(predictions=(PredictionTarget("exp2", ("y",)),), candidates=24)
-    limits = ExperimentLimits({"F": InputLimits(-8.0, 8.0)}, 2.0, 0.02)
-    found = ce.design(first, limits, settings=settings)
+    target_of = '[[predictions]]\nexperiment = "exp2"\noutputs = ["y"]'
+    found = design_of(first, limits_text(tail=target_of, duration=2.0, sample_time=0.02))
     (row,) = found.predictions
     assert row.std_error_after < 0.8 * row.std_error_before
     runs, expected, off = (old, found.experiment), swung(truth, target), []
@@ -184,166 +185,153 @@ def test_predictions_scatter_as_was_expected():
     assert scatter == pytest.approx(row.std_error_after / noise, rel=0.15)
 
 
-LIMITS = """
-duration = 5.0
-sample_time = 0.05
-candidates = 10
-[inputs.F]
-lower = -8.0
-upper = 8.0
-"""
-TABLES = ("candidates", "precision", "prediction_precision", "next_input", "expected")
+PREDICT = "[[predictions]]\n"
+LIMITS = limits_text(duration=5.0, candidates=10)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     """A fit, and a design of what makes the test experiment certain."""
     found = tmp_path_factory.mktemp("designs")
-    (found / "limits.toml").write_text(LIMITS, encoding="utf-8")
     assert main(["fit", SPRING, "--out", str(found / "fit"), "--no-report"]) == 0
-    assert designed(found, found / "next.csv", "--predict", "exp4:y") == 0
+    assert designed(found / "fit", found / "next.csv", LIMITS, "--predict", "exp4:y") == 0
     return found
 
 
-def designed(folder, out, *arguments, limits="limits.toml"):
-    given = ["--limits", str(folder / limits), "--out", str(out), *arguments]
-    return main(["design", str(folder / "fit"), *given])
+@pytest.fixture
+def design(folder, tmp_path):
+    """Design after that fit once more, as `tmp_path / "new.csv"`."""
+
+    def make(*arguments, text=LIMITS):
+        return designed(folder / "fit", tmp_path / "new.csv", text, *arguments, "--no-report")
+
+    return make
 
 
-def rows(run):
-    return {name: repr(pq.read_table(run / f"{name}.parquet").to_pylist()) for name in TABLES}
+@pytest.fixture(scope="module")
+def spring():
+    return spring_fit()
 
 
 def test_the_command_says_what_becomes_certain(folder, capsys):
     assert main(["show", str(folder / "next")]) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    facts = json.loads((folder / "next" / "run.json").read_text(encoding="utf-8"))
-    assert facts["design"]["criterion"] == "v"
+    assert facts(folder / "next")["design"]["criterion"] == "v"
     assert "the standard deviation of y in exp4 is expected to fall to" in printed
     assert "predicted of unit std deviation now after it after a random input" in printed
     page = (folder / "next" / "report.html").read_text(encoding="utf-8")
     assert "What the experiment is expected to do to predictions" in page
-    (row,) = pq.read_table(folder / "next" / "prediction_precision.parquet").to_pylist()
+    (row,) = rows(folder / "next", "prediction_precision")
     assert (row["experiment"], row["output"]) == ("exp4", "y")
     assert row["std_error_after"] < row["random"] < row["std_error_before"]
 
 
-def test_the_file_of_limits_says_the_same_as_the_command(folder, tmp_path):
-    named = LIMITS + '[[predictions]]\nexperiment = "exp4"\noutputs = ["y"]\n'
-    (folder / "named.toml").write_text(named, encoding="utf-8")
-    assert designed(folder, tmp_path / "named.csv", "--no-report", limits="named.toml") == 0
-    assert rows(tmp_path / "named") == rows(folder / "next")
+def test_the_file_of_limits_says_the_same_as_the_command(folder, design, tmp_path):
+    assert design(text=LIMITS + PREDICT + 'experiment = "exp4"\noutputs = ["y"]\n') == 0
+    assert tables(tmp_path / "new") == tables(folder / "next")
 
 
-def test_where_it_runs_changes_no_bit_and_it_is_resumed(folder, tmp_path, capsys):
-    out = tmp_path / "two.csv"
-    how = ("--predict", "exp4:y", "--no-report", "executor.name=processes", "executor.workers=2")
-    assert designed(folder, out, *how) == 0
-    assert rows(tmp_path / "two") == rows(folder / "next")
-    (tmp_path / "two" / "next_input.parquet").unlink()
-    facts = json.loads((tmp_path / "two" / "run.json").read_text(encoding="utf-8"))
-    facts["status"] = "interrupted"
-    (tmp_path / "two" / "run.json").write_text(json.dumps(facts), encoding="utf-8")
-    capsys.readouterr()
-    assert designed(folder, out, *how, "--resume") == 0
+def test_where_it_runs_changes_no_bit_and_it_is_resumed(folder, design, tmp_path, capsys):
+    cut = Path(shutil.copytree(folder / "next", tmp_path / "new"))
+    (cut / "next_input.parquet").unlink()
+    change_facts(cut, status="interrupted")
+    where = "executor.name=processes", "executor.workers=2"
+    assert design("--predict", "exp4:y", *where, "--resume") == 0
     assert "simulations stand in its log" in capsys.readouterr().err
-    assert rows(tmp_path / "two") == rows(folder / "next")
-    assert designed(folder, out, "--predict", "exp3:y", "--resume", "--no-report") == 2
+    assert tables(cut) == tables(folder / "next")
+    assert design("--predict", "exp3:y", "--resume") == 2
 
 
-def test_all_experiments_are_predicted_unless_some_are_named(folder, tmp_path):
-    (folder / "all.toml").write_text('criterion = "v"\n' + LIMITS, encoding="utf-8")
-    assert designed(folder, tmp_path / "all.csv", "--no-report", limits="all.toml") == 0
-    found = pq.read_table(tmp_path / "all" / "prediction_precision.parquet").to_pylist()
+def test_all_experiments_are_predicted_unless_some_are_named(design, tmp_path):
+    assert design(text='criterion = "v"\n' + LIMITS) == 0
+    found = rows(tmp_path / "new", "prediction_precision")
     assert [row["experiment"] for row in found] == [f"exp{i}" for i in range(1, 6)]
 
 
-def test_a_planned_experiment_is_read_from_a_table(folder, tmp_path):
+def test_a_planned_experiment_is_read_from_a_table(folder, spring, tmp_path):
     """The recorded force of an experiment as a plan: what is said of it is that of the recorded."""
-    experiment = ce.read_problem(SPRING).experiments[3]
-    (force,) = experiment.inputs
+    (force,) = spring.problem.experiments[3].inputs
     table = pa.table({"t": force.times, "force": force.values})
-    pacsv.write_csv(table, folder / "plan.csv")
-    block = '[[predictions]]\ndata = "plan.csv"\ntime = "t"\ninputs = { F = "force" }\n'
-    (folder / "plan.toml").write_text(LIMITS + block, encoding="utf-8")
-    assert designed(folder, tmp_path / "plan.csv", "--no-report", limits="plan.toml") == 0
-    (row,) = pq.read_table(tmp_path / "plan" / "prediction_precision.parquet").to_pylist()
-    (own,) = pq.read_table(folder / "next" / "prediction_precision.parquet").to_pylist()
-    assert (row["experiment"], row["output"]) == ("plan", "y")
-    assert row["std_error_before"] == pytest.approx(own["std_error_before"], rel=0.05)
-
-
-PREDICT = "[[predictions]]\n"
+    pacsv.write_csv(table, tmp_path / "plan.csv")
+    block = f'data = "{tmp_path}/plan.csv"\ntime = "t"\ninputs = {{ F = "force" }}\n'
+    (row,) = design_of(spring, LIMITS + PREDICT + block).predictions
+    (own,) = rows(folder / "next", "prediction_precision")
+    assert (row.experiment, row.output) == ("plan", "y")
+    assert row.std_error_before == pytest.approx(own["std_error_before"], rel=0.05)
 
 
 @pytest.mark.parametrize(
-    ("block", "arguments", "sentence"),
+    ("named", "sentence"),
     [
-        ("", ["--predict", "exp9"], "predictions: experiment must be one of the run but is 'exp9'"),
-        ("", ["--predict", "exp4:q"], "outputs must be of what the FMU computes but has 'q'"),
-        (PREDICT + 'experiment = "exp7"', [], "experiment must be one of the run but is 'exp7'"),
-        (PREDICT + 'outputs = ["F"]', [], "outputs must be of what the FMU computes but has 'F'"),
-        (PREDICT + 'data = "no.csv"', [], "predictions[0].data"),
-        (PREDICT + 'data = "a.csv"\nexperiment = "exp4"', [], "predictions[0].data: must be left"),
-        (PREDICT + 'time = "t"', [], "predictions[0].time: must stand beside data"),
-        (PREDICT + 'outputs = 3', [], "predictions[0].outputs"),
+        ("exp9", "predictions: experiment must be one of the run but is 'exp9'"),
+        ("exp4:q", "outputs must be of what the FMU computes but has 'q'"),
     ],
-)  # fmt: skip
-def test_what_cannot_be_predicted_is_refused_in_a_sentence(
-    folder, tmp_path, capsys, block, arguments, sentence
+)
+def test_what_cannot_be_predicted_is_refused_by_the_command(
+    design, tmp_path, capsys, named, sentence
 ):
-    (folder / "other.toml").write_text(LIMITS + block + "\n", encoding="utf-8")
-    out = tmp_path / "never.csv"
-    assert designed(folder, out, *arguments, "--no-report", limits="other.toml") == 2
+    assert design("--predict", named) == 2
     said = " ".join(capsys.readouterr().err.split())
     assert sentence in said
     assert "Traceback" not in said
-    assert not out.exists()
+    assert not (tmp_path / "new.csv").exists()
 
 
-def test_another_criterion_has_nothing_to_predict(folder, tmp_path, capsys):
-    (folder / "d.toml").write_text('criterion = "d"\n' + LIMITS, encoding="utf-8")
-    assert designed(folder, tmp_path / "x.csv", "--predict", "exp4", limits="d.toml") == 2
-    assert '--predict: predictions: must go with the criterion "v"' in capsys.readouterr().err
-    with pytest.raises(ProblemError, match="which narrows them, but it is 'a'"):
-        DesignSettings(criterion="a", predictions=(PredictionTarget(),))
-    with pytest.raises(ProblemError, match="experiment must be the name of an experiment"):
-        PredictionTarget(3)
-
-
-def test_what_depends_on_nothing_estimated_is_refused(linear):
-    result, _ = linear
-    settings = DesignSettings(predictions=(PredictionTarget("run", ("x",)),), candidates=10)
-    with pytest.raises(ProblemError, match="must depend on what the run has estimated"):
-        ce.design(result, WIDE, settings=settings)
-
-
-def test_an_experiment_of_its_own_needs_a_name_of_its_own(linear):
-    result, _ = linear
-    settings = DesignSettings(predictions=(PredictionTarget(planned(name="run")),), candidates=10)
-    with pytest.raises(ProblemError, match="must have a name of its own but 'run' is one of"):
-        ce.design(result, WIDE, settings=settings)
-    twice = tuple(PredictionTarget(planned(c * PLANNED)) for c in (1.0, 0.5))
-    with pytest.raises(ProblemError, match="must have a name of its own but 'planned' is one of"):
-        ce.design(result, WIDE, settings=DesignSettings(predictions=twice, candidates=10))
+@pytest.mark.parametrize(
+    ("block", "sentence"),
+    [
+        ('experiment = "exp7"', "experiment must be one of the run but is 'exp7'"),
+        ('outputs = ["F"]', "outputs must be of what the FMU computes but has 'F'"),
+        ('data = "no.csv"', r"predictions\[0\]\.data"),
+        ('data = "a.csv"\nexperiment = "exp4"', r"predictions\[0\]\.data: must be left"),
+        ('time = "t"', r"predictions\[0\]\.time: must stand beside data"),
+        ("outputs = 3", r"predictions\[0\]\.outputs"),
+    ],
+)
+def test_what_cannot_be_predicted_is_refused_in_a_sentence(spring, block, sentence):
+    with pytest.raises(ClusterEstError, match=sentence):
+        design_of(spring, LIMITS + PREDICT + block)
 
 
 @pytest.mark.parametrize(
     ("table", "sentence"),
     [
-        ("t,force\n0,1\n1,2\n", "predictions[0].time"),
+        ("t,force\n0,1\n1,2\n", r"predictions\[0\]\.time"),
         ("time,G\n0,1\n1,2\n", "has no variable 'G'"),
         ("time,F\n0,1\n", "must have a column for an input, and two rows at least"),
         ("time\n0\n1\n", "must have a column for an input, and two rows at least"),
         ("time,F\n0,1\n0,2\n", "times must increase but 0 repeats 0"),
-        ("time,F\n0,1\n1,high\n", "predictions[0].inputs.F"),
-        ("time,F\n0,1\n1,\n2,3\n", "input 'F'.values, index 1: must be a finite number but is nan"),
+        ("time,F\n0,1\n1,high\n", r"predictions\[0\]\.inputs\.F"),
+        ("time,F\n0,1\n1,\n2,3\n", r"input 'F'\.values, index 1: must be a finite .* is nan"),
     ],
 )
-def test_a_plan_that_is_none_is_refused_in_a_sentence(folder, tmp_path, capsys, table, sentence):
-    (folder / "wrong.csv").write_text(table, encoding="utf-8")
-    (folder / "wrong.toml").write_text(LIMITS + PREDICT + 'data = "wrong.csv"\n', encoding="utf-8")
-    assert designed(folder, tmp_path / "n.csv", "--no-report", limits="wrong.toml") == 2
-    said = " ".join(capsys.readouterr().err.split())
-    assert sentence in said
-    assert "Traceback" not in said
+def test_a_plan_that_is_none_is_refused_in_a_sentence(spring, tmp_path, table, sentence):
+    (tmp_path / "wrong.csv").write_text(table, encoding="utf-8")
+    with pytest.raises(ClusterEstError, match=sentence):
+        design_of(spring, LIMITS + PREDICT + f'data = "{tmp_path}/wrong.csv"')
+
+
+def test_another_criterion_has_nothing_to_predict(design, capsys):
+    assert design("--predict", "exp4", text='criterion = "d"\n' + LIMITS) == 2
+    assert '--predict: predictions: must go with the criterion "v"' in capsys.readouterr().err
+    with pytest.raises(ClusterEstError, match=r"predictions: must go with .*it is 'a'"):
+        read_text('criterion = "a"\n' + LIMITS + PREDICT)
+    with pytest.raises(ProblemError, match="experiment must be the name of an experiment"):
+        PredictionTarget(3)
+
+
+def test_what_depends_on_nothing_estimated_is_refused(linear):
+    with pytest.raises(ProblemError, match="must depend on what the run has estimated"):
+        wide(linear[0], 10, PredictionTarget("run", ("x",)))
+
+
+@pytest.mark.parametrize(
+    ("plans", "name"),
+    [
+        ([planned(name="run")], "run"),
+        ([planned(PLANNED), planned(0.5 * PLANNED)], "planned"),
+    ],
+)
+def test_an_experiment_of_its_own_needs_a_name_of_its_own(linear, plans, name):
+    with pytest.raises(ProblemError, match=f"must have a name of its own but '{name}' is one of"):
+        wide(linear[0], 10, *map(PredictionTarget, plans))

@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
 import pyarrow.parquet as pq
 import pytest
-from support.problems.springs import ROOT
+from support.run_folders import SPRING
 
 from cluster_est.cli import main
 from cluster_est.run_folder.evaluation_log import read_log
 
-EXECUTORS = {
-    "local-1": ["executor.name=local"],
-    "local-3": ["executor.name=local", "executor.workers=3"],
-    "ray-1": ["executor.name=ray", "executor.workers=1"],
-    "ray-2": ["executor.name=ray", "executor.workers=2"],
-}
+TABLES = ("parameters", "errors", "residuals", "trajectories")
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory):
-    folders = {}
-    for name, overrides in EXECUTORS.items():
-        folders[name] = tmp_path_factory.mktemp("runs") / name
-        config = str(ROOT / "configs" / "mass_spring_damper.toml")
-        assert main(["fit", config, "--out", str(folders[name]), *overrides]) == 0
-    return folders
+def run(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int], Path]:
+    """Give the run of an executor with so many workers."""
+
+    @cache
+    def give(executor: str, workers: int) -> Path:
+        folder = tmp_path_factory.mktemp("runs") / "run"
+        where = f"executor.name={executor}", f"executor.workers={workers}"
+        assert main(["fit", SPRING, "--out", str(folder), "--no-report", *where]) == 0
+        return folder
+
+    return give
 
 
 def evaluations(folder):
@@ -36,18 +39,18 @@ def evaluations(folder):
     return table.sort_by([(name, "ascending") for name in columns[:5]]).to_pylist()
 
 
-@pytest.mark.parametrize("other", list(EXECUTORS)[1:])
-@pytest.mark.parametrize("table", ["parameters", "errors", "residuals", "trajectories"])
-def test_tables_are_byte_identical(runs, other, table):
-    first, second = (runs[name] / f"{table}.parquet" for name in ("local-1", other))
-    assert first.read_bytes() == second.read_bytes()
+@pytest.mark.parametrize(
+    ("executor", "workers"),
+    [("local", 3), ("ray", 2), pytest.param("ray", 1, marks=pytest.mark.slow)],
+)
+def test_tables_and_evaluations_are_identical(run, executor, workers):
+    usual, other = run("local", 1), run(executor, workers)
+    for table in TABLES:
+        first, second = (folder / f"{table}.parquet" for folder in (usual, other))
+        assert first.read_bytes() == second.read_bytes()
+    assert evaluations(usual) == evaluations(other)
 
 
-@pytest.mark.parametrize("other", list(EXECUTORS)[1:])
-def test_evaluations_are_identical(runs, other):
-    assert evaluations(runs["local-1"]) == evaluations(runs[other])
-
-
-def test_tables_carry_the_config_hash(runs):
-    metadata = pq.read_schema(runs["local-1"] / "parameters.parquet").metadata
+def test_tables_carry_the_config_hash(run):
+    metadata = pq.read_schema(run("local", 1) / "parameters.parquet").metadata
     assert len(metadata[b"cluster_est.config_hash"]) == 64

@@ -1,33 +1,26 @@
-"""Runs of `cluster-est sensitivity`: what is printed and written, resumed and refused."""
+"""Runs of `cluster-est sensitivity`: what is printed and written, and what is refused."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-import pyarrow.parquet as pq
 import pytest
 from support.problems.springs import ROOT
+from support.run_folders import facts, rows
 
 from cluster_est.cli import main
 
 CONFIG = str(ROOT / "configs" / "mass_with_friction.toml")
-TABLES = ("ranking", "indices")
 
 
 def ranked(out: Path, *arguments: str) -> int:
     return main(["sensitivity", CONFIG, "--out", str(out), *arguments])
 
 
-def rows(run: Path) -> dict[str, str]:
-    """The tables as text: NaN is not equal to itself."""
-    return {name: repr(pq.read_table(run / f"{name}.parquet").to_pylist()) for name in TABLES}
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("ranked") / "run"
-    assert ranked(folder, "log.keep_residuals=true") == 0
+    assert ranked(folder) == 0
     return folder
 
 
@@ -37,13 +30,12 @@ def test_the_stiffness_of_a_spring_matters_most(run, capsys):
     first = printed.index(next(line for line in printed if line.startswith("parameter"))) + 1
     assert [line.split()[0] for line in printed[first : first + 3]] == ["k", "c", "m"]
     assert "mu* of log(cost)" in printed[first - 1]
-    facts = json.loads((run / "run.json").read_text(encoding="utf-8"))
-    assert facts["status"] == "done"
-    assert sorted(facts["sensitivity"]["together"]) == ["c", "k", "m"]
+    assert facts(run)["status"] == "done"
+    assert sorted(facts(run)["sensitivity"]["together"]) == ["c", "k", "m"]
 
 
 def test_every_output_has_indices_over_time(run):
-    table = pq.read_table(run / "indices.parquet").to_pylist()
+    table = rows(run, "indices")
     times = {row["time"] for row in table if row["output"] == "y" and row["experiment"] == "exp1"}
     assert len(times) == 20
     assert {row["experiment"] for row in table} == {"", "exp1", "exp2", "exp3"}
@@ -54,21 +46,6 @@ def test_its_report_shows_the_ranking_and_the_outputs(run):
     assert "The parameters are ranked by what they move" in page
     assert "Mean absolute elementary effect of log(cost)" in page
     assert "Mean absolute elementary effect of y in exp1" in page
-
-
-def test_the_number_of_workers_changes_no_bit(run, tmp_path):
-    assert ranked(tmp_path / "two", "executor.workers=2", "--no-report") == 0
-    assert rows(tmp_path / "two") == rows(run)
-
-
-def test_a_run_that_was_cut_short_is_resumed_to_the_same_bits(run, tmp_path, capsys):
-    out = tmp_path / "cut"
-    assert ranked(out, "budget.evaluations=10", "--no-report") == 1
-    assert "budget: was used up" in capsys.readouterr().err
-    assert ranked(out, "--resume", "--no-report") == 0
-    assert rows(out) == rows(run)
-    assert ranked(out, "--resume", "--no-report") == 0
-    assert "holds a finished run" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
-import json
+import os
 import shutil
+import signal
 import threading
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +15,12 @@ import pytest
 from rich.console import Console
 from support.problems.springs import spring_problem
 from support.reported import fitted_run
+from support.run_folders import change_facts
 
 from cluster_est.cli import main
 from cluster_est.cli.display.progress import line
 from cluster_est.fit import fit
 from cluster_est.methods.base import Progress
-from cluster_est.report import watch as watching
 from cluster_est.report.watch import RunFollower, RunView, follow
 from cluster_est.report.watch_printing import WatchTable, rendered
 from cluster_est.run_folder.folder import RunFolder
@@ -32,44 +34,58 @@ def ended(tmp_path_factory) -> Path:
     return fitted_run(tmp_path_factory.mktemp("fit") / "run", experiments=2)
 
 
-def written(view: RunView) -> str:
+@pytest.fixture
+def copy(ended, tmp_path) -> Path:
+    return Path(shutil.copytree(ended, tmp_path / "run"))
+
+
+@pytest.fixture
+def begun(tmp_path) -> RunFolder:
+    """The folder of a run that goes on."""
+    problem = spring_problem(experiments=2, noise=0.01).problem
+    return RunFolder(tmp_path / "run", RunIdentity(RunKind.FIT, problem, "", "hash", 0))
+
+
+def text_of(view: RunView) -> str:
+    """What is shown, on one line."""
     console = Console(width=100, record=True, file=io.StringIO())
     console.print(rendered(view))
-    return console.export_text()
+    return " ".join(console.export_text().split())
 
 
-def fill(folder: RunFolder, numbers: range, problem) -> None:
+def fill(folder: RunFolder, numbers: range) -> None:
     """Log simulations, every third of which failed."""
     for number in numbers:
         good = number % 3 != 0
-        origin = TaskOrigin(
-            Task(number, 0, np.zeros(len(problem.parameters))), "train", number, "point"
-        )
+        origin = TaskOrigin(Task(number, 0, np.zeros(4)), "train", number, "point")
         status = Status.OK if good else Status.TIMEOUT
         message = "" if good else f"took longer than {number} s"
         folder.record(origin, Outcome(number, status, None, None, message, 0.1, "w0"))
 
 
-def test_a_run_is_followed_while_it_grows(tmp_path):
-    problem = spring_problem(experiments=2).problem
-    run = RunFolder(tmp_path / "run", RunIdentity(RunKind.FIT, problem, "", "hash", 0))
-    clock = iter(range(100))
-    follower = RunFollower(tmp_path / "run", lambda: float(next(clock)))
+def look_at(follower: RunFollower, simulations: int) -> RunView:
+    """Look until so many have come: they are written a moment after they were recorded."""
+    while (view := follower.look()).simulations < simulations:
+        pass
+    return view
+
+
+def test_a_run_is_followed_while_it_grows(begun):
+    clock = count()
+    follower = RunFollower(begun.path, lambda: float(next(clock)))
     assert follower.look().simulations == 0
-    fill(run, range(9), problem)
-    run._log.flush()
-    run.note(SearchIteration("start 0", Progress(0, 5.0), 3))
-    run.note(SearchIteration("start 1", Progress(0, 9.0), 3))
-    run.note(SearchIteration("start 0", Progress(1, 7.0), 6))
-    run.show(RunSnapshot("start 0", Progress(1, 7.0), 6, 9, 3, 2, 4, 12.0))
-    view = follower.look()
+    fill(begun, range(9))
+    begun.note(SearchIteration("start 0", Progress(0, 5.0), 3))
+    begun.note(SearchIteration("start 1", Progress(0, 9.0), 3))
+    begun.note(SearchIteration("start 0", Progress(1, 7.0), 6))
+    begun.show(RunSnapshot("start 0", Progress(1, 7.0), 6, 9, 3, 2, 4, 12.0))
+    view = look_at(follower, 9)
     assert (view.status, view.ended) == ("running", False)
     assert (view.simulations, view.failed) == (9, 3)
     assert [(each.last.search, each.best) for each in view.searches] == [
         ("start 1", 9.0),
         ("start 0", 5.0),
     ]
-    text = written(view)
     for part in (
         "start 0",
         "9 simulations (3 failed)",
@@ -77,62 +93,38 @@ def test_a_run_is_followed_while_it_grows(tmp_path):
         "12.0 s",
         "took longer than 0 s",
     ):
-        assert part in text
-    fill(run, range(9, 12), problem)
-    run._log.flush()
-    later = follower.look()
+        assert part in text_of(view)
+    fill(begun, range(9, 12))
+    later = look_at(follower, 12)
     assert later.simulations == 12
     assert later.rate > 0.0
-    run.abandon("interrupted; early", "interrupted")
+    begun.abandon("interrupted; early", "interrupted")
     last = follower.look()
     assert last.ended
-    assert "interrupted; early" in written(last)
+    assert "interrupted; early" in text_of(last)
 
 
-def test_only_what_is_new_is_read(tmp_path, monkeypatch):
-    problem = spring_problem(experiments=2).problem
-    run = RunFolder(tmp_path / "run", RunIdentity(RunKind.FIT, problem, "", "hash", 0))
-    follower = RunFollower(tmp_path / "run")
-    batches = []
-    added = follower.tail.counts.add
-    monkeypatch.setattr(
-        follower.tail.counts, "add", lambda b: (batches.append(b.num_rows), added(b))
-    )
-    for first in (0, 5, 10):
-        fill(run, range(first, first + 5), problem)
-        run._log.flush()
-        follower.look()
-    assert sum(batches) == 15
-    run.abandon("over")
-
-
-def test_a_run_that_is_replaced_is_followed_anew(ended, tmp_path):
-    run = Path(shutil.copytree(ended, tmp_path / "run"))
-    follower = RunFollower(run)
-    before = follower.look().simulations
-    assert before > 0
-    facts = json.loads((run / "run.json").read_text()) | {"started": "later", "status": "running"}
-    shutil.rmtree(run / "evaluations")
-    (run / "progress.jsonl").unlink()
-    (run / "run.json").write_text(json.dumps(facts))
+def test_a_run_that_is_replaced_is_followed_anew(copy):
+    follower = RunFollower(copy)
+    assert follower.look().simulations > 0
+    shutil.rmtree(copy / "evaluations")
+    (copy / "progress.jsonl").unlink()
+    change_facts(copy, started="later", status="running")
     view = follower.look()
     assert (view.simulations, view.searches, view.status) == (0, (), "running")
 
 
-def test_nothing_is_written_into_the_folder_and_its_log_is_not_locked(ended, tmp_path):
-    run = Path(shutil.copytree(ended, tmp_path / "run"))
-    before = {path: path.stat().st_mtime_ns for path in run.rglob("*")}
+def test_nothing_is_written_into_the_folder_and_its_log_is_not_locked(copy):
+    before = {path: path.stat().st_mtime_ns for path in copy.rglob("*")}
     seen: list[RunView] = []
-    follow(run, 0.1, seen.append, html=False)
-    assert {path: path.stat().st_mtime_ns for path in run.rglob("*")} == before
+    follow(copy, 0.1, seen.append, html=False)
+    assert {path: path.stat().st_mtime_ns for path in copy.rglob("*")} == before
     assert len(seen) == 1
 
 
-def test_it_ends_with_the_run_and_keeps_the_report_fresh(tmp_path, monkeypatch):
-    monkeypatch.setattr(watching, "HTML_SECONDS", 0.05)
+def test_it_ends_with_the_run_and_keeps_the_report_fresh(begun):
     problem = spring_problem(experiments=2, noise=0.01).problem
-    path = tmp_path / "run"
-    run = RunFolder(path, RunIdentity(RunKind.FIT, problem, "", "hash", 0))
+    path = begun.path
     seen: list[RunView] = []
     pages: list[str] = []
 
@@ -144,8 +136,7 @@ def test_it_ends_with_the_run_and_keeps_the_report_fresh(tmp_path, monkeypatch):
     watcher.start()
     while not seen:  # the first look is at a run that goes on
         watcher.join(0.01)
-    result = fit(problem, record=run.record, show=run.show, note=run.note)
-    run.write(result)
+    begun.write(fit(problem, record=begun.record, show=begun.show, note=begun.note))
     watcher.join(60.0)
     assert not watcher.is_alive()
     assert (seen[0].status, seen[-1].status) == ("running", "done")
@@ -156,14 +147,13 @@ def test_it_ends_with_the_run_and_keeps_the_report_fresh(tmp_path, monkeypatch):
     assert [p.name for p in path.iterdir() if p.name.startswith(".")] == []
 
 
-def test_a_report_that_cannot_be_written_is_said_and_nothing_ends(ended, tmp_path):
-    run = Path(shutil.copytree(ended, tmp_path / "run"))
-    (run / "report.html").unlink(missing_ok=True)
-    (run / "report.html").mkdir()
+def test_a_report_that_cannot_be_written_is_said_and_nothing_ends(copy):
+    (copy / "report.html").unlink(missing_ok=True)
+    (copy / "report.html").mkdir()
     seen: list[RunView] = []
-    follow(run, 0.1, seen.append, html=True)
+    follow(copy, 0.1, seen.append, html=True)
     assert "is a folder" in seen[-1].problem
-    assert "the report could not be written" in written(seen[-1])
+    assert "the report could not be written" in text_of(seen[-1])
 
 
 def test_the_command_ends_with_0_and_refuses_what_is_no_run(ended, tmp_path, capsys):
@@ -173,18 +163,25 @@ def test_the_command_ends_with_0_and_refuses_what_is_no_run(ended, tmp_path, cap
     assert "has no run.json" in capsys.readouterr().err
 
 
-def test_ctrl_c_is_130(ended, monkeypatch):
-    def interrupt(*arguments, **options):
-        raise KeyboardInterrupt
+def test_ctrl_c_is_130(copy):
+    change_facts(copy, status="running")
+    report = copy / "report.html"
+    report.unlink(missing_ok=True)
 
-    monkeypatch.setattr(watching, "follow", interrupt)
-    assert main(["watch", str(ended)]) == 130
+    def interrupt_once_there_is_a_report() -> None:
+        while not report.is_file():
+            main_thread.join(0.01)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    main_thread = threading.main_thread()
+    threading.Thread(target=interrupt_once_there_is_a_report, daemon=True).start()
+    assert main(["watch", str(copy), "--html"]) == 130
 
 
 def test_names_of_files_are_no_markup(ended):
     view = RunFollower(ended).look()
     hostile = RunView(**{**vars(view), "message": "[red]x[/nothing]"})
-    assert "[red]x[/nothing]" in written(hostile)
+    assert "[red]x[/nothing]" in text_of(hostile)
 
 
 def test_a_terminal_sees_the_table_renewed(ended):
@@ -194,28 +191,34 @@ def test_a_terminal_sees_the_table_renewed(ended):
         assert "simulations" in console.export_text()
 
 
-def test_a_watcher_reads_what_the_terminal_of_the_run_says(tmp_path):
-    problem = spring_problem(experiments=2).problem
-    run = RunFolder(tmp_path / "run", RunIdentity(RunKind.FIT, problem, "", "hash", 0))
-    now = RunSnapshot(
-        "candidate", Progress(1, 7.0), 6, 9, 3, 2, 4, 12.0,
-        "looking for effect 1 of at most 3", 5, 12, 90.0,
-    )  # fmt: skip
-    run.show(now)
-    said = "looking for effect 1 of at most 3: refitting candidates, 5 of 12 done"
-    left = "this step: at most about 2 min left"
-    assert f"{said} | {left}" in " ".join(written(RunFollower(tmp_path / "run").look()).split())
-    assert line(now, Budget()).startswith(f"{said} | {left} | ")
+AT_MOST = RunSnapshot(
+    "candidate", Progress(1, 7.0), 6, 9, 3, 2, 4, 12.0,
+    "looking for effect 1 of at most 3", 5, 12, 90.0,
+)  # fmt: skip
+EXPECTED = RunSnapshot(
+    "start 3", Progress(1, 7.0), 6, 9, 3, 2, 4, 12.0,
+    ended=5, searches=12, left=90.0, at_most=False, pace=30.0,
+)  # fmt: skip
 
 
-def test_a_watcher_tells_a_limit_from_what_is_expected(tmp_path):
-    problem = spring_problem(experiments=2).problem
-    run = RunFolder(tmp_path / "run", RunIdentity(RunKind.FIT, problem, "", "hash", 0))
-    run.show(
-        RunSnapshot(
-            "start 3", Progress(1, 7.0), 6, 9, 3, 2, 4, 12.0,
-            ended=5, searches=12, left=90.0, at_most=False, pace=30.0,
-        )
-    )  # fmt: skip
-    said = "5 of 12 done | this step: about 2 min left | an iteration takes about 30 s"
-    assert said in " ".join(written(RunFollower(tmp_path / "run").look()).split())
+@pytest.mark.parametrize(
+    ("now", "parts"),
+    [
+        (
+            AT_MOST,
+            [
+                "looking for effect 1 of at most 3: refitting candidates, 5 of 12 done",
+                "this step: at most about 2 min left",
+            ],
+        ),
+        (
+            EXPECTED,
+            ["5 of 12 done", "this step: about 2 min left", "an iteration takes about 30 s"],
+        ),
+    ],
+)
+def test_a_watcher_reads_what_the_terminal_of_the_run_says(begun, now, parts):
+    begun.show(now)
+    said = " | ".join(parts)
+    assert said in text_of(RunFollower(begun.path).look())
+    assert said in line(now, Budget())

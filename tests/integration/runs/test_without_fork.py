@@ -5,66 +5,90 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from support.problems.springs import ROOT
+from support.run_folders import SPRING
 
-CONFIG = ROOT / "configs" / "mass_spring_damper.toml"
 PROGRAM = """
-import os, signal
+import contextlib, io, json, os, signal, sys
 del os.fork, signal.pthread_kill, signal.SIGKILL
-from cluster_est.cli import run
-run()
+from cluster_est.cli import main
+ends = []
+for command in json.loads(sys.argv[1]):
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main(command)
+    ends.append((code, out.getvalue(), err.getvalue()))
+print(json.dumps(ends))
 """
 
 
-def told(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run the command on a system without these."""
-    command = [sys.executable, "-c", PROGRAM, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+def ends_of(commands: list[list[str]]) -> list[tuple[int, str, str]]:
+    """The exit code, the output and the errors of commands on a system without these."""
+    program = [sys.executable, "-c", PROGRAM, json.dumps(commands)]
+    done = subprocess.run(program, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    ends = json.loads(done.stdout.splitlines()[-1])
+    assert not any("Traceback" in out + err for _, out, err in ends)
+    return ends
 
 
-def test_a_fit_in_this_process_works(tmp_path: Path) -> None:
-    run = told("fit", str(CONFIG), "--out", str(tmp_path / "run"), "executor.workers=2")
-    assert run.returncode == 0, run.stderr
-    assert "Traceback" not in run.stderr
-    assert (tmp_path / "run" / "report.html").is_file()
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("without_fork")
 
 
-def test_check_examines_the_fmu_in_this_process() -> None:
-    run = told("check", str(CONFIG))
-    assert run.returncode == 0, run.stdout + run.stderr
-    assert "two fresh instances give the same bits" in run.stdout
-    assert "no problem was found" in run.stdout
-    assert '"processes"' not in run.stdout  # would be advice that cannot be followed
+@pytest.fixture(scope="module")
+def told(folder: Path) -> dict[str, tuple[int, str, str]]:
+    """The ends of several commands."""
+    (folder / "broken.fmu").write_bytes(b"no archive")
+    run = str(folder / "run")
+    commands = {
+        "fit": ["fit", SPRING, "--out", run, "executor.workers=2"],
+        "check": ["check", SPRING],
+        "check broken": ["check", str(folder / "broken.fmu")],
+        "replay": ["replay", run, "0"],
+    }
+    return dict(zip(commands, ends_of([*commands.values()]), strict=True))
 
 
-def test_check_says_in_a_sentence_what_cannot_be_loaded(tmp_path: Path) -> None:
-    broken = tmp_path / "broken.fmu"
-    broken.write_bytes(b"no archive")
-    run = told("check", str(broken))
-    assert run.returncode != 0
-    assert "Traceback" not in run.stderr + run.stdout
-    assert "broken.fmu" in run.stdout + run.stderr
+def test_a_fit_in_this_process_works(told, folder) -> None:
+    code, _, err = told["fit"]
+    assert code == 0, err
+    assert (folder / "run" / "report.html").is_file()
 
 
-@pytest.mark.parametrize("command", ["fit", "close-loop", "sensitivity"])
-def test_processes_are_refused_in_a_sentence(command: str, tmp_path: Path) -> None:
-    chosen = ("--out", str(tmp_path / "run"), "executor.name=processes")
-    run = told(command, str(CONFIG), *chosen)
-    assert run.returncode == 2
-    assert run.stderr.startswith('cluster-est: executor.name: "processes" needs a system that can')
-    assert run.stderr.endswith('choose "local"\n')
+def test_check_examines_the_fmu_in_this_process(told) -> None:
+    code, out, _ = told["check"]
+    assert code == 0, out
+    assert "two fresh instances give the same bits" in out
+    assert "no problem was found" in out
+    assert '"processes"' not in out  # would be advice that cannot be followed
+
+
+def test_check_says_in_a_sentence_what_cannot_be_loaded(told) -> None:
+    code, out, err = told["check broken"]
+    assert code != 0
+    assert "broken.fmu" in out + err
+
+
+@pytest.mark.parametrize(
+    "commands", [["fit"], pytest.param(["close-loop", "sensitivity"], marks=pytest.mark.slow)]
+)
+def test_processes_are_refused_in_a_sentence(tmp_path, commands: list[str]) -> None:
+    chosen = "--out", str(tmp_path / "run"), "executor.name=processes"
+    for code, _, err in ends_of([[command, SPRING, *chosen] for command in commands]):
+        assert code == 2
+        assert err.startswith('cluster-est: executor.name: "processes" needs a system that can')
+        assert err.endswith('choose "local"\n')
     assert not (tmp_path / "run").exists()
 
 
-def test_a_replay_says_what_it_lacks(tmp_path: Path) -> None:
-    folder = str(tmp_path / "run")
-    assert told("fit", str(CONFIG), "--out", folder).returncode == 0
-    run = told("replay", folder, "0")
-    assert run.returncode == 2
-    assert "needs a system that can fork processes" in run.stderr
-    assert "Traceback" not in run.stderr
+def test_a_replay_says_what_it_lacks(told) -> None:
+    code, _, err = told["replay"]
+    assert code == 2
+    assert "needs a system that can fork processes" in err

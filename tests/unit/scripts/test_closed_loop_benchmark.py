@@ -23,6 +23,7 @@ from closed_loop_benchmark.systems import SYSTEMS
 from closed_loop_benchmark.truth import integrate, lay_out, simulate
 from fmpy.fmi2 import FMU2Slave
 from scipy.signal import lsim
+from support.thinning import thinned
 
 MODELS = Path(__file__).resolve().parents[3] / "configs" / "models"
 
@@ -33,7 +34,7 @@ TIME = np.arange(0.0, 1.0, 1e-3)
 FRICTIONS = ("coulomb", "stribeck", "two_levels", "pressed_friction")
 
 
-@pytest.fixture(params=SYSTEMS)
+@pytest.fixture(params=thinned([(n,) for n in SYSTEMS], lambda name: SYSTEMS[name].interface))
 def system(request: pytest.FixtureRequest) -> System:
     return SYSTEMS[request.param]
 
@@ -128,6 +129,7 @@ def signal_to_noise(name: str, effect: Effect) -> float:
     return float(np.sqrt(np.mean((change / deviation) ** 2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effects", [LABELLED, OUTER, BOOKS], ids=["inside", "outside", "books"])
 def test_effects_are_visible(effects: list[tuple[str, Effect]]) -> None:
     found = [signal_to_noise(*one) for one in effects]
@@ -136,6 +138,7 @@ def test_effects_are_visible(effects: list[tuple[str, Effect]]) -> None:
     assert np.mean(np.array(found) > 2.0) > 0.9
 
 
+@pytest.mark.slow
 def test_size_scales_an_effect() -> None:
     for name, effect in [LABELLED[0], *(one for one in LABELLED if one[1].form == "saturation")]:
         weak, strong = (signal_to_noise(name, effect.scaled(size)) for size in (0.1, 1.0))
@@ -240,7 +243,7 @@ def some_cases() -> list[Scenario]:
     return [next(c for c in cases if c.kind == kind) for kind in {c.kind: None for c in cases}]
 
 
-@pytest.mark.parametrize("case", some_cases(), ids=lambda case: str(case.kind))
+@pytest.mark.parametrize("case", thinned([(c,) for c in some_cases()], lambda _: "one"))
 def test_data_are_deterministic(case: Scenario) -> None:
     first, again = make(case), make(case)
     assert first.start_parameters == again.start_parameters

@@ -16,12 +16,12 @@ WITHIN = 1.5
     "case",
     [
         Case(METHODS["pattern_search"](), budget=60),
-        Case(METHODS["de"](), budget=200, workers=20),
-        Case(METHODS["least_squares"](), 3, 100),
+        pytest.param(Case(METHODS["de"](), budget=200, workers=20), marks=pytest.mark.slow),
+        pytest.param(Case(METHODS["least_squares"](), 3, 100), marks=pytest.mark.slow),
     ],
     ids=lambda case: case.method.name,
 )
-@pytest.mark.parametrize("spread", [0.0, 0.5])
+@pytest.mark.parametrize("spread", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_the_time_until_a_budget_ends_is_right_after_a_tenth(case, spread):
     recorded = run(case, 60.0, spread)
     for share in (0.1, 0.25, 0.5):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,8 +13,13 @@ import pyarrow as pa
 import pytest
 
 from cluster_est.errors import RunFolderError
-from cluster_est.run_folder import evaluation_log
-from cluster_est.run_folder.evaluation_log import SCHEMA, EvaluationLog, LogSettings, read_log
+from cluster_est.run_folder.evaluation_log import (
+    ROWS_PER_WRITE,
+    SCHEMA,
+    EvaluationLog,
+    LogSettings,
+    read_log,
+)
 from cluster_est.run_folder.log_format import END_OF_STREAM, LARGE, mend
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.running.records import TaskOrigin
@@ -21,12 +29,6 @@ EXPERIMENTS = [("first", "key1"), ("second", "key2")]
 METADATA = {"config_hash": "abc", "format": "1"}
 
 Row = tuple[TaskOrigin, Outcome]
-
-
-@pytest.fixture(autouse=True)
-def _no_clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let nothing be written because time has passed."""
-    monkeypatch.setattr(evaluation_log, "SECONDS_PER_WRITE", np.inf)
 
 
 def rows(count: int) -> list[Row]:
@@ -41,17 +43,34 @@ def rows(count: int) -> list[Row]:
     return made
 
 
-def open_log(folder: Path) -> EvaluationLog:
-    return EvaluationLog(folder, "model", EXPERIMENTS, METADATA)
+def trajectories(count: int) -> list[Row]:
+    found = []
+    for i in range(count):
+        task = Task(i, i % 2, np.array([float(i)]), "trajectory")
+        origin = TaskOrigin(task, "before", 0, "trajectory")
+        path = Trajectory(("y", "z"), np.arange(40.0), np.arange(80.0).reshape(40, 2) + i)
+        found.append((origin, Outcome(i, Status.OK, np.arange(30.0), path)))
+    return found
 
 
-def write(folder: Path, recorded: list[Row], batch: int) -> EvaluationLog:
-    """Record simulations, and flush after each `batch` of them."""
-    log = open_log(folder)
+def open_log(
+    folder: Path,
+    settings: LogSettings | None = None,
+    first: int = 0,
+    model: str = "model",
+    say: Callable[[str], None] | None = None,
+) -> EvaluationLog:
+    return EvaluationLog(folder, model, EXPERIMENTS, METADATA, settings, first, say=say)
+
+
+def write(log: EvaluationLog | Path, recorded: list[Row], batch: int = 4) -> EvaluationLog:
+    """Record simulations, flush after each `batch` of them, and close the log."""
+    log = open_log(log) if isinstance(log, Path) else log
     for first in range(0, len(recorded), batch):
         for origin, outcome in recorded[first : first + batch]:
             log.record(origin, outcome)
         log.flush()
+    log.close()
     return log
 
 
@@ -77,7 +96,7 @@ def check(table: pa.Table, recorded: list[Row]) -> None:
 @pytest.mark.parametrize("batch", [1, 4, 100])
 def test_gives_back_what_was_recorded(tmp_path: Path, batch: int) -> None:
     recorded = rows(20)
-    write(tmp_path / "log", recorded, batch).close()
+    write(tmp_path / "log", recorded, batch)
     table = read_log(tmp_path / "log")
     check(table, recorded)
     assert table.schema.equals(SCHEMA)
@@ -86,7 +105,7 @@ def test_gives_back_what_was_recorded(tmp_path: Path, batch: int) -> None:
 
 def test_failures_alone_have_null_residuals(tmp_path: Path) -> None:
     recorded = [row for row in rows(20) if not row[1].ok]
-    write(tmp_path, recorded, 3).close()
+    write(tmp_path, recorded)
     check(read_log(tmp_path), recorded)
 
 
@@ -95,7 +114,7 @@ def test_a_row_says_its_effects_and_what_else_was_installed(tmp_path: Path) -> N
     effect = Effect("friction", "der(v)", "coulomb", ("v",))
     task = replace(origin.task, experiment=7, effects=(effect,))
     rehearsal = replace(origin, task=task, installed=("first (15%)", "key7"))
-    write(tmp_path, [(origin, outcome), (rehearsal, outcome)], 2).close()
+    write(tmp_path, [(origin, outcome), (rehearsal, outcome)])
     own, other = read_log(tmp_path).to_pylist()
     assert (own["experiment"], own["effects"]) == ("first", [])
     assert (other["experiment"], other["effects"]) == ("first (15%)", ["friction"])
@@ -103,7 +122,10 @@ def test_a_row_says_its_effects_and_what_else_was_installed(tmp_path: Path) -> N
 
 
 def test_flushed_rows_can_be_read_while_the_log_is_open(tmp_path: Path) -> None:
-    log = write(tmp_path, rows(8), 4)
+    log = open_log(tmp_path)
+    for row in rows(8):
+        log.record(*row)
+    log.flush()
     check(read_log(tmp_path), rows(8))
     log.close()
     log.close()
@@ -112,82 +134,78 @@ def test_flushed_rows_can_be_read_while_the_log_is_open(tmp_path: Path) -> None:
 
 def test_key_says_model_experiment_and_values(tmp_path: Path) -> None:
     recorded = rows(6)
-    write(tmp_path / "a", recorded, 6).close()
-    write(tmp_path / "b", recorded[::-1], 1).close()
-    keys = read_log(tmp_path / "a")["key"].to_pylist()
-    assert keys == read_log(tmp_path / "b")["key"].to_pylist()[::-1]
+    write(tmp_path / "a", recorded)
+    write(tmp_path / "b", recorded[::-1], 1)
+    write(open_log(tmp_path / "c", model="another model"), recorded)
+    keys, backwards, others = (read_log(tmp_path / each)["key"].to_pylist() for each in "abc")
+    assert keys == backwards[::-1]
     assert len(set(keys)) == len(recorded)
-    other = EvaluationLog(tmp_path / "c", "another model", EXPERIMENTS, {})
-    for row in recorded:
-        other.record(*row)
-    other.close()
-    assert not set(keys) & set(read_log(tmp_path / "c")["key"].to_pylist())
+    assert not set(keys) & set(others)
 
 
-def test_torn_tail_is_dropped_with_a_warning(tmp_path: Path) -> None:
+def test_a_torn_segment_is_read_and_mended_wherever_it_was_cut(tmp_path: Path) -> None:
     recorded = rows(12)
-    log = write(tmp_path, recorded[:8], 4)
+    write(tmp_path, recorded)
     path = tmp_path / "00000.arrows"
-    whole = path.stat().st_size
-    for row in recorded[8:]:
-        log.record(*row)
-    log.close()
     content = path.read_bytes()
-    for size in range(whole + 8, len(content) - 16, 37):
+    left, silent = set(), []
+    for size in [*range(0, len(content), 61), len(content) - 8, len(content) - 3, len(content)]:
         path.write_bytes(content[:size])
-        with pytest.warns(UserWarning, match="torn end was dropped"):
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
             table = read_log(tmp_path)
-        check(table, recorded[:8])
-
-
-def test_log_that_was_torn_at_once_is_empty(tmp_path: Path) -> None:
-    write(tmp_path, rows(4), 4).close()
-    path = tmp_path / "00000.arrows"
-    for size in (0, 50):
-        path.write_bytes(path.read_bytes()[:size])
-        with pytest.warns(UserWarning, match="torn end was dropped"):
-            table = read_log(tmp_path)
-        check(table, [])
+        assert all("torn end was dropped" in str(each.message) for each in said)
+        silent += [size] if not said else []
+        check(table, recorded[: table.num_rows])
         assert table.schema.equals(SCHEMA)
+        left.add(table.num_rows)
+        mend(path)
+        assert path.exists() or table.num_rows == 0
+        if path.exists():
+            assert path.read_bytes().endswith(END_OF_STREAM)
+            assert read_log(tmp_path)["key"].equals(table["key"])  # a warning would be an error
+    assert {0, 4, 8, 12} <= left
+    assert len(silent) <= len(left), "between two batches there is nothing to drop"
+    assert path.read_bytes() == content
 
 
-def test_segments_are_rotated_and_read_in_order(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(evaluation_log, "BYTES_PER_SEGMENT", 1000)
-    recorded = rows(40)
-    write(tmp_path, recorded, 2).close()
+def test_segments_are_rotated_and_read_in_order(tmp_path: Path) -> None:
+    recorded = trajectories(300)
+    write(open_log(tmp_path, LogSettings(megabytes=1.0)), recorded, 10)
     names = sorted(path.name for path in tmp_path.glob("*.arrows"))
-    assert names == [f"{i:05d}.arrows" for i in range(20)]
+    assert names == [f"{i:05d}.arrows" for i in range(len(names))]
+    assert len(names) >= 3
     check(read_log(tmp_path), recorded)
-    torn = tmp_path / names[3]
+    torn = tmp_path / names[1]
     torn.write_bytes(torn.read_bytes()[:-100])
-    with pytest.warns(UserWarning, match=names[3]):
+    with pytest.warns(UserWarning, match=names[1]):
         table = read_log(tmp_path)
-    check(table, recorded[:6] + recorded[8:])
+    found = [int(value) for (value,) in table["values"].to_pylist()]
+    lost = sorted(set(range(300)).difference(found))
+    assert found == sorted(found)
+    assert lost == list(range(lost[0], lost[0] + 10)), "the last batch of that segment"
 
 
-def test_many_rows_reach_the_disk_without_a_flush(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(evaluation_log, "ROWS_PER_WRITE", 5)
-    log, recorded = open_log(tmp_path), rows(13)
+def test_many_rows_reach_the_disk_without_a_flush(tmp_path: Path) -> None:
+    log, recorded = open_log(tmp_path), rows(1 + ROWS_PER_WRITE)  # the first is written at once
     for row in recorded:
         log.record(*row)
-    check(read_log(tmp_path), recorded[:10])
+    assert len(recorded) - read_log(tmp_path).num_rows < ROWS_PER_WRITE
     log.close()
     check(read_log(tmp_path), recorded)
 
 
-def test_row_that_comes_late_is_written_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(evaluation_log, "SECONDS_PER_WRITE", -1.0)
-    log, recorded = open_log(tmp_path), rows(3)
-    for count, row in enumerate(recorded, start=1):
+@pytest.mark.filterwarnings("ignore:.*torn end was dropped")
+def test_rows_are_written_at_once_or_a_moment_later_while_the_run_waits(tmp_path: Path) -> None:
+    log, (first, *others) = open_log(tmp_path), rows(3)
+    log.record(*first)  # after a long time without any
+    check(read_log(tmp_path), [first])
+    for row in others:
         log.record(*row)
-        check(read_log(tmp_path), recorded[:count])
+    while read_log(tmp_path).num_rows < 3:
+        time.sleep(0.01)
     log.close()
+    check(read_log(tmp_path), [first, *others])
 
 
 def test_folder_without_segments_is_refused(tmp_path: Path) -> None:
@@ -196,84 +214,31 @@ def test_folder_without_segments_is_refused(tmp_path: Path) -> None:
         read_log(tmp_path)
 
 
-def test_a_torn_segment_is_mended_wherever_it_was_cut(tmp_path: Path) -> None:
-    recorded = rows(12)
-    write(tmp_path, recorded, 4).close()
-    path = tmp_path / "00000.arrows"
-    content = path.read_bytes()
-    left = set()
-    for size in [*range(0, len(content), 61), len(content) - 8, len(content) - 3, len(content)]:
-        path.write_bytes(content[:size])
-        mend(path)
-        if not path.exists():
-            left.add(0)
-            continue
-        assert path.read_bytes().endswith(END_OF_STREAM)
-        table = read_log(tmp_path)  # a warning would be an error
-        check(table, recorded[: table.num_rows])
-        left.add(table.num_rows)
-    assert left == {0, 4, 8, 12}
-    assert path.read_bytes() == content
-
-
 def test_a_resumed_log_goes_on_behind_what_is_there(tmp_path: Path) -> None:
     recorded = rows(9)
-    write(tmp_path, recorded[:6], 3).close()
-    log = EvaluationLog(tmp_path, "model", EXPERIMENTS, METADATA, first_segment=1)
-    for row in recorded[6:]:
-        log.record(*row)
-    log.close()
+    write(tmp_path, recorded[:6])
+    write(open_log(tmp_path, first=1), recorded[6:])
     check(read_log(tmp_path), recorded)
 
 
 def test_nothing_that_is_there_is_written_over(tmp_path: Path) -> None:
-    write(tmp_path, rows(3), 3).close()
-    log = open_log(tmp_path)
-    log.record(*rows(1)[0])
+    write(tmp_path, rows(3))
     with pytest.raises(RunFolderError, match="must be written but cannot be"):
-        log.flush()
+        write(tmp_path, rows(1))
 
 
-def test_rows_are_written_while_the_run_waits(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(evaluation_log, "SECONDS_PER_WRITE", 0.02)
-    log = open_log(tmp_path)
-    log._written = np.inf  # nothing that is recorded comes late
+def test_a_log_that_cannot_be_written_is_said_with_a_row_that_follows(tmp_path: Path) -> None:
+    (tmp_path / "00001.arrows").mkdir()
+    log = open_log(tmp_path, LogSettings(megabytes=1e-4))  # each segment holds one batch
     log.record(*rows(1)[0])
-    assert log._writer is not None
-    while not list(tmp_path.glob("*.arrows")):
-        log._writer.join(0.01)
-    log.close()
-    check(read_log(tmp_path), rows(1))
-
-
-def test_a_log_that_cannot_be_written_is_said_with_the_next_row(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(evaluation_log, "SECONDS_PER_WRITE", 0.02)
-    (tmp_path / "00000.arrows").write_bytes(b"")
-    log = open_log(tmp_path)
-    log._written = np.inf
     log.record(*rows(1)[0])
-    assert log._writer is not None
-    log._writer.join()
+    time.sleep(0.5)  # it is written meanwhile
     with pytest.raises(RunFolderError, match="must be written but cannot be"):
         log.record(*rows(1)[0])
 
 
-def trajectories(count: int) -> list[Row]:
-    found = []
-    for i in range(count):
-        task = Task(i, i % 2, np.array([float(i)]), "trajectory")
-        origin = TaskOrigin(task, "before", 0, "trajectory")
-        path = Trajectory(("y", "z"), np.arange(40.0), np.arange(80.0).reshape(40, 2) + i)
-        found.append((origin, Outcome(i, Status.OK, np.arange(30.0), path)))
-    return found
-
-
 def test_trajectories_are_kept_and_what_was_wanted_is_said(tmp_path: Path) -> None:
-    write(tmp_path, [*trajectories(1), *rows(1)], 2).close()
+    write(tmp_path, [*trajectories(1), *rows(1)])
     with_path, without = read_log(tmp_path).to_pylist()
     assert (with_path["want"], without["want"]) == ("trajectory", "residuals")
     assert with_path["variables"] == ["y", "z"]
@@ -283,21 +248,15 @@ def test_trajectories_are_kept_and_what_was_wanted_is_said(tmp_path: Path) -> No
 
 
 def test_residuals_can_be_left_out(tmp_path: Path) -> None:
-    log = EvaluationLog(tmp_path, "model", EXPERIMENTS, METADATA, LogSettings(residuals=False))
-    for row in [*trajectories(2), *rows(2)]:
-        log.record(*row)
-    log.close()
+    write(open_log(tmp_path, LogSettings(residuals=False)), [*trajectories(2), *rows(2)])
     table = read_log(tmp_path)
     for column in ("residuals", "trajectory", "times", "variables"):
         assert table[column].null_count == 4
-    assert table["cost"].null_count == 0
     assert np.isfinite(table["cost"].to_numpy()).all()
 
 
 def test_the_oldest_segments_of_a_full_log_lose_their_residuals(tmp_path: Path) -> None:
-    recorded = trajectories(300)
-    settings = LogSettings(megabytes=0.25)
-    log = EvaluationLog(tmp_path, "model", EXPERIMENTS, METADATA, settings)
+    recorded, log = trajectories(300), open_log(tmp_path, LogSettings(megabytes=0.25))
     for first in range(0, 300, 10):
         for row in recorded[first : first + 10]:
             log.record(*row)
@@ -312,45 +271,34 @@ def test_the_oldest_segments_of_a_full_log_lose_their_residuals(tmp_path: Path) 
     assert 0 < sum(missing) < 300
 
 
-def test_a_log_of_the_first_format_can_be_read(tmp_path: Path) -> None:
-    write(tmp_path, rows(4), 4).close()
-    table = read_log(tmp_path).drop_columns(["want", "variables", "times", "trajectory"])
+@pytest.mark.parametrize("lacking", [["want", "variables", "times", "trajectory"], ["ended"]])
+def test_segments_of_older_formats_are_read_with_those_of_today(
+    tmp_path: Path, lacking: list[str]
+) -> None:
+    recorded = rows(8)
+    write(tmp_path, recorded[:4])
+    table = read_log(tmp_path).drop_columns(lacking)
     with pa.ipc.new_stream(tmp_path / "00000.arrows", table.schema) as writer:
         writer.write_table(table)
-    check(read_log(tmp_path), rows(4))
-
-
-def test_segments_of_a_version_without_ends_are_read_with_those_that_have_them(tmp_path):
-    recorded = rows(8)
-    write(tmp_path, recorded[:4], 2).close()
-    old = tmp_path / "00000.arrows"
-    table = read_log(tmp_path).drop_columns(["ended"])
-    with old.open("wb") as file, pa.ipc.new_stream(file, table.schema) as writer:
-        writer.write_table(table)
-    log = EvaluationLog(tmp_path, "model", EXPERIMENTS, METADATA, first_segment=1)
-    for origin, outcome in recorded[4:]:
-        log.record(origin, outcome)
-    log.close()
+    check(read_log(tmp_path), recorded[:4])
+    write(open_log(tmp_path, first=1), recorded[4:])
     both = read_log(tmp_path)
     check(both, recorded)
     ended = both["ended"].to_pylist()
-    assert ended[:4] == [None] * 4
     assert ended[4:] == sorted(ended[4:])
+    if "want" in lacking:  # a run of that format is not resumed
+        return
     logged = LoggedOutcomes(tmp_path)
     for row, (_, outcome) in enumerate(recorded):
         found = logged.outcome(row, row)
-        assert (found.status, found.message, found.seconds) == (
-            outcome.status,
-            outcome.message,
-            outcome.seconds,
-        )
+        assert (found.status, found.message) == (outcome.status, outcome.message)
+        assert found.seconds == outcome.seconds
         assert (found.residuals is None) == (outcome.residuals is None)
 
 
 def test_what_a_finished_run_leaves(tmp_path: Path) -> None:
     recorded = [*trajectories(40), *rows(40)]
     log = write(tmp_path, recorded, 2)
-    log.close()
     before = read_log(tmp_path)
     size = (tmp_path / "00000.arrows").stat().st_size
     log.let_residuals_go()
@@ -368,31 +316,18 @@ def test_what_a_finished_run_leaves(tmp_path: Path) -> None:
 
 
 def test_residuals_that_are_wanted_stay(tmp_path: Path) -> None:
-    settings = LogSettings(keep_residuals=True)
-    log = EvaluationLog(tmp_path, "model", EXPERIMENTS, METADATA, settings)
-    for row in rows(6):
-        log.record(*row)
-    log.close()
+    log = write(open_log(tmp_path, LogSettings(keep_residuals=True)), rows(6))
     log.let_residuals_go()
     check(read_log(tmp_path), rows(6))
 
 
-def test_a_log_that_cannot_be_made_smaller_ends_no_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(_: Path) -> None:
-        raise OSError("there is no room")
-
-    monkeypatch.setattr(evaluation_log, "slim", full)
+def test_a_log_that_cannot_be_made_smaller_ends_no_run(tmp_path: Path) -> None:
+    (tmp_path / ".00000.slim").mkdir()  # where the smaller one would be written
     said: list[str] = []
-    settings = LogSettings(megabytes=0.05)
-    log = EvaluationLog(tmp_path, "model", EXPERIMENTS, METADATA, settings, say=said.append)
-    for row in trajectories(100):
-        log.record(*row)
-        log.flush()
-    log.close()
+    log = open_log(tmp_path, LogSettings(megabytes=0.05), say=said.append)
+    write(log, trajectories(100), 1)
     log.let_residuals_go()
     assert read_log(tmp_path)["residuals"].null_count == 0
-    full_log, no_room = said
-    assert "the log has reached 0.05 MB" in full_log
-    assert "residuals stay in the log, because there is no room" in no_room
+    full, stays = said
+    assert "the log has reached 0.05 MB" in full
+    assert "residuals stay in the log, because " in stays

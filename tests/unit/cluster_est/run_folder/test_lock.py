@@ -1,4 +1,4 @@
-"""Who may work in a folder: one process at a time, whatever became of the last one."""
+"""Who may work in a folder, one process at a time, and what is said of a run that was left."""
 
 from __future__ import annotations
 
@@ -15,8 +15,12 @@ import pytest
 from filelock import UnixFileLock
 
 from cluster_est.errors import RunFolderError
+from cluster_est.report.watch import RunFollower
+from cluster_est.run_folder.folder import check_free
 from cluster_est.run_folder.lock import LOCK, SWEEP_OWNER, lock, locked, locked_by_sweep
+from cluster_est.run_folder.reading import left_alone
 
+GONE = "no process of this machine is at work in it any more; if it was killed, resume it with"
 HOLD = """
 import sys, time
 from pathlib import Path
@@ -146,3 +150,32 @@ def test_of_many_that_take_over_only_one_is_inside(tmp_path):
     for each in racing:
         each.communicate()
     assert [each.returncode for each in racing] == [0, 0, 0]
+
+
+def run_of(folder: Path, status: str) -> Path:
+    (folder / "evaluations").mkdir()
+    (folder / "run.json").write_text(json.dumps({"status": status}), encoding="utf-8")
+    return folder
+
+
+def test_a_run_whose_process_was_killed_is_left_alone_and_who_watches_it_is_told(tmp_path):
+    run = run_of(tmp_path, "running")
+    assert left_alone(run, "running") == "", "without a lock it may be anywhere"
+    with locked(run / "evaluations"):
+        assert left_alone(run, "running") == ""
+    kill_holder("locked", run / "evaluations")
+    assert left_alone(run, "running").startswith(GONE)
+    assert left_alone(run, "done") == ""
+    clock = iter([0.0, 0.0, 1.0, 1.0, 10.0, 10.0])
+    follower = RunFollower(run, lambda: next(clock))
+    assert follower.look().message == ""
+    assert follower.look().message.startswith(GONE)
+
+
+@pytest.mark.parametrize("status", ["running", "interrupted", "done"])
+def test_the_refusal_of_a_run_that_can_be_taken_up_names_that_first(tmp_path, status):
+    with pytest.raises(RunFolderError, match=r"holds a run already.*--out.*--overwrite") as error:
+        check_free(run_of(tmp_path, status), overwrite=False)
+    assert ("already; take it up where it ended with --resume" in str(error.value)) == (
+        status != "done"
+    )

@@ -7,8 +7,7 @@ import math
 import pytest
 
 from cluster_est.methods.base import Progress
-from cluster_est.run_folder import progress_file
-from cluster_est.run_folder.progress_file import ProgressFile, ProgressTail
+from cluster_est.run_folder.progress_file import MOST_BYTES, ProgressFile, ProgressTail
 from cluster_est.running.records import RunSnapshot, SearchIteration
 
 
@@ -49,17 +48,17 @@ def test_half_a_line_waits_for_its_end(tmp_path):
     assert [each.search for each in tail.new()] == ["b"]
 
 
-def test_it_stays_small_and_begins_anew_with_the_last_lines(tmp_path, monkeypatch):
-    monkeypatch.setattr(progress_file, "MOST_BYTES", 2000)
+def test_it_stays_small_and_begins_anew_with_the_last_lines(tmp_path):
     path = tmp_path / "progress.jsonl"
     file, tail = ProgressFile(path), ProgressTail(path)
     file.iteration(line("first", 7, 0.5))
     seen = tail.new()
-    for number in range(200):
-        file.iteration(line("train", number, 1.0))
-        assert path.stat().st_size < 3000
+    long = "of a long name " * (MOST_BYTES // 200)  # some ten lines fill the file
+    for number in range(40):
+        file.iteration(line(long, number, 1.0))
+        assert path.stat().st_size < 1.5 * MOST_BYTES
         seen += tail.new()
-    assert max(each.iteration for each in seen if each.search == "train") == 199
+    assert max(each.iteration for each in seen if each.search == long) == 39
     assert [each.iteration for each in ProgressTail(path).new() if each.search == "first"] == [7]
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.problems.springs import ROOT
 from support.spoiled import valid_tree, write_input
 
 from cluster_est import Problem, Solver, build_problem
@@ -59,6 +60,13 @@ def test_every_combination_is_a_run(tmp_path):
 def test_a_sweep_without_axes_runs_each_config(tmp_path):
     assert names(tmp_path, configs=["a.toml", "b/c.toml"]) == ["a", "c"]
     assert names(tmp_path, configs={"x": "a/config.toml", "y": "b/config.toml"}) == ["x", "y"]
+
+
+def test_every_run_of_the_example_is_read():
+    runs = read_sweep(ROOT / "configs" / "sweep.toml")
+    assert len(runs) == 10
+    methods = {run.choices.get("method", ""): run.read().method.name for run in runs}
+    assert methods == {"": "least_squares", "least_squares": "least_squares", "sqp": "sqp"}
 
 
 def test_combinations_are_left_out(tmp_path):
