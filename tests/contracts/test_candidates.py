@@ -4,8 +4,6 @@ The directions in which candidates move the residuals are compared with central 
 simulations in which the effect itself acts.
 """
 
-from __future__ import annotations
-
 import re
 import zlib
 from contextlib import ExitStack

@@ -1,7 +1,5 @@
 """What every cost must do. A new cost is picked up by being registered."""
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 

@@ -1,7 +1,5 @@
 """What every criterion of a design must do. A new one is picked up by its line."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What every executor promises. A new one joins by two lines in `OPENERS`."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

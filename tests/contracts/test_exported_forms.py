@@ -1,7 +1,5 @@
 """Every form of the catalogue as C in an exported FMU, against the simulation of a run."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.exported import (

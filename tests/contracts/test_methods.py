@@ -3,8 +3,6 @@
 A new method joins by an entry in `method_entries.ENTRIES`.
 """
 
-from __future__ import annotations
-
 from dataclasses import MISSING, fields, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What every prior must do. A new prior is picked up by being registered."""
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 import math

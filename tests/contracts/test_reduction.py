@@ -1,7 +1,5 @@
 """Residuals that are reduced before they are sent change nothing but how much is sent."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from dataclasses import fields, replace

@@ -1,7 +1,5 @@
 """What every design of a sensitivity analysis must do. A new one is picked up by its line."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """cluster-est close-loop from the shell: what it prints, what it leaves behind, what it refuses."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

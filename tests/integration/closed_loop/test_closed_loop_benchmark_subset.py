@@ -1,7 +1,5 @@
 """A few cases of the closed-loop benchmark, whose data come from equations of its own in NumPy."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import pytest

@@ -1,7 +1,5 @@
 """Where and on how many workers a loop is closed changes no bit of what it says."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -3,8 +3,6 @@
 Named forms would patch it; here only curves are asked for. The data come from SciPy.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

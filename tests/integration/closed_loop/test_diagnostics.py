@@ -1,7 +1,5 @@
 """The parts of a closed loop from Python, on a spring whose dry friction the model lacks."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

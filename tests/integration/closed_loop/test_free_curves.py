@@ -3,8 +3,6 @@
 It has as many values as the data pay for, and stands for what several forms would patch.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.problems.measured_springs import measured_springs

@@ -3,8 +3,6 @@
 The data come from the matrix exponential of the rod's equations.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import expm

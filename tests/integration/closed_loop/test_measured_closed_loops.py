@@ -6,8 +6,6 @@ authors with Coulomb friction: 8.94 % on the pulses. The loop's own figures are 
 cluster_est/docs/measured_data.md, here within a tenth.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.measured import PLACES, measured

@@ -1,7 +1,5 @@
 """A model without states: a motion is given, and the current that it needs is measured."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.problems.springs import ROOT

@@ -3,8 +3,6 @@
 The truth of an error is another solver's solution with a tight tolerance.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

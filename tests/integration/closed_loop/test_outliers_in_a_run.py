@@ -1,7 +1,5 @@
 """A closed loop on data with outliers: the friction is found, the note counts, resuming agrees."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

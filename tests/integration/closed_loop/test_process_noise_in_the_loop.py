@@ -3,8 +3,6 @@
 The truth is integrated here: an exact Ornstein-Uhlenbeck process, and Runge-Kutta steps.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

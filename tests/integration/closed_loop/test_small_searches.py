@@ -4,8 +4,6 @@ The data are what the plain model makes of another force than the one that is de
 effect is involved in them, or SciPy's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import repeat

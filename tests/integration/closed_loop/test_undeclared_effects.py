@@ -4,8 +4,6 @@ The truth is `tests/fmus/lenient_models/spring_with_more/model.c`. What is fitte
 mass-spring-damper from parameters that are wrong by a fifth, and no problem mentions the effect.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Mistakes in what is estimated and how: costs, constraints, curves, methods, starts, own code."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

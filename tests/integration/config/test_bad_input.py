@@ -1,7 +1,5 @@
 """Files, commands and FMUs that are wrong: exit code 2, a line that says what, nothing written."""
 
-from __future__ import annotations
-
 import random
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Keys of a config that are wrong by themselves: where, what it must be, what it is, what to do."""
 
-from __future__ import annotations
-
 import pytest
 from support.spoiled import INF, NAN, REMOVED, write_input
 

@@ -1,7 +1,5 @@
 """What does not fit the FMU, the data or the other parts of a config, and tables that are wrong."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

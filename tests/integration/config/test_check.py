@@ -1,7 +1,5 @@
 """`cluster-est check` names each misbehaving FMU for what it is, and good ones have no problem."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """`cluster-est check` finds what users get wrong in their data, and says the likely mistake."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import replace

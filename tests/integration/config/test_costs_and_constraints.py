@@ -3,8 +3,6 @@
 The mass-spring-damper is linear: SciPy solves it exactly and minimises the same costs on its own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A result or a sentence, whatever a config, a table or an FMU says; long form: scripts/fuzz.py."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 

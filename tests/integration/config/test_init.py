@@ -1,7 +1,5 @@
 """`cluster-est init` writes a config that `check` accepts, or says what to fill in."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path

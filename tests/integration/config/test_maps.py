@@ -1,7 +1,5 @@
 """Maps as parameters: the force of a spring as a table, smooth and monotone where that is known."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every block of code in the README and the pages does what the text says."""
 
-from __future__ import annotations
-
 import importlib.util
 import shlex
 import shutil

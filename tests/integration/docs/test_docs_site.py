@@ -1,7 +1,5 @@
 """The documentation as a site: it builds, asks no other host, and describes all of the code."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Callable

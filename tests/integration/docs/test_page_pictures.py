@@ -1,7 +1,5 @@
 """The pictures of five pages are what the library makes of costs, limits, inputs and segments."""
 
-from __future__ import annotations
-
 import re
 from xml.etree import ElementTree
 

@@ -1,7 +1,5 @@
 """The README shows what the closed loop prints on its example, and the example finds the truth."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A declared time constant or speed is found from a start far off; the truth is SciPy's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Effects around an FMU that knows nothing of them, against SciPy on equations that have them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

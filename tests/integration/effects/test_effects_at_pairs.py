@@ -1,7 +1,5 @@
 """Forces between two states, against SciPy on a quarter car that has them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import ode

@@ -1,7 +1,5 @@
 """Effects that a config names: from the file to the tables, and what it must not say."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

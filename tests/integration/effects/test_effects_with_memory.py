@@ -1,7 +1,5 @@
 """Effects that remember what was: a play before the model, and a sensor that lags its own past."""
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import pairwise, product
 

@@ -1,7 +1,5 @@
 """Measured signals that a model has no input for: the sun on a room, against SciPy."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

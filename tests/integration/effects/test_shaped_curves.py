@@ -1,7 +1,5 @@
 """Free curves that are smooth or monotone, against estimates that are computed without the tool."""
 
-from __future__ import annotations
-
 import csv
 import tomllib
 

@@ -1,7 +1,5 @@
 """`cluster-est export` as a user runs it, behind a fit."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """Repaired FMUs whose original is of FMI 3.0: types, arrays, and what FMI 2.0 has no words for."""
 
-from __future__ import annotations
-
 import zipfile
 from ctypes import byref, c_double, c_int
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Repaired FMUs: events, state, reset, other interfaces, and what a fit makes of them."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from importlib.machinery import ModuleSpec

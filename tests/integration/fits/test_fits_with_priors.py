@@ -1,7 +1,5 @@
 """Fits with priors from a config: every method, both kinds of derivatives, and what is said."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

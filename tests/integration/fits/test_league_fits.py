@@ -1,7 +1,5 @@
 """The league's models that are linear in their parameters: fits against a regression by numpy."""
 
-from __future__ import annotations
-
 import tomllib
 
 import numpy as np

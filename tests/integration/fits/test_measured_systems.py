@@ -1,7 +1,5 @@
 """Measured systems: what a base model leaves, and what a named effect makes of it."""
 
-from __future__ import annotations
-
 import tomllib
 
 import numpy as np

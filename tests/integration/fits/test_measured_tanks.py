@@ -1,7 +1,5 @@
 """The measured cascaded tanks: real input, from the shell's entry point to the tables."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyarrow.parquet as pq
 import pytest

@@ -3,8 +3,6 @@
 The data are SciPy's solutions of the physics, written down in another way than in the FMUs.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

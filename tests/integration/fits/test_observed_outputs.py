@@ -1,7 +1,5 @@
 """Fits to outputs that are known up to scale and offset, or down to a detection limit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fits to outputs of which only the order of the measured values is known."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

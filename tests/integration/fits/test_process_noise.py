@@ -1,7 +1,5 @@
 """Fits by prediction errors, against Kalman filters written down here and exact linear systems."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

@@ -1,7 +1,5 @@
 """A fit says where its residuals deny its intervals: in Python, terminal, run.json and report."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Sensors with one scale in all experiments, and records whose parts have one."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

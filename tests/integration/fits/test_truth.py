@@ -1,7 +1,5 @@
 """A fit finds the truth where there is no noise, and SciPy's minimum where there is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Uncertainty through an FMU: what is named, how often intervals hold the truth, same bits."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import bench_coverage

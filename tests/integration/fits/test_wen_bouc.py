@@ -4,8 +4,6 @@ The reference tool's figures: without constraints the cost falls from 3.52665 to
 function counts; with tolerances both are satisfied at its end, after 211.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Sensitivities are recommended by a clock and chosen by a key. Times are made up."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field

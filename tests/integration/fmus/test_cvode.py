@@ -1,7 +1,5 @@
 """CVODE on stiff models, against SciPy on the same equations; and that it leaves no trace."""
 
-from __future__ import annotations
-
 import gc
 import re
 import subprocess

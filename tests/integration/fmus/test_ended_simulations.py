@@ -1,7 +1,5 @@
 """A simulation whose sum of squares is above a bound ends there, and nowhere else."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Events, both versions of FMI and every type, in the compiled loops, against closed forms."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path

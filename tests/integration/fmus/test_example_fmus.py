@@ -3,8 +3,6 @@
 What the scaffold does that all of them share is shown with two of them by default.
 """
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A decay that communicates every 0.1 s only, measured at other times, against its closed form."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path

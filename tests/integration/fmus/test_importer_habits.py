@@ -1,7 +1,5 @@
 """FMUs that work only with the calls that importers usually make, in the usual order."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal

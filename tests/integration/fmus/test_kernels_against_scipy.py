@@ -1,7 +1,5 @@
 """The compiled loops against the models' equations, solved by SciPy to a thousandth of the bar."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

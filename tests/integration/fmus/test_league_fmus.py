@@ -1,7 +1,5 @@
 """The FMUs of the league: valid, built from their sources, and right where a formula is known."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import fmpy

@@ -1,7 +1,5 @@
 """Linearisations against Jacobians worked out by hand, at states against SciPy."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

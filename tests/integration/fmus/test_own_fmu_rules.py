@@ -1,7 +1,5 @@
 """The test FMUs refuse what the standard forbids, so that a caller who breaks a rule is found."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path

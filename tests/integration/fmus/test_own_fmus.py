@@ -1,7 +1,5 @@
 """The test FMUs show what their equations say, in fmpy's hands, and are valid descriptions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

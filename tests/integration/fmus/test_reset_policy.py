@@ -3,8 +3,6 @@
 The truth is the solution of x' = -k x, x(0) = 1, by hand.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

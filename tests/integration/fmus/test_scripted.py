@@ -3,8 +3,6 @@
 The FMU is a decay from 1 at a rate of 1 in which happens what its parameters say.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace

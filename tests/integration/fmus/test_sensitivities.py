@@ -1,7 +1,5 @@
 """Derivatives carried along with a simulation, against complex steps on the same equations."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise

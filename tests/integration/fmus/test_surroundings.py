@@ -3,8 +3,6 @@
 The truth is the solution of x' = -k x, x(0) = 1, by hand, times the gain: 2.5 exp(-k t).
 """
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

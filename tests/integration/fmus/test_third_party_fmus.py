@@ -1,7 +1,5 @@
 """FMUs of OpenModelica and PythonFMU, in every interface: against fmpy, SciPy and closed forms."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import fmpy

@@ -1,7 +1,5 @@
 """A value with two names is given once: of two, whichever is set last would count."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What FMUs of other tools do and the standard does not foresee, or hardly."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The example notebook runs from top to bottom, and is kept without outputs."""
 
-from __future__ import annotations
-
 import nbformat
 import pytest
 from nbclient import NotebookClient

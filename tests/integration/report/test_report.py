@@ -1,7 +1,5 @@
 """The report of a run: what stands in it, that nothing in it can act, and that runs keep going."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """The charts of a report show what the tables of its run hold, small and with every peak."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The report of a run in a headless Chromium: it draws, zooms, switches, and asks nobody."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The report of a loop and of a fit with effects: their shapes, and the path of the search."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

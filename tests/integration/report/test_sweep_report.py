@@ -1,7 +1,5 @@
 """The report of a sweep sets its runs beside each other."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pyarrow as pa

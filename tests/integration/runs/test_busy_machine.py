@@ -4,8 +4,6 @@ Workers that are stopped most of the time stand for the load: a clock that decid
 show.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Runs of `cluster-est design`: what is printed and written, resumed and refused."""
 
-from __future__ import annotations
-
 import csv
 import shutil
 import tomllib

@@ -1,7 +1,5 @@
 """Runs that end simulations early: what they find, what their log says, and its replay."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path

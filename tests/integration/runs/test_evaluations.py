@@ -1,7 +1,5 @@
 """What a fit simulates, seen in its evaluation log."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What holds for every kind of run: interrupts, budgets, executors and resuming change no bit."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import product
 

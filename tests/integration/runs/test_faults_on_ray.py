@@ -3,8 +3,6 @@
 Fits on Ray that nothing disturbs are among the tests of the same bits and of every executor.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

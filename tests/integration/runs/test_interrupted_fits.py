@@ -1,7 +1,5 @@
 """A fit that is interrupted writes what it has and says so."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

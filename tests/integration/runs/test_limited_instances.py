@@ -3,8 +3,6 @@
 The FMU counts its instances itself. The truth of the fits is the solution by hand.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

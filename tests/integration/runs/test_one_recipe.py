@@ -1,7 +1,5 @@
 """A fit and a run of a sweep are one recipe: the same bits and the same facts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path

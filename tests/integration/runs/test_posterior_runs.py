@@ -3,8 +3,6 @@
 That it is drawn with the same bits everywhere is tested for every kind of run.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

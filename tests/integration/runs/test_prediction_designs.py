@@ -1,7 +1,5 @@
 """Designs that narrow predictions, against formulas of a linear model and against repeated fits."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

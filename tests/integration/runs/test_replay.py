@@ -1,7 +1,5 @@
 """`replay` runs one logged simulation again, whatever the FMU does; `show --failures` finds it."""
 
-from __future__ import annotations
-
 import math
 import re
 import shutil

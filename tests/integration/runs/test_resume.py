@@ -1,7 +1,5 @@
 """A run that was killed and taken up again gives the bits of one that was not."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

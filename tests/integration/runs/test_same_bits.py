@@ -1,7 +1,5 @@
 """Where and on how many workers a fit runs changes no bit of it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path

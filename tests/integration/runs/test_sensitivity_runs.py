@@ -1,7 +1,5 @@
 """Runs of `cluster-est sensitivity`: what is printed and written, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """A fit loads nothing that is slow to load and that it has no use for."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

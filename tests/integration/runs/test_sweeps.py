@@ -1,7 +1,5 @@
 """Sweeps from the command line: what is run, what is skipped, and what is said."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import tempfile

@@ -1,7 +1,5 @@
 """A run followed by its folder, while it is written."""
 
-from __future__ import annotations
-
 import io
 import os
 import shutil

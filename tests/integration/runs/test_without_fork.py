@@ -3,8 +3,6 @@
 `os.fork`, `signal.pthread_kill` and `signal.SIGKILL` are deleted before anything is imported.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The pages for users name files and tests that exist."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

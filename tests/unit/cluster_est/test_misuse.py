@@ -1,7 +1,5 @@
 """Misuse of the Python interface ends in a sentence of this project, as that of a config does."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
 

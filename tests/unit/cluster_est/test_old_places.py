@@ -1,7 +1,5 @@
 """What stood elsewhere in the version before is still found there, with a word about it."""
 
-from __future__ import annotations
-
 import importlib
 
 import pytest

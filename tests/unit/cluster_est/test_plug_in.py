@@ -1,7 +1,5 @@
 """A class that somebody adds says in a sentence what is wrong with it, when it is imported."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import pytest

@@ -1,7 +1,5 @@
 """What `import cluster_est as ce` offers: its names, results, tables, notebooks and residuals."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Two runs of the benchmark are compared case by case."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

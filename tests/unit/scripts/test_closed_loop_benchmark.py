@@ -1,7 +1,5 @@
 """The benchmark's truth is that of the FMUs plus the effect, and its cases are what they say."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What a closed loop says of a case is compared with the truth, and with nothing but the truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from math import comb, nan

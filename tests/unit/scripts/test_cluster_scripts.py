@@ -1,7 +1,5 @@
 """The scripts for clusters: their syntax, what they call, and that no token or tag is left out."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

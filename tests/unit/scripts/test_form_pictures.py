@@ -1,7 +1,5 @@
 """The picture of the forms in the docs is what the library's equations draw."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The league: configs that fit together, conversions, figures, judgements, the page."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """The time left of a run whose budget ends it, on a virtual clock."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Every task has one outcome, whatever happens, and no outcome depends on its neighbours."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import replace

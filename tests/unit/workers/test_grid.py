@@ -1,7 +1,5 @@
 """The grid of an experiment holds every time that matters, and every signal as it was measured."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

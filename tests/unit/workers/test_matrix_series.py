@@ -1,7 +1,5 @@
 """Series of matrices that keep only what is not 0 throughout."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Signals, experiments, models and solvers refuse what is none, in a sentence."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

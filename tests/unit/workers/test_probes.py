@@ -1,7 +1,5 @@
 """Differences of two tables of outputs, over the sizes of the outputs."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from workers.probes.probes import difference, differences

@@ -1,7 +1,5 @@
 """What is packed for the way between machines comes out as it went in."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import fields, is_dataclass
 from typing import Any

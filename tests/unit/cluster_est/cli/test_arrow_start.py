@@ -1,7 +1,5 @@
 """pyarrow starts without pandas in the commands, and still takes a column of pandas later."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """What the parser itself answers."""
 
-from __future__ import annotations
-
 import sys
 import tomllib
 

@@ -1,7 +1,5 @@
 """The line that a person sees while a fit runs."""
 
-from __future__ import annotations
-
 import io
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What is said beside the output of a command."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

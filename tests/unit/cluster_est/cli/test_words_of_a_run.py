@@ -1,7 +1,5 @@
 """What a terminal and a report say of a run, from what stands in its folder."""
 
-from __future__ import annotations
-
 import json
 import re
 from math import nan

@@ -1,7 +1,5 @@
 """What a closed loop says of its last fits, and of what its search cost."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

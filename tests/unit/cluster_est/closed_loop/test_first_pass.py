@@ -1,7 +1,5 @@
 """Outliers are set aside before a search, and what is odd about the noise is said."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a closed loop refuses, and what it sets up."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The stages of a closed loop, in the log and for people, and where its thresholds come from."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 

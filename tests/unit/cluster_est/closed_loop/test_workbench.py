@@ -1,7 +1,5 @@
 """Models with effects, and what every step works with."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From config to problem. What is refused on the way: `tests/integration/config`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

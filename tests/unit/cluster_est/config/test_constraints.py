@@ -1,7 +1,5 @@
 """Constraints on signals and parameters, from a config to numbers checked by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

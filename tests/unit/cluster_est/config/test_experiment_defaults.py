@@ -1,7 +1,5 @@
 """`[experiment_defaults]`: what every experiment has unless it says otherwise."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """What a config means, and what overrides make of it. Mistakes: `tests/integration/config`."""
 
-from __future__ import annotations
-
 import tomllib
 
 from support.spoiled import spoiled_tree, write_input

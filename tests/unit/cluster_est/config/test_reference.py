@@ -1,7 +1,5 @@
 """configs/reference.toml has every key of the code, with the code's defaults, and nothing else."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import tomllib

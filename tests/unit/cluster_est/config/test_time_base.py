@@ -1,7 +1,5 @@
 """Measured signals on a time base: truth by hand, by NumPy and by plain loops."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Functions of the user's: found beside the config or installed, and only where they may run."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """`value_files`: starts and known values from SSP parameter sets and tables."""
 
-from __future__ import annotations
-
 import pytest
 from support.spoiled import REMOVED, write_input
 

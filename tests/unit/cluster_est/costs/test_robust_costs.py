@@ -1,7 +1,5 @@
 """Costs against the loss functions that SciPy documents, and against a likelihood maximised."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

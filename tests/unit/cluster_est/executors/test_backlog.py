@@ -1,7 +1,5 @@
 """Batches of tasks that wait: as long as they are worth the trip, and not longer."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -3,8 +3,6 @@
 Ray gives up a start that takes too long, as it does on a busy machine; it is started again then.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

@@ -1,7 +1,5 @@
 """Answers from a log: in its order, each once, and what it lacks is simulated."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The evidence that an experiment is expected to give, against dense Gaussians and draws."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal

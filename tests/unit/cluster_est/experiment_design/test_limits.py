@@ -1,7 +1,5 @@
 """Limits of the next experiment: what is read, and what is refused in a sentence."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

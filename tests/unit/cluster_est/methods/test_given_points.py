@@ -1,7 +1,5 @@
 """A method that evaluates what it is given."""
 
-from __future__ import annotations
-
 import numpy as np
 from support.problems.functions import Followed, FunctionProblem, followed
 

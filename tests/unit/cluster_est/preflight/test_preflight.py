@@ -1,7 +1,5 @@
 """What is looked at in an FMU without a config, and what is said of probes without an answer."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Fits with priors, against the posterior of linear Gaussian problems, which is known exactly."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

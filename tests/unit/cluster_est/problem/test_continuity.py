@@ -1,7 +1,5 @@
 """Differences of states between segments, as residuals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What a declared coefficient gets where little is said of it, and what is refused."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Parameters that follow from others, and those that the FMU does not have."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Formulas say what Python's own arithmetic says, and whatever else is refused with a sentence."""
 
-from __future__ import annotations
-
 import math
 import pickle
 import re

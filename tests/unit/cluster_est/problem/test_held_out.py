@@ -1,7 +1,5 @@
 """Windows of a record that are held out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Constraints on parameters: in which experiments they hold, their values and their slopes."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Parameters become unknowns, unknowns become values of experiments, and colours share work."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

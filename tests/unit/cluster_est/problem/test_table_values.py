@@ -1,7 +1,5 @@
 """Smooth tables: what their expressions make of the unknowns, point by point."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """What a log says of workers and failures, also while it is written."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyarrow as pa
 import pytest

@@ -1,7 +1,5 @@
 """A result saves, reports and exports itself, and says what to know about it."""
 
-from __future__ import annotations
-
 import json
 
 import pyarrow as pa

@@ -1,7 +1,5 @@
 """The shapes that are drawn of effects are those of their equations."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

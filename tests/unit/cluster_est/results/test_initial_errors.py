@@ -1,7 +1,5 @@
 """Experiments that begin elsewhere than the model: a spring's truth is its closed form."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What is said of residuals and errors, and as which facts."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

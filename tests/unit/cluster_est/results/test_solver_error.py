@@ -3,8 +3,6 @@
 The data of the fits are exact, from the matrix exponential.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

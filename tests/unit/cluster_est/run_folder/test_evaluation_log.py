@@ -1,7 +1,5 @@
 """The evaluation log gives back what was recorded, however the process that wrote it ended."""
 
-from __future__ import annotations
-
 import time
 import warnings
 from collections.abc import Callable

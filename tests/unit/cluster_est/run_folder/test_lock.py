@@ -1,7 +1,5 @@
 """Who may work in a folder, one process at a time, and what is said of a run that was left."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

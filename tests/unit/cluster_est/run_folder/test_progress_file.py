@@ -1,7 +1,5 @@
 """The file that says how far a run is, written and followed."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """An interrupt ends a run only where it waits, and leaves what was found so far."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

@@ -1,7 +1,5 @@
 """Multi-start: where searches begin, when they are enough, and which minima are one."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

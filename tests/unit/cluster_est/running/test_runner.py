@@ -1,7 +1,5 @@
 """The runner gives a search the same numbers whatever the executor does, and always an ending."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar

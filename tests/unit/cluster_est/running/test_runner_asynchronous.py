@@ -1,7 +1,5 @@
 """Points that are answered as they come, are dropped, and searches that are begun or given up."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """How long what is under way still takes, as a display is told, on workers with virtual clocks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

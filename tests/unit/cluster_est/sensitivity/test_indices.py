@@ -1,7 +1,5 @@
 """Indices and orders of functions where they are known, as problems without an FMU."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Shares of models under resampling are those of models that are really refitted."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

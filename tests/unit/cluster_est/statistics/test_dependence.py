@@ -1,7 +1,5 @@
 """A residual and a signal: few false alarms, whatever the colours, and real ones found."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter

@@ -3,8 +3,6 @@
 The truth is in how the data were made.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter

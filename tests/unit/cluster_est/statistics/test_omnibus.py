@@ -1,7 +1,5 @@
 """The omnibus test sees any smooth structure, and only that."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import kstest

@@ -1,7 +1,5 @@
 """A projection removes exactly the span of its columns."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

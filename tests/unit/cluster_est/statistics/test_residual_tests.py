@@ -1,7 +1,5 @@
 """What is said of residuals that were made to be white, coloured, structured or of another size."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.truth.stacked_noise import autoregressive, stack

@@ -1,7 +1,5 @@
 """Score tests and their family-wise p-value keep the promises of theory."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.special import erfcx, gamma

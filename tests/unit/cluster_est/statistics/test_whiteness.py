@@ -1,7 +1,5 @@
 """The test of whiteness: its null distribution, and the structure that it sees."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.truth.stacked_noise import stack

@@ -1,7 +1,5 @@
 """Coloured noise becomes white, and its coefficients are recovered."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz

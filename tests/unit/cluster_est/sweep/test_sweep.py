@@ -1,7 +1,5 @@
 """Which runs a sweep file asks for, what is wrong in it, and who may work in a folder."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

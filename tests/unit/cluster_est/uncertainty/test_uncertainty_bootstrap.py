@@ -1,7 +1,5 @@
 """Bootstrap over experiments, where the answer is known in closed form."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Recorded outputs between the times at which they were recorded."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Names of forms and coefficients that stand in users' configs keep their meaning."""
 
-from __future__ import annotations
-
 import pytest
 
 from workers.effects.forms import FORMS

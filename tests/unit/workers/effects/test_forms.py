@@ -1,7 +1,5 @@
 """What a search reads of the library: every form says what it must know, in the words agreed on."""
 
-from __future__ import annotations
-
 import re
 from itertools import product
 

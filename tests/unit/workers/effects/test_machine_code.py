@@ -1,7 +1,5 @@
 """Equations in machine code are what Python computes, and what is not known is left to numba."""
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import math

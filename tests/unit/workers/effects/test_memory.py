@@ -1,7 +1,5 @@
 """Signals that are changed as a whole."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from workers.effects.memory import SampledSignal, backlash, delay

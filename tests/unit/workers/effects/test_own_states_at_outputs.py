@@ -5,8 +5,6 @@ quasi-steady one by hand: far behind its start, a lag tau of a ramp with slope c
 c tau. Where records are dense the output between them is known, and not taken for a line.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

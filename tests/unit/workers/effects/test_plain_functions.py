@@ -1,7 +1,5 @@
 """Max, min and abs of equations keep their arguments, and are what NumPy says."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

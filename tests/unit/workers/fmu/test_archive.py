@@ -1,7 +1,5 @@
 """Archives that are damaged or hostile leave nothing behind but a sentence."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import random

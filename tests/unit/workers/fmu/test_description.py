@@ -1,7 +1,5 @@
 """Model descriptions that are not what they should be."""
 
-from __future__ import annotations
-
 import pytest
 from support.spoiled import GUID, LIBRARY, XML, rename, spoiled_fmu
 

@@ -1,7 +1,5 @@
 """FMI 3.0: types, arrays, structural parameters, aliases, the structure."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """Descriptions with faults that do no harm load, with a sentence for each thing read around."""
 
-from __future__ import annotations
-
 import codecs
 import re
 

@@ -1,7 +1,5 @@
 """Libraries that an FMU needs and this machine lacks, read from files made here byte by byte."""
 
-from __future__ import annotations
-
 import platform
 import struct
 import subprocess

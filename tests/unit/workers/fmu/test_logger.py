@@ -1,7 +1,5 @@
 """Messages of FMUs find the instance that they are of."""
 
-from __future__ import annotations
-
 import weakref
 from collections import deque
 

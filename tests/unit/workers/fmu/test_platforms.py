@@ -1,7 +1,5 @@
 """An FMU without a binary for this machine is answered with what it has instead."""
 
-from __future__ import annotations
-
 import pytest
 from support.described import fmi2
 

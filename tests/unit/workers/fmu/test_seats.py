@@ -1,7 +1,5 @@
 """A seat is one instance's at a time, and free again when the process that had it is gone."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import threading

@@ -1,7 +1,5 @@
 """The handlers of signals are those of the process again, whichever thread leaves last."""
 
-from __future__ import annotations
-
 import ctypes
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Units as an FMU defines them, by powers of base units."""
 
-from __future__ import annotations
-
 from support.described import fmi2
 from support.problems.springs import FMU
 

@@ -1,7 +1,5 @@
 """What loops call is compiled into them, without ways in from Python where numba is known."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Forked processes draw random numbers of their own."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

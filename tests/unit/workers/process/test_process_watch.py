@@ -1,7 +1,5 @@
 """What stands still is told from what waits for its turn. Times and states are made up."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

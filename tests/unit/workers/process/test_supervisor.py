@@ -1,7 +1,5 @@
 """A simulation that crashes, hangs or leaks costs only itself."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading

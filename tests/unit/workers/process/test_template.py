@@ -1,7 +1,5 @@
 """Fork servers come from one template process, and take on what the program has at the moment."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

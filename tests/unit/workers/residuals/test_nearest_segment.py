@@ -1,7 +1,5 @@
 """Distances from a curve without times: against plain loops, and what must hold for every curve."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 

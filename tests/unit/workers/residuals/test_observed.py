@@ -1,7 +1,5 @@
 """Residuals of outputs that are known up to scale and offset, or down to a detection limit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import norm

@@ -1,7 +1,5 @@
 """Residuals of outputs of which only the order is known, against brute force."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

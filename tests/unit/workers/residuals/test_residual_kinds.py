@@ -1,7 +1,5 @@
 """Bounds, curves and functions of the user's: what a worker makes of simulated signals."""
 
-from __future__ import annotations
-
 import pickle
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Which effects could be missing: sites, variables, names, equations, bounds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

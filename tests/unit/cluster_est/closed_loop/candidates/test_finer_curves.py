@@ -1,7 +1,5 @@
 """Curves with more values say the same as the ones that they come from."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the data say about where the coefficients of a candidate could lie: sines, worked out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

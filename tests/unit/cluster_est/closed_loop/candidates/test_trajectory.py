@@ -1,7 +1,5 @@
 """What a simulated experiment offers to effects, and where its residuals stand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

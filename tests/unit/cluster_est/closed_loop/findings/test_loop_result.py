@@ -1,7 +1,5 @@
 """The result of a closed loop, as figures."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Sets of effects are chosen again where the experiments are drawn anew."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

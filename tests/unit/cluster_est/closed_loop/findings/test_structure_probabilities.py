@@ -1,7 +1,5 @@
 """The probability of each set of effects among those that were compared."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

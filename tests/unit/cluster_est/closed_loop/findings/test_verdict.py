@@ -1,7 +1,5 @@
 """What is said of searches made by hand."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What was found, in words and numbers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

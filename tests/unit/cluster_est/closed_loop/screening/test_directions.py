@@ -1,7 +1,5 @@
 """Directions of candidates beside what contracts say of each form: adjoints, co-simulation."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Linear systems of few and of many states: exact responses, and each the adjoint of itself."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

@@ -1,7 +1,5 @@
 """Of too many candidates, those at places that a free curve says much of are ranked."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Free curves of one argument and those of a switch are ranked apart, the coarse ones first."""
 
-from __future__ import annotations
-
 import pytest
 from support.truth.systems_with_missing_effects import missing_effect_problem, opened, unfitted
 

@@ -1,7 +1,5 @@
 """What autocorrelated noise explains is no effect; what is there is one, whatever the noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter

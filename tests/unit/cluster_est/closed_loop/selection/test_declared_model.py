@@ -1,7 +1,5 @@
 """The declared model is fitted past local minima, before anything counts as missing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Two columns that together carry most of a residual."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.loop_objects import made_candidate, made_ranking

@@ -1,7 +1,5 @@
 """What an effect must pass: predictions, against real refits, and runaways."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Many experiments with unknowns of their own: the same minimum, whatever holds the Jacobian."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.problems.curves import Curves

@@ -1,7 +1,5 @@
 """Residuals that jump a little from point to point, as those of an FMU with a solver of its own."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.problems.functions import FunctionProblem

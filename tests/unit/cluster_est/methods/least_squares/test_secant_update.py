@@ -1,7 +1,5 @@
 """Broyden's updates of a Jacobian, and fits that use them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A budget of evaluations that ends a search: no Jacobian is for nothing."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.problems.functions import ROSENBROCK, FunctionExecutor, FunctionProblem, named

@@ -1,7 +1,5 @@
 """Steps from Jacobians in blocks, against the same in one array."""
 
-from __future__ import annotations
-
 import pickle
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Asynchronous pattern search: what it finds in whatever order simulations end, and how soon."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.problems.functions import (

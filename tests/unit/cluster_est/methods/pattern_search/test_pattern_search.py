@@ -1,7 +1,5 @@
 """Pattern search: its polls, its memory of them, and what it finds where others do not look."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Points whose simulations end early change nothing that a population finds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """pymoo's populations: minima and fronts that are known in closed form, chance, failures."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import random

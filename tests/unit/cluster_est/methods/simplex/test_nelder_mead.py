@@ -4,8 +4,6 @@ That it finds the minima of classical and rough problems is said by the product 
 problems.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

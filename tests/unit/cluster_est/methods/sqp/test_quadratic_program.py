@@ -1,7 +1,5 @@
 """The penalised quadratic program, against SciPy on random convex problems."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 That they find the minima of classical problems is said by the product of methods and problems.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

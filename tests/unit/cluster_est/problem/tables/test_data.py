@@ -1,7 +1,5 @@
 """Measured tables: what must work, and what is refused with its place and a sentence."""
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Experiments from tables in memory: the same signals, and the same sentences, as from a file."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pyarrow as pa

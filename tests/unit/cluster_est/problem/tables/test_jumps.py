@@ -1,7 +1,5 @@
 """Signals that keep their value and jump."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Tags of MAT files are read as SciPy reads them, and refused where they are damaged."""
 
-from __future__ import annotations
-
 import io
 import random
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Conversions of units, against numbers from tables of physics."""
 
-from __future__ import annotations
-
 import pytest
 
 from cluster_est.problem.tables.units import conversion, is_known, same_unit

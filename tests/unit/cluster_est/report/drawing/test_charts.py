@@ -1,7 +1,5 @@
 """Charts are HTML with inline SVG that shows what it is given, and escapes what it is told."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.drawn import UNITS, Figures, points

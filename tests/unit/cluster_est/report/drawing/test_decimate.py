@@ -1,7 +1,5 @@
 """Curves with fewer points keep every peak of every column."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

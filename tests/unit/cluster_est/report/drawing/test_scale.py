@@ -1,7 +1,5 @@
 """Scales hold their values, and what is written beside them can be read."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

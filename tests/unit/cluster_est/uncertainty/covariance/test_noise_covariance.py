@@ -1,7 +1,5 @@
 """Noise that is not white: against formulas, dense algebra and repeated simulation."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

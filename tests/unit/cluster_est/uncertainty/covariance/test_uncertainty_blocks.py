@@ -1,7 +1,5 @@
 """The block-wise covariance is that of the dense Jacobian."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import block_diag, null_space

@@ -1,7 +1,5 @@
 """Intervals, correlations and derived parameters against dense formulas and simulation."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

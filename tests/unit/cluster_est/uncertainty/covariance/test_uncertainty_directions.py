@@ -1,7 +1,5 @@
 """What the data do not determine is named; what they do is not."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

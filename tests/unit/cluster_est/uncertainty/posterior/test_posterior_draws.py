@@ -1,7 +1,5 @@
 """Draws from posteriors that are known exactly, and what is said of chains that have not mixed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

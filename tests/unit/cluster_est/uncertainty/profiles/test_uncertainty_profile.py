@@ -1,7 +1,5 @@
 """Profiles against exact intervals and against refits by SciPy."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What nothing explains is described by its size and its spectrum."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

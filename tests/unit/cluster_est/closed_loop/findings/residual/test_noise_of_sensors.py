@@ -1,7 +1,5 @@
 """The noise of sensors is told from disturbances, and from a sigma that is wrong."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

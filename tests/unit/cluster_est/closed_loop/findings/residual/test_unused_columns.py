@@ -1,7 +1,5 @@
 """Columns that a config does not use: named where they vary with what is left, else not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Names of effects: physics where the units say so, mathematics elsewhere."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

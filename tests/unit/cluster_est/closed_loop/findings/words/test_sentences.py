@@ -1,7 +1,5 @@
 """Findings as one would say them, with the equations that agree where the data were."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

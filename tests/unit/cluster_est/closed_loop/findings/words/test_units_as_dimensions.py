@@ -1,7 +1,5 @@
 """Texts of units as dimensions: many shapes, other sizes, and nonsense."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
