@@ -1,6 +1,7 @@
 """A result or a sentence, whatever a config, a table or an FMU says; long form: scripts/fuzz.py."""
 
 import itertools
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 
 
 @pytest.fixture
-def folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> itertools.count[int]:
+def folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     monkeypatch.setenv("CLUSTER_EST_CACHE", str(tmp_path / "cache"))
     return itertools.count()
 
