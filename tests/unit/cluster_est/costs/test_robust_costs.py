@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from scipy.optimize import least_squares, minimize_scalar
+from scipy.optimize import minimize_scalar
 from scipy.stats import norm
 
 from cluster_est.costs import ALIASES, COSTS
@@ -39,24 +39,10 @@ def test_values_are_those_that_scipy_documents(name, residuals, scale):
 
 
 @robust
-@pytest.mark.parametrize("scale", [0.3, 1.0, 5.0])
-def test_costs_are_twice_those_that_scipy_minimises(name, scale):
-    """SciPy's own function does the sum here: one step of a fit without freedom to move."""
-    residuals = np.random.default_rng(1).standard_cauchy(40)
-    seen = least_squares(
-        lambda x: residuals + 0.0 * x[0], [0.0], loss=name, f_scale=scale, max_nfev=1
-    )
-    assert COSTS[name](scale).value(residuals, ONE) == pytest.approx(2.0 * seen.cost, rel=1e-12)
-
-
-@robust
-def test_usual_residuals_count_as_squares_and_outliers_less(name):
+def test_usual_residuals_count_as_squares(name):
     small = np.array([1e-9, -3e-9])
     assert COSTS[name]().value(small, ONE) == pytest.approx(1e-17, rel=1e-12)
     np.testing.assert_allclose(COSTS[name]().weights(small, ONE), [1.0, 1.0], rtol=1e-12)
-    outlier = np.array([200.0])
-    assert COSTS[name](2.0).value(outlier, ONE) < 0.03 * 200.0**2
-    assert COSTS[name](2.0).weights(outlier, ONE)[0] < 0.011
 
 
 @robust
@@ -111,22 +97,6 @@ def test_the_likelihood_is_the_one_at_the_most_likely_sigmas(seed):
         assert cost.value(residuals, outputs) + constant == pytest.approx(
             deviance(residuals, outputs), rel=1e-9
         )
-
-
-def test_the_weights_are_one_over_the_variances():
-    residuals = np.array([1.0, -3.0, 10.0, 20.0, -20.0])
-    outputs = np.array([0, 0, 4, 4, 4])
-    weights = LIKELIHOOD().weights(residuals, outputs)
-    np.testing.assert_allclose(weights, [1 / 5.0, 1 / 5.0, 1 / 300.0, 1 / 300.0, 1 / 300.0])
-
-
-def test_what_a_cost_function_returns_is_one_output():
-    """Nobody knows then which of its numbers belong together."""
-    residuals = np.array([1.0, -3.0, 10.0])
-    together = np.zeros(3, np.int64)
-    cost = LIKELIHOOD()
-    assert cost.value(residuals, ONE) == cost.value(residuals, together)
-    np.testing.assert_array_equal(cost.weights(residuals, ONE), cost.weights(residuals, together))
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-200, 1e-160, 1e160])

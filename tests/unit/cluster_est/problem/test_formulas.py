@@ -43,17 +43,10 @@ def one_by_one(text: str) -> list[float]:
 @pytest.mark.parametrize(
     "text",
     [
-        "2*a + b/4 - 1",
-        "a - -b",
         "-a^2",
         "2^-1 * a",
-        "a*b*motor.k",
-        "min(a, b)",
         "max(a, 1, b)",
-        "where(a > b, a, b)",
         "where(a >= 2.5, 1, 0) + max(b, 0.25)",
-        "where(a < 0, -1, where(a < 2, b, 3))",
-        "abs(a) * sign(b)",
         "exp(-a) + tanh(b) - atan(motor.k) * cos(a) / sin(b)",
         "motor.k^0.5",
         "7",
@@ -122,14 +115,6 @@ def test_it_travels_as_text():
     assert again.values(COLUMNS, 3).tobytes() == formula.values(COLUMNS, 3).tobytes()
 
 
-def test_a_value_does_not_depend_on_its_neighbours():
-    text = "exp(a) * motor.k^0.3 + tanh(b) / 3"
-    together = values(text)
-    for i in range(3):
-        alone = Formula(text, NAMES).values({n: c[i : i + 1] for n, c in COLUMNS.items()}, 1)
-        assert alone[0] == pytest.approx(together[i], rel=1e-15)
-
-
 MADE_OF = "made of numbers"
 
 
@@ -138,19 +123,15 @@ MADE_OF = "made of numbers"
     [
         ("", "an equation but '' is not"),
         ("a +", r"an equation but 'a \+' is not \(invalid syntax\)"),
-        ("a; b", "an equation"),
-        ("lambda", "an equation"),
         ("aa", "unknown variable 'aa'.*'a'"),
         ("motor.j", "unknown variable 'motor.j'.*'motor.k'"),
         ("a.__class__", "unknown variable 'a.__class__'"),
         ("__import__('os')", "unknown function '__import__'"),
         ("__import__('os').system('true')", MADE_OF),
         ("a[0]", MADE_OF),
-        ("a if b else 1", MADE_OF),
         ("'a'", MADE_OF),
         ("1j * a", MADE_OF),
         ("a and b", MADE_OF),
-        ("(a := 1)", MADE_OF),
         ("exp(*a)", MADE_OF),
         ("a > b", "a number for any values of the parameters but 'a > b' is true or false"),
         ("a * (b > 1)", "not compute with a comparison"),
@@ -233,7 +214,6 @@ def test_a_constraint_is_left_minus_right(text, sides, by_hand, name):
     [
         ("a", "two formulas with <=, >= or = between them but is 'a'"),
         ("", "two formulas"),
-        ("a <=", "two formulas"),
         ("a => b", "two formulas"),
         ("a <= b <= 1 <= 2", "two formulas"),
         ("(a <= b)", "two formulas"),

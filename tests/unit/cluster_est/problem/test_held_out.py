@@ -35,14 +35,13 @@ def ended() -> ce.Result:
 
 
 def test_the_held_out_part_is_predicted_from_the_same_start(ended) -> None:
-    result = ended
-    labels = [each.label for each in result.estimates if each.parameter == "x0"]
+    labels = [each.label for each in ended.estimates if each.parameter == "x0"]
     assert labels == ["x0[e0]"]
-    assert {each.estimated_on for each in result.estimates} == {"train"}
-    assert result.x["x0[e0]"] == pytest.approx(truth().values["x0[e0]"], abs=0.01)
-    frequency = np.sqrt([result.x["k"] / result.x["m"], TRUE["k"] / TRUE["m"]])
+    assert {each.estimated_on for each in ended.estimates} == {"train"}
+    assert ended.x["x0[e0]"] == pytest.approx(truth().values["x0[e0]"], abs=0.01)
+    frequency = np.sqrt([ended.x["k"] / ended.x["m"], TRUE["k"] / TRUE["m"]])
     assert frequency[0] == pytest.approx(frequency[1], rel=0.01)
-    errors = {each.experiment: each for each in result.errors}
+    errors = {each.experiment: each for each in ended.errors}
     assert errors["e0"].role == "train"
     assert errors["e0 (held out)"].role == "test"
     assert errors["e0 (held out)"].rmse_after == pytest.approx(NOISE, rel=0.3)

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.problems.unloaded import unloaded_problem
 
-from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Evaluation
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.search_space.space import make_space
@@ -50,13 +49,6 @@ def test_a_constraint_holds_once_for_each_value(parameters, text, chosen, where,
     space = make_space(unloaded_problem(parameters, 4, [text]), chosen)
     assert space.constraint_names == tuple(text + each for each in where)
     assert space.parameter_constraints(np.array(x)).tolist() == values
-
-
-def test_a_known_value_of_one_experiment_makes_a_constraint_of_its_own():
-    problem = unloaded_problem([A, B], 3, ["a <= b"], known={1: {"b": 1.0}})
-    space = make_space(problem, (0, 1, 2))
-    assert space.constraint_names == ("a <= b [e0]", "a <= b [e1]")
-    assert space.parameter_constraints(np.array([2.0, 5.0])).tolist() == [-3.0, 1.0]
 
 
 @st.composite
@@ -168,12 +160,6 @@ def test_constraints_of_experiments_stand_behind_those_on_parameters():
     assert space.constraint_names == tuple(names)
     assert space.equality.tolist() == [True, True, *[equal for _, equal in each] * 2]
     assert space.constraint_rows == (slice(2, 7), slice(7, 12))
-
-
-def test_an_experiment_without_the_group_is_refused_in_a_constraint_too():
-    problem = unloaded_problem([Parameter("a", 1.0, per="group:day")], 2, ["a <= 1"], groups=())
-    with pytest.raises(ProblemError, match="must belong to a group"):
-        make_space(problem, (0, 1))
 
 
 def outcome(constraints=(), residuals=(1.0, 2.0)) -> Outcome:

@@ -54,13 +54,3 @@ def test_it_starts_from_the_values_that_are_given(zeros):
     made = table(points, zeros, change=2.0, starts=starts.tolist())
     found = values_of(made, {each.name: each.start for each in made.unknowns()})
     assert found == pytest.approx(starts, abs=1e-12)
-
-
-@given(count=st.integers(4, 40), change=st.floats(0.1, 5.0))
-def test_more_points_make_it_no_rougher(count, change):
-    """The scatter at the end nears that of an integrated Wiener process."""
-    points = np.linspace(0.0, 2.0, count)
-    sds = [each.sd for each in table(points, (), change).unknowns() if each.sd is not None]
-    pairs = zip(sds, points[1:-1], strict=True)
-    scatter = np.sqrt(sum((sd * (2.0 - x)) ** 2 for sd, x in pairs))
-    assert scatter == pytest.approx(change * np.sqrt(2.0**3 / 3.0), rel=1.5 / count)

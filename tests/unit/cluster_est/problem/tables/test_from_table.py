@@ -25,18 +25,12 @@ class FromAnotherLibrary:
         self.__arrow_c_stream__ = table.__arrow_c_stream__
 
 
-def polars_frame():
-    polars = pytest.importorskip("polars")
-    return polars.DataFrame({name: COLUMNS[name] for name in ("t", "force", "position")})
-
-
 TABLES = {
     "dict": lambda: COLUMNS,
     "pandas": lambda: pd.DataFrame(COLUMNS),
     "pandas with the time as index": lambda: pd.DataFrame(COLUMNS).set_index("t"),
     "pyarrow": lambda: pa.Table.from_pandas(pd.DataFrame(COLUMNS)),
     "stream": lambda: FromAnotherLibrary(pa.Table.from_pandas(pd.DataFrame(COLUMNS))),
-    "polars": polars_frame,
 }
 
 
@@ -112,8 +106,6 @@ def of_y(**more):
 
 
 REFUSED = [
-    ({"outputs": {"y": "positon"}}, "no column 'positon'.*'position'"),
-    ({"outputs": {"y": "words"}}, "column 'words', row 3: .*a number.*'x'"),
     ({"outputs": {}}, "experiment 'a'.outputs is missing; add it"),
     ({"outputs": ["position"] * 2}, "outputs 'position': .*appears twice"),
     ({"outputs": {3: "position"}}, "outputs: a variable: .*text.*3"),
@@ -122,7 +114,6 @@ REFUSED = [
     ({"inputs": {"F": {"column": "force", 3: 4}}}, "inputs.F: unknown key 3"),
     ({"inputs": {"F": {"column": "force", "how": 1}}}, "inputs.F: unknown key how"),
     ({"inputs": {"F": 3}}, "inputs.F: .*a column's name or {column, interpolation}.*3"),
-    ({"time": "position"}, "row 2: the time .*a finite number.*nan"),
     ({"time": None}, "either time .*or sample_time .*neither"),
     ({"time": 3}, "time: .*text.*3"),
     ({"sample_time": 1.0}, "either time .*or sample_time .*both"),
@@ -133,7 +124,6 @@ REFUSED = [
     ({"relative_sigma": 0.1}, "relative_sigma.y: .*sigma.y beside it"),
     ({"sigma": 0.1, "relative_sigma": -0.1}, "relative_sigma.y: .*at least 0.*-0.1"),
     ({"relative_sigma": {"q": 1.0}}, "relative_sigma.q: .*one of its outputs"),
-    ({"columns": {"q": {}}}, "columns: the table has no column 'q'"),
     ({"columns": {"force": {"factr": 1}}}, "columns.force: unknown key factr.*did you mean"),
     ({"columns": {"force": 3}}, "columns.force: .*a dict.*3"),
     ({"columns": {"force": {"factor": "3"}}}, "columns.force.factor: .*a number.*'3'"),
@@ -141,12 +131,9 @@ REFUSED = [
     ({"columns": {"force": {3: 1}}}, "columns.force: unknown key 3"),
     ({"columns": 3}, "columns: .*a dict.*3; write {column: {factor, offset, demean}}"),
     ({"columns": {3: {}}}, "columns: a column: .*text.*3"),
-    ({"rows": (0, 9)}, r"rows: .*within the 4 rows.*\[0, 9\]"),
     ({"rows": (2, 1)}, r"rows: .*from below to.*\[2, 1\]"),
     ({"rows": 3}, r"rows: .*a Sequence.*3; write \(from, to\)"),
-    ({"rows": (0, 1)}, "at least two rows of the table.*uses 1; check rows"),
     ({"rows": (1, 2), "time": None, "sample_time": 1.0}, "at least two rows"),
-    ({"start": 9.0}, "start: .*before stop, 1.5 s.*9 s; change one, or leave both"),
     ({"start": "0"}, "start: .*a number.*'0'"),
     ({"values": "m"}, "values: .*a dict.*'m'; write {name: value}"),
     ({"values": {3: 1.0}}, r"values: .*pairs \(name, value\).*\(3, 1.0\)"),
@@ -174,9 +161,6 @@ def test_what_is_wrong_is_said(change, pattern):
     ("table", "said"),
     [
         (COLUMNS | {"position": [1.0]}, "must have as many rows as the time, 4, but has 1"),
-        (COLUMNS | {"t": [0.0, 1.0, 1.0, 2.0]}, "row 3: times must increase but 1 repeats 1"),
-        (COLUMNS | {"position": [np.nan] * 4}, "must hold at least one number but is empty"),
-        (COLUMNS | {"force": [1.0, np.inf, 1.0, 1.0]}, "row 2: must be a finite number but is inf"),
         (COLUMNS | {"force": [1, "a", 2.0, 3]}, "column 'force': must hold numbers but cannot be"),
         (
             COLUMNS | {"force": [10**400, 1, 2, 3]},
