@@ -1,7 +1,5 @@
 """A command that must refuse its input: exit code 2, a line for each problem, nothing written."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

@@ -44,10 +44,8 @@ METHODS = [
     (options("least_squares", trials=True), "trials: .*whole number.*true"),
     (options("least_squares", ftol="x"), "method.options.ftol: .*number.*'x'"),
     (options("least_squares", ftol=float("inf")), "ftol: .*finite.*inf"),
-    (options("least_squares", ftol=float("nan")), "ftol: .*finite.*nan"),
     (options("least_squares", ftol=-1e-9), "ftol: .*at least 0.*-1e-09"),
     (options("least_squares", differences="fwd"), "differences: .*'sensitivities'.*'fwd'"),
-    (options("least_squares", differences=[]), r"differences: .*'sensitivities'.*\[\]"),
     (options("scipy_least_squares", algorithm="lm"), "options.algorithm.*cannot keep bounds"),
     (options("pattern_search", contraction=1.5), "method.options.contraction: .*1.5"),
     (options("sqp", algorithm="ipopt"), "method.options.algorithm: .*'native'.*'ipopt'"),
@@ -65,16 +63,8 @@ SUITABLE = [
         options("scipy_least_squares") | {"cost.name": "sae"},
         "method.name: scipy_least_squares needs residuals.*cost.name is 'sae'",
     ),
-    (
-        options("scipy_least_squares") | {"cost.name": "huber"},
-        "scipy_least_squares.*cost.name is 'huber'",
-    ),
     ({"cost.name": "sae"}, "method.name: least_squares needs residuals.*'sae'.*choose another"),
     (options("nelder_mead"), r'm.bounds: .*absent.*\[0.1, 10\].*bounds = "enforce"'),
-    (
-        options("nelder_mead") | constraint(expression="m <= k"),
-        "method.name: nelder_mead cannot satisfy constraints",
-    ),
     (options("de") | {"parameters.m.bounds": REMOVED}, "parameters.m.bounds: .*finite"),
 ]
 COSTS = [
@@ -84,12 +74,7 @@ COSTS = [
     ({"cost": {"name": "cauchy", "options": {"scale": "x"}}}, "options.scale: .*number.*'x'"),
     ({"cost.name": "total"}, "cost.name: .*cost.function is missing; add it, or choose another"),
     ({"cost.time_base": "simulated"}, "cost.step: .*seconds.*'simulated'.*add it, or model.step"),
-    ({"cost.time_base": "both"}, "cost.step: .*seconds.*'both'"),
     ({"cost.time_base": "both", "cost.step": 1e-12}, "cost.step: .*10000000 .*0.3 s.*1e-12 s"),
-    (
-        {"cost.time_base": "both", "cost.step": 0.1, f"{A}.stop": 1e300},
-        r"cost.step: .*at most 10000000 times.*1e\+300 s.*longer",
-    ),
     ({"cost.weights": {"z": 1.0}}, "cost.weights.z: .*an output.*'y'"),
     (output(interpolation="cubic"), "outputs.y.interpolation: .*'linear' or 'hold'.*'cubic'"),
     (output(weight=-1), "outputs.y.weight: .*greater than 0.*-1"),
@@ -104,7 +89,6 @@ KINDS = [
     (constraint(expression="m <= k", equality=True), r"\[0\].equality: .*left out"),
     (constraint(expression="m <= k", experiments=["a"]), r"\[0\].experiments: .*left out"),
     (constraint(name="mass", expression="m <= q"), r"constraints\[mass\].*unknown.*'q'.*'m', 'k'"),
-    (constraint(expression="m"), r"\[0\].expression: .*two formulas with <=, >= or =.*'m'"),
     (constraint(expression=5), r"\[0\].expression: .*text in quotes.*5"),
 ]
 SIGNALS = [
@@ -116,12 +100,9 @@ SIGNALS = [
     (on_y(uper=1.0), r"unknown key constraints\[0\].uper.*'upper'"),
     (on_y(upper="high"), r"\[0\].upper: .*finite number or \[\[time, value\], ...\].*'high'"),
     (on_y(upper=[[0]]), r"\[0\].upper\[0\]: .*two numbers.*\[0\]"),
-    (on_y(upper=[]), r"\[0\].upper: .*finite number.*\[\]"),
-    (on_y(upper=float("nan")), r"\[0\].upper: .*finite number.*nan"),
     (on_y(upper=10**400), r"\[0\].upper: .*finite number.*1000"),
     (on_y(upper=[[1, 0], [0, 1]]), r"\[0\].upper: .*times must not go back.*sort"),
     (on_y(upper=[[7, 1], [8, 1]]), r"\[0\].upper: .*limit the signal.*0 to 0.3 s"),
-    (on_y(lower=0, upper=[[7, 5], [8, 6]]), r"\[0\].upper: .*limit the signal"),
     (on_y(upper=1, lower=2), r"\[0\].lower: .*not be above upper.*0 s.*swap them"),
     (on_y(lower=[[0, 0], [0.3, 3]], upper=2), r"\[0\].lower: .*not be above upper.*at 0.2"),
     (on_y(upper=1, between=[5, 6]), r"\[0\].between: .*overlap with.*0 to 0.3.*\[5.0, 6"),
@@ -147,9 +128,7 @@ SIGNALS = [
     (on_y(tracking={"relative": -1}), "tracking.relative: .*at least 0.*-1"),
 ]
 DERIVED = [
-    ({"parameters.m": {"expression": "2*m"}}, "m.expression: .*depend on itself.*through m"),
     ({"parameters.m": {"start": 1.0, "expression": "2*k"}}, "m.start: .*left out.*expression"),
-    ({"parameters.m": {"expression": "2*k", "scale": "log"}}, "m.scale: .*left out.*expression"),
     (
         {"parameters.m": {"expression": "2*k"}, "parameters.k.fixed": True},
         "parameters: at least one must be free",

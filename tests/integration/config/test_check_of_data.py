@@ -57,9 +57,9 @@ def swing(times: np.ndarray, angle: np.ndarray, start: float) -> ce.Experiment:
     return run(columns, **how)
 
 
-def heated(times: np.ndarray, values: np.ndarray, output: str = "y_core") -> ce.Experiment:
+def heated(times: np.ndarray, values: np.ndarray) -> ce.Experiment:
     columns = {"t": times, "P": 3.0 + 0.0 * times, "T": values}
-    return run(columns, inputs={"P": "P"}, outputs={output: "T"})
+    return run(columns, inputs={"P": "P"}, outputs={"y_core": "T"})
 
 
 def problem(*runs: ce.Experiment) -> ce.Problem:
@@ -106,14 +106,11 @@ def rounded(sigma: float) -> ce.Experiment:
             "columns.COLUMN = { factor = 0.104719755",
         ),
         (swing(TIMES, DEGREES, 0.4), "unit of y", "1 rad is 57.3 deg.*seems to be in deg", ""),
-        *(
-            (
-                heated(SLOW, RISE + 273.15, output),
-                f"unit of {output}",
-                "as K and degC differ.*seems to be in K",
-                "columns.COLUMN = { factor = 1, offset = -273.15 }",
-            )
-            for output in ("y_core", "y_case")
+        (
+            heated(SLOW, RISE + 273.15),
+            "unit of y_core",
+            "as K and degC differ.*seems to be in K",
+            "columns.COLUMN = { factor = 1, offset = -273.15 }",
         ),
         (
             run(TRUTH | {"V": VOLTS * 1e3}),

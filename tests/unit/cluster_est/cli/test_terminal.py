@@ -1,12 +1,15 @@
-"""What is said beside the output of a command."""
+"""What is said beside the output of a command, and what a command imports."""
 
+import subprocess
+import sys
+import tomllib
 from dataclasses import replace
 
 import pytest
-from support.problems.springs import spring_problem
+from support.problems.springs import ROOT, spring_problem
 
 from cluster_est import Effect, Parameter
-from cluster_est.cli import terminal
+from cluster_est.cli import main, terminal
 from workers.kernels.fmi import compiling
 
 
@@ -39,3 +42,43 @@ def test_the_filter_of_process_noise_is_said_to_be_compiled(loops, capsys, noisy
         problem = replace(problem, effects=(effect,), parameters=parameters)
     terminal.say_if_filter_compiled_first(problem)
     assert ("its filter is compiled" in capsys.readouterr().err) is announced
+
+
+@pytest.mark.parametrize("installed", [True, False])
+def test_the_version_is_that_of_the_project_where_it_is_installed(capsys, monkeypatch, installed):
+    if not installed:
+        monkeypatch.setattr(sys, "path", [])
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert ended.value.code == 0
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    printed = capsys.readouterr().out
+    assert (printed == f"cluster-est {project['version']}\n") is installed
+    assert ("not installed" in printed) is not installed
+
+
+STARTED = """
+import sys
+from cluster_est.cli import main
+main(["show", sys.argv[1]])
+main(["check", sys.argv[2], "--seconds", "0"])
+assert "pandas" not in sys.modules, "pandas was imported"
+import pandas as pd
+import pyarrow as pa
+import cluster_est as ce
+frame = pd.DataFrame({"t": [0.0, 1.0, 2.0], "y": [1.0, None, 3.0]})
+run = ce.Experiment.from_table(frame, id="e", time="t", outputs=["y"])
+assert run.outputs[0].values.tolist() == [1.0, 3.0]
+assert pa.table({"a": [1]}).to_pandas().a.tolist() == [1]
+print("as before")
+"""
+
+
+@pytest.mark.slow
+def test_no_command_imports_pandas_and_python_users_lose_nothing(tmp_path):
+    config = ROOT / "configs" / "mass_spring_damper.toml"
+    done = subprocess.run(
+        [sys.executable, "-c", STARTED, str(tmp_path), str(config)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.stdout.splitlines()[-1:] == ["as before"], done.stderr

@@ -1,15 +1,18 @@
 """From config to problem. What is refused on the way: `tests/integration/config`."""
 
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from support.problems.springs import FMU
-from support.spoiled import ROWS, spoiled_fmu, write_input
+from support.spoiled import ROWS, spoiled_fmu, spoiled_tree, write_input
 
-from cluster_est import Problem, read_problem
+from cluster_est import Problem, read_config, read_problem
+from cluster_est.config.reader import parse_config
 from cluster_est.errors import ClusterEstError
+from cluster_est.toml import to_toml
 
 A = "experiments.0"
 
@@ -89,3 +92,32 @@ def test_unused_columns_of_a_file_are_read_with_their_times(tmp_path):
     middle = 0.5 * (unused.times[:-1] + unused.times[1:])
     assert unused.at("extra", middle) == pytest.approx([0.5, 2.5, 6.5])
     assert unused.at("extra", unused.times + 1e6) is None
+
+
+def test_short_forms_are_the_long_ones(tmp_path):
+    changes = {f"{A}.group": "cell 1", f"{A}.windows": [[0, 1]]}
+    (experiment,) = read_config(write_input(tmp_path, changes)).experiments
+    assert experiment.inputs["F"].column == "force"
+    assert experiment.group == {"": "cell 1"}
+    assert experiment.windows == [(0.0, 1.0)]
+
+
+def test_the_resolved_config_is_the_config():
+    changes = {f"{A}.windows": [[0.0, 1.0]], f"{A}.rows": [0, 3], f"{A}.group": "g", "values.n": 3}
+    config = parse_config(spoiled_tree(changes), "")
+    assert parse_config(tomllib.loads(to_toml(config.model_dump())), "") == config
+
+
+def test_overrides_reach_into_lists_and_quoted_keys(tmp_path):
+    overrides = [
+        "parameters.m.bounds.0=0.5",
+        "experiments.a.role=test",
+        'values."body.m"=2.0',
+        "values.der(x)=1",
+        "model.solver=rk4",
+    ]
+    config = read_config(write_input(tmp_path), overrides)
+    assert config.parameters["m"].bounds == (0.5, 10.0)
+    assert config.experiments[0].role == "test"
+    assert config.values == {"c": 0.6, "body.m": 2.0, "der(x)": 1}
+    assert config.model.solver == "rk4"

@@ -5,12 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from support.spoiled import REMOVED, write_input
 
 from cluster_est import Problem, read_problem
-from cluster_est.errors import ConfigError
 from workers.messages import SignalBound
 from workers.residuals.base import SimulatedOutputs
 from workers.residuals.bounds import SignalBounds
@@ -235,28 +232,3 @@ def test_expressions_have_their_scale_and_name(build):
     assert [(c.name, c.scale, c.equality) for c in found] == [
         ("m <= k", 1.0, False), ("ratio (lower)", 10.0, False), ("ratio (upper)", 10.0, False)
     ]  # fmt: skip
-
-
-POINTS = st.lists(st.tuples(st.floats(-2.0, 12.0), st.floats(-3.0, 3.0)), min_size=2, max_size=5)
-
-
-@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(POINTS, st.integers(2, 30), st.floats(-4.0, 4.0), st.floats(-1.0, 1.0))
-def test_the_largest_violation_is_the_largest_over_all_times(
-    bounds, points, samples, offset, slope
-):
-    points = sorted(dict(points).items())
-    if len(points) < 2 or points[0][0] > 10.0 or points[-1][0] < 0.0:
-        return
-    try:
-        bound = bounds(upper=[list(p) for p in points], samples=samples, scale=1.0)
-    except ConfigError as error:
-        assert "must limit the signal" in str(error)  # noqa: PT017
-        return
-    (found,) = violations(bound, lambda t: offset + slope * t).values()
-    by_hand = [
-        offset + slope * t - np.interp(t, *np.array(points).T)
-        for t in bound.times.tolist()
-        if points[0][0] <= t <= points[-1][0]
-    ]
-    assert found == pytest.approx(max(by_hand), abs=1e-12)

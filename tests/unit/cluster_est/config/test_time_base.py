@@ -13,7 +13,6 @@ from cluster_est import Output, read_problem
 
 A = "experiments.0"
 FAST = {0.0: 0.0, 1.0: 10.0, 2.0: 20.0, 3.0: 10.0, 4.0: 0.0}
-SLOW = {0.5: 1.0, 2.0: 4.0, 3.5: 2.0}
 
 Signals = dict[str, dict[float, float]]
 
@@ -85,12 +84,6 @@ def test_every_base_against_a_loop_over_samples(compared, base, case):
         assert output.times.tolist() == times
         truth = [by_hand(signal, how, t) for t in times]
         np.testing.assert_allclose(output.values, truth, rtol=1e-12, atol=1e-12)
-
-
-def test_sigma_stays(compared):
-    cost = {"time_base": "both", "step": 1.0}
-    found = compared({"y": FAST, "v": SLOW}, cost=cost, **{f"{A}.sigma": {"v": 0.5}})
-    assert [o.sigma for o in found] == [1.0, 0.5]
 
 
 @pytest.mark.parametrize("step", [0.1, 0.3, 0.02, 1e-3, 0.7])

@@ -42,6 +42,9 @@ def test_a_parameter_set_gives_starts_and_known_values(tmp_path):
     assert starts(problem)["m"] == 1.75
     assert config.values["c"] == 0.4
     assert dict(problem.experiments[0].values)["c"] == 0.4
+    resolved = config.model_dump()  # a run has the numbers themselves
+    assert "value_files" not in resolved
+    assert resolved["parameters"]["m"]["start"] == 1.75
 
 
 def test_a_table_does_the_same_and_the_later_file_counts(tmp_path):
@@ -62,13 +65,6 @@ def test_a_known_value_of_the_config_wins(tmp_path):
     files = {"set.csv": "name,value\nc,0.4\n"}
     config, _ = read(tmp_path, files, values={"c": 0.9})
     assert config.values == {"c": 0.9}
-
-
-def test_a_run_has_the_numbers_themselves(tmp_path):
-    config, _ = read(tmp_path, {"a.ssv": SSV.format(MASS)})
-    resolved = config.model_dump()
-    assert "value_files" not in resolved
-    assert resolved["parameters"]["m"]["start"] == 1.75
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,6 @@ from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.priors import LogNormalPrior, NormalPrior
 from cluster_est.problem.parameter import Parameter
 from cluster_est.uncertainty import UncertaintySettings, examine, linearise, profiles
-from cluster_est.uncertainty.spaces import with_fixed_unknown
 
 TIMES = np.linspace(0.0, 1.0, 400)
 COLUMNS = np.column_stack([np.ones(len(TIMES)), TIMES])
@@ -121,15 +120,6 @@ def test_a_profile_keeps_the_prior_of_the_value_that_it_holds(method):
     for profile, i in zip(found, (0, 1), strict=True):
         half = 0.5 * (profile.upper - profile.lower)
         assert half == pytest.approx(1.96 * np.sqrt(covariance[i, i]), rel=0.05)
-    fixed = with_fixed_unknown(space, 0, solution.x + 0.1)
-    assert [k.residual for k in fixed.known_priors] == [
-        pytest.approx((solution.x[0] + 0.1 - MEANS[0]) / SDS[0])
-    ]
-    assert fixed.priors.residuals(0, fixed.start) == pytest.approx(
-        [fixed.known_priors[0].residual, (solution.x[1] + 0.1 - MEANS[1]) / SDS[1]]
-    )
-    slopes = fixed.priors.jacobian(0, fixed.start, fixed.acting[0])
-    assert slopes.tolist() == [[0.0], [1.0 / SDS[1]]]
 
 
 @pytest.mark.parametrize("noise", [0.3, 3.0])

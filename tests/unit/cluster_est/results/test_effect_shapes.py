@@ -13,21 +13,9 @@ from workers.effects.expression import FUNCTIONS
 from workers.effects.forms import FORMS
 from workers.messages import Effect
 
-NUMPY = {
-    "abs": np.abs,
-    "exp": np.exp,
-    "sign": np.sign,
-    "sqrt": np.sqrt,
-    "log": np.log,
-    "sin": np.sin,
-    "cos": np.cos,
-    "tan": np.tan,
-    "atan": np.arctan,
-    "tanh": np.tanh,
-    "min": np.minimum,
-    "max": np.maximum,
-    "where": np.where,
-}
+SAME = ("abs", "exp", "sign", "sqrt", "log", "sin", "cos", "tan", "tanh", "where")
+NUMPY = {name: getattr(np, name) for name in SAME}
+NUMPY |= {"atan": np.arctan, "min": np.minimum, "max": np.maximum}
 PLAIN = [(kind, f) for (kind, _), f in FORMS.items() if not f.memory and not f.states]
 X = np.linspace(-3.0, 4.0, 57)
 STATES = "abvwx"

@@ -101,12 +101,6 @@ def test_gives_back_what_was_recorded(tmp_path: Path, batch: int) -> None:
     assert table.schema.metadata == {k.encode(): v.encode() for k, v in METADATA.items()}
 
 
-def test_failures_alone_have_null_residuals(tmp_path: Path) -> None:
-    recorded = [row for row in rows(20) if not row[1].ok]
-    write(tmp_path, recorded)
-    check(read_log(tmp_path), recorded)
-
-
 def test_a_row_says_its_effects_and_what_else_was_installed(tmp_path: Path) -> None:
     origin, outcome = rows(1)[0]
     effect = Effect("friction", "der(v)", "coulomb", ("v",))
@@ -210,13 +204,6 @@ def test_folder_without_segments_is_refused(tmp_path: Path) -> None:
     open_log(tmp_path).close()
     with pytest.raises(RunFolderError, match="holds none"):
         read_log(tmp_path)
-
-
-def test_a_resumed_log_goes_on_behind_what_is_there(tmp_path: Path) -> None:
-    recorded = rows(9)
-    write(tmp_path, recorded[:6])
-    write(open_log(tmp_path, first=1), recorded[6:])
-    check(read_log(tmp_path), recorded)
 
 
 def test_nothing_that_is_there_is_written_over(tmp_path: Path) -> None:

@@ -83,13 +83,6 @@ def test_a_lock_keeps_others_out_until_it_is_released(tmp_path):
         pass
 
 
-@pytest.mark.parametrize("function", ["locked", "locked_by_sweep"])
-def test_a_killed_process_holds_nothing(tmp_path, function):
-    kill_holder(function, tmp_path)
-    with locked(tmp_path), locked_by_sweep(tmp_path):
-        pass
-
-
 def test_a_folder_without_locks_is_used_without(tmp_path, without_locks):
     assert lock(tmp_path) is None
     with locked(tmp_path), locked(tmp_path):

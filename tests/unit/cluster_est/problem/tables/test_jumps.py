@@ -7,61 +7,38 @@ import cluster_est as ce
 from cluster_est.problem.tables.jumps import count_jumps, jump_notes, jump_times
 
 TIMES = 0.01 * np.arange(400)
-LEVELS = np.random.default_rng(3).uniform(-1.0, 1.0, 8)
-STEPS = LEVELS[np.arange(400) // 50]
+STEPS = np.repeat(np.random.default_rng(3).uniform(-1.0, 1.0, 8), 50)
+BINARY = np.repeat(np.sign(np.random.default_rng(7).standard_normal(200)), 2)
+HOURS = np.linspace(0.0, 24.0, 300)
+ROOM = 21.0 + 1.2 * np.sin(2.0 * np.pi * HOURS / 24.0)
+POINTS = np.sort(np.concatenate([np.arange(12.0), [2.99, 6.99]]))
+SIGNALS = {
+    "steps": (TIMES, STEPS, 7),
+    "small, shifted steps": (1e3 * TIMES, 1e-9 * (STEPS + 5.0), 7),
+    "large, falling steps": (1e3 * TIMES, -1e9 * STEPS, 7),
+    "a binary sequence with the clock of the record": (TIMES, BINARY, (np.diff(BINARY) != 0).sum()),
+    "a staircase": (TIMES[:300], np.repeat([0.0, 1.0, 2.0, 3.0, 2.0, 1.0], 50), 5),
+    "smooth": (TIMES, np.sin(TIMES), 0),
+    "constant": (TIMES, np.ones(400), 0),
+    "the steps of a converter": (TIMES, np.round(np.sin(TIMES) / 0.02) * 0.02, 0),
+    "a ramp between two values that it keeps": (TIMES, np.clip(TIMES, 1.0, 2.0), 0),
+    "with a gap": (TIMES, np.where(np.arange(400) == 9, np.nan, STEPS), 0),
+    "noise": (TIMES, np.random.default_rng(4).standard_normal(400), 0),
+    "a room's temperature on a display": (HOURS, np.round(ROOM / 0.5) * 0.5, 0),
+    "the same on a finer one": (HOURS, np.round(ROOM / 0.3) * 0.3, 0),
+    # straight lines are meant: the two points of a ramp are closer than the others
+    "a ramp with points of its own": (
+        POINTS,
+        1.0 + 3.0 * (POINTS >= 3.0) - 2.0 * (POINTS >= 7.0),
+        0,
+    ),
+}
 
 
-def test_the_jumps_of_steps_are_counted():
-    assert count_jumps(TIMES, STEPS) == 7
-
-
-@pytest.mark.parametrize("scale", [1e-9, -1e9])
-@pytest.mark.parametrize("shift", [0.0, 5.0])
-def test_scale_and_offset_do_not_matter(scale, shift):
-    assert count_jumps(1e3 * TIMES, scale * (STEPS + shift)) == 7
-
-
-def test_a_binary_sequence_jumps_though_at_neighbouring_samples():
-    """Its clock is that of the record, so that half of the changes touch others."""
-    sequence = np.sign(np.random.default_rng(7).standard_normal(400))
-    held = np.repeat(sequence[:200], 2)
-    assert count_jumps(TIMES, held) == np.sum(np.diff(held) != 0.0)
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        np.sin(TIMES),
-        np.ones(400),
-        np.round(np.sin(TIMES) / 0.02) * 0.02,  # the steps of a converter
-        np.clip(TIMES, 1.0, 2.0),  # a ramp between two values that it keeps
-        np.where(np.arange(400) == 9, np.nan, STEPS),
-        np.random.default_rng(4).standard_normal(400),
-    ],
-    ids=["smooth", "constant", "converter", "ramp", "with a gap", "noise"],
-)
-def test_others_do_not(values):
-    assert count_jumps(TIMES, values) == 0
-
-
-@pytest.mark.parametrize("step", [0.5, 0.3])
-def test_a_slow_signal_that_was_rounded_does_not_jump(step):
-    """A room's temperature over a day, as a display shows it."""
-    hours = np.linspace(0.0, 24.0, 300)
-    temperature = 21.0 + 1.2 * np.sin(2.0 * np.pi * hours / 24.0)
-    assert count_jumps(hours, np.round(temperature / step) * step) == 0
-
-
-def test_a_staircase_jumps():
-    stairs = np.repeat([0.0, 1.0, 2.0, 3.0, 2.0, 1.0], 50)
-    assert count_jumps(TIMES[:300], stairs) == 5
-
-
-def test_a_ramp_with_points_of_its_own_is_none():
-    """Straight lines are meant: the two points of a ramp are closer than the others."""
-    times = np.sort(np.concatenate([np.arange(12.0), [2.99, 6.99]]))
-    values = np.where(times < 3.0, 1.0, np.where(times < 7.0, 4.0, 2.0))
-    assert count_jumps(times, values) == 0
+@pytest.mark.parametrize("signal", SIGNALS)
+def test_the_jumps_of_steps_are_counted_and_others_have_none(signal):
+    times, values, count = SIGNALS[signal]
+    assert count_jumps(times, values) == count
 
 
 def test_what_is_held_already_needs_no_note():
