@@ -1,9 +1,6 @@
 """A command that must refuse its input: exit code 2, a line for each problem, nothing written."""
 
 import re
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import pytest
 from support.spoiled import ROWS, write_input
@@ -12,13 +9,11 @@ from cluster_est.cli import main
 
 
 @pytest.fixture
-def refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., str]:
+def refused(tmp_path, monkeypatch, capsys):
     """Run a command in the folder of the input; each pattern must be found in what it says."""
     monkeypatch.chdir(tmp_path)
 
-    def call(arguments: list[str], *patterns: str, lines: int = 1) -> str:
+    def call(arguments, *patterns, lines=1):
         before = sorted(tmp_path.rglob("*"))
         code = main(arguments)
         out, said = capsys.readouterr()
@@ -36,12 +31,10 @@ def refused(
 
 
 @pytest.fixture
-def refuse(tmp_path: Path, refused: Callable[..., str]) -> Callable[..., str]:
+def refuse(tmp_path, refused):
     """Spoil the config or the rows of its data, and see that `check` refuses it so."""
 
-    def call(
-        changes: dict[str, Any], *patterns: str, rows: str = ROWS, more: tuple[str, ...] = ()
-    ) -> str:
+    def call(changes, *patterns, rows=ROWS, more=()):
         write_input(tmp_path, changes, rows)
         return refused(["check", "config.toml", *more], *patterns)
 

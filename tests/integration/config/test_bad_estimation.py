@@ -1,7 +1,5 @@
 """Mistakes in what is estimated and how: costs, constraints, curves, methods, starts, own code."""
 
-from typing import Any
-
 import pytest
 from support.spoiled import REMOVED, write_input
 
@@ -9,30 +7,28 @@ A = "experiments.0"
 STEP = {"final": 1.0, "rise_time": 0.1, "settling_time": 0.2}
 UNMEASURED = {f"{A}.{key}": REMOVED for key in ("data", "time", "inputs", "outputs")}
 
-Changes = dict[str, Any]
 
-
-def output(**keys: Any) -> Changes:
+def output(**keys):
     return {f"{A}.outputs.y": {"column": "position", **keys}}
 
 
-def options(name: str, **keys: Any) -> Changes:
+def options(name, **keys):
     return {"method": {"name": name, "options": keys}}
 
 
-def constraint(**keys: Any) -> Changes:
+def constraint(**keys):
     return {"constraints": [keys]}
 
 
-def on_y(**keys: Any) -> Changes:
+def on_y(**keys):
     return constraint(signal="y", **keys)
 
 
-def step(**keys: Any) -> Changes:
+def step(**keys):
     return on_y(step_response=STEP | keys)
 
 
-def curve(columns: Any = REMOVED, **keys: Any) -> Changes:
+def curve(columns=REMOVED, **keys):
     given = {} if columns is REMOVED else {"columns": columns}
     return {f"{A}.curve": given | keys}
 

@@ -1,7 +1,6 @@
 """`cluster-est check` finds what users get wrong in their data, and says the likely mistake."""
 
 import re
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from support.problems.springs import ROOT, spring_problem
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.preflight import CheckFinding, run_checks
+from cluster_est.preflight import run_checks
 from cluster_est.problem.tables.unused import TableSource
 from workers.process.trial import BenchHere
 
@@ -30,7 +29,7 @@ R, L, K, J, B = 1.0, 0.01, 0.06, 5e-4, 2e-4
 """Of the motor that was measured; its K is not that of the FMU."""
 
 
-def motor() -> dict[str, np.ndarray]:
+def motor():
     """The DC motor's current and speed, exactly, with the voltage held between samples."""
     system = StateSpace([[-R / L, -K / L], [K / J, -B / J]], [[1 / L], [0]], np.eye(2), [[0]] * 2)
     current, speed = lsim(system, VOLTS, TIMES, interp=False)[2].T
@@ -41,7 +40,7 @@ TRUTH = motor()
 HELD = {"V": {"column": "V", "interpolation": "hold"}}
 
 
-def run(columns: Mapping[str, object], **changes: object) -> ce.Experiment:
+def run(columns, **changes):
     given = {
         "id": "run",
         "time": "t",
@@ -51,18 +50,18 @@ def run(columns: Mapping[str, object], **changes: object) -> ce.Experiment:
     return ce.Experiment.from_table(dict(columns), **(given | changes))  # type: ignore[arg-type]
 
 
-def swing(times: np.ndarray, angle: np.ndarray, start: float) -> ce.Experiment:
+def swing(times, angle, start):
     columns = {"t": times, "a": angle, "m": 0.0 * times}
     how = {"inputs": {"torque": "m"}, "outputs": {"y": "a"}, "values": {"angle": start}}
     return run(columns, **how)
 
 
-def heated(times: np.ndarray, values: np.ndarray) -> ce.Experiment:
+def heated(times, values):
     columns = {"t": times, "P": 3.0 + 0.0 * times, "T": values}
     return run(columns, inputs={"P": "P"}, outputs={"y_core": "T"})
 
 
-def problem(*runs: ce.Experiment) -> ce.Problem:
+def problem(*runs):
     """A problem with the model that has the outputs of the runs."""
     outputs = {"current": "dc_motor", "speed": "dc_motor", "y": "pendulum"}
     fmu = outputs.get(runs[0].outputs[0].variable, "thermal_two_node")
@@ -71,7 +70,7 @@ def problem(*runs: ce.Experiment) -> ce.Problem:
     return ce.Problem(model, [ce.Parameter(*each) for each in starts.items()], list(runs))
 
 
-def findings(given: ce.Problem, check: str = "") -> list[CheckFinding]:
+def findings(given, check=""):
     """Those of one check; without a name all that are not ok."""
     page = run_checks(given, ce.Resources(), MINUTE, open_bench=BenchHere)
     return [f for f in page.findings if (f.check == check if check else f.verdict != "ok")]
@@ -85,13 +84,13 @@ LONG, RECORD = np.arange(2500) * 0.016, np.arange(4000) * 30.0
 DEGREES = np.rad2deg(0.4 * np.cos(np.sqrt(20.0) * TIMES) * np.exp(-0.2 * TIMES))
 
 
-def missing(places: object) -> np.ndarray:
+def missing(places):
     volts = VOLTS.copy()
     volts[places] = np.nan
     return volts
 
 
-def rounded(sigma: float) -> ce.Experiment:
+def rounded(sigma):
     """An encoder of 256 lines, and a sigma that was taken from its data sheet."""
     return run(TRUTH | {"w": np.round(TRUTH["w"] / 0.25) * 0.25}, sigma={"speed": sigma})
 

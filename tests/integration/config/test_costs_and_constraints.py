@@ -3,10 +3,6 @@
 The mass-spring-damper is linear: SciPy solves it exactly and minimises the same costs on its own.
 """
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 from scipy.optimize import brentq, least_squares, minimize
@@ -14,7 +10,7 @@ from scipy.signal import StateSpace, lsim
 from support.problems.springs import FMU
 from support.run_folders import rows
 
-from cluster_est import LeastSquares, Problem, Result, build_problem, fit, simulate
+from cluster_est import LeastSquares, build_problem, fit, simulate
 from cluster_est.cli import main
 from cluster_est.config.reader import parse_config
 from cluster_est.methods.pattern_search.method import PatternSearch
@@ -31,11 +27,9 @@ PARAMETERS = {
     "k": {"start": 24.0, "bounds": [1.0, 200.0]},
     "c": {"start": 0.8, "bounds": [0.0, 10.0]},
 }
-Build = Callable[..., Problem]
-Values = dict[str, float]
 
 
-def motion(m: float, k: float, c: float, x0: float = 0.0, force: Any = FORCE) -> np.ndarray:
+def motion(m, k, c, x0=0.0, force=FORCE):
     """(2, times): position and speed, exactly, with the force linear between its samples."""
     system = StateSpace([[0.0, 1.0], [-k / m, -c / m]], [[0.0], [1.0 / m]], np.eye(2), [[0.0]] * 2)
     return lsim(system, force, TIMES, [x0, 0.0])[2].T
@@ -46,17 +40,17 @@ AT_START = motion(*(p["start"] for p in PARAMETERS.values()))
 
 
 @pytest.fixture
-def build(tmp_path: Path) -> Build:
+def build(tmp_path):
     """Write measured positions and speeds, and make a problem of them and the keys."""
 
-    def call(y: Any = DATA[0], v: Any = None, allow_code: bool = False, **keys: Any) -> Problem:
+    def call(y=DATA[0], v=None, allow_code=False, **keys):
         tree = written(tmp_path, y, v, **keys)
         return build_problem(parse_config(tree, "c.toml"), tmp_path, allow_code=allow_code)
 
     return call
 
 
-def written(folder: Path, y: Any, v: Any = None, **keys: Any) -> dict[str, Any]:
+def written(folder, y, v=None, **keys):
     """A table and the config for it; `experiment` has more keys of the only experiment."""
     columns = [TIMES, FORCE, y, *([] if v is None else [v])]
     lines = [",".join("" if np.isnan(x) else repr(float(x)) for x in row)
@@ -64,23 +58,13 @@ def written(folder: Path, y: Any, v: Any = None, **keys: Any) -> dict[str, Any]:
     header = "time,force,y" + ("" if v is None else ",v")
     (folder / "data.csv").write_text("\n".join([header, *lines]) + "\n")
     outputs = {"y": "y"} | ({} if v is None else {"v": "v"})
-    experiment = {
-        "id": "run",
-        "data": "data.csv",
-        "time": "time",
-        "inputs": {"F": "force"},
-        "outputs": outputs,
-        **keys.pop("experiment", {}),
-    }
-    return {
-        "model": {"fmu": str(FMU), "rtol": 1e-10},
-        "parameters": PARAMETERS,
-        "experiments": [experiment],
-        **keys,
-    }
+    experiment = {"id": "run", "data": "data.csv", "time": "time", "inputs": {"F": "force"}}
+    experiment |= {"outputs": outputs, **keys.pop("experiment", {})}
+    model = {"fmu": str(FMU), "rtol": 1e-10}
+    return {"model": model, "parameters": PARAMETERS, "experiments": [experiment], **keys}
 
 
-def scipy_fit(residuals: Callable[..., np.ndarray], **options: Any) -> tuple[Values, float]:
+def scipy_fit(residuals, **options):
     """The minimum that SciPy finds from the truth, and twice its cost: the sum of rho."""
     found = least_squares(
         lambda x: residuals(*x), list(TRUE.values()), x_scale="jac", xtol=1e-14, ftol=1e-14,
@@ -89,7 +73,7 @@ def scipy_fit(residuals: Callable[..., np.ndarray], **options: Any) -> tuple[Val
     return dict(zip(TRUE, found.x.tolist(), strict=True)), 2.0 * found.cost
 
 
-def close(result: Result, expected: Values, rel: float) -> None:
+def close(result, expected, rel):
     assert result.success, result.solution.ending
     for name, value in expected.items():
         assert result.x[name] == pytest.approx(value, rel=rel), name
@@ -122,7 +106,7 @@ def test_robust_costs_have_the_minimum_that_scipy_finds(build, name, scale, meth
 
 
 def test_the_sum_of_absolute_values(build):
-    def cost(x: Any) -> float:
+    def cost(x):
         return float(np.abs(SPOILED - motion(*x)[0]).sum() / SIGMA)
 
     start = np.array(list(TRUE.values()))
@@ -137,10 +121,10 @@ def test_the_sum_of_absolute_values(build):
 def test_the_likelihood_of_two_outputs_whose_noise_nobody_knows(build):
     y, v = DATA + np.array([[2e-3], [5e-2]]) * NOISE
 
-    def cost(x: Any) -> float:
+    def cost(x):
         return sum(301 * np.log(np.mean(e**2)) for e in np.array([y, v]) - motion(*x))
 
-    def scaled(x: Any) -> float:
+    def scaled(x):
         return cost(x * np.array(list(TRUE.values())))
 
     expected = minimize(scaled, np.ones(3), method="BFGS", options={"gtol": 1e-3})
@@ -198,17 +182,6 @@ def test_a_constraint_on_parameters_that_the_data_contradict(build, text, whole,
     assert all(row.satisfied for row in result.constraints)
 
 
-def test_derived_parameters(build):
-    zeta = {"start": 0.1, "bounds": [0.0, 1.0], "auxiliary": True}
-    parameters = PARAMETERS | {"zeta": zeta, "c": {"expression": "2 * zeta * sqrt(k * m)"}}
-    result = fit(build(parameters=parameters))
-    assert result.success
-    found = {each.label: each.value for each in result.estimates}
-    assert found.keys() == parameters.keys()
-    for name, value in TRUE.items():
-        assert found[name] == pytest.approx(value, rel=1e-6)
-
-
 # --- constraints on signals: a spring that is let go at 1 m, a step from 1 to 0
 
 LET_GO = motion(**TRUE, x0=1.0, force=0.0 * FORCE)
@@ -220,14 +193,14 @@ CRITICAL = 2.0 * np.sqrt(TRUE["k"] * TRUE["m"])
 STEP = {"initial": 1.0, "final": 0.0, "rise_time": 0.6, "settling_time": 2.0, "settling": 5.0}
 
 
-def free(c: float) -> np.ndarray:
+def free(c):
     return motion(TRUE["m"], TRUE["k"], c, 1.0, 0.0 * FORCE)[0]
 
 
 LAST = LET_GO[0, -1]
 
 
-def ends_at(value: float) -> float:
+def ends_at(value):
     """The damping with which the record ends at a value that is nearer to 0 than the data's."""
     return float(brentq(lambda c: free(c)[-1] - value, TRUE["c"], 5.0 * TRUE["c"]))
 
@@ -266,7 +239,7 @@ def test_constraints_that_contradict_each_other_are_said_to(build):
 # --- kinds of problems
 
 
-def feasible(constraint: dict[str, Any], parameters: dict[str, Any]) -> dict[str, Any]:
+def feasible(constraint, parameters):
     """A config with a constraint and no data."""
     return {
         "model": {"fmu": str(FMU)},
@@ -348,14 +321,9 @@ def test_a_cost_function_that_returns_one_number(tmp_path, build):
 
 def test_a_constraint_function_by_the_command_line(tmp_path):
     (tmp_path / "mine.py").write_text(SOURCE)
-    tree = written(
-        tmp_path,
-        LET_GO[0],
-        parameters=ONLY_C,
-        values=KNOWN,
-        constraints=[{"name": "overshoot", "function": "mine:overshoot"}],
-        experiment={"inputs": {}},
-    )
+    keys = {"constraints": [{"name": "overshoot", "function": "mine:overshoot"}]}
+    keys |= {"parameters": ONLY_C, "values": KNOWN, "experiment": {"inputs": {}}}
+    tree = written(tmp_path, LET_GO[0], **keys)
     path, out = tmp_path / "c.toml", tmp_path / "out"
     path.write_text(to_toml(tree))
     assert main(["fit", str(path), "--out", str(tmp_path / "refused")]) == 2

@@ -1,7 +1,6 @@
 """A result or a sentence, whatever a config, a table or an FMU says; long form: scripts/fuzz.py."""
 
 import itertools
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 
 
 @pytest.fixture
-def folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+def folders(tmp_path, monkeypatch):
     monkeypatch.setenv("CLUSTER_EST_CACHE", str(tmp_path / "cache"))
     return itertools.count()
 
@@ -31,7 +30,7 @@ def test_the_inputs_are_spoiled_versions_of_ones_that_work(tmp_path, monkeypatch
         assert verdict.said == ""
 
 
-def examine(folder: Path, spoiled: Input) -> None:
+def examine(folder, spoiled):
     folder.mkdir()
     write(spoiled, folder)
     verdict = judge(spoiled, folder)
@@ -40,12 +39,12 @@ def examine(folder: Path, spoiled: Input) -> None:
 
 @settings(max_examples=50, suppress_health_check=list(HealthCheck))
 @given(INPUTS)
-def test_any_input_gives_a_result_or_a_sentence(tmp_path, folders, spoiled: Input):
+def test_any_input_gives_a_result_or_a_sentence(tmp_path, folders, spoiled):
     examine(tmp_path / str(next(folders)), spoiled)
 
 
 @pytest.mark.slow
 @settings(max_examples=400, suppress_health_check=list(HealthCheck))
 @given(INPUTS)
-def test_many_more_inputs_give_a_result_or_a_sentence(tmp_path, folders, spoiled: Input):
+def test_many_more_inputs_give_a_result_or_a_sentence(tmp_path, folders, spoiled):
     examine(tmp_path / str(next(folders)), spoiled)

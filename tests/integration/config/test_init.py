@@ -3,7 +3,6 @@
 import re
 import tomllib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -20,11 +19,10 @@ from workers.fmu.description import describe
 TIMES = np.arange(50) * 0.02
 FORCE = np.sin(0.5 * np.pi * TIMES / TIMES[-1])
 STEP = np.where(TIMES > 0.1, 1.0, 0.0)
-TANK = ROOT / "configs" / "models" / "stirred_tank_reactor.fmu"
 CHECK = ["check", "first.toml", "--seconds", "0"]
 
 
-def table(path: Path, columns: dict[str, Any] | None = None, **more: Any) -> Path:
+def table(path, columns=None, **more):
     """A table of the columns, of which the names may be no words."""
     given = (columns or {}) | more
     if path.suffix == ".csv":
@@ -35,7 +33,7 @@ def table(path: Path, columns: dict[str, Any] | None = None, **more: Any) -> Pat
     return path
 
 
-def factors(tree: dict) -> dict[str, float]:
+def factors(tree):
     """What the columns of the first experiment are multiplied with."""
     columns = tree["experiments"][0].get("columns", {})
     return {name: each["factor"] for name, each in columns.items()}
@@ -46,9 +44,7 @@ def written(tmp_path, monkeypatch, capsys):
     """Runs init in a folder and gives the text, the tree, and what it printed."""
     monkeypatch.chdir(tmp_path)
 
-    def call(
-        *data: Path, fmu: Path = FMU, out: str = "first.toml", given: tuple[str, ...] = ()
-    ) -> tuple[str, dict, str]:
+    def call(*data, fmu=FMU, out="first.toml", given=()):
         maps = [text for each in given for text in ("--map", each)]
         assert main(["init", str(fmu), *(str(d) for d in data), *maps, "--out", out]) == 0
         text = Path(out).read_text(encoding="utf-8")
@@ -100,19 +96,19 @@ class TestWhereColumnsMatch:
         assert tree["experiments"][0]["data"] == "../data/a.csv"
         assert main(["check", "configs/first.toml", "--seconds", "0"]) == 0
 
-    def test_units_that_differ_are_converted(self, written, tmp_path):
-        columns = {"time [ms]": TIMES * 1e3, "F [kN]": FORCE, "y [mm]": FORCE}
-        path = table(tmp_path / "a.parquet", columns, **{"v [furlong/h]": FORCE})
-        text, tree, _ = written(path)
-        assert factors(tree) == {"time [ms]": 1e-3, "F [kN]": 1e3, "y [mm]": 1e-3}
+    @pytest.mark.parametrize(
+        ("time", "force", "position"),
+        [("time [ms]", "F [kN]", "y [mm]"), ("time_ms", "F_kN", "y_mm")],
+    )
+    def test_units_that_differ_are_converted(self, written, tmp_path, time, force, position):
+        columns = {time: TIMES * 1e3, force: FORCE, position: FORCE, "v [furlong/h]": FORCE}
+        text, tree, said = written(table(tmp_path / "a.parquet", columns))
+        assert "fill in" not in said
+        assert factors(tree) == {time: 1e-3, force: 1e3, position: 1e-3}
         assert "v [furlong/h] is in furlong/h but v is in m/s" in text
         problem = ce.read_problem("first.toml")
         assert problem.experiments[0].stop == pytest.approx(TIMES[-1])
         assert problem.experiments[0].inputs[0].values.max() == 1000.0
-
-    def test_a_local_variable_with_a_column_of_its_name_is_compared_too(self, written, tmp_path):
-        _, tree, _ = written(table(tmp_path / "a.csv", time=TIMES, F=FORCE, y=FORCE, v=FORCE))
-        assert tree["experiments"][0]["outputs"] == {"y": "y", "v": "v"}
 
 
 class TestWhereExperimentsAreAlike:
@@ -145,48 +141,36 @@ class TestWhereExperimentsAreAlike:
         assert main(CHECK) == 0
 
 
-class TestUnitsAtTheEndOfNames:
-    def test_they_are_split_off_and_converted(self, written, tmp_path):
-        path = table(tmp_path / "a.csv", time_ms=TIMES * 1e3, F_kN=FORCE, y_mm=FORCE)
-        _, tree, said = written(path)
-        assert "fill in" not in said
-        (experiment,) = tree["experiments"]
-        assert experiment["time"] == "time_ms"
-        assert experiment["inputs"] == {"F": "F_kN"}
-        assert experiment["outputs"] == {"y": "y_mm"}
-        assert factors(tree) == {"time_ms": 1e-3, "F_kN": 1e3, "y_mm": 1e-3}
-        assert main(CHECK) == 0
-
-    @pytest.mark.parametrize(
-        ("column", "wanted", "name", "factor"),
-        [
-            ("speed_rpm", "rad/s", "speed", np.pi / 30.0),
-            ("w_rad_s", "rad/s", "w", None),
-            ("v_kmh", "m/s", "v", 1.0 / 3.6),
-            ("T_degC", "K", "T", 1.0),
-            ("T_C", "K", "T", 1.0),
-            ("x_m", "m", "x", None),
-            ("q_l_min", "m3/s", "q", 1e-3 / 60.0),
-            ("speed_rpm", "", "speed", None),
-            ("u_m", "V", "", None),
-            ("u_m", "", "", None),
-            ("T_min", "", "", None),
-            ("_rpm", "rad/s", "", None),
-            ("rpm", "rad/s", "", None),
-        ],
-    )
-    def test_only_what_can_be_a_unit_is_one(self, written, tmp_path, column, wanted, name, factor):
-        """Where it is none, the column is at most similar to the variable."""
-        variable = name or column.strip("_").split("_")[0]
-        variable = "speed" if variable == "rpm" else variable
-        unit = {"unit": wanted} if wanted else {}
-        fmu = write_fmu(tmp_path, real(variable, "input", start=0, **unit), real("y", "output"))
-        path = table(tmp_path / "a.parquet", {"time": TIMES, column: FORCE, "y": FORCE})
-        _, tree, _ = written(path, fmu=fmu)
-        found = tree["experiments"][0].get("inputs", {})
-        assert (found == {variable: column}) == bool(name)
-        if name:
-            assert factors(tree).get(column) == pytest.approx(factor)
+@pytest.mark.parametrize(
+    ("column", "wanted", "name", "factor"),
+    [
+        ("speed_rpm", "rad/s", "speed", np.pi / 30.0),
+        ("w_rad_s", "rad/s", "w", None),
+        ("v_kmh", "m/s", "v", 1.0 / 3.6),
+        ("T_degC", "K", "T", 1.0),
+        ("T_C", "K", "T", 1.0),
+        ("x_m", "m", "x", None),
+        ("q_l_min", "m3/s", "q", 1e-3 / 60.0),
+        ("speed_rpm", "", "speed", None),
+        ("u_m", "V", "", None),
+        ("u_m", "", "", None),
+        ("T_min", "", "", None),
+        ("_rpm", "rad/s", "", None),
+        ("rpm", "rad/s", "", None),
+    ],
+)
+def test_only_what_can_be_a_unit_is_one(written, tmp_path, column, wanted, name, factor):
+    """Where it is none, the column is at most similar to the variable."""
+    variable = name or column.strip("_").split("_")[0]
+    variable = "speed" if variable == "rpm" else variable
+    unit = {"unit": wanted} if wanted else {}
+    fmu = write_fmu(tmp_path, real(variable, "input", start=0, **unit), real("y", "output"))
+    path = table(tmp_path / "a.parquet", {"time": TIMES, column: FORCE, "y": FORCE})
+    _, tree, _ = written(path, fmu=fmu)
+    found = tree["experiments"][0].get("inputs", {})
+    assert (found == {variable: column}) == bool(name)
+    if name:
+        assert factors(tree).get(column) == pytest.approx(factor)
 
 
 class TestColumnsThatAreGiven:
@@ -255,7 +239,7 @@ def test_columns_that_nothing_uses_are_proposed_as_signals(written, tmp_path):
 def accepted(written, tmp_path):
     """The problem of what init writes where all columns are called as in the FMU."""
 
-    def call(fmu: Path) -> ce.Problem:
+    def call(fmu):
         description = describe(fmu.name, fmu.read_bytes())
         kinds = ("real", "integer", "boolean")
         names = [v.name for v in description.inputs() if v.kind in kinds]
@@ -305,26 +289,22 @@ def test_several_outputs_are_weighted_by_their_noise(written, tmp_path):
 
 
 class TestWhereSomethingIsOpen:
-    def test_what_must_be_confirmed_is_converted_already(self, written, tmp_path):
-        columns = {"time": TIMES, "force [kN]": FORCE, "position [mm]": FORCE}
-        text, tree, _ = written(table(tmp_path / "a.parquet", columns))
-        assert factors(tree) == {"force [kN]": 1e3, "position [mm]": 1e-3}
-        Path("first.toml").write_text(text.replace("FILL IN: ", "").replace('?"', '"'))
-        assert ce.read_problem("first.toml").experiments[0].inputs[0].values.max() == 1000.0
-
     def test_similar_names_must_be_confirmed(self, written, tmp_path, capsys):
-        path = table(tmp_path / "a.csv", time=TIMES, force=FORCE, position=FORCE)
-        text, _, said = written(path)
-        lines = text.split("\n")
-        for name in ('inputs.F = "FILL IN: force?"', 'outputs.y = "FILL IN: position?"'):
-            number = next(i for i, line in enumerate(lines, 1) if line.startswith(name))
-            assert f"first.toml, line {number}: fill in {name}" in said
+        """What will be confirmed is converted already."""
+        columns = {"time": TIMES, "force [kN]": FORCE, "position [mm]": FORCE}
+        text, tree, said = written(table(tmp_path / "a.parquet", columns))
+        assert factors(tree) == {"force [kN]": 1e3, "position [mm]": 1e-3}
         assert main(CHECK) == 2
         refused = capsys.readouterr().err
-        assert "line 23: experiments['a'].inputs.F must be filled in" in refused
-        assert "line 24: experiments['a'].outputs.y must be filled in but still is" in refused
+        lines = text.split("\n")
+        for key, column in (("inputs.F", "force [kN]"), ("outputs.y", "position [mm]")):
+            left = f'{key} = "FILL IN: {column}?"'
+            number = next(i for i, line in enumerate(lines, 1) if line.startswith(left))
+            assert f"first.toml, line {number}: fill in {left}" in said
+            assert f"line {number}: experiments['a'].{key} must be filled in but still" in refused
         Path("first.toml").write_text(text.replace("FILL IN: ", "").replace('?"', '"'))
         assert main(CHECK) == 0
+        assert ce.read_problem("first.toml").experiments[0].inputs[0].values.max() == 1000.0
 
     def test_a_table_without_a_time_asks_for_the_sample_time(self, written, tmp_path, capsys):
         path = table(tmp_path / "a.csv", index=np.arange(50.0), F=FORCE, y=FORCE)
@@ -336,19 +316,26 @@ class TestWhereSomethingIsOpen:
         Path("first.toml").write_text(text.replace('"FILL IN: seconds between rows"', "0.02"))
         assert main(CHECK) == 0
 
-    def test_what_no_column_is_like_stands_there_as_a_comment(self, written, tmp_path):
-        names = ["F", "v", "Www [mm]", "Zzz [Pa]", "Xxx [mm]"]
+    @pytest.mark.parametrize(
+        ("names", "lines"),
+        [
+            (
+                ["F", "v", "Www [mm]", "Zzz [Pa]", "Xxx [mm]"],
+                [
+                    '# outputs.y = "COLUMN"  # [m]',
+                    '# columns."Www [mm]" = { factor = 0.001 }  # from mm',
+                ],
+            ),
+            (["pull (kN)", "y", "Zzz [Pa]"], ['inputs.F = "FILL IN: pull (kN)?"', "factor = 1000"]),
+            (["T", "t [degC]"], ['time = "time"', '"T"', '"t [degC]"']),
+        ],
+        ids=["like no variable", "the only one with such a unit", "a temperature beside a time"],
+    )
+    def test_columns_of_other_names_are_proposed(self, written, tmp_path, names, lines):
         columns = {"time": TIMES} | dict.fromkeys(names, FORCE)
         text, _, _ = written(table(tmp_path / "a.parquet", columns))
-        assert '# outputs.y = "COLUMN"  # [m]' in text
-        assert '# columns."Www [mm]" = { factor = 0.001 }  # from mm' in text
+        assert [line for line in lines if line not in text] == []
         assert 'columns."Zzz [Pa]"' not in text
-
-    def test_the_only_column_with_a_unit_of_its_kind_must_be_confirmed(self, written, tmp_path):
-        columns = {"time": TIMES, "pull (kN)": FORCE, "y": FORCE, "Zzz [Pa]": FORCE}
-        text, tree, _ = written(table(tmp_path / "a.parquet", columns))
-        assert 'inputs.F = "FILL IN: pull (kN)?"' in text
-        assert factors(tree) == {"pull (kN)": 1e3}
 
     def test_a_column_that_says_another_unit_is_a_problem(self, written, tmp_path, capsys):
         columns = {"time [ms]": TIMES, "F [N]": FORCE, "y_mm": FORCE}
@@ -401,9 +388,7 @@ def test_columns_without_a_name_or_a_number_are_left_out(written, tmp_path):
         (["T_1", "T1"], "t 1", "", "FILL IN: T_1?"),  # both fold alike
     ],
 )
-def test_a_similar_name_is_a_suggestion_and_no_more(
-    written, tmp_path, columns, name, description, found
-):
+def test_a_similar_name_is_a_suggestion(written, tmp_path, columns, name, description, found):
     fmu = write_fmu(tmp_path, real(name, "input", start=0, description=description))
     given = {"time": TIMES} | dict.fromkeys(columns, FORCE)
     text, _, _ = written(table(tmp_path / "a.parquet", given), fmu=fmu)
@@ -420,40 +405,26 @@ def test_names_of_any_kind_are_written_as_toml(written, tmp_path):
     assert [line for line in text.split("\n") if line.startswith("[[x")] == []
 
 
-def test_few_parameters_are_active_and_the_others_say_why(written):
-    data = ROOT / "configs" / "data" / "mass_spring_damper" / "exp1.csv"
-    text, tree, _ = written(data, fmu=TANK)
-    assert 1 <= len(tree["parameters"]) <= 6
-    assert "not estimated: " in text
-
-
-def test_guesses_suit_temperatures_and_initial_values(written, tmp_path):
-    parameters = {"room.T_start": "K", "T_wall": "K", "L": "m"}
-    given = [real(n, "parameter", unit=unit, start=293.15) for n, unit in parameters.items()]
-    fmu = write_fmu(tmp_path, *given, real("y", "output"))
-    text, tree, _ = written(table(tmp_path / "a.csv", time=TIMES, y=FORCE), fmu=fmu)
-    initial = '# "room.T_start" = { start = 293.15, bounds = [243.15, 343.15], per = "experiment" }'
-    assert re.search(f"^{re.escape(initial)}.*named like an initial value", text, re.MULTILINE)
-    assert tree["parameters"] == {
-        "T_wall": {"start": 293.15, "bounds": [243.15, 343.15]},
-        "L": {"start": 293.15, "bounds": [29.315, 2931.5]},
-    }
-
-
-def test_what_a_model_may_divide_by_is_not_searched_at_zero(written, tmp_path):
+def test_guesses_suit_temperatures_initial_values_and_what_a_model_may_divide_by(written, tmp_path):
     """And a specific heat is known."""
     fmu = write_fmu(
         tmp_path,
+        real("room.T_start", "parameter", unit="K", start=293.15),
+        real("T_wall", "parameter", unit="K", start=293.15),
         real("m", "parameter", unit="kg", min=0.0, start=2.0),
         real("share", "parameter", unit="1", min=0.0, max=1.0, start=0.5),
         real("cp", "parameter", unit="J/(kg.K)", min=0.0, start=4186.0),
         real("y", "output"),
     )
     text, tree, _ = written(table(tmp_path / "a.csv", time=TIMES, y=FORCE), fmu=fmu)
+    initial = '# "room.T_start" = { start = 293.15, bounds = [243.15, 343.15], per = "experiment" }'
+    assert re.search(f"^{re.escape(initial)}.*named like an initial value", text, re.MULTILINE)
     assert {name: each["bounds"] for name, each in tree["parameters"].items()} == {
+        "T_wall": [243.15, 343.15],
         "m": [0.2, 20.0],
         "share": [0.0, 1.0],
     }
+    assert tree["parameters"]["T_wall"]["start"] == 293.15
     assert re.search("^m = .*the FMU's min is 0", text, re.MULTILINE)
     assert re.search("^# cp = .*not estimated: a specific heat", text, re.MULTILINE)
 
@@ -504,10 +475,3 @@ def test_runs_of_the_same_name_get_different_ids(written, tmp_path):
         files.append(table(tmp_path / folder / "run.csv", time=TIMES, F=FORCE, y=FORCE))
     _, tree, _ = written(*files)
     assert [run["id"] for run in tree["experiments"]] == ["run", "run_2"]
-
-
-def test_a_column_called_t_is_a_temperature_where_there_is_a_time(written, tmp_path):
-    columns = {"time": TIMES, "T": FORCE, "t [degC]": FORCE}
-    text, tree, _ = written(table(tmp_path / "a.parquet", columns))
-    assert tree["experiments"][0]["time"] == "time"
-    assert all(f'"{name}"' in text for name in ("T", "t [degC]")), text

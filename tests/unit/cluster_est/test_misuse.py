@@ -125,11 +125,7 @@ REFUSED = [
     (ce.read_model, {"path": "no.fmu"}, r"model.fmu: no.fmu cannot be read.*No such file"),
     (ce.read_model, {"path": 3}, "model.fmu: must be a path.*3"),
     (ce.read_model, {"path": ROOT / "pyproject.toml"}, "must be an FMU, which is a zip file"),
-    (
-        ce.read_model,
-        {"parameters": ["q"]},
-        "model.parameters: mass_spring_damper.*variable 'q'",
-    ),
+    (ce.read_model, {"parameters": ["q"]}, "model.parameters: mass_spring.*variable 'q'"),
     (ce.read_model, {"structure": 3}, "model.structure: must be a dict.*3.*{name: value}"),
     (ce.read_model, {"structure": {"n": "a"}}, "model.structure.n: must be a whole number.*'a'"),
     (ce.read_model, {"solver": "ode45"}, "model.solver: must be 'dormand_prince', 'rk4', 'cvode'"),
@@ -267,7 +263,7 @@ def test_the_base_of_the_base_of_a_class_counts_too():
     class Family(Cost):
         strength: ClassVar[float]
 
-    with pytest.raises(TypeError, match=r"strength: ClassVar\[float\]$"):
+    with pytest.raises(TypeError, match=r"strength: (typing\.)?ClassVar\[float\]$"):
 
         class Wrong(Family):
             strength: float = 1.0

@@ -185,14 +185,6 @@ def test_residuals_at_a_point_that_fails_are_nan_and_say_why(truth):
         f(f.x0)
 
 
-def test_the_number_of_workers_changes_no_bit_of_residuals(truth):
-    answers = []
-    for workers in (1, 2):
-        with ce.residuals(truth.problem, ce.Resources(workers=workers)) as f:
-            answers.append((f(f.x0).tobytes(), f.jac(f.x0).tobytes()))
-    assert answers[0] == answers[1]
-
-
 def test_what_residuals_cannot_say_is_refused(truth):
     with pytest.raises(ProblemError, match=r"cost.name: must be .sse.*'huber'"):
         ce.residuals(replace(truth.problem, cost=COSTS["huber"]()))

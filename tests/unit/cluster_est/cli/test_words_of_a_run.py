@@ -90,9 +90,7 @@ def page(stored):
     ],
     ids=["of an earlier version", "today"],
 )  # fmt: skip
-def test_words_and_sentence_take_the_place_of_family_and_equation(
-    printed, page, effect, in_terminal, on_page
-):
+def test_words_and_sentence_replace_equations(printed, page, effect, in_terminal, on_page):
     facts = LOOP | {"effects": [effect]}
     said = printed(facts)
     assert all(text in said for text in in_terminal)
@@ -165,9 +163,7 @@ def test_intervals_do_not_allow_for_what_is_missing(printed, page, facts, narrow
         ({"failures_in_search": 5}, "7 failed, 5 while effects were tried", "5 of them while"),
     ],
 )
-def test_failures_of_effects_that_were_only_tried_are_called_so(
-    printed, page, tried, in_terminal, on_page
-):
+def test_failures_of_effects_only_tried_are_called_so(printed, page, tried, in_terminal, on_page):
     facts = LOOP | {"failures": 7} | tried
     assert in_terminal in printed(facts)
     assert on_page in page(facts)

@@ -1,15 +1,13 @@
 """From config to problem. What is refused on the way: `tests/integration/config`."""
 
 import tomllib
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from support.problems.springs import FMU
 from support.spoiled import ROWS, spoiled_fmu, spoiled_tree, write_input
 
-from cluster_est import Problem, read_config, read_problem
+from cluster_est import read_config, read_problem
 from cluster_est.config.reader import parse_config
 from cluster_est.errors import ClusterEstError
 from cluster_est.toml import to_toml
@@ -17,7 +15,7 @@ from cluster_est.toml import to_toml
 A = "experiments.0"
 
 
-def build(folder: Path, changes: dict[str, Any], rows: str = ROWS) -> Problem:
+def build(folder, changes, rows=ROWS):
     return read_problem(write_input(folder, changes, rows))
 
 
@@ -54,16 +52,6 @@ def test_an_interface_that_cannot_be_used_is_said_to_be_left_out(tmp_path):
     assert build(tmp_path, {"model.fmu": "x.fmu"}).model.interface == "co_simulation"
     with pytest.raises(ClusterEstError, match=r"derivative of one state twice.*left out.*choose"):
         build(tmp_path, {"model.fmu": "x.fmu", "model.interface": "model_exchange"})
-
-
-def test_an_fmu_with_events_is_integrated_like_any_other(tmp_path):
-    events = spoiled_fmu(xml={'numberOfEventIndicators="0"': 'numberOfEventIndicators="2"'})
-    (tmp_path / "x.fmu").write_bytes(events)
-    assert build(tmp_path, {"model.fmu": "x.fmu"}).model.interface == "model_exchange"
-
-
-def test_the_fmu_may_be_given_by_its_full_path(tmp_path):
-    assert build(tmp_path, {"model.fmu": str(FMU)}).model.name == FMU.name
 
 
 def test_units_of_the_config_take_the_place_of_the_fmus(tmp_path):

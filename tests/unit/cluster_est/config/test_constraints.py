@@ -1,14 +1,10 @@
 """Constraints on signals and parameters, from a config to numbers checked by hand."""
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
 from support.spoiled import REMOVED, write_input
 
-from cluster_est import Problem, read_problem
-from workers.messages import SignalBound
+from cluster_est import read_problem
 from workers.residuals.base import SimulatedOutputs
 from workers.residuals.bounds import SignalBounds
 
@@ -17,15 +13,12 @@ INF = np.inf
 UNMEASURED = {f"{A}.{key}": REMOVED for key in ("data", "time", "inputs", "outputs")}
 STEP = {"initial": 1.0, "final": 3.0, "time": 1.0, "rise_time": 2.0, "settling_time": 4.0}
 
-Build = Callable[..., Problem]
-Bounds = Callable[..., SignalBound]
-
 
 @pytest.fixture
-def build(tmp_path) -> Build:
+def build(tmp_path):
     """A problem with constraints."""
 
-    def call(*constraints: dict[str, Any], rows: str = "", **changes: Any) -> Problem:
+    def call(*constraints, rows="", **changes):
         given = {"constraints": list(constraints), **changes}
         path = write_input(tmp_path, given, *([rows] if rows else []))
         return read_problem(path, allow_code=True)
@@ -34,10 +27,10 @@ def build(tmp_path) -> Build:
 
 
 @pytest.fixture
-def bounds(build) -> Bounds:
+def bounds(build):
     """The limits of y in a simulation from 0 to 10 s without measured times."""
 
-    def call(**keys: Any) -> SignalBound:
+    def call(**keys):
         changes = {**UNMEASURED, f"{A}.start": 0.0, f"{A}.stop": 10.0}
         (found,) = build({"signal": "y", **keys}, **changes).experiments[0].bounds
         return found
@@ -45,7 +38,7 @@ def bounds(build) -> Bounds:
     return call
 
 
-def violations(bound: SignalBound, signal: Any) -> dict[str, float]:
+def violations(bound, signal):
     """By name, of y = signal(t), simulated at the times that are checked."""
     record = np.asarray(signal(bound.times), float)[None, :, None] * np.ones((1, 1, 1))
     simulated = SimulatedOutputs(bound.times, (bound.variable,), record, np.zeros((1, 1)))
@@ -143,6 +136,9 @@ def test_between_is_cut_to_the_simulation(bounds, between, expected):
     np.testing.assert_allclose(bound.times, np.linspace(*expected, 5))
 
 
+UPPER = {"absolute": 0.5, "side": "upper"}
+
+
 @pytest.mark.parametrize(
     ("keys", "times", "lower", "upper"),
     [
@@ -152,12 +148,7 @@ def test_between_is_cut_to_the_simulation(bounds, between, expected):
             [0.4, -2.7, 2.2, -0.5],
             [1.6, -1.3, 3.8, 0.5],
         ),
-        (
-            {"tracking": {"absolute": 0.5, "side": "upper"}},
-            [0, 2, 4, 6],
-            [-INF] * 4,
-            [1.5, -1.5, 3.5, 0.5],
-        ),
+        ({"tracking": UPPER}, [0, 2, 4, 6], [-INF] * 4, [1.5, -1.5, 3.5, 0.5]),
         ({"tracking": {"absolute": 0.5}, "between": [1.0, 4.0]}, [2, 4], [-2.5, 2.5], [-1.5, 3.5]),
         ({"tracking": {}}, [0, 2, 4, 6], [1, -2, 3, 0], [1, -2, 3, 0]),
     ],
@@ -198,9 +189,7 @@ LATER = np.nextafter(0.3, 1.0).item()
     ],
     ids=["the tighter limits hold", "the later ones where limits jump"],
 )
-def test_times_that_fall_together_on_a_measured_one_are_one(
-    build, measured, keys, times, lower, upper
-):
+def test_times_that_fall_together_are_one(build, measured, keys, times, lower, upper):
     rows = "".join(f"{t!r},0,0\n" for t in (0.0, *measured))
     problem = build({"signal": "y", "samples": 2, **keys}, rows=f"time,force,position\n{rows}")
     (bound,) = problem.experiments[0].bounds

@@ -1,13 +1,11 @@
 """`[experiment_defaults]`: what every experiment has unless it says otherwise."""
 
 import tomllib
-from collections.abc import Callable
 
 import pytest
 from support.spoiled import ROWS, valid_tree
 
 import cluster_est as ce
-from cluster_est.config.reader import Config
 from cluster_est.errors import ConfigError
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from cluster_est.sweep.matrix import SweepRun
@@ -25,33 +23,19 @@ group = "bench"
 ONE = '[[experiments]]\nid = "a"\ndata = "a.csv"\n'
 TWO = f'{ONE}[[experiments]]\nid = "b"\ndata = "b.csv"\n'
 
-Parse = Callable[..., Config]
-
 
 @pytest.fixture
-def parsed(tmp_path) -> Parse:
+def parsed(tmp_path):
     """The config with these experiments and defaults."""
 
-    def call(experiments: str, defaults: str = DEFAULTS, *overrides: str) -> Config:
+    def call(experiments, defaults=DEFAULTS, *overrides):
         head = to_toml({k: v for k, v in valid_tree().items() if k != "experiments"})
         top, tables = (defaults, "") if defaults.startswith("exp") else ("", defaults)
-        if experiments.startswith("experiments ="):
-            top, experiments = top + experiments, ""
         path = tmp_path / "c.toml"
         path.write_text(top + head + tables + experiments, encoding="utf-8")
         return ce.read_config(path, overrides)
 
     return call
-
-
-def test_every_experiment_has_them(parsed):
-    for each in parsed(TWO).experiments:
-        assert each.time == "t"
-        assert each.inputs["F"].column == "force"
-        assert [out.column for out in each.outputs.values()] == ["position", "speed"]
-        assert each.sigma == {"y": 0.001, "v": 0.01}
-        assert each.columns["speed"].factor == 0.1
-        assert each.group == {"": "bench"}
 
 
 def test_what_an_experiment_says_itself_wins(parsed):
@@ -83,6 +67,8 @@ outputs = { y = { column = "place", weight = 2.0 } }
     assert b.time == "seconds"
     assert (b.outputs["y"].column, b.outputs["y"].weight) == ("place", 2.0)
     assert b.outputs["v"].column == "speed"
+    assert (b.inputs["F"].column, b.sigma) == ("force", {"y": 0.001, "v": 0.01})
+    assert b.columns["speed"].factor == 0.1
 
 
 def test_overrides_and_sweeps_reach_both(parsed, tmp_path):
@@ -152,7 +138,6 @@ def test_the_run_is_that_of_a_config_without_them(tmp_path):
         (ONE + "inputs.u = { weight = 1 }\n", DEFAULTS, "inputs.u.column is missing"),
         (ONE + "columns = 3\n", DEFAULTS, r"experiments\['a'\].columns: .*a table.*3"),
         ("", DEFAULTS, "experiments is missing"),
-        ("experiments = 3\n", DEFAULTS, "experiments: .*a list.*3"),
     ],
 )
 def test_mistakes_are_named_where_they_were_made(parsed, experiments, defaults, pattern):

@@ -1,27 +1,22 @@
 """Measured signals on a time base: truth by hand, by NumPy and by plain loops."""
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from support.spoiled import write_input
 
-from cluster_est import Output, read_problem
+from cluster_est import read_problem
 
 A = "experiments.0"
 FAST = {0.0: 0.0, 1.0: 10.0, 2.0: 20.0, 3.0: 10.0, 4.0: 0.0}
 
-Signals = dict[str, dict[float, float]]
-
 
 @pytest.fixture
-def compared(tmp_path) -> Callable[..., tuple[Output, ...]]:
+def compared(tmp_path):
     """The outputs of a config with signals that are measured at times of their own."""
 
-    def call(signals: Signals, hows: tuple[str, ...] = (), **changes: Any) -> tuple[Output, ...]:
+    def call(signals, hows=(), **changes):
         times = sorted({t for signal in signals.values() for t in signal})
         cells = [[repr(t), *(repr(s[t]) if t in s else "" for s in signals.values())]
                  for t in times]  # fmt: skip
@@ -37,7 +32,7 @@ def compared(tmp_path) -> Callable[..., tuple[Output, ...]]:
     return call
 
 
-def rows(output: Output) -> dict[float, float]:
+def rows(output):
     return dict(zip(output.times.tolist(), output.values.tolist(), strict=True))
 
 

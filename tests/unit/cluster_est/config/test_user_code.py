@@ -2,14 +2,11 @@
 
 import re
 import sys
-from collections.abc import Callable
-from typing import Any
 
 import pytest
 from support.spoiled import write_input
 
 from cluster_est import ClusterEstError, read_problem
-from workers.messages import UserFunction
 from workers.residuals.functions import load
 
 SOURCE = "import math\n\ndef cost(run):\n    return math.pi\n"
@@ -24,10 +21,10 @@ def cost(run) -> float:
 
 
 @pytest.fixture
-def function(tmp_path) -> Callable[..., UserFunction]:
+def function(tmp_path):
     """The cost function of a config, beside which there is a file mine.py."""
 
-    def call(text: str, source: str | bytes = SOURCE, allow: bool = True) -> UserFunction:
+    def call(text, source=SOURCE, allow=True):
         content = source.encode() if isinstance(source, str) else source
         (tmp_path / "mine.py").write_bytes(content)
         path = write_input(tmp_path, {"cost.function": text})
@@ -38,7 +35,7 @@ def function(tmp_path) -> Callable[..., UserFunction]:
     return call
 
 
-def refused(function: Callable[..., UserFunction], *given: Any, pattern: str, **how: Any) -> None:
+def refused(function, *given, pattern, **how):
     with pytest.raises(ClusterEstError) as error:
         function(*given, **how)
     said = str(error.value)

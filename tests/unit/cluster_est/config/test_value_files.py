@@ -12,23 +12,14 @@ SSV = """<?xml version="1.0" encoding="UTF-8"?>
   version="1.0" name="found"><ssv:Parameters>{}</ssv:Parameters></ssv:ParameterSet>
 """
 MASS = '<ssv:Parameter name="m"><ssv:Real value="1.75" unit="kg"/></ssv:Parameter>'
-FRICTION = """
-[[effects]]
-site = "der(v)"
-form = "coulomb"
-variables = ["v"]
-"""
+FRICTION = {"site": "der(v)", "form": "coulomb", "variables": ["v"]}
 
 
-def read(folder, files, more="", **changes):
+def read(folder, files, **changes):
     """A problem from a config beside files of values."""
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
-    path = write_input(folder, changes)
-    listed = ", ".join(f'"{name}"' for name in files)
-    config = f"value_files = [{listed}]\n{path.read_text(encoding='utf-8')}{more}"
-    path.write_text(config, encoding="utf-8")
-    config = read_config(path)
+    config = read_config(write_input(folder, {"value_files": [*files], **changes}))
     return config, build_problem(config, folder)
 
 
@@ -56,7 +47,7 @@ def test_a_table_does_the_same_and_the_later_file_counts(tmp_path):
 
 def test_a_coefficient_is_named_by_its_effect(tmp_path):
     files = {"set.csv": "name,value\ncoulomb.k,0.7\ncoulomb.width,0.01\n"}
-    _, problem = read(tmp_path, files, FRICTION)
+    _, problem = read(tmp_path, files, effects=[FRICTION])
     assert starts(problem)["coulomb.k"] == 0.7
     assert starts(problem)["coulomb.width"] == 0.01
 
@@ -88,15 +79,13 @@ def test_mistakes(tmp_path, name, text, pattern):
 @pytest.mark.parametrize(
     ("listed", "pattern"),
     [
-        ('["no.ssv"]', r"value_files: there is no file .*no\.ssv; check the name"),
-        ('"a.ssv"', r'value_files: must be a list of files, like \["values\.ssv"\]'),
+        (["no.ssv"], r"value_files: there is no file .*no\.ssv; check the name"),
+        ("a.ssv", r'value_files: must be a list of files, like \["values\.ssv"\]'),
     ],
 )
 def test_a_list_of_files_that_is_wrong(tmp_path, listed, pattern):
-    path = write_input(tmp_path, {})
-    path.write_text(f"value_files = {listed}\n{path.read_text()}")
     with pytest.raises(ConfigError, match=pattern):
-        read_config(path)
+        read_config(write_input(tmp_path, {"value_files": listed}))
 
 
 def test_a_config_in_memory_has_no_folder():
@@ -108,10 +97,8 @@ def test_a_config_in_memory_has_no_folder():
     ("changes", "pattern"),
     [
         ({"parameters.m": 3.0}, "parameters.m: .*a table.*3.0"),
-        ({"parameters": 3.0}, "parameters: .*a table.*3.0"),
         ({"values": 3.0}, "values: .*a table.*3.0"),
         ({"effects": 3.0}, "effects: .*a list"),
-        ({"effects": [3.0]}, "a table.*3.0"),
     ],
 )
 def test_what_is_no_table_is_refused_as_without_a_file(tmp_path, changes, pattern):

@@ -13,7 +13,7 @@ from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.search_space.space import make_space
 
 
-def derived(name: str, expression: str, **more: object) -> Parameter:
+def derived(name, expression, **more):
     return Parameter(name, 0.0, expression=expression, **more)  # type: ignore[arg-type]
 
 
@@ -127,8 +127,6 @@ def test_another_start_stays_within_the_bounds_and_changes_no_other_value(a, b):
         ({"a": "b", "b": "2 * a"}, "depend on itself.*through a, b"),
         ({"a": "b", "b": "d", "d": "a * k"}, "depend on itself.*through a, b, d"),
         ({"a": "q"}, "parameters.a.expression.*unknown variable 'q'"),
-        ({"a": "k > 1"}, "parameters.a.expression: .*a number"),
-        ({"a": "1/0"}, "parameters.a.expression: .*a finite value"),
     ],
 )
 def test_a_formula_that_cannot_be_followed_is_refused(expressions, pattern):

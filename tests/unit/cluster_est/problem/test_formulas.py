@@ -26,11 +26,11 @@ BY_HAND = {
 }  # fmt: skip
 
 
-def values(text: str) -> np.ndarray:
+def values(text):
     return Formula(text, NAMES, "here").values(COLUMNS, 3)
 
 
-def one_by_one(text: str) -> list[float]:
+def one_by_one(text):
     """The same with Python's arithmetic, number by number."""
     code = text.replace("^", "**").replace("motor.k", "k")
     rows = zip(COLUMNS["a"], COLUMNS["b"], COLUMNS["motor.k"], strict=True)
@@ -169,6 +169,9 @@ def test_no_text_does_anything_but_give_numbers_or_a_sentence(text):
     assert (found.shape, found.dtype) == ((3,), np.float64)
 
 
+LOWER, UPPER = " (lower)", " (upper)"
+
+
 @pytest.mark.parametrize(
     ("text", "sides", "by_hand"),
     [
@@ -178,21 +181,9 @@ def test_no_text_does_anything_but_give_numbers_or_a_sentence(text):
         ("a>b", [""], [lambda a, b: b - a]),
         ("a + b = 1", ["="], [lambda a, b: a + b - 1.0]),
         ("a == 2*b", ["="], [lambda a, b: a - 2.0 * b]),
-        (
-            "0 <= a - b <= 1",
-            [" (lower)", " (upper)"],
-            [lambda a, b: b - a, lambda a, b: a - b - 1.0],
-        ),
-        (
-            "1 >= a - b >= 0",
-            [" (upper)", " (lower)"],
-            [lambda a, b: a - b - 1.0, lambda a, b: b - a],
-        ),
-        (
-            "where(a <= b, a, 2*b) <= 3",
-            [""],
-            [lambda a, b: np.where(a <= b, a, 2.0 * b) - 3.0],
-        ),
+        ("0 <= a - b <= 1", [LOWER, UPPER], [lambda a, b: b - a, lambda a, b: a - b - 1.0]),
+        ("1 >= a - b >= 0", [UPPER, LOWER], [lambda a, b: a - b - 1.0, lambda a, b: b - a]),
+        ("where(a <= b, a, 2*b) <= 3", [""], [lambda a, b: np.where(a <= b, a, 2.0 * b) - 3.0]),
         ("  a<=1  ", [""], [lambda a, b: a - 1.0]),
     ],
 )

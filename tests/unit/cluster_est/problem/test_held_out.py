@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.problems.springs import TRUE, Truth, spring_problem
+from support.problems.springs import TRUE, spring_problem
 
 import cluster_est as ce
 from cluster_est.errors import DataError
@@ -14,11 +14,11 @@ NOISE = 0.005
 END = [(2.0, 3.0)]
 
 
-def truth() -> Truth:
+def truth():
     return spring_problem(experiments=1, noise=NOISE)
 
 
-def split(windows: list[tuple[float, float]], spoiled: float = 0.0) -> ce.Problem:
+def split(windows, spoiled=0.0):
     """One record of 3 s, with windows that are held out and may have been spoiled before."""
     problem = truth().problem
     (run,) = problem.experiments
@@ -29,12 +29,12 @@ def split(windows: list[tuple[float, float]], spoiled: float = 0.0) -> ce.Proble
 
 
 @pytest.fixture(scope="module")
-def ended() -> ce.Result:
+def ended():
     """The fit of a record whose end is held out."""
     return ce.fit(split(END))
 
 
-def test_the_held_out_part_is_predicted_from_the_same_start(ended) -> None:
+def test_the_held_out_part_is_predicted_from_the_same_start(ended):
     labels = [each.label for each in ended.estimates if each.parameter == "x0"]
     assert labels == ["x0[e0]"]
     assert {each.estimated_on for each in ended.estimates} == {"train"}
@@ -47,7 +47,7 @@ def test_the_held_out_part_is_predicted_from_the_same_start(ended) -> None:
     assert errors["e0 (held out)"].rmse_after == pytest.approx(NOISE, rel=0.3)
 
 
-def test_what_is_held_out_changes_no_bit_of_the_estimates(ended) -> None:
+def test_what_is_held_out_changes_no_bit_of_the_estimates(ended):
     spoiled = ce.fit(split(END, spoiled=100.0))
     assert ended.x == spoiled.x
     assert ended.cost == spoiled.cost
@@ -55,7 +55,7 @@ def test_what_is_held_out_changes_no_bit_of_the_estimates(ended) -> None:
 
 
 @pytest.mark.parametrize("windows", [END, [(0.5, 0.7), (1.5, 2.0)], [(0.0, 0.0)]])
-def test_every_sample_is_in_one_part(windows) -> None:
+def test_every_sample_is_in_one_part(windows):
     (run,) = truth().problem.experiments
     train, test = run.hold_out(windows)
     (y,), (kept,), (held,) = run.outputs, train.outputs, test.outputs
@@ -65,7 +65,7 @@ def test_every_sample_is_in_one_part(windows) -> None:
     assert held.values.tolist() == [y.values[y.times.tolist().index(t)] for t in held.times]
 
 
-def test_training_is_not_simulated_beyond_its_last_value() -> None:
+def test_training_is_not_simulated_beyond_its_last_value():
     (run,) = truth().problem.experiments
     train, test = run.hold_out(END)
     assert train.stop == train.outputs[0].times[-1] < 2.0
@@ -74,7 +74,7 @@ def test_training_is_not_simulated_beyond_its_last_value() -> None:
     assert middle.stop == run.stop
 
 
-def test_what_belongs_to_the_whole_course_stays_with_the_training() -> None:
+def test_what_belongs_to_the_whole_course_stays_with_the_training():
     (run,) = truth().problem.experiments
     points = np.array([[0.0, 0.0], [1.0, 1.0]])
     curve = Curve(("y", "v"), points, run.outputs[0].times, (0.0, 0.0))
@@ -84,7 +84,7 @@ def test_what_belongs_to_the_whole_course_stays_with_the_training() -> None:
     assert test.curve is None
 
 
-def test_a_value_of_a_held_out_experiment_of_its_own_is_said_to_be_fitted_to_it(ended) -> None:
+def test_a_value_of_a_held_out_experiment_of_its_own_is_said_to_be_fitted_to_it(ended):
     problem = spring_problem(experiments=2, noise=NOISE).problem
     first, second = problem.experiments
     apart = ce.fit(replace(problem, experiments=(first, replace(second, role="test"))))
@@ -93,14 +93,14 @@ def test_a_value_of_a_held_out_experiment_of_its_own_is_said_to_be_fitted_to_it(
     assert not any("held-out" in note for note in ended.notes)
 
 
-def two_outputs() -> Experiment:
+def two_outputs():
     times = np.arange(4.0)
     return Experiment(
         "run", 0.0, 3.0, (), (Output("a", times, times), Output("b", times[:2], times[:2]))
     )
 
 
-def test_an_output_may_have_nothing_in_a_window() -> None:
+def test_an_output_may_have_nothing_in_a_window():
     train, test = two_outputs().hold_out([(2.0, 3.0)])
     assert [len(output.times) for output in train.outputs] == [2, 2]
     assert [len(output.times) for output in test.outputs] == [2, 0]
@@ -118,12 +118,12 @@ def test_an_output_may_have_nothing_in_a_window() -> None:
         (None, "must be a list of"),
     ],
 )
-def test_windows_that_are_refused(windows, said) -> None:
+def test_windows_that_are_refused(windows, said):
     with pytest.raises(DataError, match=said) as refused:
         two_outputs().hold_out(windows)
     assert str(refused.value).startswith("experiment 'run'.test_windows: ")
 
 
-def test_what_is_held_out_already_is_refused() -> None:
+def test_what_is_held_out_already_is_refused():
     with pytest.raises(DataError, match='its role is "test"'):
         replace(two_outputs(), role="test").hold_out(END)

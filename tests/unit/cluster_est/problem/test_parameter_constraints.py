@@ -8,17 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.problems.unloaded import unloaded_problem
 
-from cluster_est.methods.base import Evaluation
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.evaluation import assemble_evaluation
-from workers.messages import Outcome, SignalBound, Status, UserFunction
+from workers.messages import Outcome, Status, UserFunction
 
 PER = [None, "experiment", "group:rig", "group:day"]
 
 
 A, B = Parameter("a", 2.0), Parameter("b", 5.0)
-X0 = Parameter("x0", 0.0, per="experiment")
+RIG, X0 = Parameter("a", 2.0, per="group:rig"), Parameter("x0", 0.0, per="experiment")
+Y0 = Parameter("y0", 0.0, expression="a * x0")
 
 
 @pytest.mark.parametrize(
@@ -26,22 +26,8 @@ X0 = Parameter("x0", 0.0, per="experiment")
     [
         ([A, B], "a <= b", (0, 1, 2, 3), [""], [7.0, 4.0], [3.0]),
         ([A, X0], "x0 <= a", (0, 2), [" [e0]", " [e2]"], [1.0, 5.0, -2.0], [4.0, -3.0]),
-        (
-            [Parameter("a", 2.0, per="group:rig")],
-            "a <= 1",
-            (0, 1, 2, 3),
-            [" [e0]", " [e1]"],
-            [3.0, 10.0],
-            [2.0, 9.0],
-        ),
-        (
-            [A, X0, Parameter("y0", 0.0, expression="a * x0")],
-            "y0 <= 1",
-            (0, 1),
-            [" [e0]", " [e1]"],
-            [2.0, 3.0, 4.0],
-            [5.0, 7.0],
-        ),
+        ([RIG], "a <= 1", (0, 1, 2, 3), [" [e0]", " [e1]"], [3.0, 10.0], [2.0, 9.0]),
+        ([A, X0, Y0], "y0 <= 1", (0, 1), [" [e0]", " [e1]"], [2.0, 3.0, 4.0], [5.0, 7.0]),
     ],
     ids=["shared", "of each experiment", "of each group", "by a formula"],
 )
@@ -142,27 +128,7 @@ def test_bounds_of_what_follows_become_constraints():
     np.testing.assert_allclose(found, [-35.0 / 20.0, 10.0 / 20.0, -9.0])
 
 
-def test_constraints_of_experiments_stand_behind_those_on_parameters():
-    times = np.array([0.0, 1.0])
-    bound = SignalBound("box", "y", times, np.array([0.0, 0.0]), np.array([1.0, np.inf]))
-    final = SignalBound("end", "y", times[1:], np.ones(1), np.ones(1), equality=True)
-    problem = unloaded_problem(
-        [Parameter("a", 1.0, per="experiment")],
-        2,
-        ["a = 1"],
-        bounds=(bound, final),
-        constraint_functions=(UserFunction("none", "f"), UserFunction("none", "g", equality=True)),
-    )
-    space = make_space(problem, (0, 1))
-    each = [("box lower", False), ("box upper", False), ("end", True), ("f", False), ("g", True)]
-    names = ["a = 1 [e0]", "a = 1 [e1]"]
-    names += [f"{name} [e{e}]" for e in (0, 1) for name, _ in each]
-    assert space.constraint_names == tuple(names)
-    assert space.equality.tolist() == [True, True, *[equal for _, equal in each] * 2]
-    assert space.constraint_rows == (slice(2, 7), slice(7, 12))
-
-
-def outcome(constraints=(), residuals=(1.0, 2.0)) -> Outcome:
+def outcome(constraints=(), residuals=(1.0, 2.0)):
     return Outcome(0, Status.OK, np.array(residuals), constraints=np.array(constraints, float))
 
 
@@ -177,6 +143,10 @@ def test_a_point_is_judged_by_all_its_constraints():
         constraint_functions=(UserFunction("none", "f"), UserFunction("none", "g", equality=True)),
     )
     space = make_space(problem, (0, 1))
+    names = ("a <= 3", "a = 1", *(f"{name} [e{e}]" for e in (0, 1) for name in "fg"))
+    assert space.constraint_names == names
+    assert space.equality.tolist() == [False, True] * 3
+    assert space.constraint_rows == (slice(2, 4), slice(4, 6))
     x = np.array([1.0])
     good = assemble_evaluation(space, x, (outcome([-1.0, 0.0]), outcome([-2.0, 1e-7])), 5)
     assert good.constraints.tolist() == [-2.0, 0.0, -1.0, 0.0, -2.0, 1e-7]
@@ -198,31 +168,3 @@ def test_a_constraint_without_a_value_is_as_bad_as_can_be():
     assert not at.feasible
     assert at.rank[0] == math.inf
     np.testing.assert_array_equal(space.parameter_constraint_jacobian(np.array([-1.0])), [[0.0]])
-
-
-def test_without_constraints_nothing_is_violated():
-    space = make_space(unloaded_problem([Parameter("a", 1.0)]), (0,))
-    at = assemble_evaluation(space, np.array([1.0]), (outcome(),), 0)
-    assert (at.violation, at.feasible, len(at.constraints)) == (0.0, True, 0)
-    assert space.parameter_constraint_jacobian(np.array([1.0])).shape == (0, 1)
-
-
-@given(
-    st.lists(
-        st.tuples(st.sampled_from([0.0, 1e-8, 1e-3, 2.0]), st.floats(-9, 9), st.booleans()),
-        min_size=2,
-        max_size=8,
-    )
-)
-def test_ranks_put_constraints_first(triples):
-    points = [
-        Evaluation((outcome() if ok else FAILED,), cost if ok else np.nan, violation=v)
-        for v, cost, ok in triples
-    ]
-    best = min(points, key=lambda p: p.rank)
-    feasible = [p.cost for p in points if p.feasible]
-    if feasible:
-        assert best.feasible
-        assert best.cost == min(feasible)
-    elif any(p.ok for p in points):
-        assert best.violation == min(p.violation for p in points if p.ok)

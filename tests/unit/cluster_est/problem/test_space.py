@@ -11,7 +11,7 @@ from support.problems.unloaded import unloaded_problem
 
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.search_space.continuity import StateContinuity, StateEnd
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.problem.search_space.space import make_space
 from workers.messages import Output
 
 PER = [None, "experiment", "group:rig", "group:day"]
@@ -19,7 +19,7 @@ few = settings(max_examples=30)
 
 
 @st.composite
-def spaces(draw: st.DrawFn) -> SearchSpace:
+def spaces(draw):
     count = draw(st.integers(1, 8))
     kinds = draw(st.lists(st.sampled_from(PER), min_size=1, max_size=6))
     parameters = [
@@ -39,7 +39,7 @@ def spaces(draw: st.DrawFn) -> SearchSpace:
 
 @few
 @given(spaces())
-def test_unknowns_of_a_colour_share_no_experiment_and_each_has_one(space: SearchSpace) -> None:
+def test_unknowns_of_a_colour_share_no_experiment_and_each_has_one(space):
     members = np.concatenate([np.zeros(0, int), *space.colours])
     assert sorted(members) == list(range(space.size))
     for colour in space.colours:
@@ -48,7 +48,7 @@ def test_unknowns_of_a_colour_share_no_experiment_and_each_has_one(space: Search
 
 @few
 @given(spaces())
-def test_unknown_moves_just_its_own_experiments(space: SearchSpace) -> None:
+def test_unknown_moves_just_its_own_experiments(space):
     before = space.physical(space.start)
     for i, unknown in enumerate(space.unknowns):
         x = space.start.copy()
@@ -60,7 +60,7 @@ def test_unknown_moves_just_its_own_experiments(space: SearchSpace) -> None:
 
 @few
 @given(spaces())
-def test_values_are_known_or_the_starts(space: SearchSpace) -> None:
+def test_values_are_known_or_the_starts(space):
     physical = space.physical(space.start)
     assert physical.shape == (len(space.experiments), len(space.problem.parameters))
     for row, e in zip(physical, space.experiments, strict=True):
@@ -71,7 +71,7 @@ def test_values_are_known_or_the_starts(space: SearchSpace) -> None:
 
 @few
 @given(spaces())
-def test_unknowns_are_named_after_what_they_are_for(space: SearchSpace) -> None:
+def test_unknowns_are_named_after_what_they_are_for(space):
     labels = [u.label for u in space.unknowns]
     assert len(set(labels)) == len(labels)
     for unknown in space.unknowns:
@@ -88,7 +88,7 @@ def test_unknowns_are_named_after_what_they_are_for(space: SearchSpace) -> None:
 
 @few
 @given(spaces())
-def test_values_given_by_label_are_kept_instead_of_searched(space: SearchSpace) -> None:
+def test_values_given_by_label_are_kept_instead_of_searched(space):
     given_values = {u.label: 2.0 + i for i, u in enumerate(space.unknowns) if i % 2 == 0}
     fewer = make_space(space.problem, space.experiments, given_values)
     left = [u.label for u in space.unknowns if u.label not in given_values]
@@ -101,7 +101,7 @@ def test_values_given_by_label_are_kept_instead_of_searched(space: SearchSpace) 
 
 
 @given(st.floats(1e-300, 1e300))
-def test_log_scale_goes_there_and_back(value: float) -> None:
+def test_log_scale_goes_there_and_back(value):
     parameter = Parameter("p", value, 0.0, scale="log")
     space = make_space(unloaded_problem([parameter], 1), (0,))
     assert space.start[0] == math.log(value)
@@ -111,15 +111,7 @@ def test_log_scale_goes_there_and_back(value: float) -> None:
     assert space.estimates(space.start)["p"] == space.physical(space.start)[0, 0]
 
 
-def test_local_unknowns_cost_as_many_colours_as_one_experiment_has() -> None:
-    shared = [Parameter(name, 1.0) for name in "mkc"]
-    local = [Parameter(name, 1.0, per="experiment") for name in ("x0", "v0")]
-    space = make_space(unloaded_problem([*shared, *local], 20), tuple(range(20)))
-    assert space.size == 3 + 2 * 20
-    assert len(space.colours) == 5
-
-
-def test_groups_of_one_key_share_a_colour() -> None:
+def test_groups_of_one_key_share_a_colour():
     parameters = [Parameter("k", 1.0), Parameter("b", 1.0, per="group:rig")]
     space = make_space(unloaded_problem(parameters, 6), tuple(range(6)))
     assert [u.label for u in space.unknowns] == ["k", "b[A]", "b[B]"]
@@ -127,7 +119,7 @@ def test_groups_of_one_key_share_a_colour() -> None:
     assert len(space.colours) == 2
 
 
-def test_residuals_stand_experiment_after_experiment() -> None:
+def test_residuals_stand_experiment_after_experiment():
     problem = unloaded_problem([Parameter("k", 1.0)], 5)
     runs = [
         replace(run, outputs=(Output("y", np.linspace(0.0, 1.0, i + 1), np.zeros(i + 1)),))
@@ -147,11 +139,11 @@ def test_residuals_stand_experiment_after_experiment() -> None:
     ],
     ids=["its own size", "a tenth of its range", "nothing is known", "a logarithm"],
 )
-def test_a_noticeable_change(parameter: Parameter, size: float) -> None:
+def test_a_noticeable_change(parameter, size):
     assert make_space(unloaded_problem([parameter], 1), (0,)).typical.tolist() == [size]
 
 
-def test_a_search_begins_at_what_is_known_and_within_the_bounds() -> None:
+def test_a_search_begins_at_what_is_known_and_within_the_bounds():
     parameters = [Parameter("p", 2.0, 0.5, 10.0, per="experiment"), Parameter("q", 3.0, 1.0, 9.0)]
     space = make_space(unloaded_problem(parameters, 2), (0, 1), starts={"p[e1]": 4.0, "q": 99.0})
     assert [unknown.label for unknown in space.unknowns] == ["p[e0]", "p[e1]", "q"]

@@ -15,16 +15,16 @@ from cluster_est.run_folder.evaluation_log import SCHEMA
 from cluster_est.run_folder.log_format import slim
 
 
-def batch(rows: list[dict]) -> pa.RecordBatch:
+def batch(rows):
     return pa.RecordBatch.from_pylist(rows, schema=SCHEMA)
 
 
-def row(number: int, status: str = "ok", message: str = "", **more) -> dict:
+def row(number, status="ok", message="", **more):
     base = {"experiment": "e", "status": status, "message": message, "worker": "w0"}
     return base | {"ended": 100.0 + number, "seconds": 1.0, "residuals": [1.0] * 50} | more
 
 
-def write(path, batches, *, end: bool = True) -> int:
+def write(path, batches, *, end=True):
     """Write a segment, and give the number of bytes before the last batch."""
     with path.open("wb") as file:
         writer = pa.ipc.new_stream(file, SCHEMA)

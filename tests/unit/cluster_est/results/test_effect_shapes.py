@@ -8,7 +8,7 @@ from support.described import fmi2
 from support.thinning import thinned
 
 from cluster_est.results.shapes.effect_shapes import part_shapes, spread_of
-from workers.effects.definition import EffectDefinition, define
+from workers.effects.definition import define
 from workers.effects.expression import FUNCTIONS
 from workers.effects.forms import FORMS
 from workers.messages import Effect
@@ -21,7 +21,7 @@ X = np.linspace(-3.0, 4.0, 57)
 STATES = "abvwx"
 
 
-def scalar(number: int, name: str, kind: str, value: str = "") -> str:
+def scalar(number, name, kind, value=""):
     opening = f'<ScalarVariable name="{name}" valueReference="{number}" {kind}>'
     return f"{opening}<Real {value}/></ScalarVariable>"
 
@@ -53,7 +53,7 @@ def test_every_function_of_an_equation_is_known_here():
     assert set(NUMPY) == set(FUNCTIONS)
 
 
-def defined(*effect, **equation) -> EffectDefinition:
+def defined(*effect, **equation):
     return define(Effect("e", *effect, **equation), DESCRIPTION, "model_exchange")
 
 

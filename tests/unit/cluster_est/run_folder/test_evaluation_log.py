@@ -2,7 +2,6 @@
 
 import time
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,10 +25,8 @@ from workers.messages import Effect, Outcome, Status, Task, Trajectory
 EXPERIMENTS = [("first", "key1"), ("second", "key2")]
 METADATA = {"config_hash": "abc", "format": "1"}
 
-Row = tuple[TaskOrigin, Outcome]
 
-
-def rows(count: int) -> list[Row]:
+def rows(count):
     """Simulations, every third of which failed."""
     made = []
     for i in range(count):
@@ -41,7 +38,7 @@ def rows(count: int) -> list[Row]:
     return made
 
 
-def trajectories(count: int) -> list[Row]:
+def trajectories(count):
     found = []
     for i in range(count):
         task = Task(i, i % 2, np.array([float(i)]), "trajectory")
@@ -51,17 +48,11 @@ def trajectories(count: int) -> list[Row]:
     return found
 
 
-def open_log(
-    folder: Path,
-    settings: LogSettings | None = None,
-    first: int = 0,
-    model: str = "model",
-    say: Callable[[str], None] | None = None,
-) -> EvaluationLog:
+def open_log(folder, settings=None, first=0, model="model", say=None):
     return EvaluationLog(folder, model, EXPERIMENTS, METADATA, settings, first, say=say)
 
 
-def write(log: EvaluationLog | Path, recorded: list[Row], batch: int = 4) -> EvaluationLog:
+def write(log, recorded, batch=4):
     """Record simulations, flush after each `batch` of them, and close the log."""
     log = open_log(log) if isinstance(log, Path) else log
     for first in range(0, len(recorded), batch):
@@ -72,7 +63,7 @@ def write(log: EvaluationLog | Path, recorded: list[Row], batch: int = 4) -> Eva
     return log
 
 
-def check(table: pa.Table, recorded: list[Row]) -> None:
+def check(table, recorded):
     found = table.to_pylist()
     assert len(found) == len(recorded)
     for row, (origin, outcome) in zip(found, recorded, strict=True):
@@ -92,7 +83,7 @@ def check(table: pa.Table, recorded: list[Row]) -> None:
 
 
 @pytest.mark.parametrize("batch", [1, 4, 100])
-def test_gives_back_what_was_recorded(tmp_path: Path, batch: int) -> None:
+def test_gives_back_what_was_recorded(tmp_path, batch):
     recorded = rows(20)
     write(tmp_path / "log", recorded, batch)
     table = read_log(tmp_path / "log")
@@ -101,7 +92,7 @@ def test_gives_back_what_was_recorded(tmp_path: Path, batch: int) -> None:
     assert table.schema.metadata == {k.encode(): v.encode() for k, v in METADATA.items()}
 
 
-def test_a_row_says_its_effects_and_what_else_was_installed(tmp_path: Path) -> None:
+def test_a_row_says_its_effects_and_what_else_was_installed(tmp_path):
     origin, outcome = rows(1)[0]
     effect = Effect("friction", "der(v)", "coulomb", ("v",))
     task = replace(origin.task, experiment=7, effects=(effect,))
@@ -113,18 +104,7 @@ def test_a_row_says_its_effects_and_what_else_was_installed(tmp_path: Path) -> N
     assert own["key"] != other["key"]
 
 
-def test_flushed_rows_can_be_read_while_the_log_is_open(tmp_path: Path) -> None:
-    log = open_log(tmp_path)
-    for row in rows(8):
-        log.record(*row)
-    log.flush()
-    check(read_log(tmp_path), rows(8))
-    log.close()
-    log.close()
-    check(read_log(tmp_path), rows(8))
-
-
-def test_key_says_model_experiment_and_values(tmp_path: Path) -> None:
+def test_key_says_model_experiment_and_values(tmp_path):
     recorded = rows(6)
     write(tmp_path / "a", recorded)
     write(tmp_path / "b", recorded[::-1], 1)
@@ -135,7 +115,7 @@ def test_key_says_model_experiment_and_values(tmp_path: Path) -> None:
     assert not set(keys) & set(others)
 
 
-def test_a_torn_segment_is_read_and_mended_wherever_it_was_cut(tmp_path: Path) -> None:
+def test_a_torn_segment_is_read_and_mended_wherever_it_was_cut(tmp_path):
     recorded = rows(12)
     write(tmp_path, recorded)
     path = tmp_path / "00000.arrows"
@@ -161,7 +141,7 @@ def test_a_torn_segment_is_read_and_mended_wherever_it_was_cut(tmp_path: Path) -
     assert path.read_bytes() == content
 
 
-def test_segments_are_rotated_and_read_in_order(tmp_path: Path) -> None:
+def test_segments_are_rotated_and_read_in_order(tmp_path):
     recorded = trajectories(300)
     write(open_log(tmp_path, LogSettings(megabytes=1.0)), recorded, 10)
     names = sorted(path.name for path in tmp_path.glob("*.arrows"))
@@ -178,7 +158,7 @@ def test_segments_are_rotated_and_read_in_order(tmp_path: Path) -> None:
     assert lost == list(range(lost[0], lost[0] + 10)), "the last batch of that segment"
 
 
-def test_many_rows_reach_the_disk_without_a_flush(tmp_path: Path) -> None:
+def test_many_rows_reach_the_disk_without_a_flush(tmp_path):
     log, recorded = open_log(tmp_path), rows(1 + ROWS_PER_WRITE)  # the first is written at once
     for row in recorded:
         log.record(*row)
@@ -188,7 +168,7 @@ def test_many_rows_reach_the_disk_without_a_flush(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*torn end was dropped")
-def test_rows_are_written_at_once_or_a_moment_later_while_the_run_waits(tmp_path: Path) -> None:
+def test_rows_are_written_at_once_or_a_moment_later_while_the_run_waits(tmp_path):
     log, (first, *others) = open_log(tmp_path), rows(3)
     log.record(*first)  # after a long time without any
     check(read_log(tmp_path), [first])
@@ -200,19 +180,19 @@ def test_rows_are_written_at_once_or_a_moment_later_while_the_run_waits(tmp_path
     check(read_log(tmp_path), [first, *others])
 
 
-def test_folder_without_segments_is_refused(tmp_path: Path) -> None:
+def test_folder_without_segments_is_refused(tmp_path):
     open_log(tmp_path).close()
     with pytest.raises(RunFolderError, match="holds none"):
         read_log(tmp_path)
 
 
-def test_nothing_that_is_there_is_written_over(tmp_path: Path) -> None:
+def test_nothing_that_is_there_is_written_over(tmp_path):
     write(tmp_path, rows(3))
     with pytest.raises(RunFolderError, match="must be written but cannot be"):
         write(tmp_path, rows(1))
 
 
-def test_a_log_that_cannot_be_written_is_said_with_a_row_that_follows(tmp_path: Path) -> None:
+def test_a_log_that_cannot_be_written_is_said_with_a_row_that_follows(tmp_path):
     (tmp_path / "00001.arrows").mkdir()
     log = open_log(tmp_path, LogSettings(megabytes=1e-4))  # each segment holds one batch
     log.record(*rows(1)[0])
@@ -222,7 +202,7 @@ def test_a_log_that_cannot_be_written_is_said_with_a_row_that_follows(tmp_path: 
         log.record(*rows(1)[0])
 
 
-def test_trajectories_are_kept_and_what_was_wanted_is_said(tmp_path: Path) -> None:
+def test_trajectories_are_kept_and_what_was_wanted_is_said(tmp_path):
     write(tmp_path, [*trajectories(1), *rows(1)])
     with_path, without = read_log(tmp_path).to_pylist()
     assert (with_path["want"], without["want"]) == ("trajectory", "residuals")
@@ -232,7 +212,7 @@ def test_trajectories_are_kept_and_what_was_wanted_is_said(tmp_path: Path) -> No
     assert without["trajectory"] is None
 
 
-def test_residuals_can_be_left_out(tmp_path: Path) -> None:
+def test_residuals_can_be_left_out(tmp_path):
     write(open_log(tmp_path, LogSettings(residuals=False)), [*trajectories(2), *rows(2)])
     table = read_log(tmp_path)
     for column in ("residuals", "trajectory", "times", "variables"):
@@ -240,7 +220,7 @@ def test_residuals_can_be_left_out(tmp_path: Path) -> None:
     assert np.isfinite(table["cost"].to_numpy()).all()
 
 
-def test_the_oldest_segments_of_a_full_log_lose_their_residuals(tmp_path: Path) -> None:
+def test_the_oldest_segments_of_a_full_log_lose_their_residuals(tmp_path):
     recorded, log = trajectories(300), open_log(tmp_path, LogSettings(megabytes=0.25))
     for first in range(0, 300, 10):
         for row in recorded[first : first + 10]:
@@ -257,9 +237,7 @@ def test_the_oldest_segments_of_a_full_log_lose_their_residuals(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("lacking", [["want", "variables", "times", "trajectory"], ["ended"]])
-def test_segments_of_older_formats_are_read_with_those_of_today(
-    tmp_path: Path, lacking: list[str]
-) -> None:
+def test_segments_of_older_formats_are_read_with_those_of_today(tmp_path, lacking):
     recorded = rows(8)
     write(tmp_path, recorded[:4])
     table = read_log(tmp_path).drop_columns(lacking)
@@ -281,7 +259,7 @@ def test_segments_of_older_formats_are_read_with_those_of_today(
         assert (found.residuals is None) == (outcome.residuals is None)
 
 
-def test_what_a_finished_run_leaves(tmp_path: Path) -> None:
+def test_what_a_finished_run_leaves(tmp_path):
     recorded = [*trajectories(40), *rows(40)]
     log = write(tmp_path, recorded, 2)
     before = read_log(tmp_path)
@@ -300,13 +278,13 @@ def test_what_a_finished_run_leaves(tmp_path: Path) -> None:
     assert len(set(hashes[40:])) > 2
 
 
-def test_residuals_that_are_wanted_stay(tmp_path: Path) -> None:
+def test_residuals_that_are_wanted_stay(tmp_path):
     log = write(open_log(tmp_path, LogSettings(keep_residuals=True)), rows(6))
     log.let_residuals_go()
     check(read_log(tmp_path), rows(6))
 
 
-def test_a_log_that_cannot_be_made_smaller_ends_no_run(tmp_path: Path) -> None:
+def test_a_log_that_cannot_be_made_smaller_ends_no_run(tmp_path):
     (tmp_path / ".00000.slim").mkdir()  # where the smaller one would be written
     said: list[str] = []
     log = open_log(tmp_path, LogSettings(megabytes=0.05), say=said.append)

@@ -7,7 +7,6 @@ import signal
 import socket
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from filelock import UnixFileLock
@@ -45,13 +44,13 @@ while done < 20:
 """
 
 
-def start(code: str, folder: Path) -> subprocess.Popen[str]:
+def start(code, folder):
     return subprocess.Popen(
         [sys.executable, "-c", code, str(folder)], stdout=subprocess.PIPE, text=True
     )
 
 
-def kill_holder(function: str, folder: Path) -> int:
+def kill_holder(function, folder):
     """The number of a process that was killed while it had the lock."""
     with start(HOLD.format(function=function), folder) as holder:
         assert holder.stdout is not None
@@ -62,7 +61,7 @@ def kill_holder(function: str, folder: Path) -> int:
     return holder.pid
 
 
-def write_owner(folder: Path, text: str) -> None:
+def write_owner(folder, text):
     (folder / SWEEP_OWNER).write_text(text, encoding="utf-8")
 
 
@@ -143,7 +142,7 @@ def test_of_many_that_take_over_only_one_is_inside(tmp_path):
     assert [each.returncode for each in racing] == [0, 0, 0]
 
 
-def run_of(folder: Path, status: str) -> Path:
+def run_of(folder, status):
     (folder / "evaluations").mkdir()
     (folder / "run.json").write_text(json.dumps({"status": status}), encoding="utf-8")
     return folder
