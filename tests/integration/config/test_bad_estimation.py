@@ -64,7 +64,6 @@ SUITABLE = [
     (options("de") | {"parameters.m.bounds": REMOVED}, "parameters.m.bounds: .*finite"),
 ]
 COSTS = [
-    ({"cost.options": {"scale": 1.0}}, "cost.options.scale: sse has no such option"),
     ({"cost": {"name": "huber", "options": {"scal": 1}}}, "cost.options.scal: huber.*'scale'"),
     ({"cost": {"name": "huber", "options": {"scale": 0}}}, "options.scale: .*1e-100.*0"),
     ({"cost": {"name": "cauchy", "options": {"scale": "x"}}}, "options.scale: .*number.*'x'"),
@@ -120,7 +119,6 @@ SIGNALS = [
     (step(rise_time=0.2, settling_time=0.1), "step_response.settling_time: .*before rise_time"),
     (step(initial=1.0), "step_response.initial: .*not be the final value"),
     (constraint(signal="v", tracking={}), r"\[0\].signal: .*measured in some experiment.*'y'"),
-    (on_y(tracking={"side": "left"}), "tracking.side: .*'both', 'upper' or 'lower'.*'left'"),
     (on_y(tracking={"relative": -1}), "tracking.relative: .*at least 0.*-1"),
 ]
 DERIVED = [

@@ -176,16 +176,13 @@ def test_bad_arguments(tmp_path, refused, arguments, pattern):
     refused(arguments, pattern)
 
 
+NO_SUCH = ["check", "config.toml", "--no-such"]
+NO_OUT = ["check", "config.toml", "--out", "o", "x=1"]
+
+
 @pytest.mark.parametrize(
     "arguments",
-    [
-        ["check", "config.toml", "--no-such"],
-        ["check", "config.toml", "--out", "o", "x=1"],
-        [*FIT, "trials"],
-        ["fit", "config.toml"],
-        ["solve", "config.toml"],
-        [],
-    ],
+    [NO_SUCH, NO_OUT, [*FIT, "trials"], ["fit", "config.toml"], ["solve", "config.toml"], []],
 )
 def test_bad_options(tmp_path, monkeypatch, capsys, arguments):
     monkeypatch.chdir(tmp_path)

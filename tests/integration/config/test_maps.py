@@ -76,10 +76,12 @@ def fitted(tmp_path_factory, own_fmu):
     return call
 
 
-def test_every_value_of_a_map_is_a_parameter(fitted):
-    values, errors, _ = fitted()
+def test_every_value_of_a_map_is_a_parameter_and_a_smooth_one_fits_as_well(fitted):
+    values, errors, result = fitted()
     visited = np.abs(POINTS) <= 0.5
     assert (np.abs(values - TRUE)[visited] < 4.0 * errors[visited]).all()
+    priors = 7  # of which each costs about 1
+    assert fitted(smooth=True)[2].cost < result.cost + 3.0 * priors
 
 
 def test_smoothness_fills_what_the_data_did_not_visit(fitted):
@@ -90,11 +92,6 @@ def test_smoothness_fills_what_the_data_did_not_visit(fitted):
     assert np.abs(smooth - TRUE)[outside].max() < np.abs(free - TRUE)[outside].max()
     assert np.isfinite(errors[[0, 4]]).all()
     assert errors[0] > errors[4]  # what nobody has measured is known the least
-
-
-def test_a_smooth_map_fits_the_data_as_well_as_a_free_one(fitted):
-    priors = 7  # of which each costs about 1
-    assert fitted(smooth=True)[2].cost < fitted()[2].cost + 3.0 * priors
 
 
 def test_a_monotone_map_increases(fitted):

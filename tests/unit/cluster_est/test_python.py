@@ -54,10 +54,8 @@ def rows(folder, table):
 
 def check_tables(result, folder):
     """They are those of the run folder, but for what only a log can say."""
-    assert set(result.tables) == {p.stem for p in folder.glob("*.parquet")} - {
-        "searches",
-        "workers",
-    }
+    written = {path.stem for path in folder.glob("*.parquet")}
+    assert set(result.tables) == written - {"searches", "workers"}
     for name in result.tables:
         schema = pq.read_schema(folder / f"{name}.parquet")
         assert result.table(name).schema == schema, name

@@ -18,6 +18,10 @@ from cluster_est.uncertainty import UncertaintySettings, examine, linearise, pro
 TIMES = np.linspace(0.0, 1.0, 400)
 COLUMNS = np.column_stack([np.ones(len(TIMES)), TIMES])
 MEANS, SDS = np.array([1.5, -0.4]), np.array([0.02, 0.05])
+PRIORS = (
+    Parameter("a", 1.0, -10.0, 10.0, prior=NormalPrior(MEANS[0], SDS[0])),
+    Parameter("b", 0.0, -10.0, 10.0, prior=NormalPrior(MEANS[1], SDS[1])),
+)
 
 
 def line(times, values, experiment):
@@ -29,23 +33,14 @@ def flat(times, values, experiment):
     return values[0] + 0.0 * values[1] * times
 
 
-def found_in(model, parameters, records, method=None):
-    """The runner, the space and the solution of a fit, and what its data determine."""
-    runner, space, solution = Curves(model, parameters, TIMES, records).solve(
-        *([] if method is None else [method])
-    )
+def found_in(model, parameters, records, *method):
+    """The solution of a fit, and what its data determine."""
+    runner, space, solution = Curves(model, parameters, TIMES, records).solve(*method)
     return solution, examine(runner, space, linearise(runner, space, solution))
 
 
 def unknown(parameters):
     return tuple(replace(p, prior=None) for p in parameters)
-
-
-def parameters(**changes):
-    return (
-        Parameter("a", 1.0, -10.0, 10.0, prior=NormalPrior(MEANS[0], SDS[0]), **changes),
-        Parameter("b", 0.0, -10.0, 10.0, prior=NormalPrior(MEANS[1], SDS[1]), **changes),
-    )
 
 
 def measured(count=1, seed=0):
@@ -65,7 +60,7 @@ def posterior(records):
 @pytest.mark.parametrize("count", [1, 3])
 def test_the_minimum_and_its_intervals_are_those_of_the_posterior(method, count):
     records = measured(count)
-    solution, found = found_in(line, parameters(), records, method)
+    solution, found = found_in(line, PRIORS, records, method)
     mean, covariance = posterior(records)
     assert solution.x == pytest.approx(mean, abs=1e-6)
     errors = [interval.std_error for interval in found.intervals]
@@ -73,10 +68,8 @@ def test_the_minimum_and_its_intervals_are_those_of_the_posterior(method, count)
 
 
 def test_noise_larger_than_sigma_widens_what_the_measurements_say_and_not_the_priors():
-    records = [
-        line(TIMES, (1.4, -0.5), 0) + 3.0 * (each - 1.4 + 0.5 * TIMES) for each in measured()
-    ]
-    _, found = found_in(line, parameters(), records)
+    records = [3.0 * each - 2.0 * line(TIMES, (1.4, -0.5), 0) for each in measured()]
+    _, found = found_in(line, PRIORS, records)
     inverse = np.linalg.inv(COLUMNS.T @ COLUMNS + np.diag(SDS**-2))
     middle = found.variance * COLUMNS.T @ COLUMNS + np.diag(SDS**-2)
     expected = np.sqrt(np.diag(inverse @ middle @ inverse))
@@ -86,14 +79,11 @@ def test_noise_larger_than_sigma_widens_what_the_measurements_say_and_not_the_pr
 
 def test_a_prior_of_a_value_for_each_experiment_counts_once_for_each():
     records = measured(3)
-    own = (replace(parameters()[0], per="experiment"), parameters()[1])
+    own = (replace(PRIORS[0], per="experiment"), PRIORS[1])
     _, space, solution = Curves(line, own, TIMES, records).solve()
     assert [len(each) for each in space.priors.places] == [2, 1, 1]
     assert int(space.priors.among(space.rows).sum()) == 4
-    columns = np.zeros((3 * len(TIMES), 4))
-    for e in range(3):
-        columns[e * len(TIMES) : (e + 1) * len(TIMES), e] = 1.0
-    columns[:, 3] = np.tile(TIMES, 3)
+    columns = np.column_stack([np.kron(np.eye(3), COLUMNS[:, :1]), np.tile(TIMES, 3)])
     weights = np.array([SDS[0]] * 3 + [SDS[1]]) ** -2
     means = np.array([MEANS[0]] * 3 + [MEANS[1]])
     precision = columns.T @ columns + np.diag(weights)
@@ -104,7 +94,7 @@ def test_a_prior_of_a_value_for_each_experiment_counts_once_for_each():
 
 
 def test_what_no_measurement_tells_is_as_the_prior_says():
-    solution, found = found_in(flat, parameters(), measured())
+    solution, found = found_in(flat, PRIORS, measured())
     assert solution.x[1] == pytest.approx(MEANS[1], abs=1e-9)
     assert found.intervals[1].std_error == pytest.approx(SDS[1], rel=1e-6)
     assert found.directions == ()
@@ -112,7 +102,7 @@ def test_what_no_measurement_tells_is_as_the_prior_says():
 
 @pytest.mark.parametrize("method", [LeastSquares(), LeastSquares(differences="central")])
 def test_a_profile_keeps_the_prior_of_the_value_that_it_holds(method):
-    runner, space, solution = Curves(line, parameters(), TIMES, measured()).solve(method)
+    runner, space, solution = Curves(line, PRIORS, TIMES, measured()).solve(method)
     settings = UncertaintySettings(profiles=("a", "b"))
     _, covariance = posterior(measured())
     found = profiles(runner, space, solution, method, settings)
@@ -126,10 +116,9 @@ def test_a_profile_keeps_the_prior_of_the_value_that_it_holds(method):
 def test_a_profile_of_what_no_measurement_tells_is_as_wide_as_its_prior(noise):
     """Also where the measurements scatter by less or more than their sigmas."""
     records = [1.4 + noise * np.random.default_rng(0).normal(size=len(TIMES))]
-    runner, space, solution = Curves(flat, parameters(), TIMES, records).solve()
-    (found,) = profiles(
-        runner, space, solution, LeastSquares(), UncertaintySettings(profiles=("b",))
-    )
+    runner, space, solution = Curves(flat, PRIORS, TIMES, records).solve()
+    settings = UncertaintySettings(profiles=("b",))
+    (found,) = profiles(runner, space, solution, LeastSquares(), settings)
     assert 0.5 * (found.upper - found.lower) == pytest.approx(1.96 * SDS[1], rel=0.02)
 
 
@@ -138,10 +127,8 @@ def test_a_prior_on_one_value_hides_no_other_that_the_measurements_do_not_tell()
         noise = 1e-9 * np.sin(1e6 * values[1])  # of a simulation
         return 300.0 + values[0] * times + noise
 
-    own = (
-        Parameter("a", 1.0, -10.0, 10.0, prior=NormalPrior(0.5, 100.0)),
-        Parameter("b", 1.0, -10.0, 10.0),
-    )
+    a, b = (Parameter(name, 1.0, -10.0, 10.0) for name in "ab")
+    own = (replace(a, prior=NormalPrior(0.5, 100.0)), b)
     records = [noisy(TIMES, (0.7, 1.0), 0) + np.random.default_rng(0).normal(size=len(TIMES))]
     known, free = (found_in(noisy, given, records)[1] for given in (own, unknown(own)))
     assert [d.labels for d in known.directions] == [d.labels for d in free.directions]
@@ -167,14 +154,14 @@ def declared(experiment):
 
 
 def test_a_front_of_several_outputs_is_refused():
-    space = Curves(line, parameters(), TIMES, measured(2)).space()
+    space = Curves(line, PRIORS, TIMES, measured(2)).space()
     with pytest.raises(ProblemError, match="a prior belongs to none of them"):
         METHODS["nsga2"]().check(space)
 
 
 def test_what_a_prior_cannot_be_weighed_against_is_refused():
     """A held-out record without a sigma too: values that only it has are fitted to it."""
-    problem = Curves(line, parameters(), TIMES, measured(6)).problem()
+    problem = Curves(line, PRIORS, TIMES, measured(6)).problem()
     first, *others = problem.experiments
     runs = (declared(first), *(replace(e, role="test") for e in others))
     whole = replace(problem, experiments=tuple(declared(e) for e in problem.experiments))
