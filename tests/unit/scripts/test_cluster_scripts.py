@@ -46,11 +46,6 @@ def check_command(words):
 
 
 @pytest.mark.parametrize("script", SHELL, ids=lambda path: path.name)
-def test_shell_scriptsparse(script):
-    subprocess.run(["bash", "-n", str(script)], check=True)
-
-
-@pytest.mark.parametrize("script", SHELL, ids=lambda path: path.name)
 def test_an_unfilled_script_says_so(script):
     done = subprocess.run(["bash", str(script)], capture_output=True, text=True, check=False)
     assert done.returncode == 2
