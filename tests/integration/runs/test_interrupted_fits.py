@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from support.observed_executor import observe
-from support.run_folders import SPRING, facts, rows
+from support.run_folders import SPRING, facts, rows, tables
 
 from cluster_est.cli import main
 
@@ -78,3 +78,17 @@ def test_a_program_that_is_interrupted_writes_the_best_so_far(tmp_path, how, exe
     assert process.returncode == 130
     assert "Traceback" not in said
     check_best_so_far(run)
+
+
+def test_an_interrupt_before_the_first_simulation_leaves_the_run_that_is_there(
+    tmp_path, monkeypatch
+):
+    fit = ["fit", SPRING, "--no-report", "--out"]
+    assert main([*fit, str(tmp_path / "run")]) == 0
+    before = tables(tmp_path / "run")
+    observer = observe(monkeypatch)
+    for how in ([str(tmp_path / "run"), "--overwrite"], [str(tmp_path / "new")]):
+        observer.disturb(1, KeyboardInterrupt())
+        assert main([*fit, *how]) == 130
+    assert tables(tmp_path / "run") == before
+    assert not (tmp_path / "new").exists()
