@@ -4,34 +4,74 @@ Workers that are stopped most of the time stand for the load: a clock that decid
 show.
 """
 
+import contextlib
+import os
+import signal
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.descendants import descendants
 from support.problems.springs import spring_problem
-from support.stopping import stopped_now_and_then
 from support.truth.springs_with_friction import write_config
 
 import cluster_est as ce
 from cluster_est.config.settings import build_settings
-from workers.messages import Limits, Outcome
+from workers.messages import Limits
 
 pytestmark = pytest.mark.slow
 
 WORKERS = 2
 IMPATIENT = Limits(stall=2.0)
 """Far less than the time that a stopped process stands still in all."""
+STOPPED, RUNNING = 0.3, 0.1
+"""Seconds of each."""
+
+
+@contextlib.contextmanager
+def stopped_now_and_then() -> Iterator[set[int]]:
+    """Stop every process that is there for an FMU, and let it go on, over and over.
+
+    Gives the ids of all that there were. Each stands still for three times as long as it runs in
+    between.
+    """
+    seen: set[int] = set()
+    ended = threading.Event()
+
+    def send(number: int) -> None:
+        for process in seen:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process, number)
+
+    def go_on() -> None:
+        while not ended.is_set():
+            seen.update(descendants(3))
+            send(signal.SIGSTOP)
+            ended.wait(STOPPED)
+            send(signal.SIGCONT)
+            ended.wait(RUNNING)
+
+    thread = threading.Thread(target=go_on)
+    thread.start()
+    try:
+        yield seen
+    finally:
+        ended.set()
+        thread.join()
 
 
 class Recorder:
     """Every simulation of a run, in no order."""
 
-    def __init__(self) -> None:
-        self.rows: list[tuple[object, ...]] = []
+    def __init__(self):
+        self.rows = []
 
-    def __call__(self, origin: object, outcome: Outcome) -> None:
+    def __call__(self, origin, outcome):
         found = b"" if outcome.residuals is None else outcome.residuals.tobytes()
-        values = origin.task.values.tobytes()  # type: ignore[attr-defined]
-        self.rows.append((origin.search, origin.task.experiment, values, outcome.status, found))  # type: ignore[attr-defined]
+        task = origin.task
+        row = origin.search, task.experiment, task.values.tobytes(), outcome.status, found
+        self.rows.append(repr(row))
 
 
 def fitted(_: Path, resources: ce.Resources, record: Recorder) -> ce.Result:
@@ -52,7 +92,7 @@ def test_a_run_is_the_same_on_an_idle_machine_and_on_a_busy_one(run, tmp_path: P
     idle = run(tmp_path, resources, first)
     with stopped_now_and_then() as processes:
         busy = run(tmp_path, resources, second)
-    assert sorted(map(repr, first.rows)) == sorted(map(repr, second.rows))
+    assert sorted(first.rows) == sorted(second.rows)
     assert 0 < len(processes) <= 2 * WORKERS + 2  # none was taken for hung and replaced
     assert (idle.evaluations, idle.failures) == (busy.evaluations, busy.failures)
     assert str(idle) == str(busy)

@@ -37,9 +37,7 @@ Done = Callable[[], list[str]]
 
 
 @pytest.fixture
-def sweep(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Sweep:
+def sweep(tmp_path, monkeypatch, capsys) -> Sweep:
     """Sweep over the embedded example in a folder of its own: exit code, output and errors."""
     monkeypatch.chdir(tmp_path)
     copy_spring(tmp_path)

@@ -2,9 +2,7 @@
 
 import math
 import tomllib
-import xml.etree.ElementTree as ET
 
-import numpy as np
 import pytest
 from measured_league.cases import all_cases, changed, textbook_config
 from measured_league.convert import CONVERSIONS, convert, with_logarithm
@@ -18,7 +16,6 @@ from measured_league.figures import (
 )
 from measured_league.judging import CaseJudgements, Judgement, Rightness, read_judgements
 from measured_league.page import made_worse, near_textbook, page_text, says_so
-from measured_league.picture import Record, picture
 
 from cluster_est.config.reader import parse_config
 
@@ -129,13 +126,3 @@ def test_the_page_has_every_case_with_its_figures_and_words():
     assert "| held-out error made worse | 0 of 1 |" in text
     alone = CaseFigures(CASES["ur5e"], None, None, None, math.nan)
     assert "Not all runs have ended in: ur5e." in page_text([alone], {}, {})
-
-
-def test_a_picture_has_a_curve_for_each_run():
-    times = np.linspace(0.0, 1.0, 50)
-    simulated = {"base": np.zeros(50), "textbook": np.sin(times)}
-    drawn = Record("a < b", "y", times, np.sin(times) + 0.1, simulated)
-    root = ET.fromstring(picture(drawn, "what & why", "m"))
-    paths = [each.get("class") for each in root.iter("{http://www.w3.org/2000/svg}path")]
-    assert paths.count("base") == paths.count("textbook") == 3  # legend, curve, error
-    assert paths.count("loop") == 0
