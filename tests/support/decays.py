@@ -1,7 +1,10 @@
-"""Records of x' = -k x, x(0) = 1, for the FMU that counts its instances: exp(-k t), by hand."""
+"""The test FMU `counts_instances`: its records, x' = -k x with x(0) = 1, and what it has counted.
 
-from __future__ import annotations
+It counts for itself, with a lock of its own and what the kernel says of processes: nothing of the
+project is used. The truth of the records is exp(-k t), by hand.
+"""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +13,45 @@ from cluster_est import Experiment, Model, Output, Parameter, Problem, Solver
 from cluster_est.executors import Executor
 from workers.messages import Outcome, Task
 
+VARIABLE = "INSTANCES_COUNTED_IN"
 RATE = 1.3
 TIMES = np.linspace(0.0, 2.0, 41)
 RECORDS = "abcd"
+
+
+@dataclass(frozen=True)
+class CountedInstances:
+    """The instances since a folder was emptied."""
+
+    folder: Path
+
+    def forget(self) -> None:
+        """Count from here; instances that are still there are no longer known."""
+        for file in self.folder.iterdir():
+            file.unlink()
+
+    @property
+    def made(self) -> int:
+        """How many there have been, one after the other or at once."""
+        return len(self._alive())
+
+    @property
+    def most(self) -> int:
+        """The largest number that there was at once."""
+        return max(self._alive())
+
+    @property
+    def processes(self) -> set[int]:
+        """Those in which there was one."""
+        return {int(words[1]) for words in self._lines() if words[0] == "MADE"}
+
+    def _alive(self) -> list[int]:
+        """How many there were with each, when it was made."""
+        return [int(words[2]) for words in self._lines() if words[0] == "MADE"]
+
+    def _lines(self) -> list[list[str]]:
+        text = (self.folder / "log").read_text(encoding="ascii")
+        return [line.split() for line in text.splitlines()]
 
 
 def decay_problem(fmu: Path, solver: str = "dormand_prince", upper: float = 3.0) -> Problem:

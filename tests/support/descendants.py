@@ -1,7 +1,5 @@
 """Processes that descend from this one, as Linux knows them."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

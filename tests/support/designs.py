@@ -1,7 +1,5 @@
 """Designs of the next experiment for tests, by the command and from Python."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The blocks of the pages for users: fenced code, and lines that call the command line."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,10 +1,8 @@
 """Exported FMUs as another tool sees them: through fmpy, call by call."""
 
-from __future__ import annotations
-
 import shutil
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from ctypes import CFUNCTYPE, c_char_p, c_int, c_void_p, cast
 from pathlib import Path
 from typing import Any
@@ -156,3 +154,21 @@ def finely_co_simulated(
     fine = np.interp(shares, np.arange(len(times)), times)
     driven = {name: np.interp(fine, times, values) for name, values in inputs.items()}
     return co_simulated(exported, fine, driven, output)[::10]
+
+
+def output_of(
+    folder: Path,
+    times: FloatArray,
+    inputs: dict[str, FloatArray],
+    output: str,
+    given: dict[str, float] | None = None,
+    follow: Callable[..., FloatArray] = co_simulated,
+    **how: Any,
+) -> FloatArray:
+    """The output of an instance of its own, begun with these inputs and what else is given."""
+    exported = Exported(folder)
+    first = {name: float(values[0]) for name, values in inputs.items()}
+    exported.begin((given or {}) | first, float(times[0]))
+    found = follow(exported, times, inputs, output, **how)
+    exported.close()
+    return found

@@ -1,7 +1,5 @@
 """The local executor with an observer: counts what is simulated, and can be disturbed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """Run folders for tests of reports, and a browser to look at them."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Run folders as the commands leave them: their facts and tables, without what clocks say."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

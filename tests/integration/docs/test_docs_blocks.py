@@ -1,4 +1,4 @@
-"""Every block of code in the README and the pages does what the text says."""
+"""Every block of code in the README, the pages and the notebook does what the text says."""
 
 import importlib.util
 import shlex
@@ -9,8 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
+import nbformat
 import pytest
 from docs.pages import LimitsSections, SweepSections
+from nbclient import NotebookClient
 from support.docs_blocks import BLOCKS, COMMANDS, Block, complete
 from support.problems.springs import ROOT
 
@@ -26,6 +28,7 @@ from workers.effects import forms
 FIRST = next(b for b in BLOCKS if b.page.name == "first_fit.md" and complete(b))
 PYTHON = [b for b in BLOCKS if b.language == "python" and not b.title]
 TOML = [b for b in BLOCKS if b.language == "toml"]
+NOTEBOOK = ROOT / "cluster_est" / "docs" / "first_fit.ipynb"
 
 
 def titled(ending: str) -> Block:
@@ -179,3 +182,36 @@ def test_the_form_can_be_named_in_a_config(built):
     result = ce.fit(problem)
     assert result.cost < 0.5 * result.cost_before
     assert result.x["exponential_drag.k"] > 0.0
+
+
+@pytest.fixture(scope="module")
+def stored() -> nbformat.NotebookNode:
+    return nbformat.read(NOTEBOOK, as_version=4)
+
+
+def test_the_notebook_is_stored_without_outputs(stored):
+    cells = [cell for cell in stored.cells if cell.cell_type == "code"]
+    assert all(cell.outputs == [] and cell.execution_count is None for cell in cells)
+
+
+def test_the_cells_of_the_notebook_run_one_after_the_other(stored, monkeypatch, capsys):
+    monkeypatch.chdir(NOTEBOOK.parent)
+    known = {}
+    for cell in stored.cells:
+        if cell.cell_type == "code":
+            exec(cell.source, known)
+    assert "True converged" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # of Jupyter's own parts
+def test_the_notebook_runs_and_shows_what_its_text_says(stored):
+    run = NotebookClient(
+        stored, timeout=120, resources={"metadata": {"path": str(NOTEBOOK.parent)}}
+    )
+    shown = [cell.outputs for cell in run.execute().cells if cell.cell_type == "code"]
+    assert "Problem: mass_spring_damper.fmu" in shown[0][0].data["text/html"]
+    assert "Result: converged" in shown[1][0].data["text/html"]
+    assert shown[2][0].text.startswith("True converged")
+    by_scipy, by_fit = (float(number) for number in shown[4][0].text.split()[:2])
+    assert by_scipy == pytest.approx(by_fit, rel=1e-6)

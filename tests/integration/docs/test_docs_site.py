@@ -188,15 +188,11 @@ COLUMN = re.compile(r"^\| `([^`]+)` \| ([^|]+) \| [^|]* \| [^|]*\w[^|]* \|$", re
 DESCRIBED = described()
 
 
-BY_DEFAULT = ("fit", "close-loop")
+OTHERS = sorted({*KINDS, "design"} - {"fit", "close-loop"})
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        name if name in BY_DEFAULT else pytest.param(name, marks=pytest.mark.slow)
-        for name in (*KINDS, "design")
-    ],
+    "name", ["fit", "close-loop", *(pytest.param(n, marks=pytest.mark.slow) for n in OTHERS)]
 )
 def test_every_column_that_a_run_writes_is_described(run, name):
     for table, found in columns(run(name)).items():

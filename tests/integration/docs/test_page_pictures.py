@@ -1,4 +1,4 @@
-"""The pictures of five pages are what the library makes of costs, limits, inputs and segments."""
+"""The pictures of the pages are what the library makes of costs, limits, inputs and forms."""
 
 import re
 from xml.etree import ElementTree
@@ -6,11 +6,14 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from docs.cost_picture import NAMED, TIMES, cost_curve, limits
+from docs.form_pictures import FACTORS, evaluated
+from docs.form_pictures import picture as picture_of_forms
 from docs.page_pictures import DOCS, PICTURES
 from docs.step_picture import LARGE, SMALL, TRUE, experiment, held, reference
 from scipy.signal import lsim
 
 from cluster_est.costs import COSTS
+from workers.effects.forms import FORMS
 from workers.residuals.base import SimulatedOutputs
 from workers.residuals.bounds import SignalBounds
 
@@ -30,16 +33,15 @@ AT_SIX = {
     "cauchy": np.log(37.0),
 }
 """The cost of a residual of 6 sigma, with a scale of 1."""
-
-
 SLOW = ("multiple_shooting", "process_noise")
+DRAWN = PICTURES | {"form_shapes": picture_of_forms}
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in PICTURES]
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in DRAWN]
 )
 def test_the_picture_is_that_of_the_library_today(name):
-    shown, drawn = (DOCS / f"{name}.svg").read_text(encoding="utf-8"), PICTURES[name]()
+    shown, drawn = (DOCS / f"{name}.svg").read_text(encoding="utf-8"), DRAWN[name]()
     assert POINT.sub("#", shown) == POINT.sub("#", drawn)
     numbers = [[float(n) for n in POINT.findall(each)] for each in (shown, drawn)]
     assert numbers[0] == pytest.approx(numbers[1], abs=0.2)
@@ -64,6 +66,13 @@ def test_a_cost_is_drawn_as_it_is():
         assert np.concatenate(ends) == pytest.approx([-6.0, 6.0, value, value])
 
 
+def test_an_equation_of_a_form_is_drawn_as_it_stands():
+    """A factor of a parameter of 1 that falls to 0.1 far from the middle."""
+    v = np.array([-1.0, 0.0, 0.3])
+    found = evaluated(FORMS["parameter", "hill"], FACTORS["hill"], (v, np.ones(3), v, v))
+    assert found == pytest.approx([1.0 - 0.9 / 1.09, 1.0, 0.55])
+
+
 @pytest.mark.parametrize("limit", limits(), ids=lambda limit: limit.key)
 def test_the_violation_in_the_picture_is_what_a_worker_finds(limit):
     bound = limit.bound
@@ -75,21 +84,13 @@ def test_the_violation_in_the_picture_is_what_a_worker_finds(limit):
     assert abs(reached - allowed) > 0.02  # to be seen
 
 
-def exact(times, force, linear):
-    """The position of the mass under a force that is linear between its samples, or held."""
-    system = ([1.0], [TRUE["m"], TRUE["c"], TRUE["k"]])
-    return lsim(system, force, times, interp=linear)[1]
-
-
-@pytest.mark.parametrize("step", [LARGE, SMALL])
-def test_a_tool_that_holds_the_force_moves_the_mass_so(step):
-    found = held(step)
-    assert found.position == pytest.approx(exact(found.times, found.force, False), abs=1e-6)
-
-
-def test_what_it_is_compared_with_is_moved_by_a_force_without_stairs():
-    (force,) = experiment().inputs
-    assert reference().values == pytest.approx(exact(force.times, force.values, True), abs=1e-6)
+def test_the_mass_is_moved_by_a_force_that_a_tool_holds_and_by_one_without_stairs():
+    (force,), system = experiment().inputs, ([1.0], [TRUE["m"], TRUE["c"], TRUE["k"]])
+    exact = lsim(system, force.values, force.times)[1]
+    assert reference().values == pytest.approx(exact, abs=1e-6)
+    for found in map(held, (LARGE, SMALL)):
+        exact = lsim(system, found.force, found.times, interp=False)[1]
+        assert found.position == pytest.approx(exact, abs=1e-6)
 
 
 def test_the_page_says_how_large_the_difference_is():

@@ -57,22 +57,17 @@ def test_the_friction_that_nothing_declares_is_found(run):
     assert strength["value"] == pytest.approx(TRUE_FRICTION, rel=0.01)
 
 
-def test_the_picture_is_drawn_from_the_run(run):
-    drawn = picture(run)
-    committed = (ROOT / "cluster_est" / "docs" / "closed_loop.svg").read_text(encoding="utf-8")
+def test_the_pictures_are_drawn_from_the_run(run):
+    docs = ROOT / "cluster_est" / "docs"
+    committed = (docs / "closed_loop.svg").read_text(encoding="utf-8")
     for said in ("found: der(v) += -k * tanh(v / width)", "0.0337 before, 0.0018 after"):
-        assert said in drawn
+        assert said in picture(run)
         assert said in committed
-
-
-def test_the_pictures_of_the_report_are_drawn_from_the_run(run):
     drawn = dict(pictures(run))
-    names = ["report_curves", "report_errors", "report_search", "report_shape"]
-    assert sorted(drawn) == names
-    page = (ROOT / "cluster_est" / "docs" / "the_report.md").read_text(encoding="utf-8")
+    assert sorted(drawn) == ["report_curves", "report_errors", "report_search", "report_shape"]
+    page = (docs / "the_report.md").read_text(encoding="utf-8")
     for name, text in drawn.items():
-        file = f"{name}.svg"
-        assert f"]({file})" in page
-        committed = (ROOT / "cluster_est" / "docs" / file).read_text(encoding="utf-8")
+        assert f"]({name}.svg)" in page
+        committed = (docs / f"{name}.svg").read_text(encoding="utf-8")
         titles = [ElementTree.fromstring(each)[0].text for each in (text, committed)]
         assert titles[0] == titles[1]

@@ -1,7 +1,6 @@
 """`cluster-est export` as a user runs it, behind a fit."""
 
 import csv
-import json
 import re
 import shutil
 import struct
@@ -11,12 +10,12 @@ from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from fmpy import extract, read_model_description, simulate_fmu
 from fmpy.validation import validate_fmu
 from lxml import etree
-from support.exported import Exported, co_simulated, needs_compiler
+from support.exported import needs_compiler, output_of
+from support.run_folders import rows
 
 from cluster_est import read_config, read_problem
 from cluster_est.cli import main
@@ -56,12 +55,8 @@ def export(run, capsys):
     return call
 
 
-def rows_of(run, table):
-    return pq.read_table(run / f"{table}.parquet").to_pylist()
-
-
 def values_of(run):
-    return {row["label"]: row["value"] for row in rows_of(run, "parameters")}
+    return {row["label"]: row["value"] for row in rows(run, "parameters")}
 
 
 def measured(run, experiment):
@@ -79,32 +74,11 @@ def test_the_exported_fmu_does_what_the_run_did(run, tmp_path, export):
     for name, label in [("m", "m"), ("x", "x0[exp5]"), ("harder.k", "harder.k")]:
         assert float(starts[name]) == found[label]
     data = measured(run, "exp5")
-    truth = [r["simulated"] for r in rows_of(run, "trajectories") if r["experiment"] == "exp5"]
+    truth = [r["simulated"] for r in rows(run, "trajectories") if r["experiment"] == "exp5"]
     folder = Path(extract(str(fmu), str(tmp_path / "unpacked")))
-    exported = Exported(folder)
-    exported.begin({"F": data["force"][0]}, data["time"][0])
-    result = co_simulated(exported, data["time"], {"F": data["force"]}, "y")
-    exported.close()
+    result = output_of(folder, data["time"], {"F": data["force"]}, "y")
     np.testing.assert_allclose(result, truth, rtol=0.0, atol=1e-6)
     assert "It was not measured." in (folder / "documentation" / "README.md").read_text()
-
-
-@pytest.mark.slow
-@needs_compiler
-def test_a_fit_without_effects_reproduces_the_cost(run, tmp_path, export):
-    export("--fmu", run.parent / "models" / "repaired.fmu", "--no-step")
-    text = (run.parent / "config.toml").read_text(encoding="utf-8").replace(EFFECT, "")
-    text = text.replace("mass_spring_damper.fmu", "repaired.fmu")
-    found = values_of(run)
-    for name, start in [("m", "1.0"), ("k", "25.0"), ("c", "0.8")]:
-        text = text.replace(f"{name} = {{ start = {start}", f"{name} = {{ start = {found[name]!r}")
-    text = text.replace("x0 = { start = 0.0", f"x0 = {{ start = {found['x0[exp5]']!r}")
-    config = run.parent / "again.toml"
-    config.write_text(text, encoding="utf-8")
-    assert main(["fit", str(config), "--out", str(tmp_path / "again"), "--no-report"]) == 0
-    facts = [json.loads((folder / "run.json").read_text()) for folder in (run, tmp_path / "again")]
-    assert facts[1]["cost_before"] == pytest.approx(facts[0]["cost"], rel=1e-9)
-    assert facts[1]["cost"] == pytest.approx(facts[0]["cost"], rel=1e-6)
 
 
 @needs_compiler
@@ -118,13 +92,13 @@ def test_the_fmu_says_which_step_reproduces_the_error_and_another_tool_finds_it(
         readme = archive.read("documentation/README.md").decode()
     assert f"a communication step of {named} s reproduces the run's RMSE" in readme
     assert "harder (cubic) at der(v)" in readme
-    (shape,) = rows_of(run, "shapes")
+    (shape,) = rows(run, "shapes")
     span = f"x from {min(shape['x']):.4g} to {max(shape['x']):.4g} m"
     assert f"estimated over {span}; beyond, a guess" in readme
     assert read_config(run / "config.toml").model.rtol is None  # what the solver then takes
     assert float(read_model_description(str(fmu)).defaultExperiment.tolerance) == 1e-8
     assert "the run had a relative tolerance of 1e-08" in " ".join(readme.split())
-    errors = {row["experiment"]: row for row in rows_of(run, "errors")}
+    errors = {row["experiment"]: row for row in rows(run, "errors")}
     for name, row in errors.items():
         sizes = f"{row['rmse_before']:.4g} | {row['rmse_after']:.4g}"
         assert f"| {name} | {'fitted' if row['role'] == 'train' else 'held out'} | y | m" in readme
@@ -184,21 +158,15 @@ def test_without_a_compiler_there_is_a_sentence(tmp_path, monkeypatch, export):
     assert not (tmp_path / "a.fmu").exists()
 
 
-def test_the_parameter_set_satisfies_the_schema_of_the_standard(run, tmp_path, export):
+def test_the_parameter_set_satisfies_the_schema_of_the_standard(tmp_path, export):
     path = tmp_path / "values.ssv"
     export("--ssv", path, "--experiment", "exp5")
     schema = files("fmpy.ssp") / "schema" / "SystemStructureParameterValues.xsd"
     tree = etree.parse(str(path))
     etree.XMLSchema(etree.parse(str(schema))).assertValid(tree)
     space = {"ssv": "http://ssp-standard.org/SSP1/SystemStructureParameterValues"}
-    values = {
-        each.get("name"): (float(each[0].get("value")), each[0].get("unit"))
-        for each in tree.findall(".//ssv:Parameter", space)
-    }
-    found = values_of(run)
-    assert values["m"] == (found["m"], "kg")
-    assert values["x"] == (found["x0[exp5]"], "m")
-    assert values["harder.k"][0] == found["harder.k"]
+    units = {p.get("name"): p[0].get("unit") for p in tree.findall(".//ssv:Parameter", space)}
+    assert (units["m"], units["x"]) == ("kg", "m")
 
 
 @pytest.mark.parametrize("form", ["ssv", "csv"])
@@ -217,10 +185,10 @@ def test_a_table_of_values_has_their_intervals(run, tmp_path, export):
     path = tmp_path / "values.csv"
     export("--csv", path, "--experiment", "exp5")
     with path.open(newline="") as file:
-        rows = {row["name"]: row for row in csv.DictReader(file)}
-    found = {row["label"]: row for row in rows_of(run, "parameters")}
-    assert float(rows["m"]["low"]) == found["m"]["lower95"]
-    assert rows["m"]["unit"] == "kg"
+        written = {row["name"]: row for row in csv.DictReader(file)}
+    found = {row["label"]: row for row in rows(run, "parameters")}
+    assert float(written["m"]["low"]) == found["m"]["lower95"]
+    assert written["m"]["unit"] == "kg"
 
 
 def test_equations_for_a_modeller(export):

@@ -17,6 +17,7 @@ from support.exported import (
     co_simulated,
     finely_co_simulated,
     needs_compiler,
+    output_of,
     repair_of,
     unpacked,
     written,
@@ -55,14 +56,13 @@ def undriven(output, times):
     return Experiment("e", 0.0, float(times[-1]), (), (shown,))
 
 
-def model(solver=EXACT):
-    interface = "co_simulation" if solver.name == "fmu" else "model_exchange"
-    return Model(FMU.name, FMU.read_bytes(), interface, solver, ("m", "k", "c"))
-
-
 def model_of(path, solver=EXACT, parameters=()):
     interface = "co_simulation" if solver.name == "fmu" else "model_exchange"
     return Model(path.name, path.read_bytes(), interface, solver, parameters)
+
+
+def model(solver=EXACT):
+    return model_of(FMU, solver, ("m", "k", "c"))
 
 
 @pytest.fixture(scope="module")
@@ -153,10 +153,7 @@ def test_an_original_for_co_simulation_stays_one(tmp_path):
     path = folder / "exported.fmu"
     assert validate_fmu(str(path)) == []
     assert describe("spring.fmu", path.read_bytes()).interfaces == ("co_simulation",)
-    exported = Exported(folder)
-    exported.begin({"F": FORCE[0]})
-    found = finely_co_simulated(exported, TIMES, {"F": FORCE}, "y")
-    exported.close()
+    found = output_of(folder, TIMES, {"F": FORCE}, "y", follow=finely_co_simulated)
     truth = simulated(of, experiment(), (M, K, C, 0.05, 0.04), (LAG, SENSOR))[:, 0]
     np.testing.assert_allclose(found, truth, rtol=0.0, atol=2e-5)
 
@@ -206,10 +203,8 @@ def test_other_events_pass_through(own_fmu, tmp_path, name, fmi):
     wave = np.where(np.sin(np.arange(51)) > 0.0, 600.0, 0.0)
     inputs = tuple(Input(n, times, wave, "hold") for n in driven)
     measured = replace(undriven(outputs[0], times), inputs=inputs)
-    exported = Exported(unpacked(repair_of(of, measured, (), (), ()), tmp_path))
-    exported.begin(dict.fromkeys(driven, wave[0]))
-    found = co_simulated(exported, times, dict.fromkeys(driven, wave), outputs[0], hold=True)
-    exported.close()
+    folder = unpacked(repair_of(of, measured, (), (), ()), tmp_path)
+    found = output_of(folder, times, dict.fromkeys(driven, wave), outputs[0], hold=True)
     truth = simulated(of, measured, ())[:, 0]
     np.testing.assert_allclose(found, truth, rtol=1e-6, atol=1e-6)
 
@@ -236,17 +231,13 @@ def test_a_sensor_at_a_state_goes_along_and_a_measured_signal_becomes_an_input(t
     effects = Effect("blow", "der(v)", "linear", ("wind",)), Effect("slow", "output x", "lag")
     folder = unpacked(repair_of(model(), measured, (M, K, C), effects, (0.7, 0.04)), tmp_path)
 
-    def followed(follow, output):
-        exported = Exported(folder)
-        exported.begin({"F": FORCE[0], "x": START[0], "wind": wind[0]})
-        found = follow(exported, TIMES, {"F": FORCE, "wind": wind}, output)
-        exported.close()
-        return found
-
+    inputs, start = {"F": FORCE, "wind": wind}, {"x": START[0]}
+    found = output_of(folder, TIMES, inputs, "y", start)
+    finely = output_of(folder, TIMES, inputs, "x", start, finely_co_simulated)
     truth = solve(pushed(lambda t, x, f: 0.7 * np.interp(t, TIMES, wind)))[:, 0]
-    np.testing.assert_allclose(followed(co_simulated, "y"), truth, rtol=0.0, atol=1e-7)
+    np.testing.assert_allclose(found, truth, rtol=0.0, atol=1e-7)
     late = simulated(model(), measured, (M, K, C, 0.7, 0.04), effects)[:, 0]
-    np.testing.assert_allclose(followed(finely_co_simulated, "x"), late, atol=2e-5)
+    np.testing.assert_allclose(finely, late, atol=2e-5)
     assert np.abs(truth - late).max() > 1e-3
 
 
@@ -259,10 +250,7 @@ def test_an_original_with_a_fixed_step_keeps_it(own_fmu, tmp_path, fmi):
     measured, gain = undriven(shown, times), (Effect("gain", f"output {shown}", "gain"),)
     folder = unpacked(repair_of(of, measured, (), gain, (0.5,)), tmp_path)
     assert not describe("fixed.fmu", (folder / "exported.fmu").read_bytes()).variable_steps
-    exported = Exported(folder)
-    exported.begin({})
-    found = co_simulated(exported, times, {}, shown)
-    exported.close()
+    found = output_of(folder, times, {}, shown)
     truth = simulated(of, measured, (0.5,), gain)[:, 0]
     np.testing.assert_allclose(found, truth, rtol=0.0, atol=1e-12)
 

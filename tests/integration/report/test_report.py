@@ -2,7 +2,6 @@
 
 import base64
 import hashlib
-import json
 import re
 import shutil
 from pathlib import Path
@@ -13,6 +12,7 @@ import pytest
 from support.cut_logs import cut
 from support.drawn import Figures
 from support.reported import HOSTILE, Page
+from support.run_folders import change_facts, facts, leave_as_killed
 from support.truth.springs_with_friction import write_config
 
 from cluster_est.cli import main
@@ -73,56 +73,48 @@ def test_only_its_own_scripts_may_run_and_nothing_is_fetched(run, page):
 
 
 def test_values_from_files_are_escaped_wherever_they_come_from(copied):
-    hostile = copied
     for table, column in (
         ("errors", "output"), ("errors", "unit"), ("errors", "experiment"), ("residuals", "unit"),
         ("parameters", "label"), ("parameters", "unit"), ("searches", "search"),
         ("correlations", "label"), ("workers", "worker"),
     ):  # fmt: skip
-        change(hostile, table, column, HOSTILE)
-    table = pq.read_table(hostile / "residuals.parquet").to_pandas()
+        change(copied, table, column, HOSTILE)
+    table = pq.read_table(copied / "residuals.parquet").to_pandas()
     table["experiment"] = HOSTILE + table["experiment"]
     table["output"] = HOSTILE + table["output"]
-    pq.write_table(pa.Table.from_pandas(table), hostile / "residuals.parquet")
-    facts = json.loads((hostile / "run.json").read_text())
-    facts |= {"message": HOSTILE, "notes": [HOSTILE], "versions": {HOSTILE: HOSTILE}}
-    facts["fmu"]["name"] = HOSTILE
-    (hostile / "run.json").write_text(json.dumps(facts))
-    page = Page(write_report(hostile))
+    pq.write_table(pa.Table.from_pandas(table), copied / "residuals.parquet")
+    fmu = facts(copied)["fmu"] | {"name": HOSTILE}
+    said = {"message": HOSTILE, "notes": [HOSTILE], "versions": {HOSTILE: HOSTILE}}
+    change_facts(copied, fmu=fmu, **said)
+    page = Page(write_report(copied))
     assert not page.of("img")
     assert not page.of("b")
     assert len(page.of("script")) == 1
     assert not [a for tag, a in page.elements if any(name.startswith("on") for name in a)]
     assert page.text.count(HOSTILE) >= 8
-    panels = Figures(hostile / "report.html").panels
+    panels = Figures(copied / "report.html").panels
     assert {each.attributes["data-experiment"] for each in panels} == {
         HOSTILE + f"e{i}" for i in range(3)
     }
 
 
 def test_a_run_that_goes_on_says_so_and_loads_itself_again(copied):
-    going = copied
-    facts = json.loads((going / "run.json").read_text())
-    kept = {k: facts[k] for k in ("format", "seed", "started", "fmu", "versions", "config_hash")}
-    (going / "run.json").write_text(json.dumps({**kept, "status": "running", "verdict": None}))
-    for path in going.glob("*.parquet"):
-        path.unlink()
-    cut(going / "evaluations", 20, torn=100)
-    page = Page(write_report(going, reload=7.0))
+    leave_as_killed(copied)
+    cut(copied / "evaluations", 20, torn=100)
+    page = Page(write_report(copied, reload=7.0))
     assert page.of("body") == [{"data-reload": "7.0"}]
     assert "The run goes on" in page.text
     assert "every 7 s" in page.text
     assert sections(page) == ["search", "workers", "provenance"]
-    assert page.of("body") != Page(write_report(going)).of("body")
+    assert page.of("body") != Page(write_report(copied)).of("body")
 
 
 def test_an_interrupted_run_shows_what_is_there(copied):
-    left = copied
-    for path in [*left.glob("*.parquet"), left / "progress.jsonl", left / "config.toml"]:
+    for path in [*copied.glob("*.parquet"), copied / "progress.jsonl", copied / "config.toml"]:
         path.unlink()
-    shutil.rmtree(left / "evaluations")
-    (left / "run.json").write_text('{"status": "interrupted", "message": "interrupted; early"}')
-    text = Page(write_report(left)).text
+    shutil.rmtree(copied / "evaluations")
+    (copied / "run.json").write_text('{"status": "interrupted", "message": "interrupted; early"}')
+    text = Page(write_report(copied)).text
     assert "The run was interrupted" in text
     assert "It left no results" in text
 
@@ -138,13 +130,8 @@ def test_what_is_no_run_or_damaged_is_said_in_a_sentence(copied, tmp_path, capsy
 
 def test_a_fit_writes_its_report_and_ends_as_it_would_without(tmp_path, capsys):
     report = tmp_path / "run" / "report.html"
-    run = [
-        "fit",
-        str(write_config(tmp_path, roles=("train",))),
-        "--overwrite",
-        "--out",
-        str(report.parent),
-    ]
+    config = str(write_config(tmp_path, roles=("train",)))
+    run = ["fit", config, "--overwrite", "--out", str(report.parent)]
     assert main([*run, "--no-report"]) == 0
     assert not report.exists()
     assert main(run) == 0

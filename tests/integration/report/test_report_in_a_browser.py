@@ -1,7 +1,6 @@
 """The report of a run in a headless Chromium: it draws, zooms, switches, and asks nobody."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -19,15 +18,6 @@ FLAGS = [
 ]
 
 
-@dataclass
-class Seen:
-    """A page that is open, and what it has said and asked for."""
-
-    page: Any
-    said: list[str] = field(default_factory=list)
-    asked: list[str] = field(default_factory=list)
-
-
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     path = chromium()
@@ -40,28 +30,34 @@ def browser() -> Iterator[Any]:
         opened.close()
 
 
-def opened(browser: Any, file: Path, **options: Any) -> Seen:
-    page = browser.new_page(**options)
-    seen = Seen(page)
-    page.on("console", lambda message: seen.said.append(f"{message.type}: {message.text}"))
-    page.on("pageerror", lambda error: seen.said.append(str(error)))
-    page.on("request", lambda request: seen.asked.append(request.url))
-    page.goto(file.as_uri())
-    return seen
+@pytest.fixture
+def opened(browser: Any, run: Path) -> Iterator[Callable[..., Any]]:
+    """Opens the report, which says nothing in the console and asks nobody for anything."""
+    address, pages = write_report(run).as_uri(), []
+    said: list[str] = []
+    asked: list[str] = []
+
+    def call(**options: Any) -> Any:
+        page = browser.new_page(**options)
+        page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(address)
+        pages.append(page)
+        return page
+
+    yield call
+    assert said == []
+    assert asked == [address] * len(pages)
+    for page in pages:
+        page.close()
 
 
 @pytest.fixture
-def seen(browser, run) -> Iterator[Seen]:
-    found = opened(browser, write_report(run), viewport={"width": 1440, "height": 900})
-    found.page.locator(".panel.wide").scroll_into_view_if_needed()
-    yield found
-    assert found.said == []
-    found.page.close()
-
-
-@pytest.fixture
-def page(seen) -> Any:
-    return seen.page
+def page(opened) -> Any:
+    found = opened(viewport={"width": 1440, "height": 900})
+    found.locator(".panel.wide").scroll_into_view_if_needed()
+    return found
 
 
 def view(page: Any) -> list[float]:
@@ -75,14 +71,11 @@ def visible(page: Any, ink: str) -> int:
     return sum(path.is_visible() for path in page.locator(f".panel path.{ink}").all())
 
 
-def test_everything_is_drawn_and_nobody_is_asked(seen, run):
-    page = seen.page
+def test_everything_is_drawn_and_nobody_is_asked(page):
     for place in page.locator(".plot").all():
         box = place.bounding_box()
         assert box["width"] > 100
         assert place.locator("svg").bounding_box() == pytest.approx(box)
-    assert seen.said == []
-    assert seen.asked == [(run / "report.html").as_uri()]
     assert page.evaluate("document.documentElement.scrollWidth") <= 1440
 
 
@@ -176,10 +169,8 @@ def test_a_small_chart_is_enlarged_and_made_small_again(page):
 
 
 @pytest.mark.slow
-def test_it_fits_a_phone_and_follows_dark_mode(browser, run):
-    phone = {"viewport": {"width": 390, "height": 844}}
-    seen = opened(browser, write_report(run), color_scheme="dark", **phone)
-    page = seen.page
+def test_it_fits_a_phone_and_follows_dark_mode(opened):
+    page = opened(color_scheme="dark", viewport={"width": 390, "height": 844})
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     colour = "getComputedStyle(document.body).backgroundColor"
     ink = "getComputedStyle(document.querySelector('.panel path.after')).stroke"
@@ -188,30 +179,22 @@ def test_it_fits_a_phone_and_follows_dark_mode(browser, run):
     light = page.evaluate(f"[{colour}, {ink}]")
     assert dark[0] != light[0]
     assert dark[1] != light[1]
-    assert seen.said == []
-    page.close()
 
 
 @pytest.mark.slow
-def test_it_is_whole_without_scripts(browser, run):
-    context = browser.new_context(java_script_enabled=False)
-    page = context.new_page()
-    page.goto(write_report(run).as_uri())
+def test_it_is_whole_without_scripts(opened):
+    page = opened(java_script_enabled=False)
     assert page.locator(".panel path.after").count() == 6
     assert all(path.is_visible() for path in page.locator(".panel path.after").all())
     assert page.locator(".panel button").first.is_hidden()
-    context.close()
 
 
 @pytest.mark.slow
-def test_on_paper_no_chart_is_wider_than_the_page(browser, run, tmp_path):
-    seen = opened(browser, write_report(run), viewport={"width": 700, "height": 900})
-    page = seen.page
+def test_on_paper_no_chart_is_wider_than_the_page(opened, tmp_path):
+    page = opened(viewport={"width": 700, "height": 900})
     page.emulate_media(media="print")
     for chart in page.locator(".chart").all():
         box = chart.bounding_box()
         assert box["x"] + box["width"] <= 701
     assert page.locator(".panel button").first.is_hidden()
     assert len(page.pdf(format="A4", path=tmp_path / "report.pdf")) > 10_000
-    assert seen.said == []
-    page.close()

@@ -8,6 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 from support.drawn import Figures
 from support.reported import Page
+from support.run_folders import facts, rows
 from support.truth.springs_with_friction import FRICTION, WIDTH, write_config
 
 from cluster_est.cli import main
@@ -35,16 +36,8 @@ def text(closed) -> str:
 
 @pytest.fixture(scope="module")
 def shape(closed) -> dict:
-    (found,) = rows_of(closed, "shapes")
+    (found,) = rows(closed, "shapes")
     return found
-
-
-def rows_of(run: Path, table: str) -> list[dict]:
-    return pq.read_table(run / f"{table}.parquet").to_pylist()
-
-
-def facts_of(run: Path) -> dict:
-    return json.loads((run / "run.json").read_text())
 
 
 def fitted(closed: Path, name: str, effect: str) -> Path:
@@ -65,7 +58,7 @@ def test_a_closed_loop_shows_its_effect_with_its_band_and_where_the_data_were(
     fast = np.abs(x) > 5.0 * WIDTH
     assert y[fast] == pytest.approx(-FRICTION * np.sign(x[fast]), rel=0.05)
     assert np.all((low <= y) & (y <= high))
-    (row,) = [row for row in rows_of(closed, "effects") if row["coefficient"] == "k"]
+    (row,) = [row for row in rows(closed, "effects") if row["coefficient"] == "k"]
     assert (high - low)[fast] == pytest.approx(2 * 1.96 * row["std_error"], rel=0.01)
     samples = pq.read_table(closed / "trajectories.parquet").to_pandas()
     train = pq.read_table(closed / "errors.parquet").to_pandas().query("role == 'train'")
@@ -96,9 +89,9 @@ def test_what_the_residuals_ask_for_without_a_form_is_the_friction(figures, shap
 
 def test_a_fit_shows_the_shapes_of_the_effects_that_it_declares(closed, shape):
     """The effect is declared as the loop has written it."""
-    (effect,) = facts_of(closed)["effects"]
+    (effect,) = facts(closed)["effects"]
     declared = fitted(closed, "declared", effect["config"])
-    (own,) = rows_of(declared, "shapes")
+    (own,) = rows(declared, "shapes")
     for name in ("effect", "part", "variable", "variable_unit", "unit"):
         assert own[name] == shape[name]
     low, high = (np.interp([-0.5, 0.5], row["x"], row["y"]) for row in (own, shape))
@@ -113,7 +106,7 @@ def test_a_fit_shows_the_shapes_of_the_effects_that_it_declares(closed, shape):
 def test_a_difference_has_the_same_shape_with_and_without_blanks(closed):
     spring = 'name = "spring"\nsite = "der(v)"\nform = "linear"\nparameters.k.start = -0.1'
     shapes = [
-        rows_of(fitted(closed, name, f'[[effects]]\n{spring}\nvariables = ["{of}"]'), "shapes")
+        rows(fitted(closed, name, f'[[effects]]\n{spring}\nvariables = ["{of}"]'), "shapes")
         for name, of in (("apart", "x - v"), ("together", "x-v"))
     ]
     (apart,), (together,) = shapes
@@ -122,8 +115,8 @@ def test_a_difference_has_the_same_shape_with_and_without_blanks(closed):
 
 
 def test_the_likely_sets_of_effects_are_named_with_their_probabilities(closed, text):
-    said, rows = facts_of(closed)["likely"], rows_of(closed, "structures")
-    known = sorted((row["probability"] for row in rows if row["probability"] >= 0.0), reverse=True)
+    said, sets = facts(closed)["likely"], rows(closed, "structures")
+    known = sorted((row["probability"] for row in sets if row["probability"] >= 0.0), reverse=True)
     assert sum(known) == pytest.approx(1.0)
     assert f"the data give coulomb at der(v) {percent(known[0])} of the probability" in said
     assert f"O{said[1:]}." in text
@@ -131,8 +124,8 @@ def test_the_likely_sets_of_effects_are_named_with_their_probabilities(closed, t
 
 
 def test_how_often_the_effect_is_chosen_again_is_said(closed, text, capsys):
-    said, rows = facts_of(closed)["resampled"], rows_of(closed, "structures")
-    shares = {tuple(row["effects"]): row["chosen"] for row in rows if row["chosen"] >= 0.0}
+    said, sets = facts(closed)["resampled"], rows(closed, "structures")
+    shares = {tuple(row["effects"]): row["chosen"] for row in sets if row["chosen"] >= 0.0}
     assert sum(shares.values()) == pytest.approx(1.0)
     assert shares["coulomb at der(v)",] > 0.5
     assert f"the best set is coulomb at der(v) in {percent(shares['coulomb at der(v)',])}" in said
@@ -142,15 +135,15 @@ def test_how_often_the_effect_is_chosen_again_is_said(closed, text, capsys):
 
 
 def test_the_path_of_the_search_has_every_set_of_effects(closed, figures):
-    rows = [row for row in rows_of(closed, "structures") if row["effects"]]
-    rows.sort(key=lambda row: (row["step"], -row["closed"]))
+    sets = [row for row in rows(closed, "structures") if row["effects"]]
+    sets.sort(key=lambda row: (row["step"], -row["closed"]))
     figure = figures.by_id("steps")
     (plot,) = figure.plots
-    assert [t for t in figure.texts if t[:2] in {f"{row['step']}:" for row in rows}] == [
-        f"{row['step']}: {' + '.join(row['effects'])}" for row in rows
+    assert [t for t in figure.texts if t[:2] in {f"{row['step']}:" for row in sets}] == [
+        f"{row['step']}: {' + '.join(row['effects'])}" for row in sets
     ]
-    accepted, _ = plot.by_row("accepted", len(rows))
-    expected = [100.0 * row["closed"] for row in rows if row["accepted"]]
+    accepted, _ = plot.by_row("accepted", len(sets))
+    expected = [100.0 * row["closed"] for row in sets if row["accepted"]]
     assert accepted == pytest.approx(expected, abs=plot.grain(plot.x))
 
 

@@ -4,75 +4,97 @@ Workers that are stopped most of the time stand for the load: a clock that decid
 show.
 """
 
-from collections.abc import Callable
+import contextlib
+import os
+import signal
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
+from support.descendants import descendants
 from support.problems.springs import spring_problem
-from support.stopping import stopped_now_and_then
 from support.truth.springs_with_friction import write_config
 
 import cluster_est as ce
 from cluster_est.config.settings import build_settings
-from workers.messages import Limits, Outcome
+from workers.messages import Limits
 
 pytestmark = pytest.mark.slow
 
 WORKERS = 2
 IMPATIENT = Limits(stall=2.0)
 """Far less than the time that a stopped process stands still in all."""
+STOPPED, RUNNING = 0.3, 0.1
+"""Seconds of each."""
+
+
+@contextlib.contextmanager
+def stopped_now_and_then() -> Iterator[set[int]]:
+    """Stop every process that is there for an FMU, and let it go on, over and over.
+
+    Gives the ids of all that there were. Each stands still for three times as long as it runs in
+    between.
+    """
+    seen: set[int] = set()
+    ended = threading.Event()
+
+    def send(number: int) -> None:
+        for process in seen:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process, number)
+
+    def go_on() -> None:
+        while not ended.is_set():
+            seen.update(descendants(3))
+            send(signal.SIGSTOP)
+            ended.wait(STOPPED)
+            send(signal.SIGCONT)
+            ended.wait(RUNNING)
+
+    thread = threading.Thread(target=go_on)
+    thread.start()
+    try:
+        yield seen
+    finally:
+        ended.set()
+        thread.join()
 
 
 class Recorder:
     """Every simulation of a run, in no order."""
 
-    def __init__(self) -> None:
-        self.rows: list[tuple[object, ...]] = []
+    def __init__(self):
+        self.rows = []
 
-    def __call__(self, origin: object, outcome: Outcome) -> None:
+    def __call__(self, origin, outcome):
         found = b"" if outcome.residuals is None else outcome.residuals.tobytes()
-        values = origin.task.values.tobytes()  # type: ignore[attr-defined]
-        self.rows.append((origin.search, origin.task.experiment, values, outcome.status, found))  # type: ignore[attr-defined]
+        task = origin.task
+        row = origin.search, task.experiment, task.values.tobytes(), outcome.status, found
+        self.rows.append(repr(row))
 
 
-def twice(run: Callable[[Recorder], object]) -> list[object]:
-    """A run on an idle machine and on a busy one, each with what it has simulated."""
-    idle, busy = Recorder(), Recorder()
-    first = run(idle)
-    with stopped_now_and_then() as processes:
-        second = run(busy)
-    assert sorted(map(repr, idle.rows)) == sorted(map(repr, busy.rows))
-    assert 0 < len(processes) <= 2 * WORKERS + 2  # none was taken for hung and replaced
-    return [first, second]
-
-
-def test_a_fit_is_the_same() -> None:
+def fitted(_: Path, resources: ce.Resources, record: Recorder) -> ce.Result:
     problem = spring_problem(experiments=3, samples=60, noise=0.01).problem
+    return ce.fit(problem, ce.LeastSquares(differences="auto"), resources, record=record)
+
+
+def closed(folder: Path, resources: ce.Resources, record: Recorder) -> ce.LoopResult:
+    config = ce.read_config(write_config(folder))
+    problem, settings = ce.build_problem(config, folder), build_settings(config)
+    return ce.close_loop(problem, resources, settings, record=record)
+
+
+@pytest.mark.parametrize("run", [fitted, closed])
+def test_a_run_is_the_same_on_an_idle_machine_and_on_a_busy_one(run, tmp_path: Path) -> None:
+    first, second = Recorder(), Recorder()
     resources = ce.Resources("processes", WORKERS, limits=IMPATIENT)
-
-    def run(recorder: Recorder) -> ce.Result:
-        return ce.fit(problem, ce.LeastSquares(differences="auto"), resources, record=recorder)
-
-    idle, busy = twice(run)
+    idle = run(tmp_path, resources, first)
+    with stopped_now_and_then() as processes:
+        busy = run(tmp_path, resources, second)
+    assert sorted(first.rows) == sorted(second.rows)
+    assert 0 < len(processes) <= 2 * WORKERS + 2  # none was taken for hung and replaced
     assert (idle.evaluations, idle.failures) == (busy.evaluations, busy.failures)
-    assert idle.x == busy.x
-    assert idle.solution.x.tobytes() == busy.solution.x.tobytes()
+    assert str(idle) == str(busy)
     for name in idle.tables:
         assert repr(idle.table(name).to_pylist()) == repr(busy.table(name).to_pylist())
-
-
-def test_a_closed_loop_is_the_same(tmp_path: Path) -> None:
-    config = ce.read_config(write_config(tmp_path))
-    problem, settings = ce.build_problem(config, tmp_path), build_settings(config)
-    resources = ce.Resources("processes", WORKERS, limits=IMPATIENT)
-
-    def run(recorder: Recorder) -> ce.LoopResult:
-        return ce.close_loop(problem, resources, settings, record=recorder)
-
-    idle, busy = twice(run)
-    assert (idle.evaluations, idle.failures) == (busy.evaluations, busy.failures)
-    assert (idle.verdict, idle.summary) == (busy.verdict, busy.summary)
-    for name in idle.tables:
-        assert repr(idle.table(name).to_pylist()) == repr(busy.table(name).to_pylist())
-    assert np.isfinite(idle.after.cost)

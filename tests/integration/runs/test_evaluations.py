@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 from support.problems.springs import spring_problem
 
-from cluster_est import Budget, LeastSquares, Parameter, Problem, Resources, fit
+from cluster_est import LeastSquares, Parameter, fit
 from cluster_est.methods.base import Ending
 
 
@@ -53,28 +53,11 @@ def test_a_start_that_cannot_be_simulated_is_a_result_and_no_exception():
     assert "mass must be positive" in result.solution.message
 
 
-def test_a_budget_ends_the_search_with_the_best_point_so_far():
-    truth = spring_problem(noise=0.01)
-    result = fit(truth.problem, resources=Resources(budget=Budget(evaluations=12)))
-    assert result.solution.ending is Ending.BUDGET
-    assert result.cost < result.cost_before
-
-
 @pytest.mark.parametrize("trials", [1, 2, pytest.param(7, marks=pytest.mark.slow)])
 def test_the_number_of_trials_changes_the_way_but_not_the_minimum(trials):
     truth = spring_problem(noise=0.01)
     few = fit(truth.problem, LeastSquares(trials=trials))
     assert few.cost == pytest.approx(fit(truth.problem).cost, rel=1e-9)
-
-
-def test_a_known_value_wins_over_a_parameter_per_experiment():
-    truth = spring_problem()
-    first, *others = truth.problem.experiments
-    known = replace(first, values=(("x", truth.values["x0[e0]"]),))
-    problem = Problem(truth.problem.model, truth.problem.parameters, (known, *others))
-    result = fit(problem)
-    assert "x0[e0]" not in result.x
-    assert result.x["x0[e1]"] == pytest.approx(truth.values["x0[e1]"], rel=1e-6)
 
 
 def test_test_records_move_no_shared_parameter_but_get_their_own_initial_state():

@@ -76,12 +76,8 @@ def usual(run: Run) -> dict[str, str]:
 
 @pytest.mark.parametrize(("kind", "disturbance"), CASES, scope="module")
 def test_whatever_disturbs_a_run_it_comes_to_the_same_bits(
-    run: Run,
-    usual: dict[str, str],
-    disturbance: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    run, usual, disturbance, monkeypatch, capsys
+):
     """By Ctrl-C while answers are waited for, by its budget, and by where it runs."""
     if disturbance == "two processes":
         assert run("two", "executor.name=processes", "executor.workers=2") == (0, usual)

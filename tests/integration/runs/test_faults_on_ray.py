@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 import ray
 from ray.cluster_utils import Cluster
-from support.counted import VARIABLE, CountedInstances
-from support.decays import RATE, answered, check_decays, decay_problem
+from support.decays import RATE, VARIABLE, CountedInstances, answered, check_decays, decay_problem
 from support.descendants import ray_actors
 from support.problems.springs import ROOT, spring_problem
 
@@ -73,16 +72,21 @@ def expected(problem: ce.Problem, asked: list[Task]) -> dict[int, bytes]:
         return residuals(executor, asked)
 
 
-def test_what_a_worker_holds_up_is_asked_elsewhere(problem, pool):
+@pytest.fixture
+def stopped(pool) -> Iterator[int]:
+    """One of two workers, which are at work already, stands still."""
     residuals(pool, tasks(100, 0))
-    stopped = min(ray_actors())
-    os.kill(stopped, signal.SIGSTOP)
-    try:
-        asked = tasks(200, 1000)
-        assert residuals(pool, asked) == expected(problem, asked)
-        assert pool.busy <= 1  # 0 if what was stopped had not begun yet
-    finally:
-        os.kill(stopped, signal.SIGCONT)
+    process = min(ray_actors())
+    os.kill(process, signal.SIGSTOP)
+    yield process
+    os.kill(process, signal.SIGCONT)
+
+
+def test_what_a_worker_holds_up_is_asked_elsewhere(problem, pool, stopped):
+    asked = tasks(200, 1000)
+    assert residuals(pool, asked) == expected(problem, asked)
+    assert pool.busy <= 1  # 0 if what was stopped had not begun yet
+    os.kill(stopped, signal.SIGCONT)
     deadline = time.monotonic() + 60.0
     while pool.busy and time.monotonic() < deadline:
         assert pool.completed() == [], "another has answered it already"
@@ -91,17 +95,12 @@ def test_what_a_worker_holds_up_is_asked_elsewhere(problem, pool):
     assert residuals(pool, asked) == expected(problem, asked)
 
 
-def test_a_late_answer_is_none_to_another_task_of_the_same_id(problem, pool):
-    residuals(pool, tasks(100, 0))
-    stopped = min(ray_actors())
-    os.kill(stopped, signal.SIGSTOP)
-    try:
-        residuals(pool, tasks(200, 1000))
-        others = [replace(task, id=task.id - 1000) for task in tasks(200, 2000)]
-        truth = expected(problem, others)
-        pool.submit(others)
-    finally:
-        os.kill(stopped, signal.SIGCONT)
+def test_a_late_answer_is_none_to_another_task_of_the_same_id(problem, pool, stopped):
+    residuals(pool, tasks(200, 1000))
+    others = [replace(task, id=task.id - 1000) for task in tasks(200, 2000)]
+    truth = expected(problem, others)
+    pool.submit(others)
+    os.kill(stopped, signal.SIGCONT)
     found: dict[int, bytes] = {}
     while len(found) < len(others):
         found |= {outcome.task: outcome.residuals.tobytes() for outcome in pool.completed()}

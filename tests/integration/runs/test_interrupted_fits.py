@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 from support.observed_executor import observe
-from support.run_folders import SPRING, facts, rows
+from support.run_folders import SPRING, facts, rows, tables
+from support.thinning import thinned
 
 from cluster_est.cli import main
 
@@ -33,36 +34,13 @@ def check_best_so_far(run: Path) -> None:
     assert "interrupted" in {row["ending"] for row in rows(run, "searches")}
 
 
-@pytest.mark.parametrize("how", HOW)
-def test_the_best_so_far_is_written(tmp_path, monkeypatch, capsys, how):
-    run, observer = tmp_path / "run", observe(monkeypatch)
-
-    def interrupt_in_the_searches(call: int) -> None:
-        if not asked and len(observer.simulated) > 300:  # the starts alone are 50
-            asked.append(call)
-            HOW[how](os.getpid(), run)
-            end = time.monotonic() + 10.0
-            while how == "stop file" and (run / "stop").exists() and time.monotonic() < end:
-                time.sleep(0.01)
-
-    asked: list[int] = []
-    observer.before = interrupt_in_the_searches
-    assert main(["fit", SPRING, "--out", str(run), "--no-report", *STARTS]) == 130
-    assert asked
-    assert "Traceback" not in capsys.readouterr().err
-    check_best_so_far(run)
-
-
 @pytest.mark.parametrize(
     ("how", "executor"),
-    [
-        pytest.param(
-            *case,
-            marks=[pytest.mark.slow] if case != ("ctrl-c", "processes") else [],
-            id=" ".join(case),
-        )
-        for case in product(HOW, ["local", "processes"])
-    ],
+    thinned(
+        [*product(HOW, ["processes", "local"])],
+        lambda how, _: how,
+        lambda _, executor: executor,
+    ),
 )
 def test_a_program_that_is_interrupted_writes_the_best_so_far(tmp_path, how, executor):
     run = tmp_path / "run"
@@ -78,3 +56,20 @@ def test_a_program_that_is_interrupted_writes_the_best_so_far(tmp_path, how, exe
     assert process.returncode == 130
     assert "Traceback" not in said
     check_best_so_far(run)
+
+
+def test_an_interrupt_before_the_first_simulation_leaves_the_run_that_is_there(
+    tmp_path, monkeypatch
+):
+    fit = ["fit", SPRING, "--no-report", "--out"]
+    assert main([*fit, str(tmp_path / "run")]) == 0
+    before = tables(tmp_path / "run")
+
+    def interrupt(_):
+        raise KeyboardInterrupt
+
+    observe(monkeypatch).before = interrupt
+    for how in ([str(tmp_path / "run"), "--overwrite"], [str(tmp_path / "new")]):
+        assert main([*fit, *how]) == 130
+    assert tables(tmp_path / "run") == before
+    assert not (tmp_path / "new").exists()

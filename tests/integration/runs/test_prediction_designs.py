@@ -1,17 +1,15 @@
-"""Designs that narrow predictions, against formulas of a linear model and against repeated fits."""
+"""Designs that narrow predictions, against formulas of linear models."""
 
-import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pacsv
 import pytest
-from scipy.optimize import least_squares
+from scipy.optimize import approx_fprime
 from scipy.signal import lsim
 from support.designs import design_of, designed, limits_text, read_text, spring_fit
-from support.run_folders import SPRING, change_facts, facts, rows, tables
+from support.run_folders import SPRING, facts, rows, tables
 
 import cluster_est as ce
 from cluster_est.cli import main
@@ -123,66 +121,6 @@ def test_the_standard_deviations_are_those_of_a_linear_model(linear):
     assert "with a random input within the same limits to" in found.summary
 
 
-def test_an_input_that_is_certain_already_is_not_worth_much(linear):
-    """What was measured long is narrowed less than what was never fed in."""
-    result, _ = linear
-
-    def share(target):
-        (row,) = wide(result, 10, target).predictions
-        return row.std_error_after / row.std_error_before
-
-    assert share(PredictionTarget("run")) > 2.0 * share(PredictionTarget(planned(-3.0 + 0 * TIMES)))
-
-
-def swung(values, experiment):
-    """The displacement of the mass on its spring, of a linear system with straight input."""
-    m, k, c = values
-    system = ([[0.0, 1.0], [-k / m, -c / m]], [[0.0], [1.0 / m]], [[1.0, 0.0]], [[0.0]])
-    times = experiment.outputs[0].times
-    begin = dict(experiment.values).get("x", 0.0)
-    force = np.interp(times, experiment.inputs[0].times, experiment.inputs[0].values)
-    return lsim(system, force, times, [begin, 0.0])[1]
-
-
-def test_predictions_scatter_as_was_expected():
-    """Fits to the old experiment and the designed one, by SciPy, each time with other noise."""
-    truth, sigma, keep = np.array([1.2, 30.0, 0.6]), 0.003, slice(0, 101)
-    generator = np.random.default_rng(11)
-    problem = ce.read_problem(SPRING)
-    old, target = (
-        replace(e, stop=2.0, outputs=(replace(e.outputs[0], times=e.outputs[0].times[keep],
-                                              values=e.outputs[0].values[keep], sigma=sigma),))
-        for e in problem.experiments[:2]
-    )  # fmt: skip
-    target = replace(target, role="test")
-
-    def noisy(experiment):
-        exact = swung(truth, experiment)
-        return exact + sigma * generator.standard_normal(len(exact))
-
-    (output,) = old.outputs
-    measured = replace(old, outputs=(replace(output, values=noisy(old)),))
-    parameters = tuple(p for p in problem.parameters if p.name != "x0")
-    model = replace(problem.model, parameters=("m", "k", "c"))
-    first = ce.fit(ce.Problem(model, parameters, (measured, target)))
-    target_of = '[[predictions]]\nexperiment = "exp2"\noutputs = ["y"]'
-    found = design_of(first, limits_text(tail=target_of, duration=2.0, sample_time=0.02))
-    (row,) = found.predictions
-    assert row.std_error_after < 0.8 * row.std_error_before
-    runs, expected, off = (old, found.experiment), swung(truth, target), []
-    for _ in range(60):
-        data = [noisy(e) for e in runs]
-
-        def residuals(values, data=data):
-            return np.concatenate([swung(values, e) - y for e, y in zip(runs, data, strict=True)])
-
-        fitted = least_squares(residuals, truth, x_scale=truth, method="lm")
-        off.append(swung(fitted.x, target) - expected)
-    noise = np.sqrt(np.sum(first.fun**2) / (len(first.fun) - 3))  # as that fit has it, over sigma
-    scatter = np.sqrt(np.mean(np.square(off)))
-    assert scatter == pytest.approx(row.std_error_after / noise, rel=0.15)
-
-
 PREDICT = "[[predictions]]\n"
 LIMITS = limits_text(duration=5.0, candidates=10)
 
@@ -224,20 +162,41 @@ def test_the_command_says_what_becomes_certain(folder, capsys):
     assert row["std_error_after"] < row["random"] < row["std_error_before"]
 
 
+def swung(values, experiment):
+    """The displacement of the mass on its spring, of a linear system with straight input."""
+    m, k, c = values
+    system = ([[0.0, 1.0], [-k / m, -c / m]], [[0.0], [1.0 / m]], [[1.0, 0.0]], [[0.0]])
+    times = 0.02 * np.arange(round(experiment.stop / 0.02) + 1)
+    force = np.interp(times, experiment.inputs[0].times, experiment.inputs[0].values)
+    return lsim(system, force, times, [dict(experiment.values).get("x", 0.0), 0.0])[1]
+
+
+def test_the_standard_deviations_are_those_of_a_model_of_the_spring_in_scipy(spring):
+    """Linear in m, k and c near their estimates; the new experiment as the old ones are."""
+    text = limits_text(tail=PREDICT + 'experiment = "exp4"', duration=5.0, sample_time=0.02)
+    found = design_of(spring, text)
+    (row,) = (each for each in found.predictions if each.output == "y")
+    values = np.array([spring.x[name] for name in ("m", "k", "c")])
+    runs = {each.id: each for each in spring.problem.experiments}
+
+    def slopes(*experiments):
+        parts = [approx_fprime(values, swung, 1e-6, each) for each in experiments]
+        return np.concatenate(parts)
+
+    old = slopes(*(each for each in runs.values() if each.role == "train"))
+    new, seen = slopes(found.experiment), slopes(runs["exp4"])
+    noise = np.sqrt(np.sum(spring.fun**2) / (len(spring.fun) - 3))
+    for information, expected in (
+        (old.T @ old, row.std_error_before),
+        (old.T @ old + new.T @ new, row.std_error_after),
+    ):
+        variances = np.einsum("ni,ij,nj->n", seen, np.linalg.inv(information), seen)
+        assert noise * np.sqrt(variances.mean()) == pytest.approx(expected, rel=0.1)
+
+
 def test_the_file_of_limits_says_the_same_as_the_command(folder, design, tmp_path):
     assert design(text=LIMITS + PREDICT + 'experiment = "exp4"\noutputs = ["y"]\n') == 0
     assert tables(tmp_path / "new") == tables(folder / "next")
-
-
-def test_where_it_runs_changes_no_bit_and_it_is_resumed(folder, design, tmp_path, capsys):
-    cut = Path(shutil.copytree(folder / "next", tmp_path / "new"))
-    (cut / "next_input.parquet").unlink()
-    change_facts(cut, status="interrupted")
-    where = "executor.name=processes", "executor.workers=2"
-    assert design("--predict", "exp4:y", *where, "--resume") == 0
-    assert "simulations stand in its log" in capsys.readouterr().err
-    assert tables(cut) == tables(folder / "next")
-    assert design("--predict", "exp3:y", "--resume") == 2
 
 
 def test_all_experiments_are_predicted_unless_some_are_named(design, tmp_path):
@@ -258,55 +217,44 @@ def test_a_planned_experiment_is_read_from_a_table(folder, spring, tmp_path):
     assert row.std_error_before == pytest.approx(own["std_error_before"], rel=0.05)
 
 
+FROM_TABLE = 'data = "{folder}/wrong.csv"'
+
+
 @pytest.mark.parametrize(
-    ("named", "sentence"),
+    ("block", "table", "sentence"),
     [
-        ("exp9", "predictions: experiment must be one of the run but is 'exp9'"),
-        ("exp4:q", "outputs must be of what the FMU computes but has 'q'"),
+        ('experiment = "exp7"', "", "experiment must be one of the run but is 'exp7'"),
+        ('outputs = ["F"]', "", "outputs must be of what the FMU computes but has 'F'"),
+        ('data = "no.csv"', "", r"predictions\[0\]\.data"),
+        ('data = "a.csv"\nexperiment = "exp4"', "", r"predictions\[0\]\.data: must be left"),
+        ('time = "t"', "", r"predictions\[0\]\.time: must stand beside data"),
+        ("outputs = 3", "", r"predictions\[0\]\.outputs"),
+        (FROM_TABLE, "t,force\n0,1\n1,2\n", r"predictions\[0\]\.time"),
+        (FROM_TABLE, "time,G\n0,1\n1,2\n", "has no variable 'G'"),
+        (FROM_TABLE, "time,F\n0,1\n", "must have a column for an input, and two rows at least"),
+        (FROM_TABLE, "time\n0\n1\n", "must have a column for an input, and two rows at least"),
+        (FROM_TABLE, "time,F\n0,1\n0,2\n", "times must increase but 0 repeats 0"),
+        (FROM_TABLE, "time,F\n0,1\n1,high\n", r"predictions\[0\]\.inputs\.F"),
+        (
+            FROM_TABLE,
+            "time,F\n0,1\n1,\n2,3\n",
+            r"'F'\.values, index 1: must be a finite .* is nan",
+        ),
     ],
 )
-def test_what_cannot_be_predicted_is_refused_by_the_command(
-    design, tmp_path, capsys, named, sentence
+def test_what_cannot_be_predicted_is_refused_in_a_sentence(
+    spring, tmp_path, block, table, sentence
 ):
-    assert design("--predict", named) == 2
-    said = " ".join(capsys.readouterr().err.split())
-    assert sentence in said
-    assert "Traceback" not in said
-    assert not (tmp_path / "new.csv").exists()
-
-
-@pytest.mark.parametrize(
-    ("block", "sentence"),
-    [
-        ('experiment = "exp7"', "experiment must be one of the run but is 'exp7'"),
-        ('outputs = ["F"]', "outputs must be of what the FMU computes but has 'F'"),
-        ('data = "no.csv"', r"predictions\[0\]\.data"),
-        ('data = "a.csv"\nexperiment = "exp4"', r"predictions\[0\]\.data: must be left"),
-        ('time = "t"', r"predictions\[0\]\.time: must stand beside data"),
-        ("outputs = 3", r"predictions\[0\]\.outputs"),
-    ],
-)
-def test_what_cannot_be_predicted_is_refused_in_a_sentence(spring, block, sentence):
-    with pytest.raises(ClusterEstError, match=sentence):
-        design_of(spring, LIMITS + PREDICT + block)
-
-
-@pytest.mark.parametrize(
-    ("table", "sentence"),
-    [
-        ("t,force\n0,1\n1,2\n", r"predictions\[0\]\.time"),
-        ("time,G\n0,1\n1,2\n", "has no variable 'G'"),
-        ("time,F\n0,1\n", "must have a column for an input, and two rows at least"),
-        ("time\n0\n1\n", "must have a column for an input, and two rows at least"),
-        ("time,F\n0,1\n0,2\n", "times must increase but 0 repeats 0"),
-        ("time,F\n0,1\n1,high\n", r"predictions\[0\]\.inputs\.F"),
-        ("time,F\n0,1\n1,\n2,3\n", r"input 'F'\.values, index 1: must be a finite .* is nan"),
-    ],
-)
-def test_a_plan_that_is_none_is_refused_in_a_sentence(spring, tmp_path, table, sentence):
     (tmp_path / "wrong.csv").write_text(table, encoding="utf-8")
     with pytest.raises(ClusterEstError, match=sentence):
-        design_of(spring, LIMITS + PREDICT + f'data = "{tmp_path}/wrong.csv"')
+        design_of(spring, LIMITS + PREDICT + block.format(folder=tmp_path))
+
+
+def test_the_command_refuses_in_a_sentence_too(design, tmp_path, capsys):
+    assert design("--predict", "exp9") == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "predictions: experiment must be one of the run but is 'exp9'" in said
+    assert not (tmp_path / "new.csv").exists()
 
 
 def test_another_criterion_has_nothing_to_predict(design, capsys):

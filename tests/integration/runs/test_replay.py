@@ -219,11 +219,6 @@ def test_bad_arguments(fitted, capfd, arguments, sentence):
     assert sentence in capfd.readouterr().err
 
 
-def test_a_run_without_failures_says_so(fitted, capfd):
-    assert main(["show", str(fitted), "--failures"]) == 0
-    assert capfd.readouterr().out == f"run {fitted}: no simulation failed\n"
-
-
 def test_a_config_with_effects(tmp_path, replay):
     for name in ("models", "data"):
         (tmp_path / name).symlink_to(ROOT / "configs" / name)

@@ -112,9 +112,7 @@ def check_same(found: Path, expected: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "left"), thinned([*product(METHODS, CUTS)], lambda name, _: name, lambda _, cut: cut)
 )
-def test_every_method_goes_on_where_it_was(
-    name: str, left: tuple[float, int], finished: Finished, tmp_path: Path, observer: Observer
-) -> None:
+def test_every_method_goes_on_where_it_was(name, left, finished, tmp_path, observer):
     keeps = "without residuals" not in name
     arguments = [*METHODS[name], KEPT] if keeps else METHODS[name]
     code, whole = finished(*arguments)
@@ -141,9 +139,7 @@ def test_every_method_goes_on_where_it_was(
 @pytest.mark.parametrize(
     "shares", [(0.3,), pytest.param((1.0, 0.7, 0.3, 0.0), marks=pytest.mark.slow)]
 )
-def test_an_asynchronous_search_goes_the_same_way_as_far_as_it_was(
-    shares: tuple[float, ...], tmp_path: Path, observer: Observer
-) -> None:
+def test_an_asynchronous_search_goes_the_same_way_as_far_as_it_was(shares, tmp_path, observer):
     arguments = ["method.name=asynchronous_pattern_search", "executor.workers=3", KEPT, *SMALL]
     first, again = tmp_path / "run", tmp_path / "again"
     code = run(first, *arguments)
@@ -163,27 +159,7 @@ def test_an_asynchronous_search_goes_the_same_way_as_far_as_it_was(
         assert read_log(first / "evaluations")["key"].to_pylist()[:rows] == keys[:rows]
 
 
-def test_a_run_of_threads_can_be_resumed_by_one(
-    finished: Finished, tmp_path: Path, observer: Observer
-) -> None:
-    again = tmp_path / "run"
-    assert run(again, "executor.workers=3", KEPT) == 0
-    total = len(observer.simulated)
-    assert read_log(again / "evaluations").num_rows == total
-    leave_as_killed(again)
-    cut(again / "evaluations", total // 2)
-    observer.simulated.clear()
-    assert run(again, "--resume") == 0
-    assert len(observer.simulated) == total - total // 2
-    assert contents(again) == contents(finished()[1])
-
-
-def test_a_log_that_was_shrunk_is_enough(
-    tmp_path: Path,
-    observer: Observer,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_log_that_was_shrunk_is_enough(tmp_path, observer, monkeypatch, capsys):
     monkeypatch.setattr("cluster_est.run_folder.evaluation_log.ROWS_PER_WRITE", 20)
     again, limit = tmp_path / "run", ["log.max_megabytes=0.3", KEPT]
     assert run(again, *limit) == 0
@@ -209,13 +185,8 @@ def test_a_log_that_was_shrunk_is_enough(
     ],
 )
 def test_a_run_whose_residuals_have_left_gives_the_same_bits_again(
-    command: str,
-    arguments: list[str],
-    finished: Finished,
-    tmp_path: Path,
-    observer: Observer,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    command, arguments, finished, tmp_path, observer, capsys
+):
     code, whole = finished(*arguments, command=command)
     assert code == 0
     log = read_log(whole / "evaluations")
@@ -235,9 +206,7 @@ def test_a_run_whose_residuals_have_left_gives_the_same_bits_again(
     assert "other residuals" not in capsys.readouterr().err
 
 
-def test_residuals_that_are_others_when_simulated_again_are_said(
-    killed: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_residuals_that_are_others_when_simulated_again_are_said(killed, capsys):
     table = read_log(killed / "evaluations")
     place = table.schema.get_field_index("residuals_hash")
     hashes = ["0" * 32, *table["residuals_hash"].to_pylist()[1:]]
@@ -259,9 +228,7 @@ def test_residuals_that_are_others_when_simulated_again_are_said(
     ],
     ids=["plain, early", "plain, late", "process noise, early", "process noise, late"],
 )
-def test_a_closed_loop_is_resumed(
-    arguments: list[str], share: float, finished: Finished, tmp_path: Path, observer: Observer
-) -> None:
+def test_a_closed_loop_is_resumed(arguments, share, finished, tmp_path, observer):
     code, whole = finished(*arguments, KEPT, command="close-loop")
     assert code == 0
     again = Path(shutil.copytree(whole, tmp_path / "run"))
@@ -276,9 +243,7 @@ def test_a_closed_loop_is_resumed(
     check_same(again, whole)
 
 
-def test_a_finished_run_is_shown(
-    tmp_path: Path, observer: Observer, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_finished_run_is_shown(tmp_path, observer, capsys):
     folder = tmp_path / "run"
     assert run(folder, "--resume") == 0  # there is nothing to resume: it begins
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
@@ -292,9 +257,7 @@ def test_a_finished_run_is_shown(
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
 
 
-def test_a_run_that_goes_on_is_not_resumed(
-    killed: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_that_goes_on_is_not_resumed(killed, capsys):
     before = size(killed)
     with locked(killed / "evaluations"):
         assert run(killed, "--resume") == 2
@@ -303,7 +266,7 @@ def test_a_run_that_goes_on_is_not_resumed(
     assert run(killed, "--resume") == 0
 
 
-def test_a_run_that_was_killed_before_it_began_is_begun(tmp_path: Path) -> None:
+def test_a_run_that_was_killed_before_it_began_is_begun(tmp_path):
     (tmp_path / "run" / "evaluations").mkdir(parents=True)
     (tmp_path / "run" / ".config.toml").write_text("half", encoding="utf-8")
     assert run(tmp_path / "run", "--resume") == 0
@@ -322,13 +285,7 @@ def test_a_run_that_was_killed_before_it_began_is_begun(tmp_path: Path) -> None:
         ("format", "its format is 1 and this version writes 2"),
     ],
 )
-def test_a_run_of_something_else_is_refused(
-    change: str,
-    said: str,
-    killed: Path,
-    observer: Observer,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_run_of_something_else_is_refused(change, said, killed, observer, capsys):
     known = facts(killed)
     known["versions"] |= {change: "2.7.1" if change == "python" else "0.1"}
     known["fmu"] |= {"sha256": ""} if change == "fmu" else {}
@@ -341,23 +298,21 @@ def test_a_run_of_something_else_is_refused(
     assert not observer.simulated
 
 
-def test_another_patch_of_python_or_library_that_computes_nothing_is_no_matter(
-    killed: Path,
-) -> None:
+def test_another_patch_of_python_or_library_that_computes_nothing_is_no_matter(killed):
     versions = facts(killed)["versions"]
     major, minor, _ = versions["python"].split(".")
     change_facts(killed, versions=versions | {"python": f"{major}.{minor}.99", "ray": "0.1"})
     assert run(killed, "--resume") == 0
 
 
-def test_resume_and_overwrite_exclude_each_other(tmp_path: Path) -> None:
+def test_resume_and_overwrite_exclude_each_other(tmp_path):
     with pytest.raises(SystemExit, match="2"):
         run(tmp_path / "run", "--resume", "--overwrite")
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="there is no SIGKILL")
-def test_kills_at_any_instant_change_no_bit(finished: Finished, tmp_path: Path) -> None:
+def test_kills_at_any_instant_change_no_bit(finished, tmp_path):
     arguments = ["method.name=de", "budget.evaluations=800"]
     (code, whole), again = finished(*arguments), tmp_path / "run"
     how = ["--resume", "--no-report", *arguments]

@@ -4,6 +4,7 @@ import json
 import shutil
 import tempfile
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,9 @@ import pytest
 import ray
 from support.observed_executor import observe
 from support.problems.springs import ROOT
-from support.run_folders import change_facts, copy_spring, facts, rows
+from support.run_folders import change_facts, copy_spring, facts, facts_without_clocks, rows
 from support.run_folders import tables as tables_of
+from support.thinning import thinned
 
 from cluster_est.cli import main
 from cluster_est.errors import ExecutorError
@@ -35,9 +37,7 @@ Done = Callable[[], list[str]]
 
 
 @pytest.fixture
-def sweep(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Sweep:
+def sweep(tmp_path, monkeypatch, capsys) -> Sweep:
     """Sweep over the embedded example in a folder of its own: exit code, output and errors."""
     monkeypatch.chdir(tmp_path)
     copy_spring(tmp_path)
@@ -67,6 +67,13 @@ def done() -> Done:
     return give
 
 
+def logged(run: Path) -> list[tuple[Any, ...]]:
+    """What was simulated, in its order."""
+    table = read_log(run / "evaluations")
+    columns = ("search", "evaluation", "purpose", "experiment", "values", "status", "cost")
+    return list(zip(*(map(repr, table[name].to_pylist()) for name in columns), strict=True))
+
+
 def test_a_sweep_gives_what_single_fits_give(sweep, done):
     code, printed, _ = sweep()
     assert code == 0
@@ -85,6 +92,28 @@ def test_a_sweep_gives_what_single_fits_give(sweep, done):
     assert list(facts(OUT / NAMES[1])["experiments"]) == ["exp1", "exp4"]
     for name in NAMES:
         assert name in printed
+
+
+@pytest.mark.parametrize(
+    ("method", "executor"),
+    thinned(
+        [*product(["least_squares", "sqp"], ["local", "processes"])],
+        lambda method, _: method,
+        lambda _, executor: executor,
+    ),
+)
+def test_a_fit_and_a_sweep_of_one_run_are_one_recipe(sweep, method, executor):
+    chosen = {"method.name": method, "executor.name": executor, "multistart.n": 2}
+    assert sweep(axes=[], overrides=chosen)[0] == 0
+    overrides = [f"{key}={value}" for key, value in chosen.items()]
+    assert main(["fit", "spring.toml", *overrides, "--out", "alone", "--no-report"]) == 0
+    swept, alone = OUT / "spring", Path("alone")
+    assert tables_of(swept) == tables_of(alone)
+    assert {"errors", "parameters", "residuals"} <= tables_of(alone).keys()
+    assert facts_without_clocks(swept) == facts_without_clocks(alone)
+    assert facts(alone)["reset_policy"]["policy"] == "reset"
+    assert logged(swept) == logged(alone)
+    assert (swept / "config.toml").read_bytes() == (alone / "config.toml").read_bytes()
 
 
 def test_what_is_done_is_skipped_until_it_changes(sweep, done):
@@ -236,6 +265,48 @@ def test_runs_with_ray_must_share_it(sweep):
     code, _, errors = sweep(axes=[workers], overrides={"executor.name": "ray"})
     assert code == 2
     assert "run spring-workers_2: executor: workers and address must be the same" in errors
+
+
+SLEEPY = """
+data_folders = []
+[model]
+fmu = "misbehaves.fmu"
+[parameters]
+rate = { start = 1.0, bounds = [0.5, 2.0] }
+share = { start = 1.0, fixed = true }
+kind = { start = 4.0, fixed = true }
+[[experiments]]
+id = "e"
+data = "decay.csv"
+time = "time"
+outputs = { x = "x" }
+[executor]
+name = "processes"
+"""
+
+
+def test_a_sweep_over_the_timeout_uses_what_each_run_says(sweep, built_fmu):
+    """Every simulation hangs: how long that is waited for is what its run says."""
+    Path("misbehaves.fmu").write_bytes(built_fmu("misbehaves"))
+    Path("decay.csv").write_text("time,x\n0,1\n1,0.4\n2,0.1\n", encoding="utf-8")
+    Path("sleepy.toml").write_text(SLEEPY, encoding="utf-8")
+    axis = {"name": "timeout", "key": "executor.timeout", "values": [0.4, 0.8]}
+    assert sweep(configs=["sleepy.toml"], axes=[axis])[0] == 1
+    for limit in ("0.4", "0.8"):
+        said = facts(OUT / f"sleepy-timeout_{limit}")["message"]
+        assert f"did not end within {limit} s" in said
+
+
+def test_a_folder_that_cannot_be_written_ends_a_sweep_with_the_reason(sweep):
+    """A log that is a file in its place stands for a full disk: nothing can be written to it."""
+    (OUT / "spring").mkdir(parents=True)
+    (OUT / "sweep.json").touch()
+    (OUT / "spring" / "run.json").write_text("{")
+    (OUT / "spring" / "evaluations").touch()
+    code, _, errors = sweep(axes=[])
+    assert code == 2
+    assert "evaluations" in errors
+    assert [row["status"] for row in rows(OUT, "summary")] == ["not run"]
 
 
 def test_two_sweeps_do_not_clash(sweep):

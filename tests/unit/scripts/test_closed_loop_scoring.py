@@ -4,10 +4,9 @@ from dataclasses import replace
 from functools import cache
 from math import comb, nan
 
-import numpy as np
 import pytest
-from bench_closed_loop import divide, parse, settings_of
 from closed_loop_benchmark import figures
+from closed_loop_benchmark.comparison import compare_runs, holds
 from closed_loop_benchmark.coverage import coverage
 from closed_loop_benchmark.data import Data, make
 from closed_loop_benchmark.effect import Name
@@ -17,10 +16,9 @@ from closed_loop_benchmark.naming import compare, normal
 from closed_loop_benchmark.oracle import ask, translate, true_values, with_effects
 from closed_loop_benchmark.page import page
 from closed_loop_benchmark.problem import make_problem
-from closed_loop_benchmark.scenarios import all_scenarios, subset
-from closed_loop_benchmark.scoring import Score, blank, label_in_words, score
+from closed_loop_benchmark.scenarios import all_scenarios
+from closed_loop_benchmark.scoring import Score, blank, score
 from closed_loop_benchmark.systems import SYSTEMS
-from closed_loop_benchmark.table import one_line
 from support.thinning import thinned
 
 import cluster_est as ce
@@ -33,7 +31,6 @@ CASES = {case.name: case for case in all_scenarios()}
 UNSEEN = {("battery", "R0_of_charge"), ("thermal_two_node", "convection")}
 """Parameters that depend on a state, which a co-simulation FMU keeps to itself."""
 LOAD = "mass_spring_damper/single/load x0.25"
-METHOD = ce.LeastSquares(differences="forward", ftol=1e-8)
 
 
 @cache
@@ -42,29 +39,19 @@ def data_of(name: str) -> Data:
 
 
 @cache
-def fitted(name: str, effect: Effect | None = None) -> ce.Result:
-    """Fit a case, with one effect whose only coefficient is k."""
-    problem = make_problem(data_of(name))
+def fitted(effect: Effect | None = None) -> ce.Result:
+    """Fit the case of a load, with one effect whose only coefficient is k."""
+    problem = make_problem(data_of(LOAD))
     if effect is not None:
         problem = with_effects(problem, [(effect, {"k": 0.1})])
-    return ce.fit(problem, METHOD)
+    return ce.fit(problem, ce.LeastSquares(differences="forward", ftol=1e-8))
 
 
-def said(name: str, *effects: Effect) -> LoopResult:
+def said(*effects: Effect) -> LoopResult:
     """Return what a loop would say that names these effects, at most one."""
-    before, after = fitted(name), fitted(name, *effects)
+    before, after = fitted(), fitted(*effects)
     errors = tuple(
-        ErrorChange(
-            experiment=a.experiment,
-            role=a.role,
-            output=a.output,
-            unit=a.unit,
-            samples=a.samples,
-            rmse_before=b.rmse_after,
-            rmse_after=a.rmse_after,
-            normalised_before=b.normalised_after,
-            normalised_after=a.normalised_after,
-        )
+        ErrorChange.between(b, a, (b.normalised_after, a.normalised_after))
         for b, a in zip(before.errors, after.errors, strict=True)
     )
     named = tuple(NamedEffect(e, "", "", ()) for e in effects)
@@ -74,18 +61,18 @@ def said(name: str, *effects: Effect) -> LoopResult:
     )
 
 
-def judged(name: str, *effects: Effect, only: Name | None = None) -> Score:
+def judged(*effects: Effect, only: Name | None = None) -> Score:
     """Score what is said; `only` leaves a true effect but one name."""
-    data = data_of(name)
+    data = data_of(LOAD)
     if only is not None:
         data = replace(data, scenario=replace(data.scenario, accepted=((only,),)))
-    return score(data, said(name, *effects), ask(data, make_problem(data)))
+    return score(data, said(*effects), ask(data, make_problem(data)))
 
 
 @pytest.mark.parametrize(
     "system", thinned([(name,) for name in SYSTEMS], lambda name: SYSTEMS[name].interface)
 )
-def test_a_problem_has_the_truth_in_its_bounds_only_and_every_form_is_known(system: str) -> None:
+def test_a_problem_has_the_truth_in_its_bounds_only_and_every_form_is_known(system):
     data = data_of(next(name for name in CASES if name.startswith(f"{system}/clean")))
     problem = make_problem(data)
     problem.describe()
@@ -106,34 +93,6 @@ def test_a_problem_has_the_truth_in_its_bounds_only_and_every_form_is_known(syst
             whole.describe()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [
-        "mass_spring_damper/single/sensor_lag x0.25",
-        "quarter_car/single/bump_stop x0.25",
-        "room/single/sun x0.25",
-        "battery/pair/hysteresis+voltage_bias x1.0",
-        "cascaded_tanks/single/overflow x0.25",
-    ],
-)
-def test_oracle_reaches_the_noise(name: str) -> None:
-    oracle = ask(data_of(name), make_problem(data_of(name)))
-    assert oracle.fit is not None
-    assert oracle.truth.sse - 60.0 < oracle.fit.sse < oracle.truth.sse + 10.0
-    assert oracle.fit.test == pytest.approx(oracle.truth.test, rel=0.02)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["outside", "disturbance"])
-def test_no_oracle_outside_of_the_library(kind: str) -> None:
-    name = next(case.name for case in all_scenarios() if case.kind == kind)
-    oracle = ask(data_of(name), make_problem(data_of(name)))
-    assert oracle.fit is None
-    assert oracle.reason
-    assert oracle.best == oracle.truth
-
-
 @pytest.mark.parametrize(
     ("ours", "theirs"),
     [
@@ -146,24 +105,11 @@ def test_no_oracle_outside_of_the_library(kind: str) -> None:
         (("clip_above", "output y", ()), ("saturation", "output y", ())),
     ],
 )
-def test_one_effect_has_one_normal_name(
-    ours: tuple[str, str, tuple[str, ...]], theirs: tuple[str, str, tuple[str, ...]]
-) -> None:
+def test_one_effect_has_one_normal_name(ours, theirs):
     assert normal(*ours) == normal(*theirs)
 
 
-def test_different_effects_have_different_names() -> None:
-    names = [("linear", "der(v)", ("x",)), ("linear", "der(v)", ("v",)), ("gap", "pair a,b", ())]
-    assert len({normal(*name) for name in names}) == 3
-
-
-def test_labels_of_candidates_are_written_as_names() -> None:
-    labels = ("coulomb at der(v)", "coulomb(w) at der(v)", "gap(x - y) at pair a, b")
-    expected = ["coulomb at der(v)", "coulomb(w) at der(v)", "gap(x-y) at pair a,b"]
-    assert [label_in_words(label) for label in labels] == expected
-
-
-def test_comparison_of_names() -> None:
+def test_comparison_of_names():
     accepted = (Name("quadratic", "der(v)", "v"), Name("magnitude", "parameter c", "v"))
     own, other = (normal(n.form, n.site, (n.variable,)) for n in accepted)
     wrong = normal("cubic", "der(v)", ("v",))
@@ -176,8 +122,8 @@ def test_comparison_of_names() -> None:
     assert [m.plausible for m in near] == [True, True, False]
 
 
-def test_a_right_name_scores() -> None:
-    found = judged(LOAD, Effect("load", "der(v)", "constant"))
+def test_a_right_name_scores():
+    found = judged(Effect("load", "der(v)", "constant"))
     assert found.exact == found.alias == found.site == [True]
     assert found.numerical
     assert found.detected
@@ -188,100 +134,67 @@ def test_a_right_name_scores() -> None:
     assert Score.from_json(found.to_json()) == found
 
 
-def test_another_name_of_the_same_model_is_found_out_by_its_numbers() -> None:
+def test_another_name_of_the_same_model_is_found_out_by_its_numbers():
     bias = Effect("bias", "input F", "bias")
-    assert judged(LOAD, bias).alias == [True]
-    found = judged(LOAD, bias, only=Name("constant", "der(v)"))
+    assert judged(bias).alias == [True]
+    found = judged(bias, only=Name("constant", "der(v)"))
     assert (found.alias, found.site, found.numerical) == ([False], [False], True)
     assert figures.strictly_right(found)
     assert not figures.strictly_right(replace(found, coefficients=2))
     assert not figures.strictly_right(replace(found, distance=0.09, distance_without=0.1))
 
 
-def test_a_wrong_name_does_not_score() -> None:
-    found = judged(LOAD, Effect("wrong", "der(v)", "quadratic"))
+def test_a_wrong_name_and_silence_do_not_score():
+    found = judged(Effect("wrong", "der(v)", "quadratic"))
     assert (found.alias, found.site, found.numerical) == ([False], [True], False)
     assert found.distance > 0.1
+    silent = judged()
+    assert (silent.alias, silent.detected) == ([False], False)
+    assert silent.after == silent.before
 
 
-def test_silence_is_a_miss() -> None:
-    found = judged(LOAD)
-    assert not found.detected
-    assert found.alias == [False]
-    assert found.after == found.before
-
-
-def test_page_counts() -> None:
-    right = judged(LOAD, Effect("load", "der(v)", "constant"))
-    wrong = replace(right, name="again", exact=[False], alias=[False], numerical=False)
-    failed = blank(data_of(LOAD), "Traceback:\nValueError: why")
-    text = page([right, wrong, replace(failed, name="failed")], {})
-    assert "| one effect: detected | >= 98 % | 2/2 (100.0 %) |" in text
-    assert "| right: any of these | >= 92 % | 1/2 (50.0 %) |" in text
-    assert "| failed | ValueError: why |" in text
-    assert all("constant at der(v)" in line for line in (text, one_line(right)))
-
-
-def test_variants_are_compared_on_what_all_of_them_ran() -> None:
-    right = judged(LOAD, Effect("load", "der(v)", "constant"))
+def test_a_page_counts_what_is_right_and_compares_variants_on_what_all_of_them_ran():
+    right = judged(Effect("load", "der(v)", "constant"))
     wrong = replace(right, exact=[False], alias=[False], numerical=False, simulations=300.0)
-    failed = blank(data_of(LOAD), "why")
+    failed = blank(data_of(LOAD), "Traceback:\nValueError: why")
     runs = {
         "as it is": {"a": right, "b": right, "c": right},
         "beam 1": {"a": wrong, "b": right, "c": failed},
     }
-    text = page([right], runs)
+    text = page([right, wrong, replace(failed, name="failed")], runs)
+    assert "| one effect: detected | >= 98 % | 2/2 (100.0 %) |" in text
+    assert "| right: any of these | >= 92 % | 1/2 (50.0 %) |" in text
+    assert "| failed | ValueError: why |" in text
     first, second = (line for line in text.splitlines() if line.startswith(("| as it", "| beam")))
     assert first.startswith("| as it is | 2 | 2/2 (100.0 %) | - |")
     assert second.startswith("| beam 1 | 2 | 1/2 (50.0 %) | - |")
     assert second.endswith("| 0/2 (0.0 %) | 200 | 290 |")
 
 
-def test_parts_of_the_search_are_switched_off(monkeypatch) -> None:
-    def settings(*arguments: str):
-        monkeypatch.setattr("sys.argv", ["bench", *arguments])
-        return settings_of(parse())
+def test_two_runs_are_compared_case_by_case_in_what_both_have():
+    right = judged(Effect("load", "der(v)", "constant"))
+    silent = replace(right, true=[], named=[], verdict="none", alias=None)
+    wrong = [
+        replace(right, alias=[False], numerical=False),
+        replace(right, after=right.before + 0.5),
+        replace(right, error="Traceback"),
+        replace(silent, named=["drag"], verdict="found"),
+    ]
+    good = [right, replace(wrong[0], numerical=True), silent, replace(wrong[0], kind="outside")]
+    assert [*map(holds, good), *map(holds, wrong)] == [True] * 4 + [False] * 4
+    text, lost = compare_runs({"a": right, "b": silent}, {"a": wrong[0], "b": silent, "c": right})
+    assert lost == 1
+    assert [line[:4] for line in text.splitlines()[:2]] == ["was ", "is  "]
+    assert text.endswith("2 cases in both: right 2 -> 1, no longer right 1, now right 0")
+    assert compare_runs({"a": wrong[0]}, {"a": right})[0].startswith("now right: a\n")
 
-    assert settings() == ce.LoopSettings()
-    assert settings("--no-curves").thresholds.refinement.curves == 0
-    assert settings("--places", "always").thresholds.places.most_candidates == 0
-    assert settings("--places", "never").thresholds.places.most_candidates > 10**6
-    assert settings("--beam", "8").beam == 8
 
-
-def test_page_of_nothing() -> None:
-    assert page([], {}).startswith("# ")
-    assert one_line(blank(data_of(LOAD), "why")).endswith("why")
-
-
-def test_bound_of_a_probability() -> None:
+def test_bound_of_a_probability():
     assert figures.upper_bound(0, 136) == pytest.approx(1.0 - 0.05 ** (1 / 136))
     bound = figures.upper_bound(2, 50)
     tail = sum(comb(50, k) * bound**k * (1.0 - bound) ** (50 - k) for k in range(3))
     assert tail == pytest.approx(0.05)
     assert figures.upper_bound(0, 0) == 1.0
-
-
-def test_medians_leave_out_what_is_unknown() -> None:
-    assert figures.median([1.0, nan, 3.0], ".1f") == "2.0"
-    assert figures.median([]) == "-"
-
-
-@pytest.mark.parametrize("processes", [1, 2, 30])
-def test_cases_are_divided_by_system(processes: int) -> None:
-    cases = all_scenarios()
-    portions = divide(cases, processes)
-    assert sorted(c.name for p in portions for c in p) == sorted(c.name for c in cases)
-    assert all(len({case.system for case in portion}) == 1 for portion in portions)
-    assert len(portions) >= min(processes, len(SYSTEMS))
-    assert [len(p) for p in portions] == sorted(map(len, portions), reverse=True)
-
-
-def test_subset_has_effects_and_none() -> None:
-    cases = subset()
-    assert len(cases) == 8
-    assert {case.split for case in cases} == {"tune"}
-    assert np.unique([case.kind for case in cases]).tolist() == ["clean", "single"]
 
 
 @pytest.mark.parametrize(
@@ -300,29 +213,21 @@ def test_the_likely_sets_hold_the_truth_by_any_of_its_names(likely, holds):
 
 
 @pytest.mark.parametrize(
-    ("effect", "wrong", "expected"),
+    ("effect", "low", "high", "expected"),
     [
-        (Effect("e", "der(v)", "constant"), 0.0, (1, 1)),
-        (Effect("e", "der(v)", "constant"), 5.0, (0, 1)),  # standard errors away
-        (Effect("e", "input F", "bias"), 0.0, (0, 0)),  # the same model under another name
+        (Effect("e", "der(v)", "constant"), -1.0, 1.0, (1, 1)),
+        (Effect("e", "der(v)", "constant"), 1.0, 2.0, (0, 1)),
+        (Effect("e", "der(v)", "constant"), nan, nan, (0, 0)),  # it is held
+        (Effect("e", "input F", "bias"), -1.0, 1.0, (0, 0)),  # the same model under another name
     ],
 )
 def test_intervals_of_effects_with_the_right_name_are_compared_with_the_truth(
-    effect, wrong, expected
+    effect, low, high, expected
 ):
-    data, found = data_of(LOAD), said(LOAD, effect)
+    data, found = data_of(LOAD), said(effect)
     (estimate,) = [e for e in found.after.estimates if e.label == "e.k"]
     true = data.scenario.effects[0].numbers[0]
-    moved = true + wrong * estimate.std_error
-    around = replace(
-        estimate,
-        value=moved,
-        lower95=moved - 1.96 * estimate.std_error,
-        upper95=moved + 1.96 * estimate.std_error,
-    )
+    around = replace(estimate, value=true, lower95=true + low, upper95=true + high)
     (named,) = found.effects
     found = replace(found, effects=(replace(named, coefficients=(around,)),))
     assert coverage(data, found) == expected
-    held = replace(around, lower95=nan, upper95=nan)
-    found = replace(found, effects=(replace(named, coefficients=(held,)),))
-    assert coverage(data, found) == (0, 0)

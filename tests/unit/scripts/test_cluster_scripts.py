@@ -46,11 +46,6 @@ def check_command(words):
 
 
 @pytest.mark.parametrize("script", SHELL, ids=lambda path: path.name)
-def test_shell_scriptsparse(script):
-    subprocess.run(["bash", "-n", str(script)], check=True)
-
-
-@pytest.mark.parametrize("script", SHELL, ids=lambda path: path.name)
 def test_an_unfilled_script_says_so(script):
     done = subprocess.run(["bash", str(script)], capture_output=True, text=True, check=False)
     assert done.returncode == 2
@@ -120,11 +115,12 @@ STUBS = {
 def run_filled(name, tmp_path, values, **environment):
     """Run a script with its values filled in and the cluster's commands replaced by stubs."""
     bin_folder = tmp_path / "bin"
-    bin_folder.mkdir()
+    bin_folder.mkdir(exist_ok=True)
     for stub, body in STUBS.items():
         (bin_folder / stub).write_text(f"#!/usr/bin/env bash\n{body}\n", encoding="utf-8")
         (bin_folder / stub).chmod(0o755)
-    (bin_folder / "python").symlink_to(sys.executable)
+    if not (bin_folder / "python").exists():
+        (bin_folder / "python").symlink_to(sys.executable)
     text = (FOLDER / name).read_text(encoding="utf-8")
     filled = re.sub(r"^(\w+)='FILL_IN'", lambda m: f"{m[1]}='{values[m[1]]}'", text, flags=re.M)
     script = tmp_path / name
@@ -142,7 +138,7 @@ def run_filled(name, tmp_path, values, **environment):
     return done, calls.read_text().splitlines() if calls.exists() else []
 
 
-def test_ray_job_submits_a_fit_without_showing_the_token(tmp_path):
+def test_ray_job_submits_a_fit_without_showing_the_token_and_not_without_one(tmp_path):
     token = tmp_path / "token"
     token.write_text("0123", encoding="utf-8")
     values = {"address": "http://h:8265", "token_file": token, "folder": "here"}
@@ -154,20 +150,16 @@ def test_ray_job_submits_a_fit_without_showing_the_token(tmp_path):
     assert check_command(words[7:]).overrides == ["executor.name=ray", "executor.address=auto"]
     assert (tmp_path / "calls.env").read_text().split() == ["token", str(token)]
     assert "0123" not in " ".join(words)
-
-
-def test_ray_job_refuses_a_missing_token(tmp_path):
-    values = dict.fromkeys(("address", "folder", "config"), "x")
-    values |= {"token_file": tmp_path / "none", "out": str(tmp_path / "run")}
-    done, words = run_filled("ray_job.sh", tmp_path, values)
-    assert (done.returncode, words) == (2, [])
+    token.unlink()
+    done, _ = run_filled("ray_job.sh", tmp_path, values)
+    assert done.returncode == 2
     assert "must hold the cluster's token" in done.stderr
 
 
 NODES = {"SLURM_JOB_NODELIST": "n[1-2]", "SLURM_JOB_NUM_NODES": "2", "SLURM_CPUS_PER_TASK": "16"}
 
 
-def test_slurm_runs_a_fit_on_all_nodes_with_a_token_of_its_own(tmp_path):
+def test_slurm_runs_a_fit_on_all_nodes_with_a_token_of_its_own_and_says_where_ray_fails(tmp_path):
     values = {"environment": "/env", "config": "first.toml", "out": str(tmp_path / "run")}
     done, words = run_filled("slurm.sh", tmp_path, values, **NODES)
     assert done.returncode == 0, done.stderr
@@ -177,10 +169,7 @@ def test_slurm_runs_a_fit_on_all_nodes_with_a_token_of_its_own(tmp_path):
     mode, token = (tmp_path / "calls.env").read_text().split()
     assert mode == "token"
     assert re.fullmatch(r"[0-9a-f]{64}", token)
-
-
-def test_slurm_fails_where_ray_did_not_start(tmp_path):
-    values = {"environment": "/env", "config": "first.toml", "out": str(tmp_path / "run")}
+    (tmp_path / "run" / "run.json").unlink()
     done, _ = run_filled("slurm.sh", tmp_path, values, **NODES, RAY_FAILS="1")
     assert done.returncode == 1
     assert "no fit was run" in done.stderr
