@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from support.problems.springs import FMU
 from support.simulated import answer
-from support.truth.own_fmus import robertson, van_der_pol
-from support.truth.stiff_models import fed, oscillation, reaction
+from support.truth.own_fmus import fed, oscillation, reaction, robertson, van_der_pol
 
 from cluster_est import Experiment, Input, Output, Parameter, Problem, Solver, fit
 from workers.evaluate import Evaluator
@@ -230,9 +229,8 @@ WITHOUT = """
 import sys
 sys.modules["fmpy.sundials"] = None
 import cluster_est as ce
+from workers.evaluate import Evaluator
 try:
-    ce.read_model(sys.argv[1], solver=ce.Solver("cvode"))
-    from workers.evaluate import Evaluator
     model = ce.read_model(sys.argv[1], solver=ce.Solver("cvode"))
     Evaluator(model, [ce.Experiment("e", 0.0, 1.0, (), (ce.Output("y", [1.0], [0.0]),))], "w")
 except ce.ClusterEstError as error:

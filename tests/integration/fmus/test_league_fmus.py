@@ -1,31 +1,15 @@
-"""The FMUs of the league: valid, built from their sources, and right where a formula is known."""
-
-from collections.abc import Callable
+"""The FMUs of the league are right where a formula is known."""
 
 import fmpy
 import numpy as np
 import pytest
-from fmpy.validation import validate_fmu
 from numpy.typing import NDArray
 from scipy.linalg import expm
-from support.fmu_texts import texts_from, texts_in
 from support.problems.springs import ROOT
 
 Array = NDArray[np.float64]
 LEAGUE = ROOT / "configs" / "league"
-FMUS = sorted(LEAGUE.glob("**/models/*.fmu"))
 HOUR, DAY = 3600.0, 86400.0
-
-
-def name_of(path):
-    return f"{path.parent.parent.name}/{path.stem}"
-
-
-@pytest.mark.parametrize("path", FMUS, ids=name_of)
-def test_is_valid_for_three_platforms_and_holds_its_sources(path):
-    assert validate_fmu(str(path)) == []
-    assert set(fmpy.supported_platforms(str(path))) >= {"linux64", "win64", "darwin64"}
-    assert texts_in(path) == texts_from(path.with_suffix(""))
 
 
 def two_compartments(t: Array) -> Array:
@@ -49,12 +33,7 @@ def infected(t: Array) -> Array:
 def cooling(t: Array) -> Array:
     """Air and wall that cool down to 0 degC."""
     c, wall, inner, outer = 5e6, 1e7, 0.005, 0.02
-    rates = np.array(
-        [
-            [-1.0 / (c * inner), 1.0 / (c * inner)],
-            [1.0 / (wall * inner), -(1.0 / inner + 1.0 / outer) / wall],
-        ]
-    )
+    rates = np.array([[-1.0 / c, 1.0 / c], [1.0 / wall, -(1.0 + inner / outer) / wall]]) / inner
     return np.array([(expm(rates * each) @ [20.0, 10.0])[0] for each in t])
 
 
@@ -62,8 +41,7 @@ def rolled(t: Array) -> Array:
     return 8.0 - 9.81 * (0.005 - 0.001) * t
 
 
-Truth = tuple[str, dict[str, float], str, float, Callable[[Array], Array]]
-TRUTHS: list[Truth] = [
+TRUTHS = [
     ("models/rocket", {"h": 100.0, "v": 50.0}, "alt", 4.0, lambda t: 100 + 50 * t - 4.905 * t**2),
     ("models/indometacin", {"C": 2.0}, "conc", 8 * HOUR, lambda t: 2 * np.exp(-0.6 * t / HOUR)),
     ("models/theophylline", {"A": 4.0}, "conc", 24 * HOUR, lambda t: 8 * np.exp(-0.1 * t / HOUR)),

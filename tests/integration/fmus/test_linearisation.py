@@ -5,19 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.problems.springs import FMU, ROOT
+from support.simulated import Worker, answer, answers
 from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M, plain, solve
 
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.run_folder.evaluation_log import EvaluationLog, read_log
 from cluster_est.running.runner import Runner
 from workers.errors import ModelError
-from workers.evaluate import Evaluator
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Status, Task
 from workers.wire import TaskBatch
 
 ADAPTIVE = Solver("dormand_prince", rtol=1e-11)
 FIXED = Solver("rk4", step=0.001)
 STIFF = Solver("cvode", rtol=1e-10)
+SOLVERS = [ADAPTIVE, FIXED, STIFF]
 SPRING = (M, K, C)
 EXACT = {"rtol": 1e-8, "atol": 1e-8}
 
@@ -33,20 +34,21 @@ def spring(solver=ADAPTIVE, parameters=("m", "k", "c")):
     return Model(FMU.name, FMU.read_bytes(), interface, solver, parameters)
 
 
-def ask(evaluator, values, want="linearisation", effects=()):
-    (outcome,) = evaluator.evaluate(TaskBatch.of([Task(0, 0, np.array(values), want, effects)]))
-    return outcome
+def asked(model, experiment, values, wants, effects=()):
+    """The outcomes of one point, asked for one after the other, without their neighbours."""
+    worker = Worker(model, experiment)
+    tasks = [Task(0, 0, np.array(values), want, effects) for want in wants]
+    found = [worker.evaluator.evaluate(TaskBatch.of([task]))[0] for task in tasks]
+    worker.evaluator.close()
+    assert all(outcome.ok for outcome in found), [outcome.message for outcome in found]
+    assert len({outcome.residuals.tobytes() for outcome in found}) == 1
+    return found
 
 
 def linearised(model, experiment, values, effects=()):
     """A linearisation, whose simulation is the plain one to the last bit, before and after."""
-    evaluator = Evaluator(model, (experiment,), "w")
-    first = ask(evaluator, values, "trajectory", effects)
-    found = ask(evaluator, values, effects=effects)
-    assert found.ok, found.message
-    last = ask(evaluator, values, "trajectory", effects)
-    evaluator.close()
-    assert first.residuals.tobytes() == found.residuals.tobytes() == last.residuals.tobytes()
+    wants = ("trajectory", "linearisation", "trajectory")
+    first, found, _ = asked(model, experiment, values, wants, effects)
     assert found.linearisation.outputs.tobytes() == first.trajectory.values.tobytes()
     assert found.linearisation.times.tobytes() == first.trajectory.times.tobytes()
     assert found.trajectory is None
@@ -54,19 +56,14 @@ def linearised(model, experiment, values, effects=()):
     return found.linearisation
 
 
-@pytest.mark.parametrize("solver", [ADAPTIVE, FIXED, STIFF])
+@pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("reset", ["reset", "instance"])
 def test_the_first_thing_that_an_instance_is_asked_for(solver, reset):
     """A linearisation with CVODE simulates twice, each time from a beginning of its own."""
     model = replace(spring(solver), reset=reset)
-    experiment = spring_experiment()
-    evaluator = Evaluator(model, (experiment,), "w")
-    first, again = (ask(evaluator, SPRING) for _ in range(2))
-    plainly = ask(evaluator, SPRING, "trajectory")
-    evaluator.close()
-    assert first.ok, first.message
+    wants = ("linearisation", "linearisation", "trajectory")
+    first, again, _ = asked(model, spring_experiment(), SPRING, wants)
     assert first.linearisation.A.values.tobytes() == again.linearisation.A.values.tobytes()
-    assert first.residuals.tobytes() == again.residuals.tobytes() == plainly.residuals.tobytes()
 
 
 def each(times, rows):
@@ -82,7 +79,7 @@ def spring_by_parameters(x, v, force, m=M):
     return [[zero, zero, zero], [-(force - K * x - C * v) / m**2, -x / m, -v / m]]
 
 
-@pytest.mark.parametrize("solver", [ADAPTIVE, FIXED, STIFF])
+@pytest.mark.parametrize("solver", SOLVERS)
 def test_the_spring_has_the_textbook_matrices(solver):
     found = linearised(spring(solver), spring_experiment(), SPRING)
     states = solve(plain)
@@ -119,8 +116,8 @@ def test_only_tunable_parameters_have_derivatives_and_a_bound_is_not_crossed():
 
 
 def model_of(name, parameters):
-    return Model(name, (ROOT / "configs/models" / f"{name}.fmu").read_bytes(), "model_exchange",
-                 ADAPTIVE, parameters)  # fmt: skip
+    archive = (ROOT / "configs/models" / f"{name}.fmu").read_bytes()
+    return Model(name, archive, "model_exchange", ADAPTIVE, parameters)
 
 
 def driven(name, drive, outputs=("y",), values=()):
@@ -156,8 +153,8 @@ def test_inputs_that_nothing_drives_have_derivatives_too():
     np.testing.assert_array_equal(found.effective_inputs[:, 1], 0.01)
     load = found.state_names.index("w_load")
     np.testing.assert_allclose(found.B[:, load, 1], -1 / 6e-4, rtol=1e-8)
-    np.testing.assert_array_equal(found.C.argmax(axis=2), [[load, found.state_names.index("i")]]
-                                  * len(found.times))  # fmt: skip
+    shown = [load, found.state_names.index("i")]
+    assert (found.C.argmax(axis=2) == shown).all()
 
 
 def test_a_term_at_a_derivative_a_lagged_input_and_an_effect_at_an_output():
@@ -188,7 +185,7 @@ def test_a_term_at_a_derivative_a_lagged_input_and_an_effect_at_an_output():
     np.testing.assert_allclose(found.outputs[:, 0], (1 + gain) * x, rtol=1e-14)
 
 
-@pytest.mark.parametrize("solver", [ADAPTIVE, FIXED, STIFF])
+@pytest.mark.parametrize("solver", SOLVERS)
 def test_a_parameter_that_heats_up(solver):
     """Its derivative is by the value that holds at that time."""
     k, at, tau = 0.4, 0.1, 0.5
@@ -248,10 +245,9 @@ def test_a_measured_signal_is_no_input():
 
 
 def test_failures_are_outcomes_and_leave_their_neighbours_alone():
-    evaluator = Evaluator(spring(), (spring_experiment(),), "w")
     points = [SPRING, (-1.0, K, C), (2.0, K, C), (np.nan, K, C), SPRING]
     tasks = [Task(i, 0, np.array(p), "linearisation") for i, p in enumerate(points)]
-    outcomes = evaluator.evaluate(TaskBatch.of(tasks))
+    outcomes = answers(spring(), [spring_experiment()], tasks)
     assert [o.ok for o in outcomes] == [True, False, True, False, True]
     assert "mass must be positive, got -1" in outcomes[1].message
     assert outcomes[1].linearisation is None
@@ -269,19 +265,18 @@ def test_a_derivative_that_is_not_finite_is_said():
         outputs=(Output("y", np.array([0.02]), np.zeros(1)),),
     )
     effect = Effect("e", "der(v)", equation="k * sqrt(x)", coefficients=(("k", 0.0),))
-    evaluator = Evaluator(spring(FIXED), (experiment,), "w")
-    assert ask(evaluator, (*SPRING, 1.0), "residuals", (effect,)).ok
-    outcome = ask(evaluator, (*SPRING, 1.0), effects=(effect,))
+    plain, outcome = (
+        answer(spring(FIXED), experiment, (*SPRING, 1.0), want, (effect,))
+        for want in ("residuals", "linearisation")
+    )
+    assert plain.ok
     assert outcome.status is Status.NOT_FINITE
     assert outcome.message == "the derivative of 'der(v)' by 'x' is nan at t = 0 s"
-    evaluator.close()
 
 
 def test_co_simulation_is_refused():
-    evaluator = Evaluator(spring(Solver("fmu")), (spring_experiment(),), "w")
     with pytest.raises(ModelError, match=r"gives in model exchange only.*co_simulation"):
-        ask(evaluator, SPRING)
-    evaluator.close()
+        answer(spring(Solver("fmu")), spring_experiment(), SPRING, "linearisation")
 
 
 def test_the_runner_passes_it_on_and_the_log_leaves_it_out(tmp_path):

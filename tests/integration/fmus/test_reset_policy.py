@@ -9,12 +9,14 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.decay_fits import RATE, K, decay_table, estimate, fit_decay, run_of
+from support.thinning import thinned
 from typing_extensions import override
 
 from cluster_est.executors import EXECUTORS
@@ -24,31 +26,21 @@ from cluster_est.running.resources import Resources
 from cluster_est.running.trials import reset_policy as renewal
 from workers.messages import Outcome, Status, Task
 
-Give = Callable[[str, int], Path]
-Fit = Callable[..., int]
-
-BOTH = pytest.mark.parametrize("fmi", [2, 3])
 SLOW_IN_3 = pytest.mark.parametrize("fmi", [2, pytest.param(3, marks=pytest.mark.slow)])
-PAIRS = [
-    *((2, "model_exchange"), (3, "co_simulation")),
-    *(pytest.param(3, "model_exchange", marks=pytest.mark.slow),),
-    *(pytest.param(2, "co_simulation", marks=pytest.mark.slow),),
-]
-KINDS = pytest.mark.parametrize(("fmi", "interface"), PAIRS)
-EXECUTOR_PAIRS = pytest.mark.parametrize(
-    ("fmi", "executor"),
-    [
-        *((2, "local"), (3, "processes")),
-        *(pytest.param(3, "local", marks=pytest.mark.slow),),
-        *(pytest.param(2, "processes", marks=pytest.mark.slow),),
-    ],
+KINDS, EXECUTOR_PAIRS = (
+    pytest.mark.parametrize(
+        ("fmi", what), thinned([*product((2, 3), of)], lambda fmi, _: fmi, lambda _, each: each)
+    )
+    for what, of in (
+        ("interface", ("model_exchange", "co_simulation")),
+        ("executor", ("local", "processes")),
+    )
 )
 DIED = "this process has died: an FMU that runs in it has crashed"
-RUN = [sys.executable, "-c", "from cluster_est.cli import run; run()", "fit"]
 
 
 @pytest.fixture
-def fitted(own_fmu: Give, tmp_path: Path) -> Fit:
+def fitted(own_fmu, tmp_path):
     """Fits k, or what else is said, to a decay; the run is in `run`."""
 
     def fit(name: str, fmi: int, *overrides: str, **options: str) -> int:
@@ -63,9 +55,7 @@ def chosen(folder: Path) -> str:
 
 
 @KINDS
-def test_a_state_that_survives_a_reset(
-    fitted: Fit, tmp_path: Path, fmi: int, interface: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_state_that_survives_a_reset(fitted, tmp_path, fmi, interface, capsys):
     assert fitted("reset_keeps_state", fmi, f"model.interface={interface}") == 0
 
     assert chosen(tmp_path) == "instance"
@@ -75,8 +65,8 @@ def test_a_state_that_survives_a_reset(
 
 @pytest.mark.parametrize(("fmi", "solver"), [(3, "dormand_prince"), (2, "cvode")])
 def test_what_a_solver_asks_beforehand_does_not_use_up_the_new_instance(
-    fitted: Fit, tmp_path: Path, fmi: int, solver: str
-) -> None:
+    fitted, tmp_path, fmi, solver
+):
     """CVODE looks at the directional derivatives first; after that, all began with a reset."""
     name = "reset_spoils_directional"
     assert fitted(name, fmi, f"model.solver={solver}", "model.rtol=1e-8") == 0
@@ -85,7 +75,7 @@ def test_what_a_solver_asks_beforehand_does_not_use_up_the_new_instance(
     assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
 
 
-def test_it_spoils_the_estimate_if_one_insists(fitted: Fit, tmp_path: Path) -> None:
+def test_it_spoils_the_estimate_if_one_insists(fitted, tmp_path):
     fitted("reset_keeps_state", 2, "model.reset=reset")
 
     assert chosen(tmp_path) == "reset"
@@ -93,21 +83,19 @@ def test_it_spoils_the_estimate_if_one_insists(fitted: Fit, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("reset", ["process", pytest.param("instance", marks=pytest.mark.slow)])
-def test_a_new_process_for_each_simulation(fitted: Fit, tmp_path: Path, reset: str) -> None:
+def test_a_new_process_for_each_simulation(fitted, tmp_path, reset):
     wanted = ["executor.name=processes", f"model.reset={reset}"]
     assert fitted("reset_keeps_state", 2, *wanted) == 0
 
     assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
 
 
-def test_one_process_cannot_be_new_each_time(
-    fitted: Fit, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_process_cannot_be_new_each_time(fitted, capsys):
     assert fitted("dahlquist", 2, "model.reset=process") == 2
     assert 'choose "processes" or "ray"' in capsys.readouterr().err
 
 
-def test_values_of_another_experiment_that_survive_a_reset(fitted: Fit, tmp_path: Path) -> None:
+def test_values_of_another_experiment_that_survive_a_reset(fitted, tmp_path):
     config = "parameters.x = { start = 0.5, bounds = [0.1, 5.0] }"
     with_rate = f"[experiments.values]\nk = {RATE}\n"
     # where k is not set it is the FMU's own, which is 1
@@ -120,9 +108,7 @@ def test_values_of_another_experiment_that_survive_a_reset(fitted: Fit, tmp_path
 
 
 @pytest.mark.parametrize("name", ["fails_to_reset", "dahlquist", "once_undeclared"])
-def test_what_can_be_reset_is_reset(
-    fitted: Fit, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_can_be_reset_is_reset(fitted, tmp_path, name, capsys):
     if name == "dahlquist":
         fitted(name, 2)
     else:
@@ -133,14 +119,18 @@ def test_what_can_be_reset_is_reset(
     assert not capsys.readouterr().err.count("cluster-est:")
 
 
-def test_chance_is_named(fitted: Fit, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("can_fork", [True, False])
+def test_chance_is_named(fitted, tmp_path, capsys, monkeypatch, can_fork):
+    """Also where there are no processes to be copied."""
+    monkeypatch.setattr(renewal, "CAN_FORK", can_fork and renewal.CAN_FORK)
     fitted("random_output", 2, "budget.evaluations=3")
 
     assert chosen(tmp_path) == "reset"
-    assert "does not repeat itself" in capsys.readouterr().err
+    assert "does not repeat itself" in (said := capsys.readouterr().err)
+    assert can_fork or "even in a new instance" in said
 
 
-def test_a_run_that_is_resumed_goes_on_as_it_began(fitted: Fit, tmp_path: Path) -> None:
+def test_a_run_that_is_resumed_goes_on_as_it_began(fitted, tmp_path):
     """Even where nobody would choose that now."""
     fitted("dahlquist", 2, "budget.evaluations=2")
     (tmp_path / "run" / "parameters.parquet").unlink()
@@ -161,15 +151,13 @@ class Worker:
         self.answers = iter(answers)
 
     def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
-        found = []
-        for task in tasks:
-            answer = next(self.answers)
-            if isinstance(answer, Status):
-                found.append(Outcome(task.id, answer, message="it ended"))
-            else:
-                residuals = np.full(3, answer)
-                found.append(Outcome(task.id, Status.OK, residuals, seconds=3600.0))
-        return found
+        return [
+            Outcome(task.id, answer, message="it ended")
+            if isinstance(answer, Status)
+            else Outcome(task.id, Status.OK, np.full(3, answer), seconds=3600.0)
+            for task in tasks
+            for answer in [next(self.answers)]
+        ]
 
 
 LOST = [Status.LOST_WORKER, Status.TIMEOUT, Status.OUT_OF_MEMORY]
@@ -184,30 +172,17 @@ LOST = [Status.LOST_WORKER, Status.TIMEOUT, Status.OUT_OF_MEMORY]
         *(((1.0, ended, 1.0, 2.0), False) for ended in [*LOST[1:], Status.SOLVER_FAILURE]),
     ],
 )
-def test_a_reset_is_judged_by_answers_that_come_after_one(
-    answers: tuple[float | Status, ...], same: bool | None
-) -> None:
+def test_a_reset_is_judged_by_answers_that_come_after_one(answers, same):
     points = (0, 1, 0) if len(answers) > 2 else (0, 0)
     tasks = tuple(Task(i, e, np.zeros(1)) for i, e in enumerate(points))
     question = renewal.RepeatabilityTest(tasks)
     assert question.ask(Worker(*answers)).same is same  # type: ignore[arg-type]
 
 
-def test_chance_is_named_where_there_are_no_processes_to_be_copied(
-    fitted: Fit, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(renewal, "CAN_FORK", False)
-    fitted("random_output", 2, "budget.evaluations=3")
-
-    assert chosen(tmp_path) == "reset"
-    assert "does not repeat itself" in (said := capsys.readouterr().err)
-    assert "even in a new instance" in said
-
-
 @EXECUTOR_PAIRS
 def test_a_reset_that_crashes_is_found_out_in_another_process(
-    fitted: Fit, tmp_path: Path, fmi: int, executor: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+    fitted, tmp_path, fmi, executor, capsys
+):
     assert fitted("reset_crashes", fmi, f"executor.name={executor}") == 0
 
     assert chosen(tmp_path) == "instance"
@@ -217,18 +192,14 @@ def test_a_reset_that_crashes_is_found_out_in_another_process(
     assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
 
 
-def test_an_fmu_that_crashes_at_once_does_not_take_the_fit_along(
-    fitted: Fit, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_fmu_that_crashes_at_once_does_not_take_the_fit_along(fitted, capsys):
     assert fitted("crashes_at_start", 2) == 2
     said = capsys.readouterr().err
     assert re.search(r"crashes_at_start_fmi2.fmu must survive.*SIGSEGV.*choose.*processes", said)
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_what_was_found_out_once_is_not_tried_again(
-    fitted: Fit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int
-) -> None:
+def test_what_was_found_out_once_is_not_tried_again(fitted, tmp_path, monkeypatch, workers):
     """That the FMU survives, and is undisturbed by others, is tried in another process at first."""
     monkeypatch.setenv("INSTANCES_COUNTED_IN", str(tmp_path))
     below = "parameters.k = { start = 0.7, bounds = [0.01, 1.9] }\n"
@@ -246,8 +217,8 @@ def test_what_was_found_out_once_is_not_tried_again(
 
 @KINDS
 def test_instances_that_share_a_static_variable_are_refused_for_several_threads(
-    fitted: Fit, tmp_path: Path, fmi: int, interface: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+    fitted, tmp_path, fmi, interface, capsys
+):
     several = [f"model.interface={interface}", "executor.workers=3"]
     assert fitted("shares_static", fmi, *several) == 2
     said = capsys.readouterr().err
@@ -256,13 +227,6 @@ def test_instances_that_share_a_static_variable_are_refused_for_several_threads(
     )
 
     assert fitted("shares_static", fmi, *several, "executor.name=processes") == 0
-    assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
-
-
-def test_one_worker_takes_instances_that_share_a_static_variable(
-    fitted: Fit, tmp_path: Path
-) -> None:
-    assert fitted("shares_static", 2) == 0
     assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
 
 
@@ -277,8 +241,8 @@ class Wide(LocalExecutor):
 
 @pytest.mark.parametrize(("name", "workers"), [("shares_static", 1), ("dahlquist", 2)])
 def test_fewer_workers_by_default_where_instances_share_something(
-    own_fmu: Give, monkeypatch: pytest.MonkeyPatch, name: str, workers: int
-) -> None:
+    own_fmu, monkeypatch, name, workers
+):
     monkeypatch.setitem(EXECUTORS, "wide", f"{__name__}:Wide")
     problem = bare_problem(own_fmu(name, 2))
     with renewal.open_with_reset(problem, Resources(executor="wide"))[0] as pool:
@@ -286,9 +250,7 @@ def test_fewer_workers_by_default_where_instances_share_something(
 
 
 @SLOW_IN_3
-def test_an_fmu_that_has_survived_is_tried_apart_again_with_other_start_values(
-    fitted: Fit, fmi: int, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_fmu_that_has_survived_is_tried_apart_again_with_other_start_values(fitted, fmi, capsys):
     below = "parameters.k = { start = 0.7, bounds = [0.01, 2.0] }\n"
     assert fitted("crashes_when_fast", fmi, config=below) == 0
 
@@ -297,27 +259,32 @@ def test_an_fmu_that_has_survived_is_tried_apart_again_with_other_start_values(
     assert "must survive its first simulation" in capsys.readouterr().err
 
 
-def test_a_process_that_dies_leaves_a_sentence(fitted: Fit, tmp_path: Path) -> None:
+def command(*arguments):
+    """What the program says in a process of its own, and how that ends."""
+    program = [sys.executable, "-c", "from cluster_est.cli import run; run()"]
+    return subprocess.run([*program, *arguments], capture_output=True, text=True, check=False)
+
+
+def fit_apart(folder, out, *overrides):
+    return command("fit", str(folder / "config.toml"), "--out", str(folder / out), *overrides)
+
+
+def test_a_process_that_dies_leaves_a_sentence(fitted, tmp_path):
     """One insists on the reset that crashes, in the process of the command."""
     fitted("reset_crashes", 2)
-    command = [*RUN, str(tmp_path / "config.toml"), "--out", str(tmp_path / "dies")]
-    command += ["model.reset=reset"]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    ended = fit_apart(tmp_path, "dies", "model.reset=reset")
     assert ended.returncode == -signal.SIGSEGV
     assert DIED in ended.stderr.strip().splitlines()[-1]
 
 
-def test_what_was_found_is_written_before_the_fmu_is_let_go(
-    built_fmu: Callable[[str], bytes], tmp_path: Path
-) -> None:
+def test_what_was_found_is_written_before_the_fmu_is_let_go(built_fmu, tmp_path):
     """It crashes in the process of the command, at the very end."""
     (tmp_path / "a.csv").write_text(decay_table(), encoding="utf-8")
     (tmp_path / "decay.fmu").write_bytes(built_fmu("crashes_when_unloaded"))
     (tmp_path / "config.toml").write_text(
         'model.fmu = "decay.fmu"\n' + K.replace(".k ", ".rate ") + run_of("a"), encoding="utf-8"
     )
-    command = [*RUN, str(tmp_path / "config.toml"), "--out", str(tmp_path / "run"), "--no-report"]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    ended = fit_apart(tmp_path, "run", "--no-report")
     assert ended.returncode == -signal.SIGSEGV
     assert DIED in ended.stderr
     assert estimate(tmp_path, "rate") == pytest.approx(RATE, rel=1e-5)
@@ -325,21 +292,19 @@ def test_what_was_found_is_written_before_the_fmu_is_let_go(
 
 @pytest.mark.parametrize(("fmi", "workers"), [(2, 1), pytest.param(3, 2, marks=pytest.mark.slow)])
 def test_an_fmu_that_ends_the_process_in_order_does_not_look_like_success(
-    fitted: Fit, tmp_path: Path, fmi: int, workers: int
-) -> None:
+    fitted, tmp_path, fmi, workers
+):
     """It calls exit(0) at rates above 2.5."""
     fitted("exits_when_fast", fmi, "executor.name=processes")
-    command = [*RUN, str(tmp_path / "config.toml"), "--out", str(tmp_path / "dies")]
-    command += ["model.reset=reset"]
-    command += ["parameters.k.start=3.0", f"executor.workers={workers}"]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    fast = "parameters.k.start=3.0", f"executor.workers={workers}"
+    ended = fit_apart(tmp_path, "dies", "model.reset=reset", *fast)
     assert ended.returncode == 2
     assert DIED in ended.stderr.strip().splitlines()[-1]
 
 
-def test_a_program_ends_with_the_exit_code_of_its_command(tmp_path: Path) -> None:
+def test_a_program_ends_with_the_exit_code_of_its_command(tmp_path):
     for arguments, code in ((["--help"], 0), (["show", str(tmp_path)], 2)):
-        ended = subprocess.run([*RUN[:-1], *arguments], capture_output=True, text=True, check=False)
+        ended = command(*arguments)
         assert ended.returncode == code
         assert ended.stdout or ended.stderr
         assert DIED not in ended.stderr
@@ -347,9 +312,8 @@ def test_a_program_ends_with_the_exit_code_of_its_command(tmp_path: Path) -> Non
 
 @EXECUTOR_PAIRS
 def test_a_file_that_is_opened_by_a_relative_path_lies_in_the_working_folder(
-    fitted: Fit, tmp_path: Path, fmi: int, executor: str,
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+    fitted, tmp_path, fmi, executor, monkeypatch, capsys
+):
     folder = tmp_path / "elsewhere"
     folder.mkdir()
     monkeypatch.chdir(folder)
@@ -361,8 +325,6 @@ def test_a_file_that_is_opened_by_a_relative_path_lies_in_the_working_folder(
 
 
 @SLOW_IN_3
-def test_what_an_fmu_writes_into_its_folder_and_reads_again_is_found_out(
-    fitted: Fit, fmi: int, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_an_fmu_writes_into_its_folder_and_reads_again_is_found_out(fitted, fmi, capsys):
     fitted("writes_folder", fmi, "executor.name=processes", "budget.evaluations=3")
     assert "does not repeat itself" in capsys.readouterr().err

@@ -6,7 +6,6 @@ The FMU is a decay from 1 at a rate of 1 in which happens what its parameters sa
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -43,12 +42,10 @@ SCRIPT = (
 
 
 @pytest.fixture
-def simulate(own_fmu: Callable[[str, int], Path]) -> Simulate:
+def simulate(own_fmu):
     """Simulate what several scripts say, one after the other."""
 
-    def run(
-        fmi: int, solver: str, *scripts: dict[str, object], logging_on: bool = False
-    ) -> list[Outcome]:
+    def run(fmi, solver, *scripts, logging_on=False):
         fmu = own_fmu("scripted", fmi)
         usual = {"nth": 1.0, "at": -1.0, "level": -1.0, "function": "", "status": 0.0, "bad": 0.0}
         usual |= dict.fromkeys(("after", "endless", "ends", "stops", "since"), 1e9)
@@ -96,9 +93,7 @@ FAILING = [
 
 
 @pytest.mark.parametrize(("solver", "function", "status", "fmi"), thinned(FAILING, *HOW))
-def test_a_failing_call_ends_the_simulation(
-    simulate: Simulate, solver: str, function: str, status: int, fmi: int
-) -> None:
+def test_a_failing_call_ends_the_simulation(simulate, solver, function, status, fmi):
     """In the second simulation: most of these calls come before the script is known at first."""
     # in model exchange the first value that is got stands for the event indicators
     nth = 2 if function == "GetReal" and solver != "fmu" else 1
@@ -121,14 +116,7 @@ CALLED += [(solver, name) for solver in EXCHANGE for name in ADVANCING]
         *HOW, lambda solver, function, *_: (solver == "fmu", function),
     ),
 )  # fmt: skip
-def test_nothing_is_called_after_a_fatal_error(
-    simulate: Simulate,
-    capfd: pytest.CaptureFixture[str],
-    solver: str,
-    function: str,
-    nth: int,
-    fmi: int,
-) -> None:
+def test_nothing_is_called_after_a_fatal_error(simulate, capfd, solver, function, nth, fmi):
     """The next simulation is one of a new instance; the FMU complains where it is not."""
     fatal = {"function": function, "nth": nth, "status": FATAL}
     outcomes = simulate(fmi, solver, fatal, fatal, {})

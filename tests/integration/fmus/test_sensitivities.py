@@ -1,27 +1,31 @@
-"""Derivatives carried along with a simulation, against complex steps on the same equations."""
+"""Derivatives carried along with a simulation: right by complex steps, and chosen by a clock."""
 
-from collections.abc import Callable, Iterator
+import json
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from support.decay_fits import fit_decay
 from support.thinning import thinned
 
 from cluster_est import Experiment, Input, Output, Parameter, Problem, Solver, fit
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.methods.sqp.method import Sqp
+from cluster_est.preflight.sensitivities import sensitivities
+from cluster_est.preflight.subject import CheckSubject, TimeBudget
+from cluster_est.problem.search_space.space import make_space
 from workers.evaluate import Evaluator
 from workers.messages import Curve, FloatArray, Model, Outcome, SignalBound, Task
+from workers.probes.sensitivities import SensitivityCost, SensitivityCostProbe
+from workers.process.trial import ProbeBench
 from workers.wire import OutcomeColumns, TaskBatch
-
-Give = Callable[[str, int], Path]
-Ask = Callable[..., Outcome]
 
 SOLVERS = [Solver("dormand_prince", rtol=1e-10), Solver("rk4", step=1e-3)]
 TIMES = np.linspace(0.0, 5.0, 26)
-ACCURATE = Solver("dormand_prince", rtol=1e-10)
 RATES = tuple(f"{kind}{i}" for kind in "ab" for i in range(1, 6))
 
 
@@ -35,19 +39,12 @@ def input_at(t: float) -> float:
     return 0.5 * t if t < 2.0 else 1.0 - (t - 2.0) / 6.0
 
 
-def runge_kutta(slopes: Callable, x: np.ndarray, times: FloatArray, parts: int = 40) -> np.ndarray:
-    """States at each time, by many steps of the classic method; complex where x is."""
+def solved(slopes, x, times):
+    """States at each time, complex where x is; no step goes across a kink of the input."""
     found = [x]
-    for first, last in pairwise(times):
-        h = (last - first) / parts
-        for i in range(parts):
-            t = first + i * h
-            k1 = slopes(t, x)
-            k2 = slopes(t + h / 2, x + h / 2 * k1)
-            k3 = slopes(t + h / 2, x + h / 2 * k2)
-            k4 = slopes(t + h, x + h * k3)
-            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        found.append(x)
+    for ends in pairwise(times):
+        result = solve_ivp(slopes, ends, found[-1], "DOP853", rtol=1e-11, atol=1e-12)
+        found.append(result.y[:, -1])
     return np.array(found)
 
 
@@ -65,7 +62,7 @@ def van_der_pol(p: np.ndarray) -> np.ndarray:
     def slopes(t: float, x: np.ndarray) -> np.ndarray:
         return np.array([x[1], p[0] * (1.0 - x[0] ** 2) * x[1] - x[0] + input_at(t)])
 
-    return runge_kutta(slopes, p[1:], TIMES)
+    return solved(slopes, p[1:], TIMES)
 
 
 def chain(p: np.ndarray) -> np.ndarray:
@@ -75,23 +72,23 @@ def chain(p: np.ndarray) -> np.ndarray:
         inflow = np.concatenate([[input_at(t)], a[:4] * x[:4]])
         return inflow - a * x - b * x**2
 
-    x = runge_kutta(slopes, np.array([2.0, 0, 0, 0, 0]) + 0 * p[:5], TIMES)
+    x = solved(slopes, np.array([2.0, 0, 0, 0, 0]) + 0 * p[:5], TIMES)
     return np.column_stack([x, a[4] * x[:, 4]])
 
 
 def decay(p: np.ndarray) -> np.ndarray:
-    x = runge_kutta(lambda t, x: input_at(t) - p[0] * x, p[2:], TIMES)
+    x = solved(lambda t, x: input_at(t) - p[0] * x, p[2:], TIMES)
     return p[1] * x
 
 
 @pytest.fixture
-def ask(own_fmu: Give) -> Iterator[Ask]:
+def ask(own_fmu):
     """Have one point answered, as a worker would, and sent."""
     made: list[Evaluator] = []
 
     def give(
         name: str, fmi: int, experiment: Experiment, parameters: tuple[str, ...],
-        point: FloatArray, solver: Solver = ACCURATE, want: str = "sensitivities",
+        point: FloatArray, solver: Solver = SOLVERS[0], want: str = "sensitivities",
         interface: str = "model_exchange",
     ) -> Outcome:  # fmt: skip
         model = Model(name, own_fmu(name, fmi).read_bytes(), interface, solver, parameters)
@@ -123,7 +120,7 @@ CASES = {
     ),
     ids=str,
 )
-def test_against_complex_steps(ask: Ask, name: str, fmi: int, solver: Solver) -> None:
+def test_against_complex_steps(ask, name, fmi, solver):
     parameters, point, outputs, truth = CASES[name]
     found = ask(name, fmi, measured(outputs), parameters, np.array(point), solver)
 
@@ -134,7 +131,7 @@ def test_against_complex_steps(ask: Ask, name: str, fmi: int, solver: Solver) ->
 
 
 @pytest.mark.parametrize(("fmi", "solver"), [*zip((2, 3), SOLVERS, strict=True)], ids=str)
-def test_the_trajectory_keeps_its_bits(ask: Ask, fmi: int, solver: Solver) -> None:
+def test_the_trajectory_keeps_its_bits(ask, fmi, solver):
     given = "states_directional", fmi, measured(("y",)), ("k", "c", "x"), np.array([1.2, 0.7, 1.5])
 
     plain = ask(*given, solver, "residuals")
@@ -144,7 +141,7 @@ def test_the_trajectory_keeps_its_bits(ask: Ask, fmi: int, solver: Solver) -> No
     assert np.array_equal(again[0].sensitivities, again[1].sensitivities)
 
 
-def test_curves_and_bounds_are_differentiated_too(ask: Ask) -> None:
+def test_curves_and_bounds_are_differentiated_too(ask):
     curve = Curve(
         ("x0", "x1"), np.array([[2.0, 0.0], [1.0, -1.0], [-1.0, -1.5]]), np.linspace(0, 5, 201)
     )
@@ -175,9 +172,7 @@ def test_curves_and_bounds_are_differentiated_too(ask: Ask) -> None:
         ),
     ],
 )  # fmt: skip
-def test_it_says_why_there_are_none(
-    ask: Ask, given: tuple[str, str, str], options: dict, why: str
-) -> None:
+def test_it_says_why_there_are_none(ask, given, options, why):
     name, output, parameter = given
     asked = name, 2, replace(measured((output,)), inputs=()), (parameter,), np.array([0.8])
 
@@ -190,10 +185,7 @@ def test_it_says_why_there_are_none(
     assert np.array_equal(found.residuals, plain.residuals)
 
 
-def problem_of(
-    own_fmu: Give, ask: Ask, name: str, parameters: tuple[Parameter, ...], truth: list[float],
-    outputs: tuple[str, ...],
-) -> Problem:  # fmt: skip
+def problem_of(own_fmu, ask, name, parameters, truth, outputs):
     """Two experiments with a little disturbance, to which the truth is no perfect fit."""
     names = tuple(p.name for p in parameters if not p.auxiliary)
     run = measured(outputs)
@@ -201,14 +193,16 @@ def problem_of(
     pieces = np.split(exact + 1e-3 * np.sin(7.0 * np.arange(len(exact))), len(outputs))
     columns = tuple(Output(n, TIMES, piece) for n, piece in zip(outputs, pieces, strict=True))
     runs = tuple(replace(run, id=label, outputs=columns) for label in ("e", "f"))
-    model = Model(name, own_fmu(name, 2).read_bytes(), "model_exchange", ACCURATE, names)
+    model = Model(name, own_fmu(name, 2).read_bytes(), "model_exchange", SOLVERS[0], names)
     return Problem(model, parameters, runs)
 
 
+def fitted(problem, method=LeastSquares):
+    return [fit(problem, method(differences=how)) for how in ("auto", "sensitivities")]
+
+
 @pytest.mark.parametrize("method", [LeastSquares, Sqp])
-def test_ten_parameters_reach_the_same_minimum_in_fewer_simulations(
-    own_fmu: Give, ask: Ask, method: type
-) -> None:
+def test_ten_parameters_reach_the_same_minimum_in_fewer_simulations(own_fmu, ask, method):
     truth = [1.0, 0.8, 0.6, 0.5, 0.4, 0.1, 0.15, 0.2, 0.25, 0.3]
     factors = np.linspace(0.8, 1.3, 10)
     scales = ["linear"] * 5 + ["log"] * 5
@@ -218,7 +212,7 @@ def test_ten_parameters_reach_the_same_minimum_in_fewer_simulations(
     )
     problem = problem_of(own_fmu, ask, "chain", parameters, truth, ("x1", "x2", "x3", "x4", "x5"))
 
-    usual, carried = (fit(problem, method(differences=d)) for d in ("auto", "sensitivities"))
+    usual, carried = fitted(problem, method)
 
     assert carried.solution.message == ""
     assert carried.solution.cost == pytest.approx(usual.solution.cost, rel=1e-9)
@@ -226,7 +220,7 @@ def test_ten_parameters_reach_the_same_minimum_in_fewer_simulations(
     assert carried.simulated < usual.simulated / 2
 
 
-def test_local_tied_and_logarithmic_parameters(own_fmu: Give, ask: Ask) -> None:
+def test_local_tied_and_logarithmic_parameters(own_fmu, ask):
     parameters = (
         Parameter("mu", 1.0, lower=0.1, upper=10.0, scale="log"),
         Parameter("x0", 1.8, lower=0.0, upper=4.0, per="experiment"),
@@ -234,9 +228,7 @@ def test_local_tied_and_logarithmic_parameters(own_fmu: Give, ask: Ask) -> None:
     )
     problem = problem_of(own_fmu, ask, "van_der_pol", parameters, [1.3, 2.0, 0.52], ("y",))
 
-    usual, carried = (
-        fit(problem, LeastSquares(differences=d)) for d in ("auto", "sensitivities")
-    )  # fmt: skip
+    usual, carried = fitted(problem)
 
     assert carried.solution.message == ""
     np.testing.assert_allclose(carried.solution.x, usual.solution.x, rtol=1e-6)
@@ -247,15 +239,68 @@ def test_local_tied_and_logarithmic_parameters(own_fmu: Give, ask: Ask) -> None:
 
 
 @pytest.mark.parametrize("name", ["zero_directional", "wrong_directional"])
-def test_derivatives_that_disagree_give_way_to_differences(
-    own_fmu: Give, ask: Ask, name: str
-) -> None:
+def test_derivatives_that_disagree_give_way_to_differences(own_fmu, ask, name):
     parameters = (Parameter("k", 0.8), Parameter("x", 1.4))
     problem = problem_of(own_fmu, ask, name, parameters, [1.2, 1.1], ("y",))
 
-    usual, carried = (
-        fit(problem, LeastSquares(differences=d)) for d in ("auto", "sensitivities")
-    )  # fmt: skip
+    usual, carried = fitted(problem)
 
     assert "directional derivatives disagree with differences" in carried.solution.message
     assert np.array_equal(carried.solution.x, usual.solution.x)
+
+
+@pytest.fixture
+def problem(own_fmu):
+    """Two parameters of an FMU that gives directional derivatives."""
+    archive = own_fmu("states_directional", 2)
+    solver = Solver("rk4", step=0.01)
+    model = Model(archive.name, archive.read_bytes(), "model_exchange", solver, ("k", "c"))
+    times = np.linspace(0.0, 1.0, 3)
+    run = Experiment("a", 0.0, 1.0, (), (Output("y", times, 0.0 * times, 1.0),))
+    return Problem(model, (Parameter("k", 1.0, 0.1, 5.0), Parameter("c", 1.0, 0.1, 5.0)), (run,))
+
+
+def found_at(problem, cost):
+    """What is said of a problem where the clock shows that cost."""
+    bench = SimpleNamespace(ask=lambda probe, seconds: cost)
+    return sensitivities(CheckSubject(problem, problem.describe(), bench, TimeBudget.of(60.0)))
+
+
+@pytest.mark.parametrize(
+    ("plain", "carrying", "recommended"), [(1.0, 0.9, True), (1.0, 1.1, False), (0.1, 5.0, False)]
+)
+def test_half_the_time_of_differences_is_needed(problem, plain, carrying, recommended):
+    """Differences take two further simulations of an experiment with two unknowns."""
+    (found,) = found_at(problem, SensitivityCost(plain, carrying))
+    assert f"takes {carrying / plain / 2.0:.2g} of the time of the 2" in found.found
+    assert ('method.options.differences = "sensitivities"' in found.do) == recommended
+
+
+def test_nothing_is_said_where_there_are_none(problem):
+    assert found_at(problem, None) == []
+
+
+def test_what_is_timed_gives_sensitivities(problem):
+    space = make_space(problem, (0,))
+    with ProbeBench.open(problem.model, problem.experiments) as bench:
+        found = bench.ask(SensitivityCostProbe(0, space.physical(space.start)[0]), 300.0)
+    assert isinstance(found, SensitivityCost)
+    assert min(found.plain, found.carrying) > 0.0
+
+
+def test_a_run_that_a_clock_had_chosen_them_for_is_refused(own_fmu, tmp_path, capsys):
+    """Resumed with differences, it would be half the one and half the other."""
+    fmu = own_fmu("states_directional", 2)
+    fit_decay(tmp_path, fmu, "--no-report", "budget.evaluations=2")
+    (tmp_path / "run" / "parameters.parquet").unlink()
+    resumed = tmp_path, fmu, "--no-report", "--resume"
+    assert fit_decay(*resumed, "budget.evaluations=3") in (0, 1)
+
+    (tmp_path / "run" / "parameters.parquet").unlink()
+    known = tmp_path / "run" / "run.json"
+    run = json.loads(known.read_text(encoding="utf-8"))
+    run["sensitivities"] = {"carry": True, "sentence": "quicker"}
+    known.write_text(json.dumps(run), encoding="utf-8")
+    assert fit_decay(*resumed, "budget.evaluations=4") == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert 'differences = "sensitivities" has to say' in said

@@ -7,19 +7,16 @@ import os
 import re
 import subprocess
 import zipfile
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from fmus.variables import read_model as read_spec
 from support.decay_fits import RATE, estimate, fit_decay
 
 from cluster_est import read_model
 from cluster_est.run_folder.run_identity import hash_config
 from workers.errors import ModelError
-
-Give = Callable[[str, int], Path]
-Fit = Callable[..., int]
 
 GAIN = 2.5
 NAME = "GAIN_OF_THE_DECAY"
@@ -27,7 +24,7 @@ BOTH = pytest.mark.parametrize("fmi", [2, 3])
 
 
 @pytest.fixture
-def fitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fit:
+def fitted(tmp_path, monkeypatch):
     """Fits k of an FMU to the truth, without the variable in this process; the run is in `run`."""
     monkeypatch.setenv(NAME, "")  # so that what a test leaves is taken away
     monkeypatch.delenv(NAME)
@@ -39,7 +36,7 @@ def fitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fit:
 
 
 @pytest.fixture
-def with_file(own_fmu: Give, tmp_path: Path) -> Callable[[int], Path]:
+def with_file(own_fmu, tmp_path):
     """An FMU that opens `gain.txt`, with that file among its resources."""
 
     def add(fmi: int) -> Path:
@@ -61,8 +58,8 @@ def with_file(own_fmu: Give, tmp_path: Path) -> Callable[[int], Path]:
     ],
 )  # fmt: skip
 def test_an_environment_variable_is_there_when_the_library_is_loaded(
-    own_fmu: Give, fitted: Fit, tmp_path: Path, executor: str, fmi: int
-) -> None:
+    own_fmu, fitted, tmp_path, executor, fmi
+):
     fmu, name = own_fmu("reads_environment", fmi), f"executor.name={executor}"
     if executor != "ray":  # which takes long to begin
         fitted(fmu, "", name)
@@ -73,9 +70,8 @@ def test_an_environment_variable_is_there_when_the_library_is_loaded(
 
 
 def test_one_that_is_something_else_in_this_process_is_refused_there_alone(
-    own_fmu: Give, fitted: Fit, tmp_path: Path,
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+    own_fmu, fitted, tmp_path, capsys, monkeypatch
+):
     monkeypatch.setenv(NAME, "7.0")
     fmu, given = own_fmu("reads_environment", 2), f'environment = {{ {NAME} = "{GAIN}" }}'
     assert fitted(fmu, given) == 2
@@ -90,13 +86,11 @@ def test_one_that_is_something_else_in_this_process_is_refused_there_alone(
     assert fitted(fmu, given) == 0
 
 
-def test_one_that_is_read_when_a_process_starts(
-    own_fmu: Give, fitted: Fit, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_that_is_read_when_a_process_starts(own_fmu, fitted, tmp_path, capsys):
     """A library that the FMU needs, in a folder that is not known when this process starts."""
     fmu, folder = own_fmu("needs_library", 2), tmp_path / "libraries"
     folder.mkdir()
-    absent = _needed_library(fmu)
+    absent = f"lib{read_spec('needs_library', 2).spec['needs_library']}.so"
     subprocess.run(["cc", "-shared", "-o", absent, "-x", "c", "/dev/null"], cwd=folder, check=True)
     assert fitted(fmu, "", "executor.name=processes") == 2
     assert "it needs the shared library" in " ".join(capsys.readouterr().err.split())
@@ -106,20 +100,8 @@ def test_one_that_is_read_when_a_process_starts(
     assert "must be set before a process starts to be heeded" in capsys.readouterr().err
 
 
-def _needed_library(fmu: Path) -> str:
-    import tomllib
-
-    from fmus.variables import MODELS
-
-    name = fmu.name.rpartition("_fmi")[0]
-    text = (MODELS / name / "model.toml").read_text(encoding="utf-8")
-    return f"lib{tomllib.loads(text)['needs_library']}.so"
-
-
 @BOTH
-def test_a_file_among_the_resources_is_opened_by_a_relative_path(
-    fitted: Fit, with_file: Callable[[int], Path], tmp_path: Path, fmi: int
-) -> None:
+def test_a_file_among_the_resources_is_opened_by_a_relative_path(fitted, with_file, tmp_path, fmi):
     here = os.getcwd()
     folder = 'working_folder = "resources/tables"'
     assert fitted(with_file(fmi), folder, "executor.name=processes", "executor.workers=2") == 0
@@ -137,10 +119,7 @@ def test_a_file_among_the_resources_is_opened_by_a_relative_path(
         ("C:\\\\data", "processes", "must be a folder in the FMU"),
     ],
 )
-def test_a_folder_that_cannot_be_is_refused(
-    fitted: Fit, with_file: Callable[[int], Path], capsys: pytest.CaptureFixture[str],
-    folder: str, executor: str, said: str,
-) -> None:  # fmt: skip
+def test_a_folder_that_cannot_be_is_refused(fitted, with_file, capsys, folder, executor, said):
     code = fitted(with_file(2), f'working_folder = "{folder}"', f"executor.name={executor}")
     assert code == 2
     assert f"model.working_folder: {said}" in " ".join(capsys.readouterr().err.split())
@@ -156,23 +135,19 @@ def test_a_folder_that_cannot_be_is_refused(
         (["A"], r"must hold pairs"),
     ],
 )
-def test_variables_that_no_system_takes_are_refused(
-    own_fmu: Give, environment: object, said: str
-) -> None:
+def test_variables_that_no_system_takes_are_refused(own_fmu, environment, said):
     with pytest.raises(ModelError, match=said):
         read_model(own_fmu("dahlquist", 2), environment=environment)  # type: ignore[arg-type]
 
 
-def test_nothing_is_set_where_one_of_several_is_refused(
-    own_fmu: Give, fitted: Fit, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_is_set_where_one_of_several_is_refused(own_fmu, fitted, monkeypatch):
     monkeypatch.setenv("SECOND", "b")
     given = f'environment = {{ {NAME} = "1", SECOND = "2" }}'
     assert fitted(own_fmu("dahlquist", 2), given) == 2
     assert NAME not in os.environ
 
 
-def test_what_an_fmu_finds_is_part_of_what_its_simulations_depend_on(own_fmu: Give) -> None:
+def test_what_an_fmu_finds_is_part_of_what_its_simulations_depend_on(own_fmu):
     fmu = own_fmu("reads_environment", 2)
     models = [
         read_model(fmu),
@@ -184,7 +159,7 @@ def test_what_an_fmu_finds_is_part_of_what_its_simulations_depend_on(own_fmu: Gi
     assert replace(models[0], logging_on=True).key == models[0].key
 
 
-def test_a_run_of_before_these_keys_can_be_resumed() -> None:
+def test_a_run_of_before_these_keys_can_be_resumed():
     before = hash_config({"model": {"fmu": "a.fmu"}}, ())
     nothing: dict[str, object] = {"fmu": "a.fmu", "environment": {}, "working_folder": ""}
     assert hash_config({"model": nothing}, ()) == before

@@ -1,7 +1,5 @@
 """FMUs of OpenModelica and PythonFMU, in every interface: against fmpy, SciPy and closed forms."""
 
-from pathlib import Path
-
 import fmpy
 import numpy as np
 import pytest
@@ -22,7 +20,7 @@ TIMES = np.linspace(0.0, 5.0, 51)
 
 
 @pytest.fixture(scope="session")
-def fmus(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def fmus(tmp_path_factory):
     if fmpy.platform != "linux64":
         pytest.skip("the third-party FMUs hold binaries for a 64-bit Linux")
     found = third_party_fmus(tmp_path_factory.mktemp("third_party"))
@@ -31,13 +29,7 @@ def fmus(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return found
 
 
-def simulated(
-    file: Path,
-    interface: str,
-    outputs: tuple[str, ...],
-    values: tuple[tuple[str, float], ...] = (),
-    inputs: tuple[Input, ...] = (),
-) -> np.ndarray:
+def simulated(file, interface, outputs, values=(), inputs=()):
     """(times, outputs), of the second simulation of a process."""
     exchange = interface == "model_exchange"
     solver = Solver("dormand_prince", rtol=1e-9) if exchange else Solver("fmu", 0.001)
@@ -54,7 +46,7 @@ def simulated(
 
 
 @pytest.mark.parametrize("name", [*OPENMODELICA, "FMU3Model"])
-def test_every_interface_agrees_with_fmpy_also_after_a_reset(fmus: Path, name: str) -> None:
+def test_every_interface_agrees_with_fmpy_also_after_a_reset(fmus, name):
     file = fmus / f"{name}.fmu"
     description = describe(file.name, file.read_bytes())
     expected = ("co_simulation",) if name == "FMU3Model" else INTERFACES
@@ -64,7 +56,7 @@ def test_every_interface_agrees_with_fmpy_also_after_a_reset(fmus: Path, name: s
 
 
 @pytest.mark.parametrize("interface", INTERFACES)
-def test_two_masses(fmus: Path, interface: str) -> None:
+def test_two_masses(fmus, interface):
     """Two masses between three springs, with values of our own, against SciPy."""
     m1, m2, k1, k2, k3 = 1.5, 0.7, 3.0, 2.0, 5.0
     chosen = (("m1", m1), ("m2", m2), ("k1", k1), ("k2", k2), ("k3", k3))
@@ -87,7 +79,7 @@ START = (0.3, -0.2, 1.0, 0.5)
 
 
 @pytest.mark.parametrize("interface", INTERFACES)
-def test_a_ramp_begins_and_ends_at_events(fmus: Path, interface: str) -> None:
+def test_a_ramp_begins_and_ends_at_events(fmus, interface):
     """An FMU without states."""
     values = (("ramp.startTime", 1.05), ("ramp.duration", 2.5), ("ramp.height", 3.0))
     (found,) = simulated(fmus / "ramp.fmu", interface, ("out",), values).T
@@ -98,7 +90,7 @@ def test_a_ramp_begins_and_ends_at_events(fmus: Path, interface: str) -> None:
 
 
 @pytest.mark.parametrize("interface", INTERFACES)
-def test_a_sum_of_inputs(fmus: Path, interface: str) -> None:
+def test_a_sum_of_inputs(fmus, interface):
     """An FMU without states or events, whose inputs come from data."""
     first = Input("u1", TIMES, np.sin(TIMES))
     second = Input("u2", TIMES, np.cos(TIMES))
@@ -106,7 +98,7 @@ def test_a_sum_of_inputs(fmus: Path, interface: str) -> None:
     np.testing.assert_allclose(found, 2.0 * np.sin(TIMES) + np.cos(TIMES), atol=1e-12)
 
 
-def test_a_model_in_python_counts_its_steps(fmus: Path) -> None:
+def test_a_model_in_python_counts_its_steps(fmus):
     """FMI 3.0, with an array: each step adds `increment` to 3 + increment * input."""
     file = fmus / "FMU3Model.fmu"
     model = Model(file.name, file.read_bytes(), "co_simulation", Solver("fmu"), ("increment",))

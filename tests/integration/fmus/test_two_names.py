@@ -1,9 +1,5 @@
 """A value with two names is given once: of two, whichever is set last would count."""
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -13,15 +9,12 @@ from cluster_est.errors import ProblemError
 from cluster_est.preflight import bare_problem
 from workers.fmu.description import describe
 
-Give = Callable[[str, int], Path]
 BOTH = pytest.mark.parametrize("fmi", [2, 3])
 TIMES = np.linspace(0.0, 2.0, 21)
 DECAY = np.exp(-TIMES)
 
 
-def problem(
-    path: Path, names: tuple[str, ...], outputs: tuple[str, ...] = ("y",), **given: Any
-) -> ce.Problem:
+def problem(path, names, outputs=("y",), **given):
     parameters = tuple(ce.Parameter(name, 1.0, 0.1, 10.0) for name in names)
     model = ce.read_model(path, names)
     measured = tuple(ce.Output(name, TIMES, DECAY) for name in outputs)
@@ -43,9 +36,7 @@ def problem(
         ((), {"inputs": ("u",), "values": (("uu", 1.0),)}, "another name of 'uu'"),
     ],
 )
-def test_two_names_of_one_value_are_refused(
-    own_fmu: Give, fmi: int, names: tuple[str, ...], given: dict[str, Any], said: str
-) -> None:
+def test_two_names_of_one_value_are_refused(own_fmu, fmi, names, given, said):
     if "inputs" in given:
         signals = tuple(ce.Input(name, TIMES, 0.0 * TIMES) for name in given["inputs"])
         given = given | {"inputs": signals}
@@ -56,13 +47,13 @@ def test_two_names_of_one_value_are_refused(
 
 
 @BOTH
-def test_one_of_two_names_is_enough_and_outputs_may_have_both(own_fmu: Give, fmi: int) -> None:
+def test_one_of_two_names_is_enough_and_outputs_may_have_both(own_fmu, fmi):
     asked = problem(own_fmu("two_names", fmi), ("kk",), ("y", "xx", "x"))
     asked.describe()
 
 
 @BOTH
-def test_a_parameter_with_two_names_is_proposed_once(own_fmu: Give, fmi: int) -> None:
+def test_a_parameter_with_two_names_is_proposed_once(own_fmu, fmi):
     path = own_fmu("two_names", fmi)
     assert bare_problem(path).model.parameters == ("k",)
     bare_problem(path).describe()

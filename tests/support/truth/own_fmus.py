@@ -1,15 +1,20 @@
 """What the test FMUs of `tests/fmus` must show: closed forms, or SciPy on the same equations.
 
-Nothing of the project is used. At the time of an event the values are those after it.
+Nothing of the project is used but its data classes. At an event the values are those after it.
 """
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from cluster_est import Experiment, Input, Output
+
 Array = NDArray[np.float64]
+DRAIN = 0.1
 
 
 def bouncing_ball(
@@ -97,34 +102,63 @@ def van_der_pol(times: Array, mu: float = 1.0) -> Array:
     def rates(_: float, x: Array) -> list[float]:
         return [x[1], mu * (1.0 - x[0] * x[0]) * x[1] - x[0]]
 
-    def jacobian(_: float, x: Array) -> list[list[float]]:
-        return [[0.0, 1.0], [-2.0 * mu * x[0] * x[1] - 1.0, mu * (1.0 - x[0] * x[0])]]
-
-    return solved(rates, jacobian, [2.0, 0.0], times, stiff=mu > 10.0)
+    return solved(rates, [2.0, 0.0], times, stiff=mu > 10.0)
 
 
-def robertson(times: Array, k1: float = 0.04, k2: float = 3e7, k3: float = 1e4) -> Array:
+def reacting(_: float, x: Array) -> Array:
+    """dx/dt of Robertson's reactions."""
+    first, second, third = 0.04 * x[0], 3e7 * x[1] ** 2, 1e4 * x[1] * x[2]
+    return np.array([third - first, first - third - second, second])
+
+
+def robertson(times: Array) -> Array:
     """(times, states) of Robertson's reactions from (1, 0, 0)."""
-
-    def rates(_: float, x: Array) -> list[float]:
-        first, second, third = k1 * x[0], k2 * x[1] * x[1], k3 * x[1] * x[2]
-        return [third - first, first - third - second, second]
-
-    def jacobian(_: float, x: Array) -> list[list[float]]:
-        second, third = 2.0 * k2 * x[1], (k3 * x[2], k3 * x[1])
-        first = [-k1, *third]
-        return [first, [k1, -third[0] - second, -third[1]], [0.0, second, 0.0]]
-
-    return solved(rates, jacobian, [1.0, 0.0, 0.0], times, stiff=True)
+    return solved(reacting, [1.0, 0.0, 0.0], times, stiff=True)
 
 
-def solved(rates, jacobian, start, times: Array, stiff: bool) -> Array:
+def solved(rates, start, times: Array, stiff: bool) -> Array:
     """(times, states), each solved to a time and not interpolated."""
-    options = {"jac": jacobian, "method": "Radau"} if stiff else {"method": "DOP853"}
+    method = "Radau" if stiff else "DOP853"
     found, x, now = np.empty((len(times), len(start))), np.array(start), 0.0
     for place, time in enumerate(times):
         if time > now:
-            result = solve_ivp(rates, (now, time), x, rtol=1e-12, atol=1e-14, **options)
+            result = solve_ivp(rates, (now, time), x, method, rtol=1e-12, atol=1e-14)
             x, now = result.y[:, -1], time
         found[place] = x
     return found
+
+
+def oscillation(times: Array) -> Experiment:
+    """The oscillator left to itself."""
+    measured = Output("y", times, np.zeros(len(times)))
+    return Experiment("free", float(times[0]), float(times[-1]), (), (measured,))
+
+
+def fed(interpolation: str, seed: int = 0) -> Experiment:
+    """The reaction, fed at random, the feed and both outputs sampled at times of their own."""
+    generator = np.random.default_rng(seed)
+    knots = np.concatenate([[0.0], np.sort(generator.uniform(0.5, 39.0, 12)), [40.0]])
+    feed = Input("feed", knots, generator.uniform(0.0, 0.3, len(knots)), interpolation)  # type: ignore[arg-type]
+    outputs = tuple(
+        Output(name, np.sort(generator.uniform(0.0, 40.0, 17)), np.zeros(17))
+        for name in ("y_a", "y_b")
+    )
+    return Experiment("fed", 0.0, 40.0, (feed,), outputs)
+
+
+def reaction(experiment: Experiment) -> tuple[Array, Array]:
+    """All times of such an experiment, and the first two substances there; (times, 2)."""
+    (feed,), start = experiment.inputs, experiment.start
+    times = np.unique(np.concatenate([feed.times, *(o.times for o in experiment.outputs)]))
+    times = times[(times >= start) & (times <= experiment.stop)]
+    states = [np.array([1.0, 0.0, 0.0])]
+    for first, last in pairwise(times):
+        latest = feed.values[np.searchsorted(feed.times, first, side="right") - 1]
+
+        def rates(t: float, x: Array, latest: float = latest) -> Array:
+            u = latest if feed.interpolation == "hold" else np.interp(t, feed.times, feed.values)
+            return reacting(t, x) - DRAIN * x + np.array([u, 0.0, 0.0])
+
+        found = solve_ivp(rates, (first, last), states[-1], "Radau", rtol=1e-11, atol=1e-15)
+        states.append(found.y[:, -1])
+    return times, np.array(states)[:, :2]

@@ -1,7 +1,6 @@
 """Every task has one outcome, whatever happens, and no outcome depends on its neighbours."""
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -13,7 +12,6 @@ from hypothesis import strategies as st
 from support.truth.example_models import MODELS, REFERENCES, sampled_experiment
 
 from workers import evaluate
-from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.messages import (
     Experiment,
@@ -53,9 +51,7 @@ def evaluator(solver: str) -> Evaluator:
     return fresh(solver)
 
 
-def fresh(
-    name: str, experiments: tuple[Experiment, ...] = EXPERIMENTS, **options: float
-) -> Evaluator:
+def fresh(name, experiments=EXPERIMENTS, **options):
     interface, solver = SOLVERS[name]
     model = Model("mass.fmu", ARCHIVE, interface, replace(solver, **options), ("m", "k"))
     return Evaluator(model, experiments, "test")
@@ -95,15 +91,11 @@ class TestEverySolver:
             max_size=25,
         )
     )
-    def test_answers_do_not_depend_on_the_batch_or_its_order(
-        self, solver: str, chosen: list[tuple[int, int]]
-    ) -> None:
+    def test_answers_do_not_depend_on_the_batch_or_its_order(self, solver, chosen):
         outcomes = ask(evaluator(solver), [(e, POINTS[p]) for e, p in chosen])
         assert [bits(o) for o in outcomes] == [alone(solver, e, p) for e, p in chosen]
 
-    def test_neither_a_memory_limit_nor_another_evaluator_leaves_a_trace(
-        self, solver: str, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_neither_a_memory_limit_nor_another_evaluator_leaves_a_trace(self, solver, monkeypatch):
         tasks = [(e, point) for point in POINTS for e in range(len(EXPERIMENTS))]
         whole = [bits(o) for o in ask(evaluator(solver), tasks, "trajectory")]
         monkeypatch.setattr(evaluate, "MAX_VALUES", 250)
@@ -113,7 +105,7 @@ class TestEverySolver:
         new.close()
         new.close()
 
-    def test_failures_leave_the_rest_of_their_batch_alone(self, solver: str) -> None:
+    def test_failures_leave_the_rest_of_their_batch_alone(self, solver):
         outcomes = ask(evaluator(solver), [(0, point) for point in POINTS])
         assert [o.ok for o in outcomes] == [True, False, True, False, False, False, True]
         for outcome in outcomes:
@@ -126,7 +118,7 @@ class TestEverySolver:
             said = f"it said: mass must be positive, got {mass}"
             assert re.search(f"{start}.*{said}$", outcomes[place].message)
 
-    def test_trajectory_and_residuals_tell_the_same(self, solver: str) -> None:
+    def test_trajectory_and_residuals_tell_the_same(self, solver):
         for e, experiment in enumerate(EXPERIMENTS):
             (outcome,) = ask(evaluator(solver), [(e, POINTS[0])], "trajectory")
             (bare,) = ask(evaluator(solver), [(e, POINTS[0])])
@@ -140,17 +132,12 @@ class TestEverySolver:
             assert bare.trajectory is None
 
     @pytest.mark.parametrize("stiffness", [1e200, 1e300, 1e308, -1e5, -1e7])
-    def test_huge_values_are_an_outcome(self, solver: str, stiffness: float) -> None:
+    def test_huge_values_are_an_outcome(self, solver, stiffness):
         (outcome,) = ask(evaluator(solver), [(0, np.array([1.0, stiffness]))])
         assert outcome.status in (Status.SOLVER_FAILURE, Status.NOT_FINITE)
         assert outcome.message
 
-    def test_limit_of_steps_is_an_outcome(self, solver: str) -> None:
-        (outcome,) = ask(fresh(solver, max_steps=20), [(0, POINTS[0])])
-        assert outcome.status is Status.SOLVER_FAILURE
-        assert "limit on the number of steps was reached at t = " in outcome.message
-
-    def test_the_steps_of_a_solver_are_counted_for_each_point(self, solver: str) -> None:
+    def test_the_steps_of_a_solver_are_counted_for_each_point(self, solver):
         """By itself or among others, and not those of a simulation that failed before."""
         together = ask(evaluator(solver), [(0, POINTS[i]) for i in (0, 1, 6)])
         alone = [ask(evaluator(solver), [(0, POINTS[i])])[0] for i in (0, 6)]
@@ -168,7 +155,7 @@ def with_sigmas(sigma: float, relative: float = 0.0) -> tuple[Output, Outcome]:
     return output, outcome
 
 
-def test_each_residual_is_divided_by_its_own_sigma() -> None:
+def test_each_residual_is_divided_by_its_own_sigma():
     output, outcome = with_sigmas(0.02, 0.3)
     (plain,) = ask(evaluator("dormand_prince"), [(0, POINTS[0])])
     sigma = np.sqrt(0.02**2 + (0.3 * output.values) ** 2)
@@ -177,14 +164,14 @@ def test_each_residual_is_divided_by_its_own_sigma() -> None:
 
 
 @pytest.mark.parametrize("sigma", [1e-309, 1e-150])
-def test_residuals_that_overflow_are_an_outcome(sigma: float) -> None:
+def test_residuals_that_overflow_are_an_outcome(sigma):
     """Or their squares would."""
     _, outcome = with_sigmas(sigma)
     assert outcome.status is Status.NOT_FINITE
     assert "too large" in outcome.message
 
 
-def test_equal_steps_are_as_many_as_fit() -> None:
+def test_equal_steps_are_as_many_as_fit():
     (outcome,) = ask(evaluator("rk4"), [(0, POINTS[0])])
     run = EXPERIMENTS[0]
     ends = [run.start, run.stop]
@@ -194,7 +181,7 @@ def test_equal_steps_are_as_many_as_fit() -> None:
 
 
 @pytest.mark.parametrize("solver", ["dormand_prince", "cvode"])
-def test_a_stiffer_spring_takes_more_steps(solver: str) -> None:
+def test_a_stiffer_spring_takes_more_steps(solver):
     soft, stiff = ask(evaluator(solver), [(0, np.array([1.0, 25.0])), (0, np.array([1.0, 1e6]))])
     assert stiff.steps > 5 * soft.steps
 
@@ -209,17 +196,11 @@ def test_a_tolerance_that_vanishes_is_no_division_by_zero(solver):
     ("rtol", "reason"),
     [(1e-30, "limit on the number of steps"), (1e-300, "no step was short enough")],
 )
-def test_tolerance_out_of_reach_is_an_outcome(rtol: float, reason: str) -> None:
+def test_tolerance_out_of_reach_is_an_outcome(rtol, reason):
     asked = fresh("dormand_prince", rtol=rtol, max_steps=10_000)
     for outcome in ask(asked, [(0, POINTS[0]), (1, POINTS[2])]):
         assert outcome.status is Status.SOLVER_FAILURE
         assert re.search(f"{reason}.* at t = ", outcome.message)
-
-
-def test_unknown_variable_is_refused_when_opened() -> None:
-    model = Model("mass.fmu", ARCHIVE, *SOLVERS["rk4"], ("stifness",))
-    with pytest.raises(ModelError, match="no variable 'stifness'"):
-        Evaluator(model, EXPERIMENTS, "test")
 
 
 @pytest.mark.parametrize("solver", list(SOLVERS))
@@ -231,8 +212,8 @@ def test_unknown_variable_is_refused_when_opened() -> None:
     ],
 )
 def test_a_failure_tells_when_and_why_and_nothing_of_its_neighbours(
-    solver: str, name: str, when: str, why: str, built_fmu: Callable[[str], bytes]
-) -> None:
+    solver, name, when, why, built_fmu
+):
     """An FMU that fails on its way, and one that talks at each rate below 0 and fails at others."""
     times = np.linspace(0.0, 3.0, 13)
     inputs = (Input("u", times, np.sin(times)),)

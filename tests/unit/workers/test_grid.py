@@ -54,9 +54,7 @@ def signal(given: Input, at: FloatArray) -> FloatArray:
 
 @settings(max_examples=50)
 @given(experiments, st.floats(0.0, 0.999))
-def test_every_signal_is_on_the_grid_as_it_was_measured(
-    experiment: Experiment, part: float
-) -> None:
+def test_every_signal_is_on_the_grid_as_it_was_measured(experiment, part):
     grid = build_grid(experiment)
     times = grid.times
     assert (times[0], times[-1]) == (START, STOP)
@@ -84,7 +82,7 @@ def test_every_signal_is_on_the_grid_as_it_was_measured(
 
 @settings(max_examples=30)
 @given(experiments)
-def test_gather_picks_each_output_at_its_own_times(experiment: Experiment) -> None:
+def test_gather_picks_each_output_at_its_own_times(experiment):
     grid = build_grid(experiment)
     names = experiment.recorded
     width = len(names)
@@ -99,14 +97,14 @@ def test_gather_picks_each_output_at_its_own_times(experiment: Experiment) -> No
         np.testing.assert_array_equal(found, np.concatenate([np.zeros(0), *whole]))
 
 
-def test_shapes_without_inputs() -> None:
+def test_shapes_without_inputs():
     output = Output("y", np.array([0.0, 1.0]), np.zeros(2))
     grid = build_grid(Experiment("e", START, STOP, (), (output,)))
     np.testing.assert_array_equal(grid.times, [START, 0.0, 1.0, STOP])
     assert grid.inputs.shape == grid.slopes.shape == (4, 0)
 
 
-def test_jump_of_a_held_input_stands_after_it_and_a_linear_kink_on_it() -> None:
+def test_jump_of_a_held_input_stands_after_it_and_a_linear_kink_on_it():
     held = Input("a", np.array([0.0, 1.0]), np.array([1.0, 5.0]), "hold")
     linear = Input("b", np.array([0.0, 2.0]), np.array([0.0, 4.0]))
     grid = build_grid(Experiment("e", 0.0, 3.0, (held, linear), ()))

@@ -6,8 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
-from workers.messages import Effect, Linearisation, Outcome, Status, Task, Trajectory
+from workers.messages import Effect, Linearisation, MatrixSeries, Outcome, Status, Task, Trajectory
 from workers.wire import OutcomeColumns, TaskBatch
 
 NAMES = {
@@ -60,7 +63,7 @@ def outcomes() -> list[Outcome]:
     ]
 
 
-def test_outcomes_come_back_with_all_they_carry() -> None:
+def test_outcomes_come_back_with_all_they_carry():
     sent = outcomes()
     for field in fields(Outcome):
         carried = [getattr(outcome, field.name) for outcome in sent]
@@ -72,11 +75,11 @@ def test_outcomes_come_back_with_all_they_carry() -> None:
             assert same(getattr(before, field.name), getattr(after, field.name)), field.name
 
 
-def test_no_outcomes_are_none_again() -> None:
+def test_no_outcomes_are_none_again():
     assert OutcomeColumns.of([]).outcomes() == []
 
 
-def test_tasks_come_back_with_all_they_carry() -> None:
+def test_tasks_come_back_with_all_they_carry():
     effects = (Effect("drag", "der(v)", "linear", ("v",)),)
     generator = np.random.default_rng(0)
     sent = [
@@ -95,3 +98,27 @@ def test_a_batch_of_tasks_that_want_different_things_is_refused():
     for other in (Task(1, 0, values, "trajectory"), Task(1, 0, values, effects=(drag,))):
         with pytest.raises(ValueError, match="must all want the same"):
             TaskBatch.of([Task(0, 0, values), other])
+
+
+MATRICES = arrays(float, (4, 2, 3), elements=st.sampled_from([0.0, 0.0, 0.0, 1.5, -2.0, np.inf]))
+
+
+@given(MATRICES)
+def test_nothing_is_lost(matrices):
+    series = MatrixSeries.of(matrices)
+    np.testing.assert_array_equal(np.asarray(series), matrices)
+    np.testing.assert_array_equal(series.at(2), matrices[2])
+    np.testing.assert_array_equal(series.row(1), matrices[:, 1])
+    np.testing.assert_array_equal(series.largest(), np.abs(matrices).max(axis=0))
+    assert series.values.shape[1] == (matrices != 0.0).any(axis=0).sum()
+
+
+def test_what_is_no_number_is_kept():
+    matrices = np.zeros((3, 2, 2))
+    matrices[1, 0, 1] = np.nan
+    assert np.isnan(MatrixSeries.of(matrices).values[1, 0])
+
+
+def test_entries_that_are_not_kept_cannot_be_shared():
+    with pytest.raises(ValueError, match="copied"):
+        np.asarray(MatrixSeries.of(np.ones((2, 1, 1))), copy=False)

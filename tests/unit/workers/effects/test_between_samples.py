@@ -1,24 +1,19 @@
-"""Recorded outputs between the times at which they were recorded."""
+"""Recorded outputs between their times, and signals that are changed as a whole."""
 
 import numpy as np
 import pytest
 
 from workers.effects.between_samples import PIECES, refine
-from workers.grid import SignalGrid
+from workers.effects.memory import SampledSignal, backlash, delay
+from workers.grid import build_grid
+from workers.messages import Experiment, Input, Output
 
 
 def grid(times, held=None):
     """A grid with one input, held between the times, or none."""
-    times = np.asarray(times, float)
-    inputs = np.zeros((len(times), 0)) if held is None else np.asarray(held, float)[:, None]
-    jumps = np.zeros(len(times), bool)
-    if held is not None:
-        jumps[1:] = np.diff(held) != 0.0
-    none = np.zeros(0)
-    return SignalGrid(
-        times, np.diff(times, append=times[-1:]), inputs, np.zeros_like(inputs), jumps,
-        np.zeros(0, np.intp), none, none, np.zeros(0, np.intp), np.zeros(len(times), np.intp),
-    )  # fmt: skip
+    inputs = () if held is None else (Input("u", times, held, "hold"),)
+    recorded = (Output("y", times, 0.0 * times),)
+    return build_grid(Experiment("e", times[0], times[-1], inputs, recorded))
 
 
 @pytest.mark.parametrize("spread", [0.0, 0.3])
@@ -69,3 +64,28 @@ def test_few_records_are_joined_by_straight_lines(count):
     times = np.arange(float(count))
     fine, seen = refine(grid(times), (times**2)[:, None])
     np.testing.assert_allclose(seen[:, 0], np.interp(fine.times, times, times**2))
+
+
+def test_samples_that_a_delay_moves_to_one_time_are_one():
+    """A backlash may be crossed one rounding unit before a sample."""
+    times = np.array([0.0, 1.0 - 2.0**-53, 1.0, 2.0])
+    moved = delay(SampledSignal(times, np.array([0.0, 1.0, 2.0, 3.0])), 10.0)
+    assert moved.times.tolist() == [10.0, 11.0, 12.0]
+    assert moved.values.tolist() == [0.0, 2.0, 3.0]
+
+
+def test_a_backlash_and_a_delay_give_increasing_times():
+    generator = np.random.default_rng(5)
+    for _ in range(200):
+        times = np.cumsum(generator.uniform(0.01, 0.02, 100))
+        # steps as large as the play are crossed at the samples, but for rounding
+        values = 0.1 * np.cumsum(generator.integers(-2, 3, 100))
+        moved = delay(backlash(SampledSignal(times, values), 0.1), generator.uniform(0.0, 1.0))
+        assert (np.diff(moved.times) > 0.0).all()
+
+
+def test_a_delay_of_plain_samples_keeps_their_values():
+    signal = SampledSignal(np.array([0.0, 1.0]), np.array([3.0, 4.0]))
+    moved = delay(signal, 0.5)
+    assert moved.times.tolist() == [0.5, 1.5]
+    assert moved.values is signal.values

@@ -1,8 +1,9 @@
-"""Equations in machine code are what Python computes, and what is not known is left to numba."""
+"""Equations keep their functions, and are in machine code what Python computes."""
 
 import ctypes
 import gc
 import math
+import pickle
 from collections.abc import Sequence
 from typing import Any
 
@@ -51,7 +52,7 @@ def value_of(text: str, x: float, y: float = 0.0) -> float:
 
 
 @pytest.mark.parametrize("name", sorted(FUNCTIONS.keys() - {"where", "min", "max", "sign", "abs"}))
-def test_functions_are_those_of_the_c_library(name: str) -> None:
+def test_functions_are_those_of_the_c_library(name):
     for x in (0.3, 1.7, 25.0):
         assert value_of(f"{name}(x)", x) == getattr(math, name)(x)
 
@@ -71,18 +72,18 @@ def test_functions_are_those_of_the_c_library(name: str) -> None:
         ("1e300 * 1e10 * x", lambda x, y: math.copysign(math.inf, x)),
     ],
 )  # fmt: skip
-def test_arithmetic_is_that_of_doubles(text: str, expected: Any) -> None:
+def test_arithmetic_is_that_of_doubles(text, expected):
     for x, y in ((0.7, -1.3), (-0.4, 2.5), (-2.0, -3.0), (1.0, 1.0)):
         assert value_of(text, x, y) == pytest.approx(expected(x, y), rel=4e-16)
 
 
-def test_a_division_by_zero_is_infinite_and_what_has_no_value_is_not_a_number() -> None:
+def test_a_division_by_zero_is_infinite_and_what_has_no_value_is_not_a_number():
     assert value_of("1 / x", 0.0) == math.inf
     assert math.isnan(value_of("log(x)", -1.0))
     assert math.isnan(value_of("x / y", 0.0, 0.0))
 
 
-def test_a_value_is_added_to_what_is_there() -> None:
+def test_a_value_is_added_to_what_is_there():
     assignment = CAssignment(EffectArray.RESULT, 1, NAMES["x"] * NAMES["y"], add=True)
     compiled = compile_function(ARRAYS, LOCATIONS, [assignment], TIME)
     result = np.array([1.0, 2.0])
@@ -109,7 +110,7 @@ def functions_of(kind: str, name: str) -> list[tuple[tuple[EffectArray, ...], An
     ("kind", "name"),
     [k for k, form in FORMS.items() if k[0] in SITES and not form.memory and "_25" not in k[1]],
 )
-def test_every_form_is_what_python_computes(kind: str, name: str) -> None:
+def test_every_form_is_what_python_computes(kind, name):
     generator = np.random.default_rng(1)
     for arrays, locations, assignments in functions_of(kind, name):
         compiled = compile_function(arrays, locations, assignments, TIME)
@@ -131,7 +132,7 @@ def test_every_form_is_what_python_computes(kind: str, name: str) -> None:
                 np.testing.assert_allclose(given[array], expected[array], rtol=1e-11, atol=1e-13)
 
 
-def test_what_is_not_known_is_left_to_numba() -> None:
+def test_what_is_not_known_is_left_to_numba():
     assignment = CAssignment(EffectArray.RESULT, 0, sp.cosh(NAMES["x"]))
     compiled = compile_function(ARRAYS, LOCATIONS, [assignment], TIME)
     assert not isinstance(compiled, MachineCode)
@@ -140,7 +141,7 @@ def test_what_is_not_known_is_left_to_numba() -> None:
     assert result[0] == math.cosh(0.5)
 
 
-def test_code_lives_as_long_as_its_object() -> None:
+def test_code_lives_as_long_as_its_object():
     kept = [
         compile_function(
             ARRAYS, LOCATIONS, [CAssignment(EffectArray.RESULT, 0, NAMES["x"] + n)], TIME
@@ -152,3 +153,33 @@ def test_code_lives_as_long_as_its_object() -> None:
         result = np.zeros(1)
         called(compiled, 0.0, [np.array([0.5, 0.0, 0.0]), result])
         assert result[0] == 0.5 + n
+
+
+X, Y = sp.symbols("x y", real=True)
+
+
+def read(text: str) -> sp.Expr:
+    return parse(text, {"x": X, "y": Y}, "here")
+
+
+def test_values_are_those_of_numpy():
+    equation = read("x * max(x - y, 0) + min(y, 1, 2 * x) - max(abs(x), y)")
+    for x, y in np.random.default_rng(0).uniform(-3.0, 3.0, (20, 2)):
+        wanted = x * max(x - y, 0.0) + min(y, 1.0, 2.0 * x) - max(abs(x), y)
+        assert np.isclose(float(equation.subs({X: x, Y: y})), wanted, rtol=1e-12, atol=1e-12)
+    assert read("max(1, 3) + min(4, 2) - abs(2 - 5)") == 2
+
+
+def test_arguments_stay_as_they_are_and_are_found_as_those_of_sympy_are():
+    equation = read("x * max(x^2 + 1, 0) + abs(x^2 - y)")
+    assert equation.has(sp.Max, sp.Abs)
+    (largest,) = equation.atoms(sp.Max)
+    assert set(largest.args) == {X**2 + 1, sp.Integer(0)}
+    assert equation.xreplace({X: Y**2}).has(sp.Max)
+    assert pickle.loads(pickle.dumps(equation)) == equation
+
+
+def test_derivatives_are_steps():
+    slope = sp.lambdify((X, Y), sp.diff(read("max(x - y, 0)"), X))
+    assert slope(2.0, 1.0) == 1.0
+    assert slope(1.0, 2.0) == 0.0

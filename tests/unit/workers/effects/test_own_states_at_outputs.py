@@ -14,8 +14,8 @@ from support.problems.springs import FMU
 from workers.effects.definition import EffectDefinition, define
 from workers.effects.outputs import apply_output_effect
 from workers.fmu.description import describe_model
-from workers.grid import SignalGrid
-from workers.messages import Effect, FloatArray, Model, Solver
+from workers.grid import build_grid
+from workers.messages import Effect, Experiment, FloatArray, Input, Model, Solver
 
 MODEL = Model("spring", FMU.read_bytes(), "model_exchange", Solver("rk4"), ())
 UNEVEN = np.concatenate([np.linspace(0.0, 1.0, 41), 1.0 + np.cumsum([0.02, 10.0, 0.1, 0.1, 7.0])])
@@ -29,27 +29,11 @@ def defined(form: str, variables: tuple[str, ...] = ()) -> EffectDefinition:
     return define(effect, describe_model(MODEL), "model_exchange")
 
 
-def grid(times: FloatArray, inputs: FloatArray) -> SignalGrid:
-    slopes = np.append(np.diff(inputs) / np.diff(times), 0.0)
-    none = np.zeros(0)
-    return SignalGrid(
-        times=times,
-        intervals=np.append(np.diff(times), 0.0),
-        inputs=inputs[:, None],
-        slopes=slopes[:, None],
-        jumps=np.zeros(len(times), bool),
-        gather=np.zeros(0, np.intp),
-        measured=none,
-        sigmas=none,
-        by_time=np.zeros(0, np.intp),
-        row_ends=np.zeros(len(times), np.intp),
-    )
-
-
 def shown(definition: EffectDefinition, values: list[float], times: FloatArray) -> FloatArray:
     """The output with the effect, from y = sin t and the input F = cos 2 t."""
     outputs = np.sin(times)[:, None].copy()
-    signals = grid(times, np.cos(2.0 * times))
+    force = Input("F", times, np.cos(2.0 * times))
+    signals = build_grid(Experiment("e", times[0], times[-1], (force,), ()))
     apply_output_effect(definition, np.array(values), signals, outputs, ("y",), ("F",))
     return outputs[:, 0]
 
@@ -65,7 +49,7 @@ def followed(times: FloatArray, signal: FloatArray, start: float, tau: float) ->
 
 
 @pytest.mark.parametrize("tau", [3.0, 0.3, 0.02])
-def test_a_lag_follows_what_was_between_recorded_times(tau: float) -> None:
+def test_a_lag_follows_what_was_between_recorded_times(tau):
     expected = followed(TRUE_TIMES, np.sin(TRUE_TIMES), 0.0, tau)
     expected = expected[np.searchsorted(TRUE_TIMES, UNEVEN - 1e-9)]
     found = shown(defined("lag"), [tau], UNEVEN)
@@ -76,14 +60,14 @@ def test_a_lag_follows_what_was_between_recorded_times(tau: float) -> None:
 
 
 @pytest.mark.parametrize("tau", [0.3, 0.02])
-def test_a_lag_of_an_input_too(tau: float) -> None:
+def test_a_lag_of_an_input_too(tau):
     force = followed(UNEVEN, np.cos(2.0 * UNEVEN), 0.0, tau)
     found = shown(defined("lagged_feed_through", ("F",)), [0.7, tau], UNEVEN)
     np.testing.assert_allclose(found, np.sin(UNEVEN) + 0.7 * force, atol=1e-8)
 
 
 @pytest.mark.parametrize("tau", [1e-3, 1e-6, 1e-12])
-def test_a_very_fast_one_is_late_by_its_time_constant(tau: float) -> None:
+def test_a_very_fast_one_is_late_by_its_time_constant(tau):
     slopes = np.diff(np.sin(UNEVEN)) / np.diff(UNEVEN)
     slopes[:40] = np.cos(UNEVEN[1:41])
     expected = np.sin(UNEVEN)[1:] - tau * slopes
@@ -91,7 +75,7 @@ def test_a_very_fast_one_is_late_by_its_time_constant(tau: float) -> None:
     np.testing.assert_allclose(found[1:], expected, atol=3e-3 * tau + 1e-15)
 
 
-def test_a_slow_one_keeps_its_digits() -> None:
+def test_a_slow_one_keeps_its_digits():
     """Where the exponent is small, differences of exponentials would lose them."""
     tau = 1e7
     times = np.linspace(0.0, 1.0, 11)

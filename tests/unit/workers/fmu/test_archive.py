@@ -7,7 +7,6 @@ import re
 import stat
 import struct
 import zipfile
-from pathlib import Path
 
 import pytest
 from support.spoiled import LIBRARY, spoiled_fmu
@@ -21,7 +20,7 @@ CHANCE = random.Random(1)
 
 
 @pytest.fixture
-def cache(tmp_path, monkeypatch) -> Path:
+def cache(tmp_path, monkeypatch):
     folder = tmp_path / "cache"
     monkeypatch.setenv("CLUSTER_EST_CACHE", str(folder))
     return folder

@@ -1,10 +1,14 @@
-"""Model descriptions that are not what they should be."""
+"""Model descriptions: what is refused, what can be set, units and platforms."""
 
 import pytest
+from support.described import fmi2
+from support.problems.springs import FMU
 from support.spoiled import GUID, LIBRARY, XML, rename, spoiled_fmu
 
 from workers.errors import ModelError
 from workers.fmu.description import describe, nearest
+from workers.fmu.parsing.units import BASE_UNITS, UnitDefinition
+from workers.fmu.platforms import PLATFORM, PLATFORM_TUPLE, binary_path, platform_for
 
 
 def replaced(content: bytes) -> bytes:
@@ -48,12 +52,6 @@ def test_a_bad_description_is_refused(content, sentence):
     assert "\n" not in message
 
 
-@pytest.mark.parametrize("nominal", ["NaN", "INF", "0", "much"])
-def test_a_nominal_value_that_is_none_counts_as_one(nominal):
-    content = xml('nominal="0.1"', f'nominal="{nominal}"')
-    assert describe("x.fmu", content).variables["x"].nominal == 1.0
-
-
 @pytest.mark.parametrize(
     ("attributes", "settable"),
     [
@@ -90,3 +88,77 @@ def test_platforms_are_those_that_have_a_binary():
 )
 def test_the_nearest_name(name, known, sentence):
     assert nearest(name, known).endswith(sentence)
+
+
+UNITS = """<UnitDefinitions>
+<Unit name="rad/s"><BaseUnit s="-1" rad="1"/></Unit>
+<Unit name="degC"><BaseUnit K="1" offset="273.15"/><DisplayUnit name="K"/></Unit>
+<Unit name="bar"><BaseUnit kg="1" m="-1" s="-2" factor="1e5"/></Unit>
+<Unit name="mystery"/>
+<Unit name="V^0.5"><BaseUnit kg="0.5"/></Unit>
+<Unit><BaseUnit m="1"/></Unit>
+<Unit name="rad/s"><BaseUnit m="1"/></Unit>
+</UnitDefinitions>"""
+
+
+def powers(**given: int) -> tuple[int, ...]:
+    return tuple(given.get(base, 0) for base in BASE_UNITS)
+
+
+def test_definitions_are_read_and_names_alone_are_left_out():
+    found = fmi2("", f"{UNITS}<ModelStructure/>")
+    assert found.units == {
+        "rad/s": UnitDefinition(powers(s=-1, rad=1)),
+        "degC": UnitDefinition(powers(K=1), 273.15),
+        "bar": UnitDefinition(powers(kg=1, m=-1, s=-2)),
+    }
+    (warning,) = found.warnings
+    assert warning.endswith("powers that are no whole numbers count as names alone: 'V^0.5'")
+    assert fmi2("", "<ModelStructure/>").units == {}
+
+
+def test_a_description_has_the_units_of_its_variables():
+    description = describe(FMU.name, FMU.read_bytes())
+    assert description.units[description.variables["v"].unit].powers == powers(m=1, s=-1)
+
+
+HERE = binary_path("2.0", "m")
+
+
+def refusal(*files: str) -> str:
+    with pytest.raises(ModelError) as error:
+        fmi2("", files=files).check_platform("model_exchange")
+    message = str(error.value)
+    assert message.startswith("x.fmu: must have ")
+    return message
+
+
+def test_a_binary_for_this_machine_is_enough():
+    fmi2("", files=(HERE,)).check_platform("co_simulation")
+
+
+def test_both_versions_name_this_machine_in_their_own_words():
+    assert platform_for("2.0") == PLATFORM
+    assert platform_for("3.0") == PLATFORM_TUPLE
+    assert "-" in PLATFORM_TUPLE
+    assert HERE.startswith(f"binaries/{PLATFORM}/m.")
+    assert binary_path("3.0", "m").startswith(f"binaries/{PLATFORM_TUPLE}/m.")
+
+
+@pytest.mark.parametrize(
+    ("files", "sentence"),
+    [
+        ((), f"but has one for no platform at all; export it for {PLATFORM}"),
+        (("binaries/other/m.so",), f"but has one for other; export it for {PLATFORM}"),
+        (
+            ("binaries/linux32/m.so", "binaries/win32/m.dll"),
+            "but has one for linux32, win32 (linux32 and win32: 32 bits, which a 64-bit program "
+            "cannot load); export it for",
+        ),
+        (("sources/m.c",), "but holds sources alone; compile them, for example with the command"),
+        (("sources/m.c", "binaries/other/m.so"), ", or compile its sources"),
+        ((f"binaries/{PLATFORM}/n.so",), f"must have the binary {HERE} but has not; export it"),
+    ],
+)
+def test_what_is_there_instead_is_named(files, sentence):
+    assert sentence in refusal(*files)

@@ -43,6 +43,7 @@ def derivatives(*indices: object) -> str:
         (real("a", 1, value='min="1_0"'), "attributes min that are no number are ignored", ["a"]),
         (real("a", 1, value='min="2" max="1"'), "a min that is above the max is ignored", ["a"]),
         (real("a", 1, value='nominal="0"'), "a nominal value that is 0 or no number", ["a"]),
+        (real("a", 1, value='nominal="INF"'), "a nominal value that is 0 or no number", ["a"]),
         (real("a", 1, value='derivative="7"'), "attributes derivative that name no", ["a"]),
         (real("a", "x"), "variables without a valueReference of 32 bits are left out", []),
         (real("a", 2**32), "variables without a valueReference of 32 bits are left out", []),

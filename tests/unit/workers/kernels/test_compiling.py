@@ -9,7 +9,7 @@ from numba import njit
 from workers.kernels.fmi.compiling import for_callers
 
 
-def test_an_unknown_numba_compiles_as_it_always_does_to_the_same_bits() -> None:
+def test_an_unknown_numba_compiles_as_it_always_does_to_the_same_bits():
     known, newer = for_callers((0, 68)), for_callers((99, 0))
     assert "pipeline_class" in known
     assert "pipeline_class" not in newer

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 
 from workers.messages import Model, Solver
 
 
 @pytest.fixture
-def model(built_fmu: Callable[[str], bytes]) -> Model:
+def model(built_fmu):
     parameters = "rate", "kind", "share", "leak"
     archive = built_fmu("misbehaves")
     return Model("misbehaves.fmu", archive, "model_exchange", Solver("rk4", 0.02), parameters)

@@ -3,15 +3,12 @@
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 
 import pytest
 
 from workers.messages.progress import CALLED, RUNNING, SIMULATIONS, no_watcher
 from workers.process import watch
 from workers.process.watch import ProcessActivity, ProgressWatch, SharedProgress, map_progress
-
-Passed = Callable[[float, ProcessActivity | None], None]
 
 
 @pytest.fixture
@@ -20,7 +17,7 @@ def progress():
 
 
 @pytest.fixture
-def let_pass(monkeypatch: pytest.MonkeyPatch) -> Passed:
+def let_pass(monkeypatch):
     """Let seconds pass, after which the system says something of the process."""
     now = [100.0, ProcessActivity(waiting=True, seconds=5.0)]
     monkeypatch.setattr(watch.time, "monotonic", lambda: now[0])
@@ -33,7 +30,7 @@ def let_pass(monkeypatch: pytest.MonkeyPatch) -> Passed:
     return then
 
 
-def test_ready_to_run_but_not_let_run(progress, let_pass: Passed) -> None:
+def test_ready_to_run_but_not_let_run(progress, let_pass):
     """A busy machine gives it 0.2 s in an hour."""
     seen = ProgressWatch(1, progress)
     for hour in range(3):
@@ -42,14 +39,14 @@ def test_ready_to_run_but_not_let_run(progress, let_pass: Passed) -> None:
     assert seen.still == pytest.approx(0.6)
 
 
-def test_busy_without_a_step(progress, let_pass: Passed) -> None:
+def test_busy_without_a_step(progress, let_pass):
     seen = ProgressWatch(1, progress)
     let_pass(10.0, ProcessActivity(waiting=True, seconds=14.0))
     seen.look()
     assert seen.still == pytest.approx(9.0)
 
 
-def test_asleep_of_its_own_accord(progress, let_pass: Passed) -> None:
+def test_asleep_of_its_own_accord(progress, let_pass):
     seen = ProgressWatch(1, progress)
     for _ in range(20):
         let_pass(0.5, ProcessActivity(waiting=False, seconds=5.0))
@@ -57,7 +54,7 @@ def test_asleep_of_its_own_accord(progress, let_pass: Passed) -> None:
     assert seen.still == pytest.approx(10.0)
 
 
-def test_who_looks_was_asleep_itself(progress, let_pass: Passed) -> None:
+def test_who_looks_was_asleep_itself(progress, let_pass):
     seen = ProgressWatch(1, progress)
     let_pass(3600.0, ProcessActivity(waiting=False, seconds=5.0))
     seen.look()
@@ -65,7 +62,7 @@ def test_who_looks_was_asleep_itself(progress, let_pass: Passed) -> None:
 
 
 @pytest.mark.parametrize("which", [CALLED, SIMULATIONS])
-def test_a_step_begins_it_anew(progress, let_pass: Passed, which: int) -> None:
+def test_a_step_begins_it_anew(progress, let_pass, which):
     seen = ProgressWatch(1, progress)
     let_pass(10.0, ProcessActivity(waiting=True, seconds=14.0))
     seen.look()
@@ -77,7 +74,7 @@ def test_a_step_begins_it_anew(progress, let_pass: Passed, which: int) -> None:
     assert seen.still == pytest.approx(6.0)
 
 
-def test_each_simulation_has_the_time_for_itself(progress, let_pass: Passed) -> None:
+def test_each_simulation_has_the_time_for_itself(progress, let_pass):
     seen = ProgressWatch(1, progress)
     progress[:] = 1, 1, 1, 0
     for _ in range(4):
@@ -95,7 +92,7 @@ def test_each_simulation_has_the_time_for_itself(progress, let_pass: Passed) -> 
     assert seen.simulated == 0.0
 
 
-def test_progress_is_seen_by_another_process() -> None:
+def test_progress_is_seen_by_another_process():
     shared = SharedProgress()
     code = (
         "import sys; from workers.process.watch import map_progress; "
@@ -109,7 +106,7 @@ def test_progress_is_seen_by_another_process() -> None:
     shared.close()
 
 
-def test_the_system_says_something_of_this_process() -> None:
+def test_the_system_says_something_of_this_process():
     found = ProcessActivity.of(os.getpid())
     assert found is not None
     assert found.seconds > 0.0

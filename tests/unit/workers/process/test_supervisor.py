@@ -4,21 +4,18 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.processes_of_fmus import has_ended, kill, living, parent, wait_until, worker_since
 
-from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.messages import (
     USUAL,
     Experiment,
     Input,
     Limits,
-    Model,
     Outcome,
     Output,
     Status,
@@ -38,7 +35,7 @@ QUICK = Limits(seconds=3.0)
 
 
 @pytest.fixture
-def open_guard(model: Model) -> Iterator[Callable[[Limits], SupervisedEvaluator]]:
+def open_guard(model):
     guards: list[SupervisedEvaluator] = []
 
     def make(limits: Limits) -> SupervisedEvaluator:
@@ -117,7 +114,7 @@ def test_what_fails_is_an_outcome_and_spares_all_others(
 
 
 @pytest.fixture
-def simulations(tmp_path, monkeypatch) -> Callable[[], int]:
+def simulations(tmp_path, monkeypatch):
     """How many simulations there were since it was last asked."""
     file = tmp_path / "simulations"
     monkeypatch.setenv("SIMULATIONS_COUNTED_IN", str(file))
@@ -261,12 +258,6 @@ def test_a_process_dies_with_its_fork_server_even_in_the_middle_of_a_hang(open_g
     assert has_ended(worker)
     # it may just be beginning another one, which has to be stopped too
     assert wait_until(lambda: guard.stop() or not asking.is_alive())
-
-
-def test_an_fmu_that_cannot_be_loaded_is_refused_with_its_sentence(model):
-    broken = Model("broken.fmu", b"no archive", "model_exchange", model.solver, ())
-    with pytest.raises(ModelError, match=r"broken\.fmu"):
-        SupervisedEvaluator(broken, EXPERIMENTS, "guarded", QUICK)
 
 
 def test_an_interrupt_leaves_no_answer_for_somebody_else(open_guard):

@@ -5,11 +5,10 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from multiprocessing import reduction
 from multiprocessing.connection import Connection
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -61,7 +60,7 @@ def test_it_is_one_for_all_that_do_not_read_other_things_when_they_start(
 
 
 @pytest.mark.slow
-def test_a_program_needs_no_standard_error(own_fmu: Callable[[str, int], Path]) -> None:
+def test_a_program_needs_no_standard_error(own_fmu):
     command = ["sh", "-c", CHECK, sys.executable, str(own_fmu("dahlquist", 2))]
     ended = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
     assert "no problem was found" in ended.stdout
@@ -82,7 +81,7 @@ def fork_server(client: TemplateClient, model: Model) -> Iterator[tuple[int, Con
 
 
 @pytest.fixture
-def group(tmp_path, monkeypatch) -> Iterator[list[TemplateClient]]:
+def group(tmp_path, monkeypatch):
     """Two programs that share a template, as far as it knows."""
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     clients = [TemplateClient(), TemplateClient()]
@@ -135,3 +134,34 @@ def test_where_no_socket_can_be_each_has_its_own(model, group, tmp_path, monkeyp
 def test_what_is_read_at_start_decides_who_shares():
     assert shared_address("g", {"OMP_A": "1"}) != shared_address("g", {"OMP_A": "2"})
     assert shared_address("g", {}) != shared_address("h", {})
+
+
+TWO_FORKS = """
+import os
+import sys
+import numpy as np
+from workers.process.fork_server import draw_anew
+
+for _ in range(2):
+    if os.fork() == 0:
+        if sys.argv[1] == "anew":
+            draw_anew()
+        print(np.random.random(), flush=True)
+        os._exit(0)
+    os.wait()
+"""
+
+
+def drawn(how: str) -> list[str]:
+    done = subprocess.run(
+        [sys.executable, "-c", TWO_FORKS, how], capture_output=True, text=True, check=True
+    )
+    return done.stdout.split()
+
+
+def test_an_fmu_in_python_does_not_draw_the_same_in_each_process():
+    """With the state that forks inherit it would, and seem to repeat."""
+    one, other = drawn("inherited")
+    assert one == other
+    one, other = drawn("anew")
+    assert one != other

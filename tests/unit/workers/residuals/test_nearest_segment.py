@@ -21,40 +21,25 @@ Distances = Callable[[Array, Array], Array]
 BOTH: list[Distances] = [segment_distances, farthest_components]
 
 
-def plain_vector(point: list[float], start: list[float], end: list[float]) -> list[float]:
+def plain_vector(point: Array, start: Array, end: Array) -> Array:
     """The shortest way from a segment to a point, by where the point's projection falls."""
-    length = sum((b - a) ** 2 for a, b in zip(start, end, strict=True)) ** 0.5
-    if length == 0.0:
-        return [p - a for p, a in zip(point, start, strict=True)]
-    direction = [(b - a) / length for a, b in zip(start, end, strict=True)]
-    along = sum((p - a) * e for p, a, e in zip(point, start, direction, strict=True))
-    if along <= 0.0:
-        return [p - a for p, a in zip(point, start, strict=True)]
-    if along >= length:
-        return [p - b for p, b in zip(point, end, strict=True)]
-    return [p - a - along * e for p, a, e in zip(point, start, direction, strict=True)]
-
-
-def plain_length(vector: list[float]) -> float:
-    return float(sum(component**2 for component in vector) ** 0.5)
+    way = end - start
+    along = np.clip((point - start) @ way / (way @ way or 1.0), 0.0, 1.0)
+    return np.asarray(point - start - along * way)
 
 
 def plain_segment_distances(points: Array, reference: Array) -> list[float]:
     scales = [max(abs(column)) or 1.0 for column in reference.T]
-    scaled, chain = (points / scales).tolist(), (reference / scales).tolist()
     return [
-        min(plain_length(plain_vector(point, start, end)) for point in scaled)
-        for start, end in pairwise(chain)
+        min(float(np.linalg.norm(plain_vector(point, *ends))) for point in points / scales)
+        for ends in pairwise(reference / scales)
     ]
 
 
-def plain_farthest_components(points: Array, reference: Array) -> list[float]:
-    farthest, chain = [0.0] * reference.shape[1], reference.tolist()
-    for point in points.tolist():
-        vectors = [plain_vector(point, a, b) for a, b in pairwise(chain)]
-        nearest = min(vectors, key=plain_length)  # the first of equals
-        farthest = [max(f, abs(v)) for f, v in zip(farthest, nearest, strict=True)]
-    return farthest
+def plain_farthest_components(points: Array, reference: Array) -> Array:
+    ways = [[plain_vector(point, *ends) for ends in pairwise(reference)] for point in points]
+    nearest = [min(each, key=np.linalg.norm) for each in ways]  # the first of equals
+    return np.asarray(np.abs(nearest).max(axis=0))
 
 
 def curve(random: np.random.Generator, rows: int, columns: int) -> Array:
@@ -65,7 +50,7 @@ def curve(random: np.random.Generator, rows: int, columns: int) -> Array:
 
 @pytest.mark.parametrize("columns", [1, 2, 3, 9])
 @pytest.mark.parametrize("seed", range(5))
-def test_agrees_with_plain_loops(seed: int, columns: int) -> None:
+def test_agrees_with_plain_loops(seed, columns):
     random = np.random.default_rng([seed, columns])
     reference = curve(random, 60, columns)
     points = reference[random.integers(0, 60, 80)] + random.normal(size=(80, columns))
@@ -80,7 +65,7 @@ def test_agrees_with_plain_loops(seed: int, columns: int) -> None:
 SQUARE = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 4.0]])
 
 
-def test_distances_to_two_sides_of_a_rectangle() -> None:
+def test_distances_to_two_sides_of_a_rectangle():
     # scaled by 2 and 4: sides from (0, 0) to (1, 0) to (1, 1), points (0.5, 0.25) and (2, 2)
     points = np.array([[1.0, 1.0], [4.0, 8.0]])
     np.testing.assert_array_equal(segment_distances(points, SQUARE), [0.25, 0.5])
@@ -88,19 +73,19 @@ def test_distances_to_two_sides_of_a_rectangle() -> None:
     np.testing.assert_array_equal(farthest_components(points, SQUARE), [2.0, 4.0])
 
 
-def test_the_first_of_equally_near_segments_counts() -> None:
+def test_the_first_of_equally_near_segments_counts():
     middle = np.array([[1.0, 1.0]])
     np.testing.assert_array_equal(farthest_components(middle, SQUARE), [0.0, 1.0])
     np.testing.assert_array_equal(farthest_components(middle, SQUARE[::-1]), [1.0, 0.0])
 
 
-def test_a_segment_without_length_is_a_point() -> None:
+def test_a_segment_without_length_is_a_point():
     still, point = np.full((3, 2), 2.0), np.array([[8.0, 10.0]])
     np.testing.assert_array_equal(segment_distances(point, still), [5.0, 5.0])
     np.testing.assert_array_equal(farthest_components(point, still), [6.0, 8.0])
 
 
-def test_a_column_of_zeros_is_not_scaled() -> None:
+def test_a_column_of_zeros_is_not_scaled():
     flat = np.array([[0.0, 0.0], [5.0, 0.0]])
     np.testing.assert_array_equal(segment_distances(np.array([[2.0, 7.0]]), flat), [7.0])
 
@@ -109,9 +94,7 @@ def test_a_column_of_zeros_is_not_scaled() -> None:
     ("tolerances", "expected"),
     [([2.0, 4.0], [1.5, -0.25]), ([0.0, 3.0], [0.0]), ([10.0, 0.0], [-0.5]), ([0.0, 0.0], [])],
 )
-def test_constraints_only_for_tolerances_that_are_not_zero(
-    tolerances: list[float], expected: list[float]
-) -> None:
+def test_constraints_only_for_tolerances_that_are_not_zero(tolerances, expected):
     """One point is farthest in the first component, by 5, another one in the second, by 3."""
     points = np.array([[1.0, -3.0], [-5.0, 0.0]])
     np.testing.assert_array_equal(farthest_components(points, SQUARE), [5.0, 3.0])
@@ -122,7 +105,7 @@ def test_constraints_only_for_tolerances_that_are_not_zero(
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("where", [(0, 0), (3, 1), (-1, 0)])
 @pytest.mark.parametrize("rest", [1.0, 1e300])
-def test_points_that_are_not_finite(value: float, where: tuple[int, int], rest: float) -> None:
+def test_points_that_are_not_finite(value, where, rest):
     points = np.full((6, 2), rest)
     points[where] = value
     for found in (
@@ -134,18 +117,18 @@ def test_points_that_are_not_finite(value: float, where: tuple[int, int], rest: 
         assert not np.isfinite(found).any()
 
 
-def test_points_too_large_for_their_squares() -> None:
+def test_points_too_large_for_their_squares():
     points = np.array([[1e300, -1e308], [-1e200, 1e160]])
     assert not np.isfinite(segment_distances(points, SQUARE)).any()
     assert farthest_components(points, SQUARE).max() >= 1e308 - 1e300
 
 
-def test_points_too_far_away_for_a_difference() -> None:
+def test_points_too_far_away_for_a_difference():
     upright = np.array([[-1.7e308, 0.0], [-1.7e308, 1.0]])
     assert not np.isfinite(farthest_components(-upright, upright)).all()
 
 
-def test_same_bits_in_whatever_parts_of_many_points() -> None:
+def test_same_bits_in_whatever_parts_of_many_points():
     random = np.random.default_rng(3)
     reference, points = curve(random, 900, 2), curve(random, 2500, 2)
     halves = [points[:1200], points[1200:]]
@@ -156,7 +139,7 @@ def test_same_bits_in_whatever_parts_of_many_points() -> None:
 
 
 @pytest.mark.parametrize("distances", BOTH)
-def test_same_bits_in_whatever_memory(distances: Distances) -> None:
+def test_same_bits_in_whatever_memory(distances):
     random = np.random.default_rng(4)
     reference, points = curve(random, 20, 3), curve(random, 50, 3)
     expected = distances(points, reference)
@@ -183,16 +166,14 @@ def curves(draw: st.DrawFn) -> tuple[Array, Array]:
 
 @settings(max_examples=50)
 @given(curves())
-def test_agrees_with_plain_loops_where_points_repeat(pair: tuple[Array, Array]) -> None:
+def test_agrees_with_plain_loops_where_points_repeat(pair):
     expected = plain_segment_distances(*pair)
     np.testing.assert_allclose(segment_distances(*pair), expected, rtol=0, atol=1e-12)
 
 
 @settings(max_examples=50)
 @given(curves(), st.lists(st.floats(0.0, 50.0), min_size=3, max_size=3))
-def test_constraints_hold_exactly_where_the_components_are_within_tolerance(
-    pair: tuple[Array, Array], tolerances: list[float]
-) -> None:
+def test_constraints_hold_exactly_where_the_components_are_within_tolerance(pair, tolerances):
     points, reference = pair
     given_tolerances = np.array(tolerances[: points.shape[1]])
     used = given_tolerances > 1e-6

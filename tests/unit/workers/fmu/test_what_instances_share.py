@@ -1,17 +1,23 @@
-"""A seat is one instance's at a time, and free again when the process that had it is gone."""
+"""What all instances of a process share: seats, the log and handlers of signals."""
 
+import ctypes
+import signal
 import subprocess
 import sys
 import threading
+import time
 import uuid
-from collections.abc import Iterator
-from pathlib import Path
+import weakref
+from collections import deque
+from contextlib import ExitStack
 
 import pytest
 
 from workers.errors import ModelError
+from workers.fmu import logger
 from workers.fmu import seats as room
 from workers.fmu.seats import Seat, has_lost
+from workers.fmu.signal_handlers import ROOM, kept_signal_handlers
 from workers.messages import Seats
 
 HOLDS = """
@@ -25,7 +31,7 @@ sys.stdin.read()
 
 
 @pytest.fixture
-def holder() -> Iterator[object]:
+def holder():
     """Start processes that take a seat and keep it."""
     started: list[subprocess.Popen[str]] = []
 
@@ -46,7 +52,7 @@ def holder() -> Iterator[object]:
 
 
 @pytest.fixture
-def seats() -> Seats:
+def seats():
     """Two seats of nobody else."""
     return Seats(uuid.uuid4().hex, (0, 1))
 
@@ -110,7 +116,7 @@ tempfile.tempdir = None
 """
 
 
-def test_a_program_has_the_same_seats_each_time_but_lost_ones_and_leaves_no_folder(tmp_path: Path):
+def test_a_program_has_the_same_seats_each_time_but_lost_ones_and_leaves_no_folder(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM],
         env={"TMPDIR": str(tmp_path), "PYTHONPATH": ":".join(sys.path)},
@@ -123,3 +129,80 @@ def test_a_program_has_the_same_seats_each_time_but_lost_ones_and_leaves_no_fold
     assert "needs files that can be locked in " in no_file
     assert "; set TMPDIR" in no_file
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def alone(monkeypatch):
+    """The log of the only instance of a process."""
+    monkeypatch.setattr(logger, "_logs", weakref.WeakValueDictionary())
+    log: deque[str] = deque()
+    logger.open_log("model-1", log, shown=False)
+    return log
+
+
+@pytest.mark.parametrize("name", ["model-1", " model-1 ", "", "another name"])
+def test_the_only_instance_gets_what_names_no_other(alone, name):
+    say = logger.log_message_3(name)
+    say(None, 3, b"", b" it could not go on ")
+    say(None, 0, b"", b"all is well")
+    assert list(alone) == ["it could not go on"]
+
+
+def test_with_several_instances_only_a_name_tells(alone):
+    other: deque[str] = deque()
+    logger.open_log("model-2", other, shown=False)
+    logger.log_message_3("model-2")(None, 3, b"", b"it could not go on")
+    logger.log_message_3("nobody")(None, 3, b"", b"whose is this")
+    assert not alone
+    assert list(other) == ["it could not go on"]
+
+
+WHERE_SIGACTION_IS = pytest.mark.skipif(sys.platform == "win32", reason="there is none")
+
+
+def handlers() -> list[bytes]:
+    """Return what the C library has for both signals."""
+    library, found = ctypes.CDLL(None), []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        room = ctypes.create_string_buffer(ROOM)
+        library.sigaction(int(number), None, room)
+        found.append(room.raw[:8])  # the handler; flags beside it are the library's own
+    return found
+
+
+def replace_handlers() -> None:
+    """Do as an FMU does: without Python's knowledge."""
+    ignore = ctypes.c_void_p(1)  # SIG_IGN
+    library = ctypes.CDLL(None)
+    library.signal.argtypes = [ctypes.c_int, ctypes.c_void_p]
+    library.signal.restype = ctypes.c_void_p
+    for number in (signal.SIGINT, signal.SIGTERM):
+        library.signal(int(number), ignore)
+
+
+@WHERE_SIGACTION_IS
+@pytest.mark.parametrize("first_out", [0, 1])
+def test_a_second_thread_does_not_take_an_fmus_handlers_for_the_process_s(first_out):
+    before = handlers()
+    threads = [ExitStack(), ExitStack()]
+    threads[0].enter_context(kept_signal_handlers())
+    replace_handlers()
+    threads[1].enter_context(kept_signal_handlers())
+    replace_handlers()
+    threads[first_out].close()
+    assert handlers() == before
+    threads[1 - first_out].close()
+    assert handlers() == before
+
+
+@WHERE_SIGACTION_IS
+def test_handlers_that_were_replaced_once_are_given_back_during_the_next_call():
+    """Otherwise nobody could interrupt an FMU that replaces them and then takes its time."""
+    before = handlers()
+    with kept_signal_handlers():
+        replace_handlers()
+    with kept_signal_handlers():
+        replace_handlers()
+        while handlers() != before:  # the FMU at work
+            time.sleep(0.01)
+    assert handlers() == before
