@@ -151,25 +151,6 @@ class TestRunner:
         request = SearchRequest("test", LeastSquares(), ROSENBROCK.space())
         return Runner(executor, whole=whole), request, executor
 
-    def test_searches_end_with_their_best_points(self):
-        runner, request, _ = self.runner(9)
-        (solution,) = runner.run([request])
-        assert solution.ending is Ending.INTERRUPTED
-        assert runner.interrupted
-        assert 0.0 < solution.cost < 24.2
-
-    @pytest.mark.parametrize(
-        ("call", "endings"),
-        [(40, {Ending.INTERRUPTED, Ending.CONVERGED, Ending.PERFECT}), (15, {Ending.INTERRUPTED})],
-    )
-    def test_an_interrupt_after_one_of_several_ended_is_not_lost(self, call, endings):
-        runner, request, _ = self.runner(call)
-        short = SearchRequest("short", LeastSquares(max_iterations=1), request.space)
-        first, second = runner.run([short, request])
-        assert first.ending is Ending.MAX_ITERATIONS
-        assert second.ending in endings
-        assert runner.interrupted or second.ending.success
-
     def test_no_search_begins_after_one(self):
         runner, request, executor = self.runner(5)
         runner.run([request])

@@ -187,21 +187,6 @@ def test_a_dropped_point_may_be_asked_for_again(seed):
     assert sorted(each.cost for each in found) == pytest.approx([cost(i) for i in values])
 
 
-def test_the_same_point_twice_in_a_request_is_simulated_once_and_answered_twice():
-    found: list[Evaluation] = []
-
-    def twice(space: SearchSpace) -> Search:
-        found.extend((yield ask(space, [2.0, 3.0, 2.0])))
-        found.extend((yield ask(space, [2.0], "again")))
-        return ended(space)
-
-    executor = ShufflingExecutor(answer)
-    run(Scripted(twice), executor)
-    assert [each.index for each in found] == [0, 1, 2, 3]
-    assert [each.cost for each in found] == pytest.approx([cost(v) for v in (2, 3, 2, 2)])
-    assert len(executor.submitted) == 4
-
-
 def test_parameters_without_a_value_are_not_simulated():
     parameters = [Parameter("a", 1.0), Parameter("b", 0.0, expression="sqrt(a)")]
     found: list[Evaluation] = []
@@ -286,13 +271,6 @@ REFERENCE = summary(Runner(ShufflingExecutor(answer)).run(many(Downhill(), START
 
 
 @settings(max_examples=25)
-@given(SEEDS, st.integers(1, 9), st.integers(1, 5))
-def test_how_many_searches_are_under_way_changes_nothing(seed, at_once, workers):
-    found = Runner(ShufflingExecutor(answer, seed, workers)).run(many(Downhill(), STARTS), at_once)
-    assert summary(found) == REFERENCE
-
-
-@settings(max_examples=25)
 @given(SEEDS, st.integers(1, 9))
 def test_no_more_searches_are_under_way_than_wanted_and_they_begin_in_order(seed, at_once):
     method = Downhill()
@@ -333,11 +311,6 @@ def test_given_up_searches_leave_nothing_in_the_queue_and_nothing_behind():
     assert executor.cancelled
     again = runner.run(many(Downhill(), STARTS))
     assert summary(again) == REFERENCE
-
-
-def test_failed_starts_are_solutions_like_others():
-    found = Runner(ShufflingExecutor(answer)).run(many(Downhill(), (-1.0, 2.0)), 1)
-    assert [s.ending for s in found] == [Ending.START_FAILED, Ending.CONVERGED]
 
 
 @settings(max_examples=50)

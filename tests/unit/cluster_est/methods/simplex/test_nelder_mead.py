@@ -22,13 +22,6 @@ CLASSICAL = replace(TIGHT, coefficients="classical")
 METHODS = [TIGHT, replace(TIGHT, parallel=2), replace(TIGHT, speculative=True), CLASSICAL]
 
 
-@pytest.mark.parametrize("problem", PROBLEMS, ids=lambda p: p.name)
-def test_classical_coefficients_find_classical_minima(problem):
-    solution = problem.solve(CLASSICAL)
-    assert solution.ending is Ending.CONVERGED
-    assert solution.cost == pytest.approx(problem.minimum, rel=1e-7, abs=1e-12)
-
-
 @pytest.mark.parametrize("problem", [p for p in PROBLEMS if p.lower is None], ids=lambda p: p.name)
 def test_needs_hardly_more_evaluations_than_scipy_for_the_same(problem):
     def cost(x):
