@@ -118,11 +118,6 @@ def test_too_many_failures_are_refused():
         between(lambda x: np.nan, 3)
 
 
-def test_a_quantity_that_does_not_move_has_no_index():
-    found = between(lambda x: 1.0, 3, method="sobol", groups=32)
-    assert np.isnan([u.value for u in found.ranking]).all()
-
-
 @pytest.mark.parametrize(
     ("scale", "bounds", "must"),
     [("linear", (-np.inf, np.inf), "finite bounds"), ("log", (0.0, 9.0), "bounds above 0")],
