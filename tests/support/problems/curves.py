@@ -87,6 +87,3 @@ class CurveExecutor(AnsweringExecutor):
         residuals = (curves.measured[task.experiment] - found).ravel()
         size = len(curves.times)
         return answer_with(task, residuals, [size] * (len(residuals) // size))
-
-    def cancel(self, tasks):
-        return []

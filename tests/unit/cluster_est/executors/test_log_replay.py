@@ -14,8 +14,7 @@ from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.running.records import TaskOrigin
 from workers.messages import Outcome, Status, Task, Trajectory
 
-VALLEY = replace(ROSENBROCK, lower=(-2.0, -2.0), upper=(2.0, 2.0))
-MODEL, EXPERIMENTS = VALLEY.problem().model, VALLEY.problem().experiments
+MODEL, EXPERIMENTS = ROSENBROCK.problem().model, ROSENBROCK.problem().experiments
 
 
 def answer(task: Task) -> Outcome:
@@ -24,17 +23,12 @@ def answer(task: Task) -> Outcome:
     if x[0] < -1.5:
         return Outcome(task.id, Status.SOLVER_FAILURE, message="too far left", worker="w")
     path = Trajectory(("a", "b"), steps, np.outer(steps, x)) if task.want == "trajectory" else None
-    found = replace(VALLEY.answer(task), trajectory=path, constraints=x[:1])
+    found = replace(ROSENBROCK.answer(task), trajectory=path, constraints=x[:1])
     return replace(found, seconds=0.5, worker="w")
 
 
 def tasks(*values: float, want: str = "residuals") -> list[Task]:
     return [Task(i, 0, np.array([v, 0.5]), want) for i, v in enumerate(values)]  # type: ignore[arg-type]
-
-
-def log_of(folder: Path, settings: LogSettings | None = None) -> EvaluationLog:
-    names, begin = [(e.id, e.key) for e in EXPERIMENTS], LoggedOutcomes(folder).next_segment
-    return EvaluationLog(folder, MODEL.key, names, {}, settings, begin)
 
 
 class Replayed:
@@ -43,7 +37,8 @@ class Replayed:
     def __init__(
         self, folder: Path, logged: list[Task], settings: LogSettings | None = None
     ) -> None:
-        log = log_of(folder, settings)
+        names = [(each.id, each.key) for each in EXPERIMENTS]
+        log = EvaluationLog(folder, MODEL.key, names, {}, settings)
         for task in logged:
             log.record(TaskOrigin(task, "train", 0, "trial"), answer(task))
         log.close()

@@ -106,23 +106,8 @@ class TestInterrupts:
             with pytest.raises(KeyboardInterrupt), DeferredInterrupts():
                 pass
 
-    def test_a_termination_is_one(self):
-        with terminations(), pytest.raises(KeyboardInterrupt), DeferredInterrupts():
-            interrupt_here(signal.SIGTERM)
-
-
-def touch_and_wait(path):
-    path.touch()
-    threading.Event().wait(20.0)
-
 
 class TestFromOutside:
-    def test_a_stop_file_interrupts_a_wait(self, tmp_path):
-        path = tmp_path / "stop"
-        with pytest.raises(KeyboardInterrupt), stopped_by(path):
-            touch_and_wait(path)
-        assert not path.exists()
-
     def test_a_stop_file_of_an_earlier_run_stops_nothing(self, tmp_path):
         path = tmp_path / "stop"
         path.touch()

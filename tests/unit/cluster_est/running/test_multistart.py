@@ -385,16 +385,6 @@ def test_starts_that_fail_spoil_no_other():
     assert found.best.cost < 1e-12
 
 
-def test_a_budget_ends_all_with_what_they_have():
-    runner = runner_of(HIMMELBLAU, budget=Budget(evaluations=30))
-    found = search(HIMMELBLAU, Multistart(40), runner=runner)
-    assert len(found.solutions) == 40
-    endings = {s.ending for s in found.solutions}
-    assert Ending.BUDGET in endings
-    assert np.isfinite(found.best.cost)
-    assert runner.evaluations < 30 + 16 * 8
-
-
 SHORT = 60
 """Points: enough for three searches of two unknowns, as `plan_for_budget` counts them."""
 

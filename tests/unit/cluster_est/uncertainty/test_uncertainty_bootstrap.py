@@ -13,7 +13,7 @@ from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty import UncertaintySettings, assess, bootstrap, check_bootstrap
 from cluster_est.uncertainty.bootstrap import percentile_interval
-from cluster_est.uncertainty.spaces import resampled, with_fixed_unknown, with_start
+from cluster_est.uncertainty.spaces import resampled, with_start
 
 TIMES = np.arange(1.0, 6.0)
 METHOD = LeastSquares()
@@ -195,23 +195,9 @@ class TestSpaces:
         assert len(solution.at.residuals) == 15
         assert executor.answered == 2 * runner.evaluations
 
-    def test_local_unknowns_of_copies_are_one(self):
-        made = resampled(lines([1.0] * 3).space(), (0, 2, 2), np.array([0.1, 2.0, 3.0, 4.0]))
-        assert [u.label for u in made.unknowns] == ["slope", "level[e0]", "level[e2]"]
-        assert [u.experiments for u in made.unknowns] == [(0, 1, 2), (0,), (1, 2)]
-        np.testing.assert_array_equal(made.start, [0.1, 2.0, 4.0])
-        assert made.experiments == (0, 2, 2)
-
     def test_a_moved_space_keeps_its_units(self):
         space = levels().space()
         there = with_start(space, np.array([1e-9]))
         assert there.start[0] == 1e-9
         assert there.typical[0] == space.typical[0] == 1.0
         assert with_start(space, np.array([1e9])).start[0] == 100.0
-
-    @pytest.mark.parametrize("i", range(4))
-    def test_a_space_without_an_unknown_simulates_its_value(self, i):
-        space, x = lines([1.0] * 3).space(), np.array([0.3, 2.0, 3.0, 4.0])
-        made = with_fixed_unknown(space, i, x)
-        assert made.size == 3
-        assert made.physical(made.start).tobytes() == space.physical(x).tobytes()

@@ -156,11 +156,6 @@ def test_blocks_pay_only_where_the_whole_matrix_would_be_large():
     assert random_matrix(0, experiments=150)[0].sparse
 
 
-def test_links_act_on_two_neighbours_and_nothing_else():
-    matrix, *_ = chained_matrix(0, records=1, segments=3, states=1, shared=1)
-    np.testing.assert_array_equal(matrix.links, [False, False, True, True])
-
-
 def test_memory_grows_with_the_number_of_segments_and_not_with_its_square():
     sizes = []
     for segments in (50, 100):

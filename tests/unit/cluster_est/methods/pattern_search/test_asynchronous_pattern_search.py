@@ -87,12 +87,6 @@ def test_any_number_may_be_outstanding(outstanding):
     assert solution.cost == pytest.approx(0.0, abs=1e-6)
 
 
-def test_the_limit_of_iterations():
-    method = AsynchronousPatternSearch(max_iterations=3)
-    solution = ROSENBROCK.solve(method, executor=moody(ROSENBROCK, 0, 2))
-    assert solution.ending is Ending.MAX_ITERATIONS
-
-
 def chain(x):
     """A valley through eight unknowns."""
     return np.concatenate([3.0 * (x[1:] - x[:-1] ** 2), 1.0 - x])

@@ -8,7 +8,6 @@ import pytest
 from support.problems.constrained import CONSTRAINED, held
 from support.problems.functions import (
     PROBLEMS,
-    ROSENBROCK,
     FunctionExecutor,
     FunctionProblem,
     followed,
@@ -138,12 +137,6 @@ def test_the_seed_alone_decides():
     first, again, other = (PROBLEMS[3].solve(method, seed) for seed in (1, 1, 2))
     assert first.x.tobytes() == again.x.tobytes()
     assert first.x.tobytes() != other.x.tobytes()
-
-
-def test_the_limit_of_iterations():
-    solution = ROSENBROCK.solve(PatternSearch(max_iterations=3))
-    assert solution.ending is Ending.MAX_ITERATIONS
-    assert solution.iterations == 3
 
 
 def test_a_mesh_that_never_becomes_finer_is_refused():

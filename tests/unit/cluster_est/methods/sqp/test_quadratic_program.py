@@ -84,17 +84,6 @@ def test_multipliers_balance_the_gradient(seed):
     np.testing.assert_allclose(multipliers[slack], 0.0, atol=1e-6)
 
 
-def test_unknowns_without_room_stay():
-    model = random_model(1)
-    lower, upper = np.array([-1.0, 0.0, -1.0, 0.0]), np.array([1.0, 0.0, 1.0, 0.0])
-    step, _ = penalised_step(model, 5.0, lower, upper)
-    assert (step[[1, 3]] == 0.0).all()
-    assert (step[[0, 2]] != 0.0).all()
-    step, multipliers = penalised_step(model, 5.0, np.zeros(4), np.zeros(4))
-    assert (step == 0.0).all()
-    assert (multipliers == 0.0).all()
-
-
 @pytest.mark.parametrize("value", [-1e3, -1.0, 1.0])
 def test_constraints_that_no_step_changes_do_not_matter(value):
     model = random_model(2)

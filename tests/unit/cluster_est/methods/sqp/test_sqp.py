@@ -209,8 +209,3 @@ class TestFailures:
         solution = problem.solve(method)
         assert solution.at.feasible
         assert solution.cost < 10.0
-
-    @BY_ALGORITHM
-    def test_the_limit_of_iterations(self, method):
-        solution = named("hs77", ALL).solve(replace(method, max_iterations=2))
-        assert solution.ending is Ending.MAX_ITERATIONS

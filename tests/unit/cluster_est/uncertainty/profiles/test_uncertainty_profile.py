@@ -171,18 +171,6 @@ class TestOpen:
         assert found.points[-1].value > 1e3
         assert "does not rise enough" in found.sentences[-1]
 
-    def test_open_on_one_side_only(self):
-        """The data say that the rate is fast, but not how fast."""
-
-        def saturating(times, values, experiment):
-            return 1.0 - np.exp(-values[0] * (times + 0.5))
-
-        measured = [1.0 + 0.05 * np.random.default_rng(0).normal(size=len(TIMES))]
-        parameters = (Parameter("rate", 5.0, 0.01, 1e9, scale="log"),)
-        (found,) = profiled(Curves(saturating, parameters, TIMES, measured), "rate")
-        assert (found.open_lower, found.open_upper) == ("", "bound")
-        assert 1.0 < found.lower < 20.0
-
     def test_where_simulations_fail(self):
         def walled(times, values, experiment):
             found = michaelis_menten(times, values, experiment)
