@@ -49,7 +49,7 @@ def test_why_ray_does_not_start_is_a_sentence(
     with pytest.raises(ExecutorError, match=said) as caught:
         executor_class("ray").join(2, address)
     assert "\n" not in str(caught.value)
-    assert len(starts) == 1 or error is TIMED_OUT
+    assert len(starts) == 1 or address in (None, "local")  # a cluster is asked once
 
 
 def test_ray_is_started_again_on_a_busy_machine(failing: Failing) -> None:
