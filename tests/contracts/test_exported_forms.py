@@ -11,13 +11,12 @@ from support.exported import (
     unpacked,
 )
 from support.problems.springs import FMU
+from support.simulated import simulated
 from support.thinning import thinned
 from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M
 
 from workers.effects.forms import FORMS, FormCondition
-from workers.evaluate import Evaluator
-from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
-from workers.wire import TaskBatch
+from workers.messages import Effect, Experiment, Input, Model, Output, Solver
 
 SOLVERS = {
     "dormand_prince": Solver("dormand_prince"),
@@ -102,15 +101,6 @@ def effects_of(kind, group="function"):
     return effects, values
 
 
-def simulated(solver, effects, values):
-    evaluator = Evaluator(model(solver), (experiment(),), "w")
-    task = Task(0, 0, np.array([M, K, C, *values]), "trajectory", tuple(effects))
-    (outcome,) = evaluator.evaluate(TaskBatch.of([task]))
-    evaluator.close()
-    assert outcome.ok, outcome.message
-    return outcome.trajectory.values[:, 0]
-
-
 @needs_compiler
 @pytest.mark.parametrize(("kind", "group", "name"), CASES)
 def test_every_form_is_the_same_in_c(kind, group, name, tmp_path):
@@ -123,4 +113,5 @@ def test_every_form_is_the_same_in_c(kind, group, name, tmp_path):
     follow, bar = (finely_co_simulated, 3e-5) if kind == "output" else (co_simulated, 1e-6)
     found = follow(exported, TIMES, {"F": FORCE}, "y")
     exported.close()
-    np.testing.assert_allclose(found, simulated(solver, effects, values), rtol=0.0, atol=bar)
+    expected = simulated(model(solver), experiment(), (M, K, C, *values), effects)
+    np.testing.assert_allclose(found, expected[:, 0], rtol=0.0, atol=bar)

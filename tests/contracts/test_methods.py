@@ -160,6 +160,16 @@ class TestSearch:
             "failed has a cost of NaN, so compare by `rank`, and go on"
         )
 
+    def test_it_ends_at_its_limit_of_iterations(self, entry):
+        limit = {each.name for each in fields(entry.method)} & {"max_iterations", "max_generations"}
+        if not limit:
+            pytest.skip("it has no limit of iterations")
+        short = replace(entry.method, **dict.fromkeys(limit, 3))
+        solution = chosen(entry, ROSENBROCK).solve(short)
+        assert solution.ending is Ending.MAX_ITERATIONS
+        # one that is asynchronous counts its answers, in polls
+        assert solution.iterations <= 3 or entry.method.asynchronous
+
     def test_same_seed_same_bits(self, entry):
         first, second = (chosen(entry, ROSENBROCK).solve(brief(entry), seed=7) for _ in range(2))
         assert first.x.tobytes() == second.x.tobytes(), CHANCE

@@ -1,7 +1,6 @@
 """Residuals that are reduced before they are sent change nothing but how much is sent."""
 
 import math
-import pickle
 from dataclasses import fields, replace
 
 import numpy as np
@@ -15,7 +14,7 @@ from support.problems.method_entries import ENTRIES
 from support.problems.springs import spring_problem
 from support.thinning import thinned
 
-from cluster_est import Budget, Experiment, Multistart, Output, Parameter, Resources, fit
+from cluster_est import Budget, Experiment, Multistart, Output, Parameter, fit
 from cluster_est.costs import COSTS
 from cluster_est.methods import METHODS, DifferentialEvolution, LeastSquares, Nsga2, PatternSearch
 from cluster_est.methods.given_points import GivenPoints
@@ -24,8 +23,8 @@ from cluster_est.running.multistart import search_from_starts
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from workers.evaluate import Evaluator
-from workers.messages import REDUCTIONS, Curve, Outcome, SignalBound, Status, Task, UserFunction
-from workers.wire import OutcomeColumns, TaskBatch
+from workers.messages import REDUCTIONS, Curve, SignalBound, Task, UserFunction
+from workers.wire import TaskBatch
 
 REDUCIBLE = {name: cost for name, cost in COSTS.items() if cost.reduction is not None}
 COUNTS = (7, 0, 1, 13)
@@ -230,14 +229,6 @@ class TestWorker:
         alone = worker.evaluate(TaskBatch.of([Task(3, 0, values[3], want)]))[0]
         assert alone.residuals.tobytes() == answers[want][3].residuals.tobytes()
 
-    def test_traffic_shrinks_with_the_samples(self):
-        sizes = []
-        residuals = np.random.default_rng(0).normal(size=200_000)
-        for sent in (residuals, reduced(residuals, (10_000,) * 20, "squares")):
-            outcomes = [Outcome(i, Status.OK, sent, worker="w") for i in range(10)]
-            sizes.append(len(pickle.dumps(OutcomeColumns.of(outcomes))))
-        assert sizes[0] > 100 * sizes[1]
-
 
 class TestFit:
     METHOD = DifferentialEvolution(population=12, max_generations=6)
@@ -255,14 +246,6 @@ class TestFit:
             assert solution.cost == pytest.approx(math.fsum((residuals**2).tolist()), rel=1e-12)
         assert result.cost == result.solution.cost
         assert all(np.isfinite(e.std_error) for e in result.estimates if e.label == "m")
-
-    @pytest.mark.parametrize("place", [("local", 3), pytest.param(("processes", 2), marks=SLOW)])
-    def test_bits_do_not_depend_on_workers(self, place):
-        problem = spring_problem(experiments=3, noise=0.01).problem
-        places = ("local", 1), place
-        one, other = (fit(problem, self.METHOD, Resources(n, workers=k)) for n, k in places)
-        assert [e.value for e in one.estimates] == [e.value for e in other.estimates]
-        assert one.solution.cost == other.solution.cost
 
     @pytest.mark.parametrize("method", [METHOD, LeastSquares()], ids=lambda m: m.name)
     def test_points_that_only_compete_are_asked_for_like_those_that_follow(self, method):

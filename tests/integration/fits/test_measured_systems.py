@@ -1,17 +1,23 @@
-"""Measured systems: what a base model leaves, and what a named effect makes of it."""
+"""Measured systems: what a base model leaves, what a named effect makes of it, and by a regression.
+
+The league's models that are linear in their parameters are compared with a regression by numpy,
+the cascaded tanks with SciPy from the shell's entry point to the tables.
+"""
 
 import tomllib
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
+from measured_league.cases import all_cases, textbook_config
+from scipy.integrate import solve_ivp
 from scipy.io import loadmat
-from support.measured import measured
+from support.measured import PLACES, measured
 from support.problems.springs import ROOT
 
-from cluster_est import build_problem, fit
+import cluster_est as ce
+from cluster_est.cli import main
 from cluster_est.config.reader import parse_config
-
-pytestmark = pytest.mark.slow
 
 PULSES = {"no pulses": "emps/DATA_EMPS.mat", "pulses": "emps/DATA_EMPS_PULSES.mat"}
 COULOMB = {
@@ -28,11 +34,11 @@ CUBIC = {
 }
 
 
-def errors(name: str, effects: list[dict]) -> dict[str, float]:
+def errors_with(name: str, effects: list[dict]) -> dict[str, float]:
     """The root mean square errors of a fit, by experiment."""
     path = ROOT / "configs" / f"{name}.toml"
     raw = tomllib.loads(path.read_text(encoding="utf-8")) | {"effects": effects}
-    result = fit(build_problem(parse_config(raw, name), path.parent))
+    result = ce.fit(ce.build_problem(parse_config(raw, name), path.parent))
     return {each.experiment: each.rmse_after for each in result.errors}
 
 
@@ -42,6 +48,7 @@ def force_norm(file: str) -> float:
     return float(data["gtau"] * np.sqrt(np.mean(data["vir"] ** 2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effects", "training", "pulses"),
     [
@@ -51,14 +58,113 @@ def force_norm(file: str) -> float:
 )
 def test_relative_error_of_the_force_of_emps(effects, training, pulses):
     norms = {experiment: force_norm(file) for experiment, file in PULSES.items()}
-    found = errors("emps", effects)
+    found = errors_with("emps", effects)
     assert training[0] <= found["no pulses"] / norms["no pulses"] <= training[1]
     assert pulses[0] <= found["pulses"] / norms["pulses"] <= pulses[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effects", "least", "most"), [([], 0.0130, 0.0145), ([CUBIC], 0.0, 0.0010)]
 )
 def test_error_on_the_arrow_of_the_silverbox(effects, least, most):
     measured("silverbox/SNLS80mV.csv")
-    assert least <= errors("silverbox", effects)["arrow"] <= most
+    assert least <= errors_with("silverbox", effects)["arrow"] <= most
+
+
+CASES = {case.name: case for case in all_cases()}
+
+
+def table(file: str):
+    return np.genfromtxt(measured(file), delimiter=",", names=True)
+
+
+def errors(name: str, monkeypatch: pytest.MonkeyPatch, *, textbook: bool = False):
+    """The root mean square errors of a fit, by the role of its single experiment."""
+    case = CASES[name]
+    text = textbook_config(case) if textbook else case.config.read_text(encoding="utf-8")
+    folder = next(p for p in PLACES if (p / "league" / name).is_dir())
+    monkeypatch.setenv("CLUSTER_EST_DATA", str(folder))
+    config = parse_config(tomllib.loads(text), name)
+    fitted = ce.fit(ce.build_problem(config, case.config.parent))
+    return {each.role: each.rmse_after for each in fitted.errors}
+
+
+def regressed(columns, measured_values, train, test):
+    """The same by linear regression on the rows that train."""
+    matrix = np.stack(columns, axis=1)
+    found = np.linalg.lstsq(matrix[train], measured_values[train], rcond=None)[0]
+    left = measured_values - matrix @ found
+    return {
+        role: np.sqrt(np.mean(left[rows] ** 2)) for role, rows in (("train", train), ("test", test))
+    }
+
+
+@pytest.mark.slow
+def test_rocket_without_air(monkeypatch):
+    data = table("league/rocket/flight.csv")
+    time = data["time"] - 4.5
+    expected = regressed(
+        [np.ones_like(time), time],
+        data["alt"] + 0.5 * 9.81 * time**2,
+        (data["time"] >= 4.5) & (data["time"] < 16.0),
+        (data["time"] >= 16.0) & (data["time"] <= 23.5),
+    )
+    assert errors("rocket", monkeypatch) == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("textbook", [False, True])
+def test_wrist_with_and_without_dry_friction(monkeypatch, textbook):
+    data = table("league/ur5e/moves.csv")
+    speed = data["qd5"]
+    moving = np.abs(speed) > 0.01
+    columns = [data["qdd_target5"], speed, *([np.sign(speed)] if textbook else [])]
+    early = data["time"] < 15.0
+    expected = regressed(columns, data["i5"], moving & ~early, moving & early)
+    found = errors("ur5e", monkeypatch, textbook=textbook)
+    assert found == pytest.approx(expected, rel=1e-5)
+
+
+FILE = "cascaded_tanks/dataBenchmark.csv"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    measured(FILE)
+    folder = tmp_path_factory.mktemp("tanks") / "run"
+    config = ROOT / "configs" / "cascaded_tanks.toml"
+    assert main(["fit", str(config), "--out", str(folder)]) == 0
+    return folder
+
+
+def test_base_model_reaches_its_error_on_the_test_record(run):
+    errors = {row["experiment"]: row for row in pq.read_table(run / "errors.parquet").to_pylist()}
+    assert errors["Val"]["role"] == "test"
+    assert errors["Est"]["rmse_after"] < 0.61
+    assert errors["Val"]["rmse_after"] < 0.70
+    assert errors["Est"]["rmse_before"] > 2.0
+
+
+def test_test_record_took_no_part(run):
+    rows = pq.read_table(run / "parameters.parquet").to_pylist()
+    assert {row["estimated_on"] for row in rows} == {"train"}
+
+
+def test_simulated_levels_are_those_of_scipy(run):
+    """The reported curve, on equations written down again, for the first 100 samples."""
+    values = {r["label"]: r["value"] for r in pq.read_table(run / "parameters.parquet").to_pylist()}
+    rows = pq.read_table(run / "residuals.parquet").to_pylist()
+    simulated = [row["simulated"] for row in rows if row["experiment"] == "Est"][:100]
+    pump = np.genfromtxt(measured(FILE), delimiter=",", skip_header=1, usecols=0)
+    levels, lower = np.array([values["h1"], values["h2"]]), [values["h2"]]
+    for k in range(99):
+
+        def slope(t, h, u=pump[k]):
+            flow = values["k1"] * np.sqrt(max(h[0], 0.0))
+            return [values["kp"] * u - flow, flow - values["k2"] * np.sqrt(max(h[1], 0.0))]
+
+        step = solve_ivp(slope, (0.0, 4.0), levels, rtol=1e-11, atol=1e-12)
+        levels = step.y[:, -1]
+        lower.append(levels[1])
+    np.testing.assert_allclose(simulated, lower, rtol=1e-7)

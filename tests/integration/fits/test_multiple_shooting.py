@@ -240,17 +240,6 @@ def test_segments_that_are_too_long_are_cut_in_halves_and_that_is_said():
     assert any("instead of 2, which were too long" in note for note in result.notes)
 
 
-@pytest.mark.slow
-def test_segments_that_lead_nowhere_are_said():
-    problem = standing_rod(301)
-    parameters = tuple(
-        replace(p, start=p.start * 0.1) if p.name in ROD else p for p in problem.parameters
-    )
-    short = ce.LeastSquares(max_iterations=1)
-    result = ce.fit(replace(problem, parameters=parameters), short, shooting={"segments": 4})
-    assert not result.success
-
-
 def test_a_config_asks_for_it_and_a_run_that_was_cut_is_taken_up(tmp_path, capsys):
     given = ["fit", CONFIG, "--out", str(tmp_path), "--no-report", "method.shooting.segments=6"]
     assert main(given) == 0

@@ -134,7 +134,7 @@ def test_standard_errors_are_those_that_the_estimates_scatter_by():
     assert (scatter < 1.5).all()
 
 
-@pytest.mark.parametrize("how", [{"free_scale": True}, {"detection_limit": 0.0}])
+@pytest.mark.parametrize("how", [{"free_scale": True}, {"detection_limit": 0.0}, {"ordinal": True}])
 def test_the_closed_loop_takes_outputs_as_they_are(how):
     with pytest.raises(ProblemError, match="output y must be compared as it is"):
         ce.close_loop(observed(**how))

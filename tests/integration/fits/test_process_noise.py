@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 from support.problems.seen_springs import with_outputs
-from support.problems.springs import ROOT
+from support.problems.springs import ROOT, TRUE
 from support.thinning import thinned
 from support.truth.kalman_filter import Filter, discrete, pushed, runge_kutta
 
@@ -20,7 +20,6 @@ from workers.effects.forms import PROCESS_NOISE
 from workers.messages import Effect
 
 MODELS = ROOT / "configs" / "models"
-TRUE = {"m": 1.2, "k": 30.0, "c": 0.6}
 STEP, SIGMA = 0.02, 0.02
 
 
@@ -198,12 +197,6 @@ def test_output_errors_on_the_same_data_are_worse(fitted):
     assert any("autocorrelated" in note for note in plain.notes)
 
 
-@pytest.mark.slow
-def test_workers_change_no_bit(fitted):
-    again = ce.fit(fitted.problem, resources=ce.Resources("processes", workers=2))
-    assert again.x == fitted.x
-
-
 def test_an_ornstein_uhlenbeck_force_has_a_strength_and_a_time(fitted):
     problem = spring(fitted.problem.experiments, 1.0, COLOURED)
     *_, q, tau = problem.parameters
@@ -285,21 +278,6 @@ def test_a_config_names_it_like_any_effect(tmp_path, capsys):
 def test_an_export_leaves_it_out_and_says_so(fitted, tmp_path):
     exported = fitted.export(ssv=tmp_path / "found.ssv")
     assert any("effect 'noise' is process noise and is left out" in note for note in exported.notes)
-
-
-def test_records_of_different_sampling_add_up():
-    """The sum of squares of two records is -2 log likelihood of both, up to a constant."""
-    runs = [shaken(21, samples=200), shaken(22, samples=200)]
-    (seen,) = runs[1].outputs
-    seen = replace(seen, times=seen.times[::10], values=seen.values[::10])
-    sparse = replace(runs[1], outputs=(seen,))
-    both, change = spring([runs[0], sparse]), []
-    for q in (0.3, 0.6):
-        found = residuals_at(both, TRUE | {"noise.q": q})
-        change.append(float(found @ found))
-        alone = [kalman(run, q) for run in (runs[0], sparse)]
-        assert change[-1] == pytest.approx(sum(each @ each for each in alone), rel=1e-5)
-    assert change[0] != change[1]
 
 
 def test_noise_that_vanishes_says_what_the_intervals_are_worth():

@@ -74,16 +74,6 @@ def test_a_wrong_sigma_is_named(clean, sigma, doubt):
     assert f"sigma is probably 10 times {doubt.removeprefix('sigma ')}" in note.replace("9.9", "10")
 
 
-@pytest.mark.slow
-def test_the_warning_is_the_same_by_other_methods_and_on_two_workers(lacking, result):
-    resources = ce.Resources("processes", workers=2)
-    other = ce.fit(lacking, "pattern_search", resources)
-    assert other.diagnostics is not None
-    assert other.diagnostics.too_narrow
-    mine, theirs = result.diagnostics.outputs[0], other.diagnostics.outputs[0]
-    assert theirs.rms_over_sigma == pytest.approx(mine.rms_over_sigma, rel=1e-3)
-
-
 def test_where_residuals_have_no_such_meaning_nothing_is_said(lacking):
     names = tuple(p.name for p in lacking.parameters)
     below = ParameterConstraint("m below 5", Formula("m - 5", names, "constraints"))

@@ -38,7 +38,8 @@ def scipy_cost(truth, part=None):
 
     Where `part` is given the noise has 0.002 and that part of what was measured.
     """
-    measured = [e.outputs[0].values for e in truth.problem.experiments]
+    runs = truth.problem.experiments
+    outputs, forces = [e.outputs[0] for e in runs], [e.inputs[0] for e in runs]
 
     def sigma(values):
         return 1.0 if part is None else np.sqrt(0.002**2 + (part * values) ** 2)
@@ -47,12 +48,12 @@ def scipy_cost(truth, part=None):
         m, log_k, c, *starts = x
         return np.concatenate(
             [
-                (y - position(truth.times, force, m, np.exp(log_k), c, x0)) / sigma(y)
-                for y, force, x0 in zip(measured, truth.forces, starts, strict=True)
+                (y.values - position(y.times, f.values, m, np.exp(log_k), c, x0)) / sigma(y.values)
+                for y, f, x0 in zip(outputs, forces, starts, strict=True)
             ]
         )
 
-    start = np.array([1.0, np.log(20.0), 1.0, *np.zeros(len(measured))])
+    start = np.array([1.0, np.log(20.0), 1.0, *np.zeros(len(runs))])
     return 2.0 * least_squares(residuals, start, "3-point", xtol=1e-14, ftol=1e-14, gtol=1e-14).cost
 
 

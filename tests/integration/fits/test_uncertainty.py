@@ -20,7 +20,7 @@ from cluster_est import (
     Solver,
     fit,
 )
-from cluster_est.uncertainty import UncertaintySettings, assess, bootstrap
+from cluster_est.uncertainty import UncertaintySettings
 
 TIMES = np.arange(150) * 0.02
 SOLVERS = [
@@ -87,20 +87,6 @@ def test_nothing_is_named_where_all_is_determined(solver, differences):
     assert np.isfinite([i.std_error for i in found.intervals]).all()
 
 
-@pytest.mark.slow
-def test_a_profile_of_what_is_not_determined_ends_where_bounds_end_it():
-    settings = UncertaintySettings(profiles=("m", "x0[e1]"))
-    result = fit(free_springs(SOLVERS[0]), uncertainty=settings)
-    mass, start = result.profiles
-    assert mass.open_lower == "bound"
-    # k = 25 m has no room beyond 200
-    assert mass.upper == pytest.approx(200.0 * TRUE["m"] / TRUE["k"], rel=0.01)
-    assert mass.points[2].cost == pytest.approx(result.cost, rel=1e-6)
-    interval = result.uncertainty.intervals[4]
-    assert start.lower == pytest.approx(interval.lower95, rel=1e-3)
-    assert start.upper == pytest.approx(interval.upper95, rel=1e-3)
-
-
 def test_what_refits_found_is_in_tables_and_does_not_depend_on_the_workers():
     problem = spring_problem(experiments=5, samples=40, noise=1e-3, solver=SOLVERS[0]).problem
     settings = UncertaintySettings(profiles=("k",), bootstrap=6)
@@ -146,19 +132,3 @@ class TestCoverage:
 
     def test_of_profiles(self):
         binomial(bench_coverage.profile_hits(20, experiments=2, samples=40), 15 / 20, 1.0)
-
-    def test_of_the_bootstrap(self):
-        """White noise and alike experiments: it must come to what the derivatives say. Of five
-        fits to ten experiments, the mean ratio of standard errors scatters by about 0.12; how often
-        its intervals hold the truth is tested where refits cost nothing."""
-        runner, found, _ = bench_coverage.fitted(5, experiments=10, samples=20, seed=3)
-        settings = UncertaintySettings(bootstrap=40)
-        ratios = []
-        for r, (space, solution) in enumerate(found):
-            generator = np.random.default_rng(r)
-            drawn = bootstrap(runner, space, solution, bench_coverage.REFIT, settings, generator)
-            known = dict(zip((u.label for u in space.unknowns), assess(space, solution).intervals,
-                             strict=True))  # fmt: skip
-            ratios.append([i.std_error / known[i.label].std_error for i in drawn.intervals])
-        assert np.shape(ratios) == (5, 3)
-        np.testing.assert_allclose(np.mean(ratios, axis=0), 1.0, atol=0.35)

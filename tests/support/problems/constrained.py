@@ -93,30 +93,15 @@ CONSTRAINED = [
         least=[lambda x: 1.0 - x[0] * x[1], lambda x: -x[0] - x[1] ** 2],
     ),
     hs(
-        ("hs22", (2.0, 2.0), 1.0),
-        lambda x: [x[0] - 2.0, x[1] - 1.0],
-        least=[lambda x: x[0] + x[1] - 2.0, lambda x: x[0] ** 2 - x[1]],
-    ),
-    hs(
         ("hs26", (-2.6, 2.0, 2.0), 0.0),
         lambda x: [x[0] - x[1], (x[1] - x[2]) ** 2],
         equal=[lambda x: (1.0 + x[1] ** 2) * x[0] + x[2] ** 4 - 3.0],
-    ),
-    hs(
-        ("hs27", (2.0, 2.0, 2.0), 0.04),
-        lambda x: [0.1 * (x[0] - 1.0), x[1] - x[0] ** 2],
-        equal=[lambda x: x[0] + x[2] ** 2 + 1.0],
     ),
     objective(
         ("hs35", (0.5, 0.5, 0.5), 1.0 / 9.0),
         quadratic(9.0, [-8.0, -6.0, -4.0], [[2.0, 1.0, 1.0], [1.0, 2.0, 0.0], [1.0, 0.0, 1.0]]),
         box=((0.0, 0.0, 0.0), (np.inf, np.inf, np.inf)),
         least=[lambda x: x[0] + x[1] + 2.0 * x[2] - 3.0],
-    ),
-    objective(
-        ("hs39", (2.0, 2.0, 2.0, 2.0), -1.0),
-        lambda x: -x[0],
-        equal=[lambda x: x[1] - x[0] ** 3 - x[2] ** 2, lambda x: x[0] ** 2 - x[1] - x[3] ** 2],
     ),
     objective(
         ("hs40", (0.8, 0.8, 0.8, 0.8), -0.25),
@@ -126,11 +111,6 @@ CONSTRAINED = [
             lambda x: x[0] ** 2 * x[3] - x[2],
             lambda x: x[3] ** 2 - x[1],
         ],
-    ),
-    hs(
-        ("hs42", (1.0, 1.0, 1.0, 1.0), 28.0 - 10.0 * ROOT2),
-        lambda x: x - np.array([1.0, 2.0, 3.0, 4.0]),
-        equal=[lambda x: x[0] - 2.0, lambda x: x[2] ** 2 + x[3] ** 2 - 2.0],
     ),
     objective(
         ("hs43 Rosen-Suzuki", (0.0, 0.0, 0.0, 0.0), -44.0),
@@ -145,12 +125,6 @@ CONSTRAINED = [
         ("hs48", (3.0, 5.0, -3.0, 2.0, -2.0), 0.0),
         lambda x: [x[0] - 1.0, x[1] - x[2], x[3] - x[4]],
         equal=[lambda x: np.add.reduce(x) - 5.0, lambda x: x[2] - 2.0 * (x[3] + x[4]) + 3.0],
-    ),
-    hs(
-        ("hs60", (2.0, 2.0, 2.0), 0.03256820025),
-        lambda x: [x[0] - 1.0, x[0] - x[1], (x[1] - x[2]) ** 2],
-        box=((-10.0, -10.0, -10.0), (10.0, 10.0, 10.0)),
-        equal=[lambda x: x[0] * (1.0 + x[1] ** 2) + x[2] ** 4 - 4.0 - 3.0 * ROOT2],
     ),
     # published start (-5, 5, 0), which is outside the bounds
     hs(

@@ -37,13 +37,13 @@ class Curves:
     groups: Sequence[str] | None = None
     cost: Cost = field(default_factory=SumSquared)
     constraints: tuple[str, ...] = ()
+    sigma: float = 1.0
 
     def problem(self) -> Problem:
         runs = []
         for e, measured in enumerate(self.measured):
-            outputs = tuple(
-                Output(f"y{j}", self.times, row) for j, row in enumerate(np.atleast_2d(measured))
-            )
+            rows = enumerate(np.atleast_2d(measured))
+            outputs = tuple(Output(f"y{j}", self.times, r, sigma=self.sigma) for j, r in rows)
             groups = () if self.groups is None else (("g", self.groups[e]),)
             stop = float(self.times[-1])
             runs.append(Experiment(f"e{e}", 0.0, stop, (), outputs, groups=groups))
@@ -87,6 +87,3 @@ class CurveExecutor(AnsweringExecutor):
         residuals = (curves.measured[task.experiment] - found).ravel()
         size = len(curves.times)
         return answer_with(task, residuals, [size] * (len(residuals) // size))
-
-    def cancel(self, tasks):
-        return []

@@ -92,6 +92,7 @@ ENTRIES = [
     Entry(Sqp(algorithm="trust_constr", max_iterations=1500), (SMOOTH, *CONSTRAINTS), 1e-4),
     Entry(SIMPLEX, ANY_SHAPE, 1e-5, quick=True),
     Entry(replace(SIMPLEX, parallel=2, speculative=True), ANY_SHAPE, 1e-2),
+    Entry(replace(SIMPLEX, coefficients="classical"), (SMOOTH,), 1e-8, quick=True),
     Entry(PatternSearch(), ALL, 1e-5),
     Entry(PatternSearch(basis="n+1"), ALL, 1e-5),
     Entry(AsynchronousPatternSearch(), ALL, 1e-5),

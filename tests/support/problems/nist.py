@@ -1,6 +1,6 @@
 """The nonlinear regressions of NIST's Statistical Reference Datasets, as problems.
 
-https://www.itl.nist.gov/div898/strd/nls/nls_main.shtml. The files in `nist/` hold NIST's data,
+https://www.itl.nist.gov/div898/strd/nls/nls_main.shtml. The files in `nist_data/` hold NIST's data,
 both starts and the certified values and standard deviations (11 digits); as a work of the
 government of the United States they are in the public domain. The models are written from NIST's
 formulas.
@@ -24,10 +24,8 @@ class Regression:
     """One data set; `data` has a row for each observation: y, then x."""
 
     name: str
-    level: str
     starts: tuple[tuple[float, ...], tuple[float, ...]]
     certified: np.ndarray
-    deviations: np.ndarray
     sum_of_squares: float
     data: np.ndarray
 
@@ -56,10 +54,8 @@ def read(name: str) -> Regression:
     first, second = (tuple(column.tolist()) for column in table[:, :2].T)
     return Regression(
         name,
-        named["level"][0],
         (first, second),
         table[:, 2],
-        table[:, 3],
         float(named["sum_of_squares"][0]),
         np.array(rows, np.float64),
     )
@@ -122,5 +118,3 @@ MODELS: dict[str, Callable[..., np.ndarray]] = {
     "Roszman1": lambda b, x: b[0] - b[1] * x - np.arctan(b[2] / (x - b[3])) / np.pi,
     "Thurber": partial(rational, above=4),
 }
-
-REGRESSIONS = [read(name) for name in MODELS]

@@ -21,8 +21,6 @@ class Truth:
 
     problem: Problem
     values: dict[str, float]
-    times: np.ndarray
-    forces: list[np.ndarray]
 
 
 def spring_problem(
@@ -38,7 +36,7 @@ def spring_problem(
     generator = np.random.default_rng(seed)
     times = 0.02 * np.arange(samples, dtype=np.float64)
     values = dict(TRUE)
-    forces, runs = [], []
+    runs = []
     for e in range(experiments):
         force = 3.0 * generator.normal(size=samples)
         x0 = float(generator.uniform(-0.2, 0.2))
@@ -46,7 +44,6 @@ def spring_problem(
         values |= {f"x0[e{e}]": x0} | ({f"v0[e{e}]": v0} if "v0" in local else {})
         measured = position(times, force, **TRUE, x0=x0, v0=v0)
         measured = measured + noise * generator.normal(size=samples)
-        forces.append(force)
         runs.append(
             Experiment(
                 f"e{e}",
@@ -67,4 +64,4 @@ def spring_problem(
     chosen = solver or Solver("dormand_prince", rtol=1e-10)
     names = tuple(p.target for p in parameters)
     model = Model(FMU.name, FMU.read_bytes(), interface, chosen, names)  # type: ignore[arg-type]
-    return Truth(Problem(model, tuple(parameters), tuple(runs)), values, times, forces)
+    return Truth(Problem(model, tuple(parameters), tuple(runs)), values)

@@ -45,20 +45,14 @@ def failing(monkeypatch: pytest.MonkeyPatch) -> Failing:
 def test_why_ray_does_not_start_is_a_sentence(
     failing: Failing, address: str | None, error: Exception, said: str
 ) -> None:
-    failing(*[error] * 9)
+    starts = failing(*[error] * 9)
     with pytest.raises(ExecutorError, match=said) as caught:
         executor_class("ray").join(2, address)
     assert "\n" not in str(caught.value)
+    assert len(starts) == 1 or address in (None, "local")  # a cluster is asked once
 
 
 def test_ray_is_started_again_on_a_busy_machine(failing: Failing) -> None:
     starts = failing(TIMED_OUT, TIMED_OUT)
     executor_class("ray").join(2, None)
     assert starts == ["local"] * 3
-
-
-def test_a_cluster_that_does_not_answer_is_asked_once(failing: Failing) -> None:
-    starts = failing(ConnectionError("refused"), ConnectionError("refused"))
-    with pytest.raises(ExecutorError, match="refused"):
-        executor_class("ray").join(2, "10.0.0.1:6379")
-    assert starts == ["10.0.0.1:6379"]

@@ -5,23 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.cut_logs import cut
 from support.problems.functions import ROSENBROCK
 from support.shuffling_executor import ShufflingExecutor
 
 from cluster_est.executors.log_replay import LogReplayExecutor
-from cluster_est.methods import AsynchronousPatternSearch
-from cluster_est.methods.base import Solution
 from cluster_est.run_folder.evaluation_log import EvaluationLog, LogSettings, read_log
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.running.records import TaskOrigin
-from cluster_est.running.runner import Runner
-from cluster_est.running.search_state import SearchRequest
 from workers.messages import Outcome, Status, Task, Trajectory
 
-VALLEY = replace(ROSENBROCK, lower=(-2.0, -2.0), upper=(2.0, 2.0))
-METHOD = AsynchronousPatternSearch(mesh_tolerance=1e-2)
-MODEL, EXPERIMENTS = VALLEY.problem().model, VALLEY.problem().experiments
+MODEL, EXPERIMENTS = ROSENBROCK.problem().model, ROSENBROCK.problem().experiments
 
 
 def answer(task: Task) -> Outcome:
@@ -30,17 +23,12 @@ def answer(task: Task) -> Outcome:
     if x[0] < -1.5:
         return Outcome(task.id, Status.SOLVER_FAILURE, message="too far left", worker="w")
     path = Trajectory(("a", "b"), steps, np.outer(steps, x)) if task.want == "trajectory" else None
-    found = replace(VALLEY.answer(task), trajectory=path, constraints=x[:1])
+    found = replace(ROSENBROCK.answer(task), trajectory=path, constraints=x[:1])
     return replace(found, seconds=0.5, worker="w")
 
 
 def tasks(*values: float, want: str = "residuals") -> list[Task]:
     return [Task(i, 0, np.array([v, 0.5]), want) for i, v in enumerate(values)]  # type: ignore[arg-type]
-
-
-def log_of(folder: Path, settings: LogSettings | None = None) -> EvaluationLog:
-    names, begin = [(e.id, e.key) for e in EXPERIMENTS], LoggedOutcomes(folder).next_segment
-    return EvaluationLog(folder, MODEL.key, names, {}, settings, begin)
 
 
 class Replayed:
@@ -49,7 +37,8 @@ class Replayed:
     def __init__(
         self, folder: Path, logged: list[Task], settings: LogSettings | None = None
     ) -> None:
-        log = log_of(folder, settings)
+        names = [(each.id, each.key) for each in EXPERIMENTS]
+        log = EvaluationLog(folder, MODEL.key, names, {}, settings)
         for task in logged:
             log.record(TaskOrigin(task, "train", 0, "trial"), answer(task))
         log.close()
@@ -146,49 +135,3 @@ def test_only_what_was_answered_from_the_log_is_known_to_be_logged(tmp_path: Pat
     replayed.drain(2)
     assert [replayed.known.was_answered(task.id) for task in asked] == [True, False]
     assert not replayed.known.was_answered(0)  # the first task of the next runner
-
-
-def searched(folder: Path, seed: int) -> tuple[Solution, ShufflingExecutor]:
-    """An asynchronous search with answers in random order, behind what the log has."""
-    logged = LoggedOutcomes(folder)
-    log = log_of(folder)
-    inner = ShufflingExecutor(answer, seed, workers=4)
-
-    def record(who: TaskOrigin, outcome: Outcome) -> None:
-        if not logged.was_answered(outcome.task):
-            log.record(who, outcome)
-
-    request = SearchRequest("train", METHOD, VALLEY.space(), 3)
-    executor = LogReplayExecutor(inner, MODEL, EXPERIMENTS, logged)
-    (solution,) = Runner(executor, record=record).run([request])
-    log.close()
-    return solution, inner
-
-
-def bits(solution: Solution) -> tuple[bytes, float, int]:
-    return solution.x.tobytes(), solution.cost, solution.iterations
-
-
-def keys(folder: Path) -> list[str]:
-    found: list[str] = read_log(folder)["key"].to_pylist()
-    return found
-
-
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
-def test_an_asynchronous_search_goes_the_same_way_again(tmp_path: Path, seed: int) -> None:
-    first, _ = searched(tmp_path, seed)
-    course = keys(tmp_path)
-    again, inner = searched(tmp_path, seed + 10)
-    assert bits(again) == bits(first)
-    # Those that were under way when it ended are in no log.
-    assert not inner.answered
-    assert keys(tmp_path) == course
-    for rows in (0, 1, len(course) // 3, len(course) - 5):
-        cut(tmp_path, rows)
-        other, _ = searched(tmp_path, seed + 20)
-        assert keys(tmp_path)[:rows] == course[:rows]
-        assert other.ending.success
-        then, inner = searched(tmp_path, seed + 30)
-        assert not inner.answered
-        assert bits(then) == bits(other)
-        course = keys(tmp_path)

@@ -40,11 +40,6 @@ def test_it_is_what_a_rival_falls_behind_when_both_are_fitted_again():
         assert table[i, j] == pytest.approx(behind.mean(), abs=4.0 * error)
 
 
-def test_a_model_gives_no_evidence_against_its_copy():
-    one = made(3, 2)
-    assert evidence_table([one, one]) == pytest.approx(np.zeros((2, 2)), abs=1e-9)
-
-
 def test_the_unit_of_an_unknown_does_not_matter():
     one, other = made(1, 2), made(2, 3)
     scale = np.array([10.0, 0.01])
@@ -54,13 +49,6 @@ def test_the_unit_of_an_unknown_does_not_matter():
     np.testing.assert_allclose(
         evidence_table([scaled, other]), evidence_table([one, other]), rtol=1e-8
     )
-
-
-def test_what_is_unknown_makes_a_rival_harder_to_tell():
-    known, rival = made(1, 2), made(2, 2)
-    vague = PredictedExperiment(rival.outputs, rival.jacobian, 1e-4 * rival.information)
-    sharp = PredictedExperiment(rival.outputs, rival.jacobian, 1e4 * rival.information)
-    assert evidence_table([known, vague])[0, 1] < evidence_table([known, sharp])[0, 1]
 
 
 def test_probabilities_without_evidence_are_those_of_before():

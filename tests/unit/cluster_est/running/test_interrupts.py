@@ -106,23 +106,8 @@ class TestInterrupts:
             with pytest.raises(KeyboardInterrupt), DeferredInterrupts():
                 pass
 
-    def test_a_termination_is_one(self):
-        with terminations(), pytest.raises(KeyboardInterrupt), DeferredInterrupts():
-            interrupt_here(signal.SIGTERM)
-
-
-def touch_and_wait(path):
-    path.touch()
-    threading.Event().wait(20.0)
-
 
 class TestFromOutside:
-    def test_a_stop_file_interrupts_a_wait(self, tmp_path):
-        path = tmp_path / "stop"
-        with pytest.raises(KeyboardInterrupt), stopped_by(path):
-            touch_and_wait(path)
-        assert not path.exists()
-
     def test_a_stop_file_of_an_earlier_run_stops_nothing(self, tmp_path):
         path = tmp_path / "stop"
         path.touch()
@@ -150,25 +135,6 @@ class TestRunner:
         executor = ShufflingExecutor(ROSENBROCK.answer, before=before)
         request = SearchRequest("test", LeastSquares(), ROSENBROCK.space())
         return Runner(executor, whole=whole), request, executor
-
-    def test_searches_end_with_their_best_points(self):
-        runner, request, _ = self.runner(9)
-        (solution,) = runner.run([request])
-        assert solution.ending is Ending.INTERRUPTED
-        assert runner.interrupted
-        assert 0.0 < solution.cost < 24.2
-
-    @pytest.mark.parametrize(
-        ("call", "endings"),
-        [(40, {Ending.INTERRUPTED, Ending.CONVERGED, Ending.PERFECT}), (15, {Ending.INTERRUPTED})],
-    )
-    def test_an_interrupt_after_one_of_several_ended_is_not_lost(self, call, endings):
-        runner, request, _ = self.runner(call)
-        short = SearchRequest("short", LeastSquares(max_iterations=1), request.space)
-        first, second = runner.run([short, request])
-        assert first.ending is Ending.MAX_ITERATIONS
-        assert second.ending in endings
-        assert runner.interrupted or second.ending.success
 
     def test_no_search_begins_after_one(self):
         runner, request, executor = self.runner(5)

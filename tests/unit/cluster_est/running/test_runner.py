@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support.problems.unloaded import unloaded_problem
 from support.scripted import Scripted, ask, ended
@@ -14,13 +14,13 @@ from support.shuffling_executor import ShufflingExecutor
 
 from cluster_est import Budget, Parameter
 from cluster_est.errors import BudgetError
-from cluster_est.methods import LeastSquares, Method
+from cluster_est.methods import Method
 from cluster_est.methods.base import Ending, Evaluation, Progress, Search
 from cluster_est.problem.search_space.space import SearchSpace, make_space
-from cluster_est.running.records import RunSnapshot, TaskOrigin
+from cluster_est.running.records import RunSnapshot
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
-from workers.messages import FloatArray, Outcome, Status, Task
+from workers.messages import Outcome, Status, Task
 
 TIMES = np.array([0.0, 0.5, 2.0])
 COUNT = 4
@@ -76,32 +76,6 @@ def bits(evaluations: list[Evaluation]) -> list[tuple[float, list[bytes | None]]
         (e.cost, [None if o.residuals is None else o.residuals.tobytes() for o in e.outcomes])
         for e in evaluations
     ]
-
-
-def fitted(seed: int) -> tuple[list[tuple[bytes, float, Ending, int]], set[bytes]]:
-    """Three searches at once on an executor of this mood: what they found and asked for."""
-    asked: set[bytes] = set()
-
-    def record(origin: TaskOrigin, outcome: Outcome) -> None:
-        asked.add(origin.task.values.tobytes())
-
-    requests = [
-        whole(LeastSquares(), "all"),
-        whole(LeastSquares(trials=1), "one by one", [0, 2]),
-        whole(LeastSquares(differences="central"), "central", [1]),
-    ]
-    solutions = Runner(executor_of(seed), record=record).run(requests)
-    return [(s.x.tobytes(), s.cost, s.ending, s.iterations) for s in solutions], asked
-
-
-EXPECTED = fitted(0)
-
-
-@settings(max_examples=15)
-@given(SEEDS)
-def test_results_do_not_depend_on_the_order_of_outcomes(seed: int) -> None:
-    assert fitted(seed) == EXPECTED
-    assert all(ending.success for _, _, ending, _ in EXPECTED[0])
 
 
 @given(SEEDS)
@@ -258,16 +232,3 @@ def test_error_in_a_method_is_raised_and_the_others_are_closed() -> None:
     with pytest.raises(ZeroDivisionError, match="a bug"):
         Runner(executor_of()).run([whole(other), whole(Scripted(broken), "broken")])
     assert other.closed
-
-
-def test_methods_draw_from_the_seed_of_their_request() -> None:
-    drawn: list[FloatArray] = []
-
-    class Random(Script):
-        def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
-            drawn.append(generator.random(3))
-            return super().search(space, generator)
-
-    requests = [SearchRequest("r", Random([[1.0]]), space_of([0]), seed) for seed in (4, 4, 5)]
-    Runner(executor_of()).run(requests)
-    assert drawn[0].tolist() == drawn[1].tolist() != drawn[2].tolist()

@@ -26,9 +26,8 @@ from workers.messages import Outcome, Status, Task
 SEEDS = st.integers(0, 2**32 - 1)
 
 
-def problem(experiments: int = 2):
-    parameters = [Parameter("a", 1.0), Parameter("x0", 0.5, per="experiment")]
-    return unloaded_problem(parameters, experiments)
+PARAMETERS = [Parameter("a", 1.0), Parameter("x0", 0.5, per="experiment")]
+SPACE = make_space(unloaded_problem(PARAMETERS, 2), (0, 1))
 
 
 def answer(task: Task) -> Outcome:
@@ -83,7 +82,7 @@ class Eager(Method):
 
 
 def request(method: Method, name: str = "search"):
-    return SearchRequest(name, method, make_space(problem(), (0, 1)))
+    return SearchRequest(name, method, SPACE)
 
 
 def run(method: Method, executor: ShufflingExecutor, **more) -> list[Solution]:
@@ -93,18 +92,19 @@ def run(method: Method, executor: ShufflingExecutor, **more) -> list[Solution]:
 VALUES = tuple(3.0 - 0.25 * i for i in range(12))
 
 
-@settings(max_examples=25)
-@given(SEEDS, st.integers(1, 5), st.integers(1, 4))
-def test_every_asynchronous_point_is_answered_once_with_its_own_number(seed, ahead, workers):
-    method = Eager(VALUES, ahead)
+@settings(max_examples=50)
+@given(SEEDS, st.integers(1, 5), st.integers(1, 4), st.integers(0, 3))
+def test_every_point_is_answered_once_with_its_own_number_or_dropped(seed, ahead, workers, every):
+    method = Eager(VALUES, ahead, every)
     executor = ShufflingExecutor(answer, seed, workers)
     (solution,) = run(method, executor)
-    assert sorted(each.index for each in method.seen) == list(range(12))
+    assert sorted([*(each.index for each in method.seen), *method.dropped]) == list(range(12))
     for each in method.seen:
         assert each.cost == pytest.approx(cost(VALUES[each.index]))
     assert min(method.waits) >= 1
-    assert solution.cost == pytest.approx(cost(VALUES[-1]))
+    assert solution.cost == min(each.cost for each in method.seen)
     assert len(executor.submitted) == 24
+    assert executor.waiting <= (2 * workers if every else 0)  # what had begun when it ended
 
 
 def test_an_answer_does_not_wait_for_the_slowest():
@@ -118,18 +118,6 @@ def test_an_answer_does_not_wait_for_the_slowest():
     run(method, executor)
     assert [each.index for each in method.seen][-1] == 0
     assert len(method.seen) == 12
-
-
-@settings(max_examples=25)
-@given(SEEDS, st.integers(2, 5), st.integers(1, 3))
-def test_dropped_points_are_never_answered(seed, ahead, every):
-    method = Eager(VALUES, ahead, drop_every=every)
-    executor = ShufflingExecutor(answer, seed, 2)
-    run(method, executor)
-    answered = [each.index for each in method.seen]
-    assert sorted([*answered, *method.dropped]) == list(range(12))
-    assert len(set(answered)) == len(answered)
-    assert executor.waiting <= 4  # what had begun when the search ended
 
 
 def test_what_has_not_begun_is_not_simulated():
@@ -185,21 +173,6 @@ def test_a_dropped_point_may_be_asked_for_again(seed):
     run(Scripted(wavering), ShufflingExecutor(answer, seed, 2))
     assert sorted(each.index for each in found) == [4, 5, 6, 7]
     assert sorted(each.cost for each in found) == pytest.approx([cost(i) for i in values])
-
-
-def test_the_same_point_twice_in_a_request_is_simulated_once_and_answered_twice():
-    found: list[Evaluation] = []
-
-    def twice(space: SearchSpace) -> Search:
-        found.extend((yield ask(space, [2.0, 3.0, 2.0])))
-        found.extend((yield ask(space, [2.0], "again")))
-        return ended(space)
-
-    executor = ShufflingExecutor(answer)
-    run(Scripted(twice), executor)
-    assert [each.index for each in found] == [0, 1, 2, 3]
-    assert [each.cost for each in found] == pytest.approx([cost(v) for v in (2, 3, 2, 2)])
-    assert len(executor.submitted) == 4
 
 
 def test_parameters_without_a_value_are_not_simulated():
@@ -268,11 +241,8 @@ class Downhill(Method):
 
 
 def many(method: Method, starts: Sequence[float]) -> list[SearchRequest]:
-    space = make_space(problem(), (0, 1))
-    return [
-        SearchRequest(f"start {i}", method, space.starting_at(at(space, [a])[0]))
-        for i, a in enumerate(starts)
-    ]
+    points = enumerate(at(SPACE, starts))
+    return [SearchRequest(f"start {i}", method, SPACE.starting_at(x)) for i, x in points]
 
 
 STARTS = (3.0, 0.5, 7.0, 1.0, 100.0, 0.3, 2.0, 9.0)
@@ -283,13 +253,6 @@ def summary(solutions: Sequence[Solution]) -> list[tuple[bytes, float, Ending, i
 
 
 REFERENCE = summary(Runner(ShufflingExecutor(answer)).run(many(Downhill(), STARTS)))
-
-
-@settings(max_examples=25)
-@given(SEEDS, st.integers(1, 9), st.integers(1, 5))
-def test_how_many_searches_are_under_way_changes_nothing(seed, at_once, workers):
-    found = Runner(ShufflingExecutor(answer, seed, workers)).run(many(Downhill(), STARTS), at_once)
-    assert summary(found) == REFERENCE
 
 
 @settings(max_examples=25)
@@ -333,11 +296,6 @@ def test_given_up_searches_leave_nothing_in_the_queue_and_nothing_behind():
     assert executor.cancelled
     again = runner.run(many(Downhill(), STARTS))
     assert summary(again) == REFERENCE
-
-
-def test_failed_starts_are_solutions_like_others():
-    found = Runner(ShufflingExecutor(answer)).run(many(Downhill(), (-1.0, 2.0)), 1)
-    assert [s.ending for s in found] == [Ending.START_FAILED, Ending.CONVERGED]
 
 
 @settings(max_examples=50)

@@ -54,20 +54,6 @@ def test_cumulants_are_those_of_the_whole_quadratic_form(kernel):
     assert found == pytest.approx((powers[0], 2.0 * powers[1], 8.0 * powers[2]))
 
 
-@pytest.mark.slow
-def test_white_noise_is_rarely_called_smooth():
-    generator, made = np.random.default_rng(1), null()
-    remove = OrthogonalProjection(made.basis).remove
-    p = np.array(
-        [
-            smoothness(remove(generator.normal(size=RECORDS.size)), [RECORDS.items], made)[0].p
-            for _ in range(300)
-        ]
-    )
-    assert 0.005 <= np.mean(p < 0.05) <= 0.09
-    assert np.mean(p < 0.01) <= 0.03
-
-
 def test_what_a_loud_output_puts_into_a_quiet_one_is_no_structure():
     """The slope of both follows the loud one, and the quiet one is left with a ramp."""
     generator = np.random.default_rng(2)

@@ -93,12 +93,3 @@ def test_directions_are_measured_again_where_the_jacobian_is_in_blocks(monkeypat
     }
     assert np.isfinite(found.intervals[0].std_error)
     assert all(np.isnan(each.std_error) for each in found.intervals[1:])
-
-
-def test_the_space_of_many_experiments_grows_with_their_number_only():
-    space = many(300).space()
-    assert (space.size, len(space.colours)) == (605, 7)
-    assert sum(len(acting) for acting in space.acting) == 300 * 7
-    np.testing.assert_array_equal(space.acting[7], [0, 1, 2, 3, 4, 5 + 7, 305 + 7])
-    table = space.physical(np.arange(605.0))
-    np.testing.assert_array_equal(table[7], [0.0, 1.0, 2.0, 3.0, 4.0, 12.0, 312.0])

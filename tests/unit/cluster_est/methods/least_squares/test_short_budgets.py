@@ -5,7 +5,6 @@ import pytest
 from support.problems.functions import ROSENBROCK, FunctionExecutor, FunctionProblem, named
 
 from cluster_est import Budget, LeastSquares
-from cluster_est.errors import BudgetError
 from cluster_est.methods.base import Ending, Solution
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
@@ -76,13 +75,6 @@ def test_searches_that_share_a_budget_end_within_it():
     assert {solution.ending for solution in solutions} == {Ending.BUDGET}
     assert len(purposes) <= 60 + 3 * 4
     assert purposes[-1] not in JACOBIANS
-
-
-def test_a_recipe_that_needs_whole_searches_is_refused_as_before():
-    runner = Runner(FunctionExecutor(FOUR.residuals), Budget(evaluations=11), whole=True)
-    with pytest.raises(BudgetError):
-        runner.run([SearchRequest("s", LeastSquares(), FOUR.space())])
-    assert runner.evaluations >= 11
 
 
 def test_after_it_no_search_asks_for_more_than_it_must():

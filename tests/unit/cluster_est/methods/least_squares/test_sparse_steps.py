@@ -150,26 +150,10 @@ def test_frozen_unknowns_stay():
     np.testing.assert_array_equal(solver.step(1e-14)[frozen], 0.0)
 
 
-def test_the_order_of_experiments_does_not_matter():
-    matrix, residuals, generator = random_matrix(5, groups=3)
-    order = generator.permutation(len(matrix.blocks))
-    blocks, columns = ([part[e] for e in order] for part in (matrix.blocks, matrix.columns))
-    other = BlockMatrix(tuple(blocks), tuple(columns), matrix.size)
-    moved = np.concatenate([residuals[matrix.rows[e]] for e in order])
-    pairs = (matrix, residuals), (other, moved)
-    one, two = (solver_of(FactoredBlocks, *pair, width=0.1).step(1e-6) for pair in pairs)
-    np.testing.assert_allclose(one, two, atol=1e-12)
-
-
 def test_blocks_pay_only_where_the_whole_matrix_would_be_large():
     assert not random_matrix(0)[0].sparse
     assert not random_matrix(0, experiments=1, own=300)[0].sparse
     assert random_matrix(0, experiments=150)[0].sparse
-
-
-def test_links_act_on_two_neighbours_and_nothing_else():
-    matrix, *_ = chained_matrix(0, records=1, segments=3, states=1, shared=1)
-    np.testing.assert_array_equal(matrix.links, [False, False, True, True])
 
 
 def test_memory_grows_with_the_number_of_segments_and_not_with_its_square():

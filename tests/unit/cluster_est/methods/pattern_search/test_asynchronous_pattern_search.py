@@ -5,7 +5,6 @@ import pytest
 from support.problems.functions import (
     PROBLEMS,
     ROSENBROCK,
-    WALLED,
     FunctionProblem,
     named,
 )
@@ -88,18 +87,6 @@ def test_any_number_may_be_outstanding(outstanding):
     assert solution.cost == pytest.approx(0.0, abs=1e-6)
 
 
-@pytest.mark.parametrize("make", [moody, virtual])
-def test_points_that_fail_are_worse_than_any(make):
-    solution = WALLED.solve(METHOD, executor=make(WALLED, 0, 4))
-    assert solution.cost == pytest.approx(0.0, abs=1e-5)
-
-
-def test_the_limit_of_iterations():
-    method = AsynchronousPatternSearch(max_iterations=3)
-    solution = ROSENBROCK.solve(method, executor=moody(ROSENBROCK, 0, 2))
-    assert solution.ending is Ending.MAX_ITERATIONS
-
-
 def chain(x):
     """A valley through eight unknowns."""
     return np.concatenate([3.0 * (x[1:] - x[:-1] ** 2), 1.0 - x])
@@ -135,12 +122,3 @@ def test_is_sooner_where_one_simulation_in_ten_takes_ten_times_longer(step):
         for method in methods
     )
     assert as_they_come < 0.8 * together
-
-
-def test_a_poll_in_virtual_time_takes_as_long_as_its_slowest_round():
-    """The clock itself: 16 points of 1 s on 8 workers take 2 s, after the start's 1 s."""
-    executor = VirtualExecutor(lambda task: task.values, lambda task, generator: 1.0, 8)
-    plain = FunctionProblem("plain", lambda x: x, (1.0,) * 8, 0.0)
-    plain.solve(PatternSearch(search_step="none", max_iterations=1), executor=executor)
-    assert executor.now == 3.0
-    assert executor.busy_share == pytest.approx((1 + 16) / (8 * 3.0))

@@ -8,10 +8,8 @@ import pytest
 from support.problems.constrained import CONSTRAINED, held
 from support.problems.functions import (
     PROBLEMS,
-    ROSENBROCK,
     FunctionExecutor,
     FunctionProblem,
-    bard,
     followed,
     named,
 )
@@ -95,14 +93,6 @@ def test_every_choice_finds_the_minimum(options):
 
 
 class TestConstraints:
-    @pytest.mark.parametrize("name", ["hs14", "hs65", "hs79"])
-    def test_converges_where_there_are_some(self, name):
-        problem = named(name, CONSTRAINED)
-        solution = problem.solve(PatternSearch())
-        assert solution.ending is Ending.CONVERGED
-        assert solution.at.feasible
-        assert solution.cost == pytest.approx(problem.minimum, rel=1e-5, abs=1e-5)
-
     def test_constraints_on_parameters_hold_at_every_point(self):
         parameters = [Parameter("a", 1.0), Parameter("b", 3.0), Parameter("c", 0.5)]
         problem = unloaded_problem(parameters, 1, ["a <= b - 0.5", "a + b + c == 4.5"])
@@ -135,15 +125,6 @@ class TestConstraints:
         assert np.linalg.norm(solution.x) <= 1.0 + 1e-6
 
 
-def test_one_point_in_five_fails():
-    def fails(x):
-        drawn = np.random.default_rng(np.frombuffer(x.tobytes(), np.uint32)).random()
-        return np.full(15, np.nan) if drawn < 0.2 and x[0] != 1.0 else bard(x)
-
-    solution = FunctionProblem("fails", fails, (1.0, 1.0, 1.0), 0.0).solve(PatternSearch())
-    assert solution.cost == pytest.approx(8.2148773066e-3, rel=1e-5)
-
-
 def test_units_of_the_cost_and_the_constraints_do_not_matter():
     problem = named("hs14", CONSTRAINED)
     scaled = replace(problem, residuals=lambda x: 2.0**20 * problem.residuals(x))
@@ -156,12 +137,6 @@ def test_the_seed_alone_decides():
     first, again, other = (PROBLEMS[3].solve(method, seed) for seed in (1, 1, 2))
     assert first.x.tobytes() == again.x.tobytes()
     assert first.x.tobytes() != other.x.tobytes()
-
-
-def test_the_limit_of_iterations():
-    solution = ROSENBROCK.solve(PatternSearch(max_iterations=3))
-    assert solution.ending is Ending.MAX_ITERATIONS
-    assert solution.iterations == 3
 
 
 def test_a_mesh_that_never_becomes_finer_is_refused():

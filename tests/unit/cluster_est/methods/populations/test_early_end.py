@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.problems.functions import FunctionExecutor, FunctionProblem, beale, brown_dennis
-from support.thinning import thinned
+from support.problems.functions import FunctionExecutor, FunctionProblem, named
 
 from cluster_est import Budget
 from cluster_est.costs.robust import SoftL1
@@ -16,10 +15,8 @@ from cluster_est.running.search_state import SearchRequest
 from workers.messages import Outcome, Status, Task
 
 NAMES = ["de", "pso", "ga"]
-BEALE = FunctionProblem("beale", beale, (1.0, 1.0), 0.0, (-4.5, -4.5), (4.5, 4.5))
-DENNIS = FunctionProblem(
-    "brown dennis", brown_dennis, (25.0, 5.0, -5.0, -1.0), 85822.2, (-30.0,) * 4, (30.0,) * 4
-)
+BEALE = replace(named("beale"), lower=(-4.5, -4.5), upper=(4.5, 4.5))
+DENNIS = replace(named("brown dennis"), lower=(-30.0,) * 4, upper=(30.0,) * 4)
 
 
 class EarlyExecutor(FunctionExecutor):
@@ -46,17 +43,10 @@ def solve(problem: FunctionProblem, method: Method) -> tuple[Solution, Runner, i
 @pytest.mark.parametrize(
     ("name", "options", "problem"),
     [
-        *thinned(
-            [
-                pytest.param(name, options, problem, id=f"{name}-{len(options)}-{problem.name}")
-                for name in NAMES
-                for options in ({}, {"population": 12})
-                for problem in (BEALE, DENNIS)
-            ],
-            lambda name, options, problem: name,
-            lambda name, options, problem: (len(options), problem.name),
-        ),
-        pytest.param("pso", {"adaptive": True}, DENNIS, id="adaptive"),
+        ("de", {}, BEALE),
+        ("pso", {"population": 12}, DENNIS),
+        ("pso", {"adaptive": True}, DENNIS),
+        ("ga", {"population": 12}, BEALE),
     ],
 )
 def test_the_result_is_the_same(name, options, problem):

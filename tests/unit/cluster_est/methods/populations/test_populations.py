@@ -14,9 +14,7 @@ from support.problems.constrained import CONSTRAINED, TOTAL
 from support.problems.functions import (
     FunctionExecutor,
     FunctionProblem,
-    beale,
     followed,
-    freudenstein_roth,
     named,
     rosenbrock,
 )
@@ -55,7 +53,6 @@ def ackley(x):
 
 
 ROSENBROCK = FunctionProblem("rosenbrock", rosenbrock, (-1.2, 1.0), 0.0, (-2, -2), (2.5, 3.5))
-BEALE = FunctionProblem("beale", beale, (1.0, 0.8), 0.0, (-4.5, -4.5), (4.5, 4.5))
 ON_A_BOUND = FunctionProblem("bound", rosenbrock, (-1.2, 1.0), 0.25, (-2.0, -2.0), (0.5, 2.0))
 RASTRIGIN = FunctionProblem(
     "rastrigin", rastrigin, (3.3, -2.7, 1.2), 0.0, (-5.12,) * 3, (5.0,) * 3, cost=TOTAL
@@ -65,27 +62,17 @@ ACKLEY = FunctionProblem(
 )
 HS11 = replace(named("hs11", CONSTRAINED), lower=(-10.0,) * 2, upper=(10.0,) * 2)
 HS7 = replace(named("hs7", CONSTRAINED), lower=(-3.0,) * 2, upper=(3.0,) * 2)
-FOUR = (ROSENBROCK, BEALE, ON_A_BOUND, ACKLEY)
 MINIMA = [
-    (method, problem, tolerance)
-    for method, problems, tolerances in (
-        (ParticleSwarm(), (RASTRIGIN, *FOUR[:3]), (1e-8, 1e-8, 1e-8, 1e-9)),
-        (ParticleSwarm(adaptive=True), (ACKLEY,), (1e-4,)),
-        (DifferentialEvolution(), FOUR, (1e-10, 1e-10, 1e-9, 1e-4)),
-        (DifferentialEvolution(base="best"), (ROSENBROCK,), (1e-10,)),
-        (Cmaes(), FOUR, (1e-10, 1e-10, 1e-9, 1e-4)),
-        # few digits, as its docstring says
-        (GeneticAlgorithm(), (*FOUR, RASTRIGIN), (1e-2, 1e-3, 1e-3, 5e-2, 1e-2)),
-        (Isres(), FOUR, (1e-8, 1e-8, 1e-8, 1e-4)),
-    )
-    for problem, tolerance in zip(problems, tolerances, strict=True)
+    (ParticleSwarm(), RASTRIGIN, 1e-8),
+    (ParticleSwarm(), ON_A_BOUND, 1e-9),
+    (ParticleSwarm(adaptive=True), ACKLEY, 1e-4),
+    (DifferentialEvolution(), ACKLEY, 1e-4),
+    (DifferentialEvolution(base="best"), ROSENBROCK, 1e-10),
+    (Cmaes(), ACKLEY, 1e-4),
+    (GeneticAlgorithm(), RASTRIGIN, 1e-2),  # few digits, as its docstring says
+    (Isres(), ACKLEY, 1e-4),
 ]
-"""(method, problem, how far its cost may be from the minimum)"""
-GLOBAL_MINIMA = [
-    (DifferentialEvolution(), RASTRIGIN, 1e-8),
-    (Cmaes(population=100), RASTRIGIN, 1e-8),
-]
-"""Those where about one search in ten is caught in a local minimum."""
+"""(method, problem, how far its cost may be from the minimum), besides those of the contract"""
 SMALL = [
     *(
         kind(population=12, max_generations=15)
@@ -131,22 +118,6 @@ def test_finds_the_minimum(method, problem, tolerance):
     solution = problem.solve(method, seed=1)
     assert solution.cost == pytest.approx(problem.minimum, abs=tolerance)
     assert solution.at.cost == solution.cost
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("method", "problem", "tolerance"), GLOBAL_MINIMA)
-def test_mostly_finds_the_least_of_several_minima(method, problem, tolerance):
-    costs = np.array([problem.solve(method, seed).cost for seed in range(5)])
-    assert (costs >= problem.minimum).all()
-    assert (costs <= problem.minimum + tolerance).sum() >= 4
-
-
-@pytest.mark.slow
-def test_isres_keeps_an_equality_to_many_digits():
-    solution = HS7.solve(Isres())
-    assert solution.ending is Ending.CONVERGED
-    assert solution.at.feasible
-    assert solution.cost == pytest.approx(HS7.minimum, abs=1e-5)
 
 
 @names
@@ -248,12 +219,6 @@ class TestPopulation:
             method.search(half.space(), np.random.default_rng(0))
         with pytest.raises(ProblemError, match=r"x0\.bounds: must be finite .* and positive"):
             method.check(scaled)
-
-
-def test_cmaes_needs_no_bounds_at_all():
-    # the start leads to the minimum at (5, 4)
-    free = FunctionProblem("free", freudenstein_roth, (6.0, 5.5), 0.0)
-    assert free.solve(Cmaes()).cost == pytest.approx(0.0, abs=1e-10)
 
 
 def test_an_infinite_cost_is_no_more_than_a_bad_one():

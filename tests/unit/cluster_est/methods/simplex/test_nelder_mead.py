@@ -18,15 +18,6 @@ from cluster_est.methods import NelderMead
 from cluster_est.methods.base import Ending
 
 TIGHT = NelderMead(bounds="enforce", xtol=1e-8, ftol=1e-12)
-CLASSICAL = replace(TIGHT, coefficients="classical")
-METHODS = [TIGHT, replace(TIGHT, parallel=2), replace(TIGHT, speculative=True), CLASSICAL]
-
-
-@pytest.mark.parametrize("problem", PROBLEMS, ids=lambda p: p.name)
-def test_classical_coefficients_find_classical_minima(problem):
-    solution = problem.solve(CLASSICAL)
-    assert solution.ending is Ending.CONVERGED
-    assert solution.cost == pytest.approx(problem.minimum, rel=1e-7, abs=1e-12)
 
 
 @pytest.mark.parametrize("problem", [p for p in PROBLEMS if p.lower is None], ids=lambda p: p.name)
@@ -103,12 +94,6 @@ def test_a_flat_cost_ends():
     assert solution.ending is Ending.CONVERGED
 
 
-def test_stops_at_the_limit_of_iterations():
-    solution = ROSENBROCK.solve(NelderMead(max_iterations=3))
-    assert solution.ending is Ending.MAX_ITERATIONS
-    assert solution.iterations == 3
-
-
 class TestBounds:
     BOUNDED = replace(ROSENBROCK, lower=(-2.0, -np.inf), upper=(0.5, np.inf), minimum=0.25)
 
@@ -118,13 +103,6 @@ class TestBounds:
             NelderMead().check(self.BOUNDED.space())
         NelderMead(bounds="enforce").check(self.BOUNDED.space())
         NelderMead().check(ROSENBROCK.space())
-
-    @pytest.mark.parametrize("method", METHODS, ids=repr)
-    def test_are_enforced_when_asked(self, method):
-        found = followed(self.BOUNDED, method)
-        assert (found.points[:, 0] >= -2.0).all()
-        assert (found.points[:, 0] <= 0.5).all()
-        np.testing.assert_allclose(found.solution.x, [0.5, 0.25], atol=1e-6)
 
     def test_a_start_in_a_corner_is_left(self):
         corner = replace(ROSENBROCK, start=(-2.0, 3.0), lower=(-2.0, -2.0), upper=(2.0, 3.0))

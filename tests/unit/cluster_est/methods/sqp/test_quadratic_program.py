@@ -84,44 +84,6 @@ def test_multipliers_balance_the_gradient(seed):
     np.testing.assert_allclose(multipliers[slack], 0.0, atol=1e-6)
 
 
-def test_a_large_penalty_satisfies_constraints_that_can_be_satisfied():
-    model = QuadraticSubproblem(
-        np.array([-1.0, 0.0]),
-        np.zeros((2, 2)),
-        np.array([-0.25, 0.0]),
-        np.array([[1.0, 1.0], [1.0, -1.0]]),
-        np.arange(2, dtype=np.intp),
-        np.array([False, True]),
-    )
-    step, multipliers = penalised_step(model, 100.0, -np.ones(2), np.ones(2))
-    np.testing.assert_allclose(step, [0.125, 0.125], atol=1e-9)
-    np.testing.assert_allclose(multipliers, [0.5, 0.5], atol=1e-9)
-
-
-def test_units_of_the_unknowns_do_not_matter():
-    model, scale = random_model(3), np.array([1e8, 1e-6, 1.0, 1e3])
-    scaled = replace(
-        model,
-        gradient=model.gradient / scale,
-        hessian=model.hessian / np.outer(scale, scale),
-        jacobian=model.jacobian / scale,
-    )
-    plain, _ = penalised_step(model, 5.0, -np.ones(4), np.ones(4))
-    step, _ = penalised_step(scaled, 5.0, -scale, scale)
-    np.testing.assert_allclose(step / scale, plain, rtol=1e-9, atol=1e-12)
-
-
-def test_unknowns_without_room_stay():
-    model = random_model(1)
-    lower, upper = np.array([-1.0, 0.0, -1.0, 0.0]), np.array([1.0, 0.0, 1.0, 0.0])
-    step, _ = penalised_step(model, 5.0, lower, upper)
-    assert (step[[1, 3]] == 0.0).all()
-    assert (step[[0, 2]] != 0.0).all()
-    step, multipliers = penalised_step(model, 5.0, np.zeros(4), np.zeros(4))
-    assert (step == 0.0).all()
-    assert (multipliers == 0.0).all()
-
-
 @pytest.mark.parametrize("value", [-1e3, -1.0, 1.0])
 def test_constraints_that_no_step_changes_do_not_matter(value):
     model = random_model(2)

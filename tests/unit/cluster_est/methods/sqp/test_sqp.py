@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 from support.problems.constrained import CONSTRAINED, held
-from support.problems.functions import PROBLEMS, FunctionProblem, followed, named, walled
+from support.problems.functions import PROBLEMS, FunctionProblem, followed, named
 from support.thinning import thinned
 
 from cluster_est.costs.robust import CauchyCost, HuberCost
@@ -121,30 +121,6 @@ def test_follows_the_crease_of_a_constraint_that_is_the_largest_of_several():
     assert len(found.points) < 100
 
 
-def test_several_faces_over_time():
-    times = np.linspace(0.0, 10.0, 400)
-    damped = np.exp(-0.3 * times) * np.cos(2.0 * times)
-    shapes = np.array([damped, np.sin(times), np.cos(times / 2)])
-    target = np.array([2.0, 1.5, 1.0])
-    problem = held(
-        "limit of a signal",
-        lambda x: x - target,
-        (0.1, 0.1, 0.1),
-        least=[lambda x: np.abs(x @ shapes).max() - 1.0],
-    )
-    both = np.hstack([shapes, -shapes])  # each time a linear constraint of its own
-    wanted = minimize(
-        lambda x: ((x - target) ** 2).sum(),
-        problem.start,
-        method="SLSQP",
-        constraints={"type": "ineq", "fun": lambda x: 1.0 - x @ both, "jac": lambda x: -both.T},
-        options={"ftol": 1e-14},
-    )
-    solution = problem.solve(Sqp())
-    assert solution.at.feasible
-    assert solution.cost == pytest.approx(wanted.fun, rel=1e-7)
-
-
 def nothing(x):
     """The residuals of a problem without data, whose cost is 0: only constraints count."""
     return np.zeros(0)
@@ -193,13 +169,6 @@ class TestFailures:
         assert solution.at.violation == pytest.approx(0.5, abs=1e-3)
         assert "'c0 [e]' is violated most, by 0.5" in solution.message
 
-    @BY_ALGORITHM
-    def test_simulations_that_fail_on_the_way(self, method):
-        problem = held("walled", walled, (-1.2, 1.0), 0.0, least=[lambda x: x @ x - 2.5])
-        # SciPy's slow down at the wall, of which they only know a large cost
-        close = 1e-10 if method.algorithm == "native" else 1e-6
-        assert problem.solve(method).cost == pytest.approx(0.0, abs=close)
-
     def test_a_failed_derivative_freezes_its_unknown(self):
         def broken(x):  # its second unknown can only be simulated where it starts
             return x - np.array([1.0, 4.0]) if x[1] == 2.0 else np.full(2, np.nan)
@@ -240,8 +209,3 @@ class TestFailures:
         solution = problem.solve(method)
         assert solution.at.feasible
         assert solution.cost < 10.0
-
-    @BY_ALGORITHM
-    def test_the_limit_of_iterations(self, method):
-        solution = named("hs77", ALL).solve(replace(method, max_iterations=2))
-        assert solution.ending is Ending.MAX_ITERATIONS

@@ -115,7 +115,18 @@ class TestBasis:
         assert found.notes == ()
 
     def test_coloured_noise_is_allowed_for_and_said(self):
-        found, _ = intervals(1, 0.9)
+        """By the sandwich of the dense Jacobian with the covariance of the noise."""
+        found, solution = intervals(1, 0.9)
+        jacobian, q = solution.jacobian, np.linalg.qr(solution.jacobian)[0]
+        rows = [slice(60 * e, 60 * e + 60) for e in range(4)]
+        left = solution.at.residuals
+        records = [NoiseRecord(0, left[own], q[own], e) for e, own in enumerate(rows)]
+        noise = fit_noise(records, q.shape[1])[0]
+        bread = np.linalg.inv(jacobian.T @ jacobian)
+        filling = sum(jacobian[own].T @ noise.times(jacobian[own]) for own in rows)
+        expected = np.sqrt(np.diag(bread @ filling @ bread))
+        errors = [each.error_autoregression for each in found.intervals]
+        np.testing.assert_allclose(errors, expected, rtol=1e-6)
         assert found.basis == "autoregression"
         for each in found.intervals:
             assert each.std_error == each.error_autoregression > 2.0 * each.error_white

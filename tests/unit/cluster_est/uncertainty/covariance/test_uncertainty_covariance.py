@@ -239,12 +239,6 @@ class TestCosts:
         found = assess(space, solution)
         np.testing.assert_allclose(errors(found), np.sqrt(np.diag(expected)), rtol=1e-9)
 
-    def test_weights_that_are_all_one_give_the_usual_covariance(self):
-        curves = decays(count=2)
-        usual = assess(*curves.solve()[1:])
-        space, solution = self.solved(replace(curves, cost=HUBER(1e3)))
-        np.testing.assert_allclose(errors(assess(space, solution)), errors(usual), rtol=1e-6)
-
     @pytest.mark.parametrize(
         ("cost", "said"), [(COSTS["sae"](), "no weights"), (CAUCHY(1e-5), "too small")]
     )

@@ -1,6 +1,7 @@
 """Draws from posteriors that are known exactly, and what is said of chains that have not mixed."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -33,16 +34,7 @@ SIGMA = 1.0 + 1e-9
 """1 itself stands for none."""
 
 
-class DeclaredCurves(Curves):
-    """Curves whose noise has a declared sigma."""
-
-    def problem(self):
-        problem = super().problem()
-        runs = tuple(
-            replace(e, outputs=tuple(replace(o, sigma=SIGMA) for o in e.outputs))
-            for e in problem.experiments
-        )
-        return replace(problem, experiments=runs)
+declared = partial(Curves, sigma=SIGMA)
 
 
 def drawn(curves, steps=2500, seed=0, runner=None, wide=None):
@@ -62,7 +54,7 @@ def measured(seed=0):
 def lines(a=(1.0, -10.0, 10.0), b=(0.0, -10.0, 10.0), formula=line, **options):
     """Noise around a line; starts and bounds of its two parameters."""
     own = (Parameter("a", *a), Parameter("b", *b))
-    return DeclaredCurves(formula, own, TIMES, measured(), **options)
+    return declared(formula, own, TIMES, measured(), **options)
 
 
 def level(times, values, experiment):
@@ -71,7 +63,7 @@ def level(times, values, experiment):
 
 def levels(*, upper=10.0, prior=None, **options):
     own = (Parameter("a", 1.0, -10.0, upper, prior=prior),)
-    return DeclaredCurves(level, own, TIMES, measured(), **options)
+    return declared(level, own, TIMES, measured(), **options)
 
 
 def test_a_linear_gaussian_problem_has_the_posterior_of_linear_algebra():
@@ -81,7 +73,7 @@ def test_a_linear_gaussian_problem_has_the_posterior_of_linear_algebra():
         for name, m, s in zip("ab", means, sds, strict=True)
     )
     records = measured()
-    found = drawn(DeclaredCurves(line, own, TIMES, records))
+    found = drawn(declared(line, own, TIMES, records))
     columns = np.column_stack([np.ones(len(TIMES)), TIMES])
     precision = columns.T @ columns + np.diag(sds**-2)
     mean = np.linalg.solve(precision, columns.T @ records[0] + means / sds**2)
@@ -109,7 +101,7 @@ def test_ten_unknowns_of_any_size_have_their_own_spread(size):
     def each(times, values, experiment):
         return np.asarray(values) / size
 
-    found = drawn(DeclaredCurves(each, own, times, [np.zeros(10)]), steps=2500)
+    found = drawn(declared(each, own, times, [np.zeros(10)]), steps=2500)
     spread = found.values.std(axis=(0, 1)) / size
     assert spread == pytest.approx(np.ones(10), abs=0.08)
     assert spread.mean() == pytest.approx(1.0, abs=0.02)
@@ -121,7 +113,7 @@ def test_walkers_of_a_value_that_the_bounds_alone_hold_are_spread_between_them(s
         return 1.4 + 0.002 * values[0] * times
 
     own = (Parameter("a", 0.5, 0.0, 1.0),)
-    found = drawn(DeclaredCurves(faint, own, TIMES, measured()), steps=600, seed=seed)
+    found = drawn(declared(faint, own, TIMES, measured()), steps=600, seed=seed)
     assert found.mixed
     assert 0.0 <= found.values.min() <= found.values.max() <= 1.0
     shares = np.histogram(found.values, 4, (0.0, 1.0))[0] / found.values.size
@@ -140,7 +132,7 @@ def test_what_no_measurement_tells_is_drawn_from_its_prior(prior, distribution, 
         return 1.4 + 0.0 * values[0] * times
 
     own = (Parameter("b", 1.5, 0.001, 50.0, scale, prior=prior),)
-    found = drawn(DeclaredCurves(flat, own, TIMES, measured()), steps=1000)
+    found = drawn(declared(flat, own, TIMES, measured()), steps=1000)
     assert found.mixed
     shares = np.linspace(0.05, 0.95, 10)
     quantiles = np.quantile(found.values, shares)
@@ -167,7 +159,7 @@ def test_walkers_in_two_minima_have_no_interval():
         return values[0] ** 2 + 0.0 * times
 
     records = [9.0 + 0.5 * np.random.default_rng(0).normal(size=len(TIMES))]
-    curves = DeclaredCurves(either, (Parameter("a", 3.0, -10.0, 10.0),), TIMES, records)
+    curves = declared(either, (Parameter("a", 3.0, -10.0, 10.0),), TIMES, records)
     found = drawn(curves, steps=400, wide=4.0)
     assert not found.mixed
     assert "no interval" in found.sentences[0]
