@@ -68,6 +68,7 @@ def rubbing() -> ce.LoopResult:
     return ce.close_loop(problem(DRY), settings=SETTINGS)
 
 
+@pytest.mark.slow
 def test_a_missing_coulomb_friction_is_named(rubbing):
     assert rubbing.verdict == "found"
     (effect,) = rubbing.effects
