@@ -84,7 +84,7 @@ def estimate(
         "label": f"e.{name}", "parameter": f"e.{name}", "value": value, "unit": unit,
         "estimated_on": on, "lower95": value - 2.0 * error, "upper95": value + 2.0 * error,
     }  # fmt: skip
-    return Estimate(**(dict.fromkeys(Estimate.__annotations__, "") | known))  # type: ignore[arg-type]
+    return Estimate(**(dict.fromkeys(Estimate.__annotations__, "") | known))
 
 
 def seen(x: FloatArray, y: FloatArray, integral_of: str = "") -> EffectCurve:

@@ -28,7 +28,7 @@ def seen_springs(see: Callable[[Output, int], Output]) -> Problem:
     truth, runs = spring_problem(3), []
     for number, experiment in enumerate(truth.problem.experiments):
         (output,) = experiment.outputs
-        start = {"x": truth.values[f"x0[{experiment.id}]"]}
+        start = (("x", truth.values[f"x0[{experiment.id}]"]),)
         runs.append(replace(experiment, outputs=(see(output, number),), values=start))
     known = tuple(
         replace(p, start=TRUE["m"], fixed=True) if p.name == "m" else p

@@ -327,8 +327,8 @@ def sampled_experiment(
     for place, name in enumerate(reference.outputs):
         times = np.sort(generator.uniform(0.0, 1.0, 30 + 7 * place))
         outputs.append(Output(name, start + length * times, np.zeros(len(times))))
-    values = tuple(reference.starts.items())
-    return Experiment("sampled", start, start + length, tuple(inputs), tuple(outputs), values)
+    starts = tuple(reference.starts.items())
+    return Experiment("sampled", start, start + length, tuple(inputs), tuple(outputs), starts)
 
 
 def solve(reference: Reference, experiment: Experiment, at: FloatArray) -> FloatArray:
