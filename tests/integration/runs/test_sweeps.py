@@ -56,10 +56,12 @@ def sweep(tmp_path, monkeypatch, capsys) -> Sweep:
 @pytest.fixture
 def done() -> Done:
     """Gives the runs that were done since it was asked last, by what their folders hold."""
-    known: dict[str, int] = {}
+    known: dict[str, tuple[int, int]] = {}
 
     def give() -> list[str]:
-        now = {path.parent.name: path.stat().st_ino for path in OUT.glob("*/run.json")}
+        files = {path.parent.name: path.stat() for path in OUT.glob("*/run.json")}
+        # a new file may get the number of the one that it replaces
+        now = {name: (file.st_ino, file.st_mtime_ns) for name, file in files.items()}
         changed = sorted(name for name in now if now[name] != known.get(name))
         known.update(now)
         return changed
