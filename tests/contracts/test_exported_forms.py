@@ -13,7 +13,7 @@ from support.exported import (
 from support.problems.springs import FMU
 from support.simulated import simulated
 from support.thinning import thinned
-from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M
+from support.truth.springs_with_effects import FORCE, SITES, START, TIMES, C, K, M
 
 from workers.effects.forms import FORMS, FormCondition
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver
@@ -22,13 +22,6 @@ SOLVERS = {
     "dormand_prince": Solver("dormand_prince"),
     "rk4": Solver("rk4", step=0.005),
     "fmu": Solver("fmu", step=0.005),
-}
-SITES = {
-    "derivative": "der(v)",
-    "pair": "pair x,v",
-    "input": "input F",
-    "output": "output y",
-    "parameter": "parameter c",
 }
 LAGGARDS = ("lag", "delay")
 LIMITED = ("rate_limit", "rate_limit_from_rest")

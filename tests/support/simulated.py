@@ -49,7 +49,7 @@ def simulated(
     model: Model, experiment: Experiment, point: Sequence[float], effects: Sequence[Effect] = ()
 ) -> np.ndarray:
     """The outputs of one simulation, (times, outputs)."""
-    worker = Worker(model, experiment)
-    (found,) = worker.outputs(point, effects=effects)
-    worker.evaluator.close()
-    return found
+    wanted = ("trajectory", tuple(effects))
+    outcome = answer(model, experiment, point, *wanted)
+    assert outcome.trajectory is not None, outcome.message
+    return outcome.trajectory.values

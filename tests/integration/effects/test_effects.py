@@ -10,7 +10,18 @@ from support.problems.springs import FMU
 from support.simulated import Worker, simulated
 from support.thinning import thinned
 from support.truth.form_terms import OWN_TESTS, TRUTHS, forms_with_a_truth
-from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M, plain, pushed, solve
+from support.truth.springs_with_effects import (
+    FORCE,
+    SITES,
+    START,
+    TIMES,
+    C,
+    K,
+    M,
+    plain,
+    pushed,
+    solve,
+)
 
 from cluster_est import (
     Experiment,
@@ -33,13 +44,6 @@ SOLVERS = {
     "exact": Solver("dormand_prince", rtol=1e-10),
     "rk4": Solver("rk4", step=0.005),
     "co_simulation": Solver("fmu", step=0.002),
-}
-SITES = {
-    "derivative": "der(v)",
-    "pair": "pair x,v",
-    "input": "input F",
-    "output": "output y",
-    "parameter": "parameter c",
 }
 
 

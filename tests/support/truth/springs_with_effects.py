@@ -11,6 +11,14 @@ M, K, C = 1.2, 30.0, 0.6
 TIMES = np.arange(200) * 0.02
 FORCE = 3.0 * np.random.default_rng(0).normal(size=len(TIMES))
 START = (0.1, 0.0)
+SITES = {
+    "derivative": "der(v)",
+    "pair": "pair x,v",
+    "input": "input F",
+    "output": "output y",
+    "parameter": "parameter c",
+}
+"""A site of each kind."""
 
 Slope = Callable[[float, np.ndarray, float], list[float]]
 
