@@ -101,7 +101,7 @@ def own_fmu(kept_fmus: Path) -> Callable[[str, int], Path]:
 
     def give(name: str, fmi: int) -> Path:
         path = kept_fmus / f"{name}_fmi{fmi}.fmu"
-        return _kept(path, lambda folder: own.build(name, fmi, folder))
+        return _kept(path, lambda folder: own.build(name, fmi, folder, "-O0"))
 
     return give
 

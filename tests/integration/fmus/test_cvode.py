@@ -184,7 +184,13 @@ def resident():
 
 
 @pytest.mark.parametrize(
-    ("name", "fmi"), [("robertson", 2), ("wrong_directional", 3), ("zero_directional", 2)]
+    ("name", "fmi"),
+    [
+        ("robertson", 2),
+        ("wrong_directional", 2),
+        pytest.param("wrong_directional", 3, marks=pytest.mark.slow),
+        ("zero_directional", 2),
+    ],
 )
 def test_the_fmus_jacobian_is_not_trusted_unseen(own_fmu, name, fmi):
     """With a wrong one it would take steps as short as an explicit solver's, or fail."""

@@ -116,7 +116,8 @@ CASES = {
     thinned(
         [(name, fmi, solver) for solver in SOLVERS for fmi in (2, 3) for name in CASES],
         lambda name, *_: name,
-        lambda name, fmi, solver: (fmi, solver.name),
+        lambda name, fmi, solver: fmi,
+        lambda name, fmi, solver: solver.name,
     ),
     ids=str,
 )

@@ -96,7 +96,7 @@ HANG = TaskBatch.of([tasks(RATES, HANGS, 0.05)[HANGING]])
 def test_what_fails_is_an_outcome_and_spares_all_others(
     model, open_guard, kind, share, status, phrase
 ):
-    guard, alone = open_guard(QUICK), Evaluator(model, EXPERIMENTS, "reference")
+    guard, alone = open_guard(Limits(seconds=1.5)), Evaluator(model, EXPERIMENTS, "reference")
     asked = tasks(RATES, kind, share)
     expected = bad(share)
     assert 0 < len(expected) < len(RATES) / 4
