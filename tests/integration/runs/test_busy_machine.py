@@ -75,8 +75,12 @@ class Recorder:
 
 
 def fitted(_: Path, resources: ce.Resources, record: Recorder) -> ce.Result:
-    problem = spring_problem(experiments=3, samples=60, noise=0.01).problem
-    return ce.fit(problem, ce.LeastSquares(differences="auto"), resources, record=record)
+    problem, starts = (
+        spring_problem(experiments=3, samples=60, noise=0.01).problem,
+        ce.Multistart(20),
+    )
+    method = ce.LeastSquares(differences="auto")
+    return ce.fit(problem, method, resources, record=record, multistart=starts)
 
 
 def closed(folder: Path, resources: ce.Resources, record: Recorder) -> ce.LoopResult:
