@@ -60,10 +60,7 @@ def ray_started(cache_folder: object) -> Iterator[None]:
     leave()
 
 
-@pytest.fixture(
-    scope="module",
-    params=[pytest.param(key, marks=SLOW if key == "processes-1" else ()) for key in OPENERS],
-)
+@pytest.fixture(scope="module")
 def setup(request: pytest.FixtureRequest) -> Iterator[Setup]:
     name, workers = OPENERS[request.param]
     if name == "ray":
@@ -74,6 +71,16 @@ def setup(request: pytest.FixtureRequest) -> Iterator[Setup]:
 
     with open_one(SPRING, EXPERIMENTS) as executor:
         yield Setup(executor, open_one)
+
+
+def on_executors(*seldom: str) -> pytest.MarkDecorator:
+    """Each executor, some of them not by default: a pool of Ray takes seconds to open."""
+    cases = [pytest.param(key, marks=SLOW if key in seldom else ()) for key in OPENERS]
+    return pytest.mark.parametrize("setup", cases, indirect=True, scope="module")
+
+
+EACH = on_executors("processes-1")
+SELDOM_ON_RAY = on_executors("processes-1", "ray-2")
 
 
 def make_tasks(count: int, want: Want = "residuals", first: int = 0) -> list[Task]:
@@ -176,6 +183,7 @@ def test_a_process_for_each_simulation_is_refused_where_there_is_but_this_one() 
 
 
 class TestContract:
+    @EACH
     def test_many_tasks_are_answered_once_each_and_bit_for_bit(self, setup: Setup) -> None:
         tasks = make_tasks(600)
         outcomes = gather(setup.executor, tasks)
@@ -184,6 +192,7 @@ class TestContract:
         assert 0 < len(failed) < len(tasks) / 2
         assert all(o.status is Status.SOLVER_FAILURE and "mass" in o.message for o in failed)
 
+    @EACH
     def test_mixed_wants_are_answered_as_wanted(self, setup: Setup) -> None:
         tasks = make_tasks(30) + make_tasks(30, "trajectory", first=50)
         tasks = [tasks[i] for i in np.random.default_rng(0).permutation(len(tasks))]
@@ -193,6 +202,7 @@ class TestContract:
             outcome = outcomes[task.id]
             assert (outcome.trajectory is not None) == (outcome.ok and task.want == "trajectory")
 
+    @EACH
     def test_tasks_may_be_submitted_while_others_run(self, setup: Setup) -> None:
         tasks, found = make_tasks(90), []
         for some in (tasks[:30], tasks[30:60], tasks[60:]):
@@ -201,6 +211,7 @@ class TestContract:
         drain(setup.executor, found)
         check({outcome.task: outcome for outcome in found}, tasks)
 
+    @EACH
     def test_busy_counts_workers_and_nothing_submitted_is_nothing_completed(
         self, setup: Setup
     ) -> None:
@@ -215,6 +226,7 @@ class TestContract:
         assert len(found) == len(tasks)
         check_nothing_is_left(setup.executor)
 
+    @SELDOM_ON_RAY
     def test_what_has_not_begun_can_be_taken_back(self, setup: Setup) -> None:
         experiment, long = long_tasks(500)
         with setup.open(SPRING, (*EXPERIMENTS, experiment)) as executor:
@@ -236,6 +248,7 @@ class TestContract:
             assert all(outcome.ok for outcome in outcomes if outcome.task >= 1000)
             assert executor.cancel([short[0].id]) == []
 
+    @EACH
     def test_one_worker_answers_what_it_is_asked_in_turn(self, setup: Setup) -> None:
         tasks = make_tasks(6)
         assert isinstance(setup.executor, WorkerPool)
@@ -248,6 +261,7 @@ class TestContract:
         assert all(same(one, other) for one, other in zip(outcomes, again, strict=True))
         assert setup.executor.completed() == [], "`first_worker` alone returns these outcomes"
 
+    @EACH
     def test_a_worker_that_let_its_instance_go_answers_the_same(self, setup: Setup) -> None:
         tasks = make_tasks(24)
         check(gather(setup.executor, tasks), tasks)
@@ -255,6 +269,7 @@ class TestContract:
             setup.executor.free_instances(workers)
             check(gather(setup.executor, tasks), tasks)
 
+    @SELDOM_ON_RAY
     def test_all_that_are_done_come_together(self, setup: Setup) -> None:
         for seconds in (0.1, 1.0, 10.0):  # until each has answered its own, however busy all is
             with setup.open(SPRING, EXPERIMENTS) as executor:  # which knows of no quick ones yet
@@ -264,6 +279,7 @@ class TestContract:
                     return
         pytest.fail("`completed` must return all outcomes that are there, not one at a time")
 
+    @EACH
     def test_an_interrupt_comes_through_while_it_waits(self, setup: Setup) -> None:
         experiment, long = long_tasks(500)
         with setup.open(SPRING, (*EXPERIMENTS, experiment)) as executor:
@@ -279,6 +295,7 @@ class TestContract:
             executor.close()
             assert executor.busy == 0, "after `close` no worker is busy"
 
+    @SELDOM_ON_RAY
     def test_close_forgets_what_is_queued_and_may_be_called_twice(self, setup: Setup) -> None:
         with setup.open(SPRING, EXPERIMENTS[:1]) as executor:
             executor.submit([Task(i, 0, np.array([1.0, 30.0])) for i in range(50)])
@@ -288,6 +305,7 @@ class TestContract:
         executor.close()
         executor.free_instances(1)
 
+    @EACH
     @pytest.mark.parametrize(
         ("name", "parameters", "said"),
         [("no_fmu", ("m", "k"), "must be an FMU"), ("mass", ("m", "kk"), "no variable 'kk'")],

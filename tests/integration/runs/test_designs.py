@@ -103,7 +103,8 @@ def test_the_table_of_the_next_experiment_keeps_the_limits_and_is_read_by_init(f
     assert len(experiment.outputs) == 1
 
 
-@pytest.mark.parametrize("executor", ["processes", pytest.param("ray", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("executor", ["processes", "ray"])
 def test_it_runs_where_the_config_of_the_loop_says_and_no_bit_changes(folder, tmp_path, executor):
     loop = Path(shutil.copytree(folder / "loop", tmp_path / "loop"))
     tree = tomllib.loads((loop / "config.toml").read_text(encoding="utf-8"))

@@ -42,7 +42,7 @@ def evaluations(run: Path) -> list[str]:
 
 @pytest.mark.parametrize(
     ("executor", "workers"),
-    [("local", 3), ("ray", 2), pytest.param("ray", 1, marks=pytest.mark.slow)],
+    [("local", 3), *(pytest.param("ray", n, marks=pytest.mark.slow) for n in (1, 2))],
 )
 def test_tables_and_evaluations_are_identical(run, executor, workers):
     usual, other = run("local", 1), run(executor, workers)

@@ -87,8 +87,14 @@ HANG = TaskBatch.of([tasks(RATES, HANGS, 0.05)[HANGING]])
     ("kind", "share", "status", "phrase"),
     [
         (CRASHES, 0.1, Status.CRASH, "crashed during this simulation (SIGSEGV)"),
-        (ABORTS, 0.1, Status.CRASH, "crashed during this simulation (SIGABRT)"),
-        (EXITS, 0.1, Status.CRASH, "ended by the FMU during this simulation (exit code 3)"),
+        pytest.param(
+            *(ABORTS, 0.1, Status.CRASH, "crashed during this simulation (SIGABRT)"),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            *(EXITS, 0.1, Status.CRASH, "ended by the FMU during this simulation (exit code 3)"),
+            marks=pytest.mark.slow,
+        ),
         (HANGS, 0.03, Status.TIMEOUT, "did not end within"),
     ],
     ids=["segfault", "abort", "exit", "hang"],
