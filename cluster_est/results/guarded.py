@@ -12,6 +12,7 @@ from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.uncertainty import Uncertainty, not_assessed
 
 LOG = logging.getLogger("cluster_est")
+LOG.addHandler(logging.NullHandler())  # who wants to see the traceback of a fault adds another
 T = TypeVar("T")
 U = TypeVar("U")
 

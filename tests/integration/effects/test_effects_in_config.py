@@ -44,6 +44,14 @@ site = "der(v)"
 equation = "-k * tanh(v / 0.01)"
 parameters = { k = { start = 0.1, neutral = 0.0 } }
 """
+SAYS_NOTHING = OWN.replace(", neutral = 0.0", "")
+SAYS_WHAT_IS_NOT_SO = OWN.replace("start = 0.1, neutral = 0.0", "start = 0.2, neutral = 0.2")
+OF_TWO = """
+name = "friction"
+site = "der(v)"
+equation = "-k * tanh(v / 0.01) - b * v^3"
+parameters = { k = { start = 0.1 }, b = { start = 0.0, neutral = 0.0, fixed = true } }
+"""
 OWN_PAIR = """
 name = "friction"
 site = "pair x,v"
@@ -76,9 +84,12 @@ def fitted(folder, effect, *overrides):
     [
         (FRICTION, "der(v) += -k * tanh(v / width)"),
         (OWN, "der(v) += -k * tanh(v / 0.01)"),
+        (SAYS_NOTHING, "der(v) += -k * tanh(v / 0.01)"),
+        (SAYS_WHAT_IS_NOT_SO, "der(v) += -k * tanh(v / 0.01)"),
+        (OF_TWO, "der(v) += -k * tanh(v / 0.01) - b * v^3"),
         (OWN_PAIR, "der(x) += 0, der(v) += -k * tanh(v / 0.01)"),
     ],
-    ids=["form", "equation", "pair"],
+    ids=["form", "equation", "no neutral", "no such neutral", "of two", "pair"],
 )
 def test_a_named_effect_is_fitted_and_written_down(folder, capsys, effect, equation):
     code, out = fitted(folder, effect)
