@@ -101,6 +101,16 @@ def test_a_named_effect_is_fitted_and_written_down(folder, capsys, effect, equat
     assert equation in " ".join(capsys.readouterr().out.split())
 
 
+def test_an_effect_may_have_coefficients_of_each_experiment(folder):
+    own = FRICTION.replace("start = 0.1,", 'start = 0.1, per = "experiment",')
+    code, out = fitted(folder, own)
+    assert code == 0
+    rows = pq.read_table(out / "parameters.parquet").to_pylist()
+    found = {row["label"]: row["value"] for row in rows}
+    assert found["friction.k[run]"] == pytest.approx(0.5, rel=1e-5)
+    assert "could not be computed" not in (out / "run.json").read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("executor", ["processes", pytest.param("ray", marks=pytest.mark.slow)])
 def test_effects_elsewhere_have_the_same_bits(folder, executor):
     tables = []
