@@ -18,6 +18,7 @@ from cluster_est.problem.prior_weights import check_priors
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import SearchSpace, make_space
 from cluster_est.results.complete import complete, simulate_all
+from cluster_est.results.guarded import GuardedSteps
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.residual_diagnostics import diagnose_residuals
 from cluster_est.results.result import Result
@@ -46,7 +47,6 @@ from cluster_est.shooting.shoot import ShotFit, check_shooting, shoot
 from cluster_est.shooting.whole_records import fit_whole_records
 from cluster_est.uncertainty import (
     UncertaintySettings,
-    assess,
     bootstrap,
     check_bootstrap,
     check_posterior,
@@ -192,9 +192,14 @@ def fit_in(environment: RunEnvironment, problem: Problem, plan: FitPlan) -> Resu
             result = fit_on(runner, train, plan, shot)
     in_one_piece = result.shooting is None or result.shooting.joined
     if not result.interrupted and in_one_piece:
-        resources = environment.resources
-        error = measure_solver_error(train, result.solution, result.simulations, resources, runner)
-        result = replace(result, solver_error=error)
+        steps, solution, after = GuardedSteps(), result.solution, result.simulations
+        error = steps.do(
+            "the error of the solver",
+            lambda: measure_solver_error(train, solution, after, environment.resources, runner),
+            None,
+        )
+        failed = (*result.failed_steps, *steps.failed)
+        result = replace(result, solver_error=error, failed_steps=failed)
     return replace(result, seconds=time.monotonic() - begin)
 
 
@@ -230,13 +235,15 @@ def fit_on(
     found, summary = _search(runner, train, plan, shot)
     in_segments = shot is not None and summary is not None and not summary.joined
     segmented = shot.simulations if shot is not None and in_segments else ()
-    solution, known = found.best, None
+    solution, known, steps = found.best, None, GuardedSteps()
     linear = solution
-    if segmented:
-        known = assess(train, solution)
-    elif not runner.interrupted:
-        linear = linearise(runner, train, solution)
-        known = examine(runner, train, linear)
+    if not segmented and not runner.interrupted:
+        linear = steps.do(
+            "the derivatives at the solution",
+            lambda: linearise(runner, train, solution),
+            solution,
+        )
+        known = steps.assessed(train, linear, lambda: examine(runner, train, linear))
     result = complete(
         runner,
         train,
@@ -246,20 +253,24 @@ def fit_on(
         units=units,
         seed=seed,
         begin=begin,
+        steps=steps,
         uncertainty=known,
         segmented=segmented,
     )
     starts, minima = rows.starts_and_minima(train, found)
-    left = diagnose_residuals(train, linear, result.simulations)
+    after = result.simulations
+    left = steps.do(
+        "what is left in the residuals", lambda: diagnose_residuals(train, linear, after), None
+    )
     result = replace(result, starts=starts, minima=minima, diagnostics=left, shooting=summary)
     if segmented and summary is not None:
         asked = plan.uncertainty.asked
         result = replace(result, shooting=replace(summary, left_out=asked))
     if not segmented and not runner.interrupted:
         if problem.effects:
-            result = with_shapes(runner, train, result)
+            result = with_shapes(runner, train, result, steps)
         if solution.ending.success:
-            result = refine(runner, train, result, plan)
+            result = refine(runner, train, result, plan, steps)
     if shot is not None:
         result = replace(
             result,
@@ -267,7 +278,12 @@ def fit_on(
             simulated=result.simulated + shot.simulated,
             failures=result.failures + shot.failures,
         )
-    return replace(result, interrupted=runner.interrupted, search_seconds=time.monotonic() - begin)
+    return replace(
+        result,
+        failed_steps=tuple(steps.failed),
+        interrupted=runner.interrupted,
+        search_seconds=time.monotonic() - begin,
+    )
 
 
 def _search(
@@ -279,36 +295,52 @@ def _search(
     return whole.found, whole.summary
 
 
-def with_shapes(runner: Runner, train: SearchSpace, result: Result) -> Result:
+def with_shapes(runner: Runner, train: SearchSpace, result: Result, steps: GuardedSteps) -> Result:
     """Add the shapes of the effects that the problem declares."""
     from cluster_est.results.shapes.visited_signals import (
         declared_shapes,  # SymPy is slow to import
     )
 
-    shapes = declared_shapes(runner, train, result)
+    shapes = steps.do(
+        "the shapes of the effects", lambda: declared_shapes(runner, train, result), ()
+    )
     simulated, failures = runner.simulations, runner.failures
     return replace(result, shapes=shapes, simulated=simulated, failures=failures)
 
 
-def refine(runner: Runner, train: SearchSpace, result: Result, plan: FitPlan) -> Result:
+def refine(
+    runner: Runner, train: SearchSpace, result: Result, plan: FitPlan, steps: GuardedSteps
+) -> Result:
     """Add the intervals that take more simulations: profiles, bootstrap and posterior."""
     solution, method, settings = result.solution, plan.method, plan.uncertainty
     local = method if method.needs_residuals else LeastSquares()
     if not _accepts(local, train):
         local = method
-    profiled = profiles(runner, train, solution, local, settings)
+    profiled = steps.do("profiles", lambda: profiles(runner, train, solution, local, settings), ())
     drawn = None
     if settings.bootstrap:
         generator = np.random.default_rng(plan.seed)
-        drawn = bootstrap(runner, train, solution, local, settings, generator)
+        drawn = steps.do(
+            "the bootstrap",
+            lambda: bootstrap(runner, train, solution, local, settings, generator),
+            None,
+        )
     result = replace(result, profiles=profiled, bootstrap=drawn)
     if not settings.posterior or result.uncertainty is None:
         return result
     generator = np.random.default_rng((plan.seed, POSTERIOR))
     around = result.uncertainty.intervals
-    posterior = sample_posterior(runner, train, solution, around, settings, generator)
+    posterior = steps.do(
+        "the posterior",
+        lambda: sample_posterior(runner, train, solution, around, settings, generator),
+        None,
+    )
+    if posterior is None:
+        return result
     own = {e.label: e.value for e in result.estimates if e.estimated_on == "test"}
-    bands = predicted_bands(runner, train.problem, posterior, own)
+    bands = steps.do(
+        "predictions", lambda: predicted_bands(runner, train.problem, posterior, own), ()
+    )
     return replace(result, posterior=posterior, predictions=bands)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import shutil
 import signal
@@ -30,6 +31,29 @@ def blas_in_one_thread() -> Iterator[None]:
     """Sums round as in a fit, whatever number of cores there is."""
     with one_blas_thread():
         yield
+
+
+class _Faults(logging.Handler):
+    """Raises what a run would only note: a step after a search that failed by a fault."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        raise AssertionError(record.getMessage())
+
+
+@pytest.fixture
+def faults_are_noted() -> Iterator[None]:
+    """A run goes on without a step that fails by a fault, as it does for a user."""
+    log = logging.getLogger("cluster_est")
+    handlers = list(log.handlers)
+    log.handlers = [logging.NullHandler()]
+    yield
+    log.handlers = handlers
+
+
+@pytest.fixture(scope="session", autouse=True)
+def faults_are_raised() -> None:
+    """A step after a search that fails by a fault fails the test, whatever that looks at."""
+    logging.getLogger("cluster_est").addHandler(_Faults())
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.competing_models import competing_models
+from cluster_est.closed_loop.findings.competing_models import CompetingModel, competing_models
 from cluster_est.closed_loop.findings.confirmation import confirmed
 from cluster_est.closed_loop.findings.effect_curves import effect_curves
 from cluster_est.closed_loop.findings.effects import ErrorChange, NoiseChange, Verdict
@@ -35,8 +35,10 @@ from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkben
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.facts import fitted_to_held_out
+from cluster_est.results.guarded import GuardedSteps
 from cluster_est.results.initial_errors import InitialError, initial_errors, initial_notes
 from cluster_est.results.result import Result
+from cluster_est.results.tables.row_types import EffectCurve
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty import examine
 
@@ -84,13 +86,40 @@ def account(
     before, grown = fits.before, fits.after
     judgement = confirmed(judged, fits.errors, workbench.settings)
     keep = judgement.verdict in CLAIMS
-    curves = effect_curves(workbench, found.current, grown) if keep else ()
+    steps = GuardedSteps()
+    curves: tuple[EffectCurve, ...] = ()
+    if keep:
+        curves = steps.do(
+            "the shapes of the effects", lambda: effect_curves(workbench, found.current, grown), ()
+        )
     named = describe_effects(workbench, found, grown, curves)
     after = grown if keep else before
     kept = found.current if keep else found.base
-    unexplained = _unexplained(workbench, judgement.verdict, kept, found)
-    choices = resampled_choices(workbench, found) if keep else None
+    unexplained = steps.do(
+        "the description of what nothing explains",
+        lambda: _unexplained(workbench, judgement.verdict, kept, found),
+        (),
+    )
+    choices = None
+    competing: tuple[CompetingModel, ...] = ()
+    if keep:
+        choices = steps.do(
+            "how often the choice falls on these effects",
+            lambda: resampled_choices(workbench, found),
+            None,
+        )
+    if keep and not workbench.filtered:
+        competing = steps.do(
+            "the models that compete", lambda: competing_models(workbench, found), ()
+        )
     begun = initial_errors(after.problem, after.simulations, fitted=True)
+    compared = steps.do(
+        "the probabilities of the structures",
+        lambda: with_choices(_compared(workbench, judgement.verdict, found), choices),
+        found.path,
+    )
+    notes = _notes(workbench, judgement.verdict, kept, before, after)
+    failed = dict.fromkeys((*before.failed_steps, *after.failed_steps, *steps.failed))
     return LoopResult(
         verdict=judgement.verdict,
         summary="; ".join([judgement.reason, *_disturbance(judgement.verdict, unexplained, begun)]),
@@ -102,10 +131,7 @@ def account(
         rejected=() if keep else named,
         noise={} if workbench.filtered else workbench.noise_in_units(found.noise),
         sites=workbench.sites,
-        notes=(
-            *_nothing_tried(workbench, found),
-            *_notes(workbench, judgement.verdict, kept, before, after),
-        ),
+        notes=(*failed, *_nothing_tried(workbench, found), *notes),
         simulations=workbench.meter.full,
         simulated=workbench.runner.simulations,
         evaluations=workbench.runner.evaluations,
@@ -113,10 +139,10 @@ def account(
         seconds=0.0,
         curves=curves,
         errors_over=_scale(workbench),
-        structures=with_choices(_compared(workbench, judgement.verdict, found), choices),
+        structures=compared,
         resampled="" if choices is None else choices.sentence,
         unexplained=unexplained,
-        competing=competing_models(workbench, found) if keep and not workbench.filtered else (),
+        competing=competing,
         process_noise=fits.noise if keep else (),
     )
 
@@ -233,8 +259,9 @@ def final_fit(workbench: LoopWorkbench, start: FitStart, begin: float) -> Result
     (solution,) = workbench.runner.run([SearchRequest("final", FINAL, space, workbench.seed)])
     units = {n: v.unit for n, v in workbench.description.variables.items()}
     before = simulate_all(workbench.runner, start.problem, {})
-    known = examine(workbench.runner, space, solution)
-    return complete(
+    steps = GuardedSteps()
+    known = steps.assessed(space, solution, lambda: examine(workbench.runner, space, solution))
+    found = complete(
         workbench.runner,
         space,
         solution,
@@ -243,5 +270,7 @@ def final_fit(workbench: LoopWorkbench, start: FitStart, begin: float) -> Result
         units=units,
         seed=workbench.seed,
         begin=begin,
+        steps=steps,
         uncertainty=known,
     )
+    return replace(found, failed_steps=tuple(steps.failed))

@@ -11,13 +11,14 @@ import numpy as np
 from cluster_est.methods.base import Method, Solution
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.results.guarded import GuardedSteps
 from cluster_est.results.output_errors import Simulation, output_errors
 from cluster_est.results.result import Result
 from cluster_est.results.tables import rows
 from cluster_est.running.evaluation import assemble_evaluation, with_priors
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest, suited
-from cluster_est.uncertainty import Uncertainty, assess, intervals
+from cluster_est.uncertainty import Uncertainty, assess
 from workers.messages import FloatArray
 
 BEFORE_BYTES = 2**28
@@ -34,6 +35,7 @@ def complete(
     units: dict[str, str],
     seed: int,
     begin: float,
+    steps: GuardedSteps,
     uncertainty: Uncertainty | None = None,
     segmented: Sequence[Simulation] = (),
 ) -> Result:
@@ -53,6 +55,8 @@ def complete(
         Of the FMU's variables.
     seed, begin
         Of the run; `begin` is a reading of the monotonic clock.
+    steps
+        Keeps what fails here.
     uncertainty
         The solution's; from its Jacobian alone if None.
     segmented
@@ -69,12 +73,15 @@ def complete(
     solution = _whole(train, solution, method, after)
     if test_solution is not None:
         test_solution = _whole(test, test_solution, method, after)
-    uncertainty = uncertainty or assess(train, solution)
+    if uncertainty is None:
+        whole = solution
+        uncertainty = steps.assessed(train, whole, lambda: assess(train, whole))
     estimates = rows.estimates(train, solution, "train", units, uncertainty.intervals)
     estimates += rows.fixed(problem, units) + rows.derived(train, solution, units, uncertainty)
     if test_solution is not None:
-        found = intervals(test, test_solution)
-        estimates += rows.estimates(test, test_solution, "test", units, found)
+        own = test_solution
+        found = steps.assessed(test, own, lambda: assess(test, own)).intervals
+        estimates += rows.estimates(test, own, "test", units, found)
     return Result(
         problem=problem,
         estimates=tuple(estimates),

@@ -45,7 +45,8 @@ def fit_facts(result: Result) -> dict[str, Any]:
 def fit_notes(result: Result) -> tuple[str, ...]:
     """Sentences about the simulations, the residuals and the uncertainty."""
     problem = result.problem
-    notes = [*problem.notes(), *silent_notes(problem, problem.describe())]
+    notes = [*result.failed_steps, *problem.notes()]
+    notes += silent_notes(problem, problem.describe())
     notes += process_noise_notes(problem)
     values = {each.label: each.value for each in result.estimates}
     notes += vanished_noise(

@@ -107,6 +107,8 @@ class Result:
         Of the effects that the problem declares.
     shooting
         What segments of the records led to; None where the search did not go through them.
+    failed_steps
+        Sentences on what was to follow the search and failed; the estimates do not depend on it.
     interrupted
         Whether the user or the budget ended it.
     seed
@@ -139,6 +141,7 @@ class Result:
     solver_error: SolverError | None = field(default=None, repr=False)
     shapes: tuple[EffectCurve, ...] = field(default=(), repr=False)
     shooting: ShootingSummary | None = field(default=None, repr=False)
+    failed_steps: tuple[str, ...] = ()
     interrupted: bool = False
     seed: int = 0
     before: tuple[Simulation, ...] = field(default=(), repr=False)

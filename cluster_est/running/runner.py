@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.executors.base import Executor
-from cluster_est.methods.base import Ending, Evaluation, Points, Solution
+from cluster_est.methods.base import Ending, Evaluation, Points, Progress, Solution
 from cluster_est.methods.follow_up import BudgetTooShortError
 from cluster_est.running.budget_watch import BudgetWatch
 from cluster_est.running.interrupts import DeferredInterrupts, later
@@ -141,6 +141,8 @@ class Runner:
         """
         self._refuse_if_exhausted([])
         searches = [self._open(request) for request in requests]
+        for search in searches:
+            search.counts = enough is None
         self._in_step = self._shares_budget(searches)
         try:
             if not self.interrupted:
@@ -157,6 +159,7 @@ class Runner:
         for search in searches:
             if search.solution is None:
                 self._finish(search, Ending.INTERRUPTED)
+            self._count(search)
         self._refuse_if_exhausted(searches)
         solutions = _solutions(searches)
         self._budget.used_up |= any(found.ending is Ending.BUDGET for found in solutions)
@@ -179,6 +182,7 @@ class Runner:
         waiting = searches[::-1]
         counted = 0
         while counted < len(searches):
+            self._count(searches[counted])
             self._begin_searches(waiting, searches, at_once)
             if searches[counted].solution is None:
                 with interrupts.waiting():
@@ -313,7 +317,7 @@ class Runner:
         """Queue the tasks of a request."""
         if points.progress is not None and points.progress != search.progress:
             search.progress = points.progress
-            self._note(SearchIteration(search.request.name, points.progress, search.asked))
+            self._note_line(search, points.progress)
         self._drop(search, points.drop)
         self._budget.evaluations += len(points.x)
         self._budget.requests += len(points.x) > 0
@@ -347,7 +351,22 @@ class Runner:
         """Note how a search ended, as the last line of its table."""
         last = search.last_line()
         if last is not None:
-            self._note(SearchIteration(search.request.name, last, search.asked))
+            self._note_line(search, last)
+
+    def _note_line(self, search: SearchState, line: Progress) -> None:
+        """Note a line of a search's table, at once where it is sure that the search counts.
+
+        Those of a search that may be given up wait: how far it came by then, only the clock says.
+        """
+        search.lines.append(SearchIteration(search.request.name, line, search.asked))
+        if search.counts:
+            self._count(search)
+
+    def _count(self, search: SearchState) -> None:
+        """Let a search count, with the lines that it has so far."""
+        search.counts, lines, search.lines = True, search.lines, []
+        for line in lines:
+            self._note(line)
 
     def _refuse_if_exhausted(self, searches: Sequence[SearchState]) -> None:
         cut = [s for s in searches if s.solution and s.solution.ending is Ending.BUDGET]

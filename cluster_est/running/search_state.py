@@ -9,6 +9,7 @@ import numpy as np
 from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
 from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.running.evaluation import assemble_evaluation, with_continuity, with_priors
+from cluster_est.running.records import SearchIteration
 from workers.messages import Effect, FloatArray, Outcome, Want
 
 MEMORY_BYTES = 256 * 2**20
@@ -67,6 +68,8 @@ class SearchState:
     best_x: FloatArray | None = None
     progress: Progress = field(default_factory=lambda: Progress(0, np.nan))
     solution: Solution | None = None
+    counts: bool = True
+    lines: list[SearchIteration] = field(default_factory=list)
 
     @property
     def ready(self) -> bool:

@@ -9,7 +9,7 @@ has the F distribution, however smooth that may be (prewhitening; L. D. Haugh, J
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,7 +60,7 @@ NOTHING = Dependence(1.0, 0.0)
 
 
 def dependence(
-    records: Sequence[Pair], known: Sequence[Sequence[FloatArray]] | None = None
+    records: Sequence[Pair], known: Sequence[Mapping[str, FloatArray]] | None = None
 ) -> Dependence:
     """Test whether a residual varies with a signal, at once or late.
 
@@ -70,9 +70,10 @@ def dependence(
         Residual and signal of each record, evenly sampled, all at one step. Each record may have an
         offset and a trend of its own: any two trends go together.
     known
-        For each record signals that both may follow, as long as those: what these say, at once or
-        late, is taken out first, as is a decay from the start. Else everything that a measured
-        input moves would vary with everything else that it moves.
+        For each record signals that both may follow, by name, as long as those: what these say, at
+        once or late, is taken out first, as is a decay from the start. Else everything that a
+        measured input moves would vary with everything else that it moves. One that stands still
+        in a record, or is not there, says nothing in that record.
     """
     block = max(1, -(-sum(len(y) for y, _ in records) // MOST))
     longest = max(ORDERS)
@@ -84,9 +85,10 @@ def dependence(
     if total < LEAST or not any(np.any(y) for y in residuals) or not scale > 0.0:
         return NOTHING
     columns = [_late(x / scale) for x in signals]
-    others = [() if known is None else known[i] for i in kept]
+    others = [{} if known is None else known[i] for i in kept]
+    names = list(dict.fromkeys(name for own in others for name in own))
     given = [
-        _nuisances(len(y), [_averaged(each, block) for each in own])
+        _nuisances(len(y), [_averaged(own[n], block) if n in own else None for n in names])
         for y, own in zip(residuals, others, strict=True)
     ]
     whitener = _Whitener(_autoregression(residuals), given)
@@ -126,14 +128,16 @@ class _Whitener:
         return np.concatenate([lfilter(filters, [1.0], r, axis=0)[skip:] for r in records])
 
 
-def _nuisances(length: int, known: Sequence[FloatArray]) -> FloatArray:
+def _nuisances(length: int, known: Sequence[FloatArray | None]) -> FloatArray:
     """(n, m): decays from the start, and signals with their low passes, all of one size."""
     steps = np.arange(length)
-    columns = [_detrended(np.exp(-steps / lag)) for lag in LAGS]
+    columns = [np.column_stack([_detrended(np.exp(-steps / lag)) for lag in LAGS])]
     for signal in known:
-        size = float(np.std(signal))
-        columns += list(_late(signal / size).T) if size > 0.0 else []
-    return np.column_stack(columns)
+        if signal is None or not np.ptp(signal) > 0.0:
+            columns.append(np.zeros((length, 1 + len(LAGS))))
+        else:
+            columns.append(_late(signal / np.std(signal)))
+    return np.hstack(columns)
 
 
 def _averaged(values: FloatArray, block: int) -> FloatArray:

@@ -14,7 +14,7 @@ from cluster_est.uncertainty.bootstrap import (
     bootstrap,
     check_bootstrap,
 )
-from cluster_est.uncertainty.covariance.covariance import assess, intervals
+from cluster_est.uncertainty.covariance.covariance import assess, intervals, not_assessed
 from cluster_est.uncertainty.covariance.derivatives import examine, linearise, sharpen
 from cluster_est.uncertainty.covariance.directions import UndeterminedDirection
 from cluster_est.uncertainty.covariance.result import (
@@ -51,6 +51,7 @@ __all__ = [
     "examine",
     "intervals",
     "linearise",
+    "not_assessed",
     "predicted_bands",
     "profiles",
     "sample_posterior",

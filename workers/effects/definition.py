@@ -79,10 +79,26 @@ class EffectDefinition:
         return float(_decay(self)(*values))
 
     def is_neutral(self, values: FloatArray) -> bool:
-        """Return whether it does nothing with these values of its coefficients."""
+        """Return whether it provably does nothing with these values of its coefficients.
+
+        A user's equation must also become 0, or the signal itself, by algebra: what is declared
+        neutral there need not be, and may not be all that acts.
+        """
         neutral_values = [c.neutral for c in self.form.coefficients]
         pairs = zip(neutral_values, values.tolist(), strict=True)
-        return all(value == still for still, value in pairs if still is not None)
+        still = all(value == neutral for neutral, value in pairs if neutral is not None)
+        if self.effect.equation:
+            return still and _vanishes(self)
+        return still and any(neutral is not None for neutral in neutral_values)
+
+
+@lru_cache(maxsize=512)
+def _vanishes(definition: EffectDefinition) -> bool:
+    """Return whether equations change nothing once the coefficients are neutral that can be."""
+    pairs = zip(definition.coefficients, definition.form.coefficients, strict=True)
+    neutral = {symbol: c.neutral for symbol, c in pairs if c.neutral is not None}
+    unchanged = sp.Integer(0) if definition.site.at_rates else SIGNAL
+    return all(equation.subs(neutral) - unchanged == 0 for _, equation in definition.equations)
 
 
 @lru_cache(maxsize=512)

@@ -43,6 +43,12 @@ _ARITHMETIC: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
 }
 MAX_EXPONENT = 1000
 """Of a number: SymPy would compute all digits of 9^9^9."""
+MOST_DIGITS = 10_000
+"""Of a power of numbers, all of which SymPy computes."""
+LARGEST = 1e300
+"""Of a function of numbers: beyond, the function of that function would never be computed."""
+MAX_DEPTH = 50
+"""Of calls, signs, powers and parentheses in each other; SymPy goes through them by recursion."""
 _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Lt: lambda a, b: a < b,
     ast.LtE: lambda a, b: a <= b,
@@ -76,16 +82,43 @@ def parse(text: str, symbols: Mapping[str, sp.Symbol], where: str) -> sp.Expr:
     try:
         with _PARSING:
             tree = ast.parse(text.replace("^", "**").strip(), mode="eval")
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+    except (RecursionError, MemoryError):
+        raise _too_deep(where, text) from None
+    except (SyntaxError, ValueError) as error:
         said = getattr(error, "msg", error)
         raise EffectError(f"{where}: must be an equation but {text!r} is not ({said})") from None
     return sp.sympify(_ExpressionReader(symbols, where, text).read(tree.body))
 
 
+def _shown(text: str) -> str:
+    """Return an equation as a message quotes it."""
+    return repr(text) if len(text) <= 200 else f"{text[:100]!r}..."
+
+
+def _too_deep(where: str, text: str) -> EffectError:
+    return EffectError(
+        f"{where}: may have calls, signs, powers and parentheses at most {MAX_DEPTH} deep in each "
+        f"other but {_shown(text)} has more; write it with fewer, or as several"
+    )
+
+
 def _power(base: Any, exponent: Any) -> Any:
-    if base.is_number and exponent.is_number and abs(exponent) > MAX_EXPONENT:
+    if isinstance(exponent, sp.Number) and base.is_number and abs(exponent) > MAX_EXPONENT:
         raise OverflowError(f"an exponent must be at most {MAX_EXPONENT} but is {exponent}")
+    if isinstance(base, sp.Number) and isinstance(exponent, sp.Number) and base.is_finite and base:
+        digits = abs(float(exponent * sp.log(sp.Abs(base), 10).evalf()))
+        if digits > MOST_DIGITS:
+            raise OverflowError(
+                f"a power must have at most {MOST_DIGITS} digits but one has {digits:.3g}"
+            )
     return base**exponent
+
+
+def _bounded(value: Any) -> Any:
+    """Return the value of a function; refused is a number that is out of all proportion."""
+    if getattr(value, "is_number", False) and value.is_finite and abs(value.evalf()) > LARGEST:
+        raise OverflowError(f"a number must be at most {LARGEST:g} in size but one is more")
+    return value
 
 
 def _dotted(node: ast.expr) -> str:
@@ -102,13 +135,24 @@ class _ExpressionReader:
 
     def __init__(self, symbols: Mapping[str, sp.Symbol], where: str, text: str) -> None:
         self._symbols, self._where, self._text = symbols, where, text
+        self._depth = 0
 
     def read(self, node: ast.expr) -> Any:
+        """Return what a part of the equation stands for."""
+        self._depth += 1
+        if self._depth > MAX_DEPTH:
+            raise _too_deep(self._where, self._text)
+        found = self._read(node)
+        self._depth -= 1
+        return found
+
+    def _read(self, node: ast.expr) -> Any:
         match node:
             case ast.Constant(value=bool()):
                 pass
             case ast.Constant(value=int() | float() as value):
-                return sp.Integer(value) if isinstance(value, int) else sp.Float(value, 17)
+                exact = isinstance(value, int)
+                return self._compute(lambda: sp.Integer(value) if exact else sp.Float(value, 17))
             case ast.Name(id=name):
                 return self._look_up(name, self._symbols, "variable")
             case ast.Attribute() if dotted := _dotted(node):
@@ -117,17 +161,32 @@ class _ExpressionReader:
                 return self._compute(lambda value: -value, self.read(operand))
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
                 return self.read(operand)
-            case ast.BinOp(left=left, op=operator, right=right) if type(operator) in _ARITHMETIC:
-                sides = self.read(left), self.read(right)
-                return self._compute(_ARITHMETIC[type(operator)], *sides)
+            case ast.BinOp():
+                return self._chain(node)
             case ast.Compare(left=left, ops=[comparison], comparators=[right]) if (
                 type(comparison) in _COMPARISONS
             ):
                 return _COMPARISONS[type(comparison)](self.read(left), self.read(right))
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
                 return self._call(name, arguments)
+        raise self._refused(node)
+
+    def _chain(self, node: ast.expr) -> Any:
+        """Operators one after the other, as in a long sum, from the left and without recursion."""
+        after: list[tuple[Callable[[Any, Any], Any], ast.expr]] = []
+        while isinstance(node, ast.BinOp):
+            if type(node.op) not in _ARITHMETIC:
+                raise self._refused(node)
+            after.append((_ARITHMETIC[type(node.op)], node.right))
+            node = node.left
+        value = self.read(node)
+        for operation, right in reversed(after):
+            value = self._compute(operation, value, self.read(right))
+        return value
+
+    def _refused(self, node: ast.expr) -> EffectError:
         part = ast.get_source_segment(self._text, node) or self._text
-        raise EffectError(
+        return EffectError(
             f"{self._where}: must be made of numbers, variables, + - * / ^, comparisons and "
             f"{', '.join(FUNCTIONS)} but has {part!r}"
         )
@@ -141,12 +200,17 @@ class _ExpressionReader:
                 "where(condition, yes, no) makes a number of it"
             ) from None
         except OverflowError as error:
-            raise EffectError(f"{self._where}: {error} in {self._text!r}; lower it") from None
+            raise self._out_of_range(error) from None
+
+    def _out_of_range(self, error: OverflowError) -> EffectError:
+        return EffectError(f"{self._where}: {error} in {_shown(self._text)}; change it")
 
     def _call(self, name: str, arguments: list[ast.expr]) -> Any:
         function = self._look_up(name, FUNCTIONS, "function")
         try:
-            return function(*(self.read(argument) for argument in arguments))
+            return _bounded(function(*(self.read(argument) for argument in arguments)))
+        except OverflowError as error:
+            raise self._out_of_range(error) from None
         except (TypeError, ValueError) as error:
             raise EffectError(f"{self._where}: {name}(...) cannot be used so ({error})") from None
 

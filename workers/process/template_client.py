@@ -126,7 +126,8 @@ class TemplateClient:
                 passed.append(listener.fileno())
                 words += [str(listener.fileno()), str(address)]
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "workers.process.template", *words],
+                # -P: a signal.py or numpy.py in the current folder is not what is imported
+                [sys.executable, "-P", "-m", "workers.process.template", *words],
                 pass_fds=passed,
                 start_new_session=True,
                 env=environment,

@@ -116,6 +116,8 @@ def _curves(
     if definition.form.memory or definition.states:
         why = "it depends on the past, so no curve over one variable shows it"
         return [_none(definition, why)]
+    if not _is_one(definition, result):
+        return [_none(definition, "its coefficients differ from experiment to experiment")]
     signal = next((e.value for e in result.estimates if e.label == definition.site.target), 1.0)
     parts = part_shapes(definition, signal)
     if not parts:
@@ -221,6 +223,12 @@ def _compiled(definition: EffectDefinition, equation: sp.Expr, argument: sp.Symb
         return np.array(np.broadcast_to(found, x.shape))
 
     return shape
+
+
+def _is_one(definition: EffectDefinition, result: Result) -> bool:
+    """Return whether an effect has the same coefficients in all experiments."""
+    known = {e.label for e in result.estimates}
+    return all(str(symbol) in known for symbol in definition.coefficients)
 
 
 def coefficient_estimates(definition: EffectDefinition, result: Result) -> list[Estimate]:

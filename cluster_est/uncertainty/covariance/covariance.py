@@ -72,7 +72,7 @@ def assess(space: SearchSpace, solution: Solution, measured_step: float = 0.0) -
     """
     system = scaled_jacobian(space, solution, measured_step)
     if system is None:
-        return _nothing(space, solution)
+        return not_assessed(space, solution)
     return _report(space, solution.x, system)
 
 
@@ -99,12 +99,22 @@ def _without_derivative(space: SearchSpace, solution: Solution) -> list[str]:
     return [space.unknowns[i].label for i in np.flatnonzero(solution.frozen)]
 
 
-def _nothing(space: SearchSpace, solution: Solution) -> Uncertainty:
+def not_assessed(space: SearchSpace, solution: Solution, why: str = "") -> Uncertainty:
+    """Return the uncertainty of a solution of which none is known, with the reason.
+
+    Parameters
+    ----------
+    space, solution
+        As for `assess`.
+    why
+        The reason; that derivatives are missing, if it is left out.
+    """
     bounds = active_bounds(space, solution.x)
     found = tuple(ConfidenceInterval(np.nan, np.nan, np.nan, bound) for bound in bounds)
-    names, why = _without_derivative(space, solution), "no derivatives are known at the solution"
-    if names and has_jacobian(solution):
+    names = _without_derivative(space, solution)
+    if not why and names and has_jacobian(solution):
         why = f"simulations for the derivatives by {joined(names)} failed"
+    why = why or "no derivatives are known at the solution"
     note = f"there are no intervals, because {why}"
     none = np.zeros((0, 0))
     return Uncertainty(found, (), (), (), none, none, (), np.nan, 0, (note,))

@@ -44,6 +44,14 @@ site = "der(v)"
 equation = "-k * tanh(v / 0.01)"
 parameters = { k = { start = 0.1, neutral = 0.0 } }
 """
+SAYS_NOTHING = OWN.replace(", neutral = 0.0", "")
+SAYS_WHAT_IS_NOT_SO = OWN.replace("start = 0.1, neutral = 0.0", "start = 0.2, neutral = 0.2")
+OF_TWO = """
+name = "friction"
+site = "der(v)"
+equation = "-k * tanh(v / 0.01) - b * v^3"
+parameters = { k = { start = 0.1 }, b = { start = 0.0, neutral = 0.0, fixed = true } }
+"""
 OWN_PAIR = """
 name = "friction"
 site = "pair x,v"
@@ -76,9 +84,12 @@ def fitted(folder, effect, *overrides):
     [
         (FRICTION, "der(v) += -k * tanh(v / width)"),
         (OWN, "der(v) += -k * tanh(v / 0.01)"),
+        (SAYS_NOTHING, "der(v) += -k * tanh(v / 0.01)"),
+        (SAYS_WHAT_IS_NOT_SO, "der(v) += -k * tanh(v / 0.01)"),
+        (OF_TWO, "der(v) += -k * tanh(v / 0.01) - b * v^3"),
         (OWN_PAIR, "der(x) += 0, der(v) += -k * tanh(v / 0.01)"),
     ],
-    ids=["form", "equation", "pair"],
+    ids=["form", "equation", "no neutral", "no such neutral", "of two", "pair"],
 )
 def test_a_named_effect_is_fitted_and_written_down(folder, capsys, effect, equation):
     code, out = fitted(folder, effect)
@@ -88,6 +99,16 @@ def test_a_named_effect_is_fitted_and_written_down(folder, capsys, effect, equat
     assert found == pytest.approx({"m": M, "k": K, "c": C, "friction.k": 0.5}, rel=1e-5)
     assert main(["export", str(out), "--text"]) == 0
     assert equation in " ".join(capsys.readouterr().out.split())
+
+
+def test_an_effect_may_have_coefficients_of_each_experiment(folder):
+    own = FRICTION.replace("start = 0.1,", 'start = 0.1, per = "experiment",')
+    code, out = fitted(folder, own)
+    assert code == 0
+    rows = pq.read_table(out / "parameters.parquet").to_pylist()
+    found = {row["label"]: row["value"] for row in rows}
+    assert found["friction.k[run]"] == pytest.approx(0.5, rel=1e-5)
+    assert "could not be computed" not in (out / "run.json").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("executor", ["processes", pytest.param("ray", marks=pytest.mark.slow)])

@@ -123,7 +123,7 @@ class _Pair:
     residual: FloatArray
     column: FloatArray
     times: FloatArray
-    driving: tuple[FloatArray, ...]
+    driving: dict[str, FloatArray]
 
 
 def _dependence(pairs: Sequence[_Pair]) -> Dependence:
@@ -173,7 +173,7 @@ def _pairs(
             return []
         y = np.interp(times, record.times, residuals[record.rows])
         given = (*experiment.inputs, *experiment.signals)
-        driving = tuple(np.interp(times, each.times, each.values) for each in given)
+        driving = {each.variable: np.interp(times, each.times, each.values) for each in given}
         made.append(_Pair(y, x, times, driving))
     return made
 

@@ -252,7 +252,11 @@ def summary(solutions: Sequence[Solution]) -> list[tuple[bytes, float, Ending, i
     return [(s.x.tobytes(), s.cost, s.ending, s.iterations) for s in solutions]
 
 
-REFERENCE = summary(Runner(ShufflingExecutor(answer)).run(many(Downhill(), STARTS)))
+LINES: list[SearchIteration] = []
+"""Of the tables of all searches."""
+REFERENCE = summary(
+    Runner(ShufflingExecutor(answer), note=LINES.append).run(many(Downhill(), STARTS))
+)
 
 
 @settings(max_examples=25)
@@ -280,8 +284,10 @@ def test_enough_sees_the_first_ones_in_order_whatever_ends_first(seed, workers, 
         return len(solutions) >= wanted
 
     executor = ShufflingExecutor(answer, seed, workers)
-    method = Downhill()
-    found = Runner(executor).run(many(method, STARTS), at_once, enough)
+    method, noted = Downhill(), list[SearchIteration]()
+    found = Runner(executor, note=noted.append).run(many(method, STARTS), at_once, enough)
+    names = [f"start {i}" for i in range(wanted)]
+    assert sorted(map(repr, noted)) == sorted(repr(x) for x in LINES if x.search in names)
     assert asked == list(range(1, wanted + 1))
     assert summary(found) == REFERENCE[:wanted]
     begun = sum(line.startswith("begin") for line in method.log)

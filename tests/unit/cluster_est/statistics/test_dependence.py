@@ -67,7 +67,7 @@ def test_what_an_input_moves_is_no_evidence_where_the_input_is_known():
         u = coloured(rng, 500, 0.95)
         y = late(u, 12.0) + 0.05 * coloured(rng, 500, 0.8)
         records.append((y, late(u, 4.0) + 0.05 * coloured(rng, 500, 0.8)))
-        inputs.append([u])
+        inputs.append({"u": u})
     assert dependence(records).p < 1e-6
     assert dependence(records, inputs).p > 1e-3
 
@@ -78,8 +78,22 @@ def test_a_cause_is_found_beside_a_known_input():
     for _ in range(2):
         u, x = coloured(rng, 500, 0.95), coloured(rng, 500, 0.97)
         records.append((late(u, 12.0) + late(x, 8.0) + 0.1 * rng.standard_normal(500), x))
-        inputs.append([u])
+        inputs.append({"u": u})
     assert dependence(records, inputs).p < 1e-6
+
+
+@pytest.mark.parametrize("given", [{}, {"u": np.full(500, 2.0)}], ids=["absent", "still"])
+def test_a_known_input_may_stand_still_or_be_absent_in_a_record(given):
+    """What the others say of it is the same as where that record has an input of its own size."""
+    rng = np.random.default_rng(11)
+    records, inputs = [], []
+    for i in range(3):
+        u = coloured(rng, 500, 0.95) if i else np.zeros(500)
+        records.append((late(u, 12.0) + 0.05 * coloured(rng, 500, 0.8), late(u, 4.0)))
+        records[-1] = (records[-1][0], records[-1][1] + 0.05 * coloured(rng, 500, 0.8))
+        inputs.append({"u": u} if i else given)
+    assert dependence(records).p < 1e-6
+    assert dependence(records, inputs).p > 1e-3
 
 
 def test_two_decays_from_one_start_are_no_evidence():
