@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cluster_est.config.constraints import check_signals, parameter_constraints
 from cluster_est.config.effects import build_effects, build_shared_sensors
-from cluster_est.config.experiments import build_experiments, table_sources
+from cluster_est.config.experiments import build_experiments
 from cluster_est.config.maps import with_maps
 from cluster_est.config.options import build_cost, build_prior
 from cluster_est.config.reader import Config, ParameterSection, read_config
@@ -89,7 +89,7 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
     # a sensor shows what all else has left
     effects = (*build_effects(tuple(config.effects)), *build_shared_sensors(config))
     code = UserCode(base, allowed=allow_code)
-    experiments = build_experiments(config, base, code)
+    experiments, tables = build_experiments(config, base, code)
     every = (*parameters, *(p for made in effects for p in made.parameters))
     constraints = (
         *parameter_constraints(config, tuple(p.name for p in every)),
@@ -103,7 +103,7 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
         tuple(made.effect for made in effects),
         constraints,
         units=tuple(config.model.units.items()),
-        tables=table_sources(config, base),
+        tables=tables,
     )
     problem.describe()
     return problem

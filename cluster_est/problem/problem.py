@@ -14,6 +14,7 @@ from cluster_est.problem.names import coefficient_names, refuse_repeated
 from cluster_est.problem.options import check_options
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.tables.jumps import jump_notes
+from cluster_est.problem.tables.stand_ins import of_experiment, stand_in_findings
 from cluster_est.problem.tables.unused import TableSource
 from cluster_est.problem.variables import (
     check_effects,
@@ -165,17 +166,37 @@ class Problem:
         return description
 
     def notes(self) -> tuple[str, ...]:
-        """Say what a user should know about how the FMU is simulated, and with which inputs.
+        """Say what a user should know about how the FMU is simulated, and with which data.
 
         Raises
         ------
         ModelError, ProblemError
             As `describe`, or if it cannot be simulated at the experiments' times.
         """
-        jumps = jump_notes(self.experiments)
+        return (*self.model_notes(), *self.data_notes(), *jump_notes(self.experiments))
+
+    def model_notes(self) -> tuple[str, ...]:
+        """Say how the FMU is simulated alone; raises as `notes`."""
         if self.model.interface == "model_exchange":
-            return jumps
-        return (*communication_notes(self.model, self.describe(), self.experiments), *jumps)
+            return ()
+        return communication_notes(self.model, self.describe(), self.experiments)
+
+    def data_notes(self) -> tuple[str, ...]:
+        """Say which numbers of the data are hardly measurements, and what leaves them out."""
+        return tuple(": ".join(words) for words in self.data_findings)
+
+    @cached_property
+    def data_findings(self) -> tuple[tuple[str, str], ...]:
+        """What is wrong and what to do, for each number that hardly is a measurement."""
+        read = {each.experiment for each in self.tables}
+        found = [each for table in self.tables for each in table.stand_ins]
+        found += [
+            each
+            for run in self.experiments
+            if run.record_id not in read
+            for each in of_experiment(run)
+        ]
+        return stand_in_findings(found, [each for table in self.tables for each in table.missing])
 
     def _repr_html_(self) -> str:
         """Show model, parameters and experiments in a display."""

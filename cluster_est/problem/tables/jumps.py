@@ -20,6 +20,8 @@ ALONE = 0.8
 """Least share of the changes that stand alone, with samples that repeat before and after."""
 SIZE = 0.05
 """Least median change, over the range of the signal: smaller ones are the steps of a converter."""
+AFTER = 3
+"""Samples from the jump of an input on, in which what is fast answers."""
 REGULAR = 0.1
 """Largest range of the times between changes, over their median, of a staircase."""
 
@@ -61,6 +63,20 @@ def jump_times(given: Input) -> FloatArray:
         return np.zeros(0)
     changes = np.flatnonzero(_changes(given.values))
     return given.times[changes if given.interpolation == "linear" else changes + 1]
+
+
+def after_jumps(experiment: Experiment, output: str) -> npt.NDArray[np.bool_]:
+    """Return which samples of an output are just after a jump of an input.
+
+    What answers at once and is gone within a sample or two looks like a fault of the sensor.
+    """
+    times = next(each.times for each in experiment.outputs if each.variable == output)
+    after = np.zeros(len(times), bool)
+    for given in experiment.inputs:
+        first = np.searchsorted(times, jump_times(given))
+        for late in range(AFTER):
+            after[np.minimum(first + late, len(times) - 1)] = True
+    return after
 
 
 def _changes(values: FloatArray) -> npt.NDArray[np.bool_]:
