@@ -41,8 +41,8 @@ def data_findings(problem: Problem, description: ModelDescription) -> list[Check
     return [
         *_inputs_without_data(problem, description),
         *_stand_ins(problem),
-        *_bridged(problem),
-        *_jumping(problem),
+        *_bridged(problem, description),
+        *_jumping(problem, description),
         *_rounded(problem),
         *_outlying(problem),
     ]
@@ -63,12 +63,13 @@ def _inputs_without_data(problem: Problem, description: ModelDescription) -> lis
     return lines
 
 
-def _bridged(problem: Problem) -> list[CheckFinding]:
+def _bridged(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
     """Return a line for each input with samples missing, with its longest gap."""
     worst: dict[str, tuple[float, str]] = {}
     for each in problem.experiments:
         for given in each.inputs:
-            if given.interpolation == "hold":  # a signal that is noted when it changes
+            held = given.interpolation == "hold" or description.holds(given.variable)
+            if held:  # a signal that is noted when it changes
                 continue
             found = _gaps(given.times, _rows(each), each)
             if found is not None and found[0] > worst.get(given.variable, (0.0, ""))[0]:
@@ -131,11 +132,11 @@ def _answers(experiment: Experiment, output: Output) -> npt.NDArray[np.bool_]:
     return after
 
 
-def _jumping(problem: Problem) -> list[CheckFinding]:
+def _jumping(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
     """Return a line for each input that jumps, and is interpolated by straight lines."""
     return [
         CheckFinding(CheckVerdict.NOTE, "jumps", said, remedy)
-        for said, remedy in jump_findings(problem.experiments)
+        for said, remedy in jump_findings(problem.experiments, description.holds, problem.columns)
     ]
 
 

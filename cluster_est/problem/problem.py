@@ -13,7 +13,7 @@ from cluster_est.problem.formulas import Formula, ParameterConstraint
 from cluster_est.problem.names import coefficient_names, refuse_repeated
 from cluster_est.problem.options import check_options
 from cluster_est.problem.parameter import Parameter
-from cluster_est.problem.tables.jumps import jump_notes
+from cluster_est.problem.tables.jumps import jump_findings
 from cluster_est.problem.tables.stand_ins import of_experiment, stand_in_findings
 from cluster_est.problem.tables.unused import TableSource
 from cluster_est.problem.variables import (
@@ -173,7 +173,8 @@ class Problem:
         ModelError, ProblemError
             As `describe`, or if it cannot be simulated at the experiments' times.
         """
-        return (*self.model_notes(), *self.data_notes(), *jump_notes(self.experiments))
+        jumps = jump_findings(self.experiments, self.describe().holds, self.columns)
+        return (*self.model_notes(), *self.data_notes(), *(": ".join(words) for words in jumps))
 
     def model_notes(self) -> tuple[str, ...]:
         """Say how the FMU is simulated alone; raises as `notes`."""
@@ -184,6 +185,11 @@ class Problem:
     def data_notes(self) -> tuple[str, ...]:
         """Say which numbers of the data are hardly measurements, and what leaves them out."""
         return tuple(": ".join(words) for words in self.data_findings)
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """Columns of the tables by the keys of a config, as far as they are known."""
+        return {key: column for table in reversed(self.tables) for key, column in table.named}
 
     @cached_property
     def data_findings(self) -> tuple[tuple[str, str], ...]:

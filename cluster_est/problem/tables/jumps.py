@@ -6,11 +6,12 @@ interval too early. A fit calls that a delay or a lag.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
+from cluster_est.toml import dotted, inline
 from workers.messages import Experiment, FloatArray, Input
 
 LEAST_SAMPLES = 10
@@ -99,32 +100,44 @@ def _is_rounded(values: FloatArray, changes: npt.NDArray[np.bool_]) -> bool:
     return bool(next_one) and not regular
 
 
-def jumping_inputs(experiments: Sequence[Experiment]) -> dict[str, int]:
+def jumping_inputs(
+    experiments: Sequence[Experiment], holds: Callable[[str], bool]
+) -> dict[str, int]:
     """Return the inputs that jump and are interpolated by straight lines, with how often."""
     found: dict[str, int] = {}
     for each in experiments:
         for given in each.inputs:
-            if given.interpolation == "linear":
+            if given.interpolation == "linear" and not holds(given.variable):
                 jumps = count_jumps(given.times, given.values)
                 if jumps:
                     found[given.variable] = found.get(given.variable, 0) + jumps
     return found
 
 
-def jump_notes(experiments: Sequence[Experiment]) -> tuple[str, ...]:
-    """Say which inputs jump and are interpolated by straight lines, and what to do."""
-    return tuple(": ".join(words) for words in jump_findings(experiments))
+def jump_findings(
+    experiments: Sequence[Experiment],
+    holds: Callable[[str], bool],
+    columns: Mapping[str, str],
+) -> tuple[tuple[str, str], ...]:
+    """Return what is wrong and what to do, for each input that jumps but is not held.
 
-
-def jump_findings(experiments: Sequence[Experiment]) -> tuple[tuple[str, str], ...]:
-    """Return what is wrong and what to do, for each input that jumps but is not held."""
+    Parameters
+    ----------
+    experiments
+        Of a problem.
+    holds
+        Whether an input of this name is held whatever its interpolation is, as the FMU says that it
+        changes at events alone.
+    columns
+        Of the table by key, as far as they are known: {"inputs.u": "force"}.
+    """
     return tuple(
         (
             f"input {name} keeps its value and jumps {count} time{'s' if count > 1 else ''}; "
             "straight lines between its samples make ramps of the jumps, which a fit may take for "
             "a delay",
-            f'inputs.{name} = {{ column = "COLUMN", interpolation = "hold" }}, if it keeps each '
-            "sample until the next",
+            f"{dotted('inputs', name)} = {inline(held)}, if it keeps each sample until the next",
         )
-        for name, count in jumping_inputs(experiments).items()
+        for name, count in jumping_inputs(experiments, holds).items()
+        for held in [{"column": columns.get(f"inputs.{name}", "COLUMN"), "interpolation": "hold"}]
     )
