@@ -18,6 +18,7 @@ from cluster_est.problem.fmu_file import choose_interface
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.variables import check_value
+from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription, describe, describe_model
 from workers.messages import (
     Interface,
@@ -83,8 +84,8 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
     for name in config.values:
         if name in targets:
             raise ConfigError(
-                f"values.{name}: is also a parameter; remove one of the two, or set "
-                f"parameters.{name}.fixed = true"
+                f"{dotted('values', name)}: is also a parameter; remove one of the two, or set "
+                f"{dotted('parameters', name)}.fixed = true"
             )
     # a sensor shows what all else has left
     effects = (*build_effects(tuple(config.effects)), *build_shared_sensors(config))
@@ -133,7 +134,7 @@ def _parameter(name: str, section: ParameterSection) -> Parameter:
         unit=section.unit,
         expression=section.expression,
         auxiliary=section.auxiliary,
-        prior=build_prior(section.prior, f"parameters.{name}.prior"),
+        prior=build_prior(section.prior, f"{dotted('parameters', name)}.prior"),
     )
 
 
@@ -147,7 +148,7 @@ def _model(config: Config, base: Path, targets: tuple[str, ...]) -> Model:
     structure: dict[str, int] = {}
     for name, value in config.values.items():
         if description.variable(name, "values").causality == "structuralParameter":
-            check_value(f"values.{name}", description.variables[name], value)
+            check_value(dotted("values", name), description.variables[name], value)
             structure[name] = int(value)
     description = describe(path.name, archive, structure)
     check_signals(config, description)

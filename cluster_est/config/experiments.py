@@ -19,6 +19,7 @@ from cluster_est.problem.tables.files import MeasuredTable, read_table
 from cluster_est.problem.tables.measured import MeasuredColumns, interval
 from cluster_est.problem.tables.stand_ins import by_column
 from cluster_est.problem.tables.unused import TableSource
+from cluster_est.toml import dotted
 from workers.fmu.description import nearest
 from workers.messages import Curve, Experiment, FloatArray, Input, Output
 
@@ -244,6 +245,7 @@ def _check_weights(config: Config) -> None:
     for name in config.cost.weights:
         if name not in named:
             raise ConfigError(
-                f"cost.weights.{name}: must be named as an output of some experiment but is not"
+                f"{dotted('cost', 'weights', name)}: must be named as an output of some experiment "
+                "but is not"
                 f"{nearest(name, sorted(named))}"
             )

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from cluster_est.config.reader import Config
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
-from cluster_est.problem.idle_inputs import idle_inputs, stays
+from cluster_est.problem.idle_inputs import driven_or_constant, idle_inputs, stays
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.tables.jumps import AFTER, after_jumps, jump_findings
 from cluster_est.problem.tables.stand_ins import stand_ins
@@ -21,6 +21,7 @@ from cluster_est.statistics.noise.estimate import estimate_noise
 from cluster_est.statistics.noise.outliers import isolated_outliers
 from cluster_est.statistics.noise.quantisation import quantisation_step
 from cluster_est.statistics.records import make_records
+from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Output
 
@@ -58,7 +59,7 @@ def _inputs_without_data(problem: Problem, description: ModelDescription) -> lis
             lines.append(CheckFinding(CheckVerdict.OK, f"input {name}", said))
             continue
         said = f"has no data: it stays at {value}"
-        do = f'inputs.{name} = "COLUMN", or values.{name} = NUMBER if it is constant'
+        do = driven_or_constant(name)
         lines.append(CheckFinding(CheckVerdict.NOTE, f"input {name}", said, do))
     return lines
 
@@ -104,7 +105,11 @@ def _outlying(problem: Problem) -> list[CheckFinding]:
         count, samples = sum(found), sum(len(output.values) for _, output in own)
         if 0 < count <= FEW_OUTLIERS * samples:
             said = f"{count} of {samples} samples stand alone, far from their neighbours"
-            needs = "" if all(o.has_sigma for _, o in own) else f", which needs sigma.{name},"
+            needs = (
+                ""
+                if all(o.has_sigma for _, o in own)
+                else f", which needs {dotted('sigma', name)},"
+            )
             do = f'if they are faults of the sensor: cost.name = "huber"{needs} counts them less'
             lines.append(CheckFinding(CheckVerdict.NOTE, f"output {name}", said, do))
     return lines
@@ -160,7 +165,8 @@ def _rounded(problem: Problem) -> list[CheckFinding]:
             f"output {name}",
             f"its values in experiment {each.id} are whole steps of {step:.3g}: rounding alone "
             f"makes an error of {step / ROUNDING:.3g}, {times:.2g} times the sigma that is given",
-            f"sigma.{name} = NUMBER, of {step / ROUNDING:.3g} or more, or measure with a finer "
+            f"{dotted('sigma', name)} = NUMBER, of {step / ROUNDING:.3g} or more, or measure with "
+            "a finer "
             "resolution",
         )
         for name, (times, step, each) in worst.items()
@@ -224,7 +230,8 @@ def sigma_findings(config: Config, description: ModelDescription) -> list[CheckF
         if name in given:
             where = f"{name} in {_named(given[name])} but not in {_named(ids)}"
         said = f"is given for {where}, where it then is 1{unit}"
-        do = f"sigma.{name} = NUMBER, the standard deviation of its noise, or no sigma at all"
+        key = dotted("sigma", name)
+        do = f"{key} = NUMBER, the standard deviation of its noise, or no sigma at all"
         lines.append(CheckFinding(CheckVerdict.NOTE, "sigma", said, do))
     return lines
 

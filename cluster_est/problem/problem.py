@@ -24,6 +24,7 @@ from cluster_est.problem.variables import (
     check_signals,
     with_units,
 )
+from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription, describe_model
 from workers.messages import Effect, Experiment, Model
 from workers.messages.checks import as_pairs, as_tuple, check_kind, check_text
@@ -110,7 +111,7 @@ class Problem:
             object.__setattr__(self, key, found)
         units = as_pairs(self.units, "model.units", ProblemError)
         for name, unit in units:
-            check_text(unit, f"model.units.{name}", ProblemError)
+            check_text(unit, dotted("model", "units", name), ProblemError)
         object.__setattr__(self, "units", units)
 
     @cached_property
@@ -118,7 +119,7 @@ class Problem:
         """Parameters that follow from others, by position, each after those that it needs."""
         names = tuple(p.name for p in self.parameters)
         waiting = {
-            i: Formula(p.expression, names, f"parameters.{p.name}.expression")
+            i: Formula(p.expression, names, f"{dotted('parameters', p.name)}.expression")
             for i, p in enumerate(self.parameters)
             if p.expression
         }
@@ -128,7 +129,8 @@ class Problem:
             if not ready:
                 first = names[next(iter(waiting))]
                 raise ProblemError(
-                    f"parameters.{first}.expression: must not depend on itself but does, through "
+                    f"{dotted('parameters', first)}.expression: must not depend on itself but "
+                    "does, through "
                     f"{', '.join(names[i] for i in waiting)}; give one of them a start instead"
                 )
             found += [(i, waiting.pop(i)) for i in ready]
@@ -173,7 +175,9 @@ class Problem:
         ModelError, ProblemError
             As `describe`, or if it cannot be simulated at the experiments' times.
         """
-        jumps = jump_findings(self.experiments, self.describe().holds, self.columns)
+        jumps = jump_findings(
+            self.experiments, lambda name: self.describe().holds(name), self.columns
+        )
         return (*self.model_notes(), *self.data_notes(), *(": ".join(words) for words in jumps))
 
     def model_notes(self) -> tuple[str, ...]:

@@ -107,9 +107,9 @@ def jumping_inputs(
     found: dict[str, int] = {}
     for each in experiments:
         for given in each.inputs:
-            if given.interpolation == "linear" and not holds(given.variable):
+            if given.interpolation == "linear":
                 jumps = count_jumps(given.times, given.values)
-                if jumps:
+                if jumps and not holds(given.variable):
                     found[given.variable] = found.get(given.variable, 0) + jumps
     return found
 
