@@ -28,9 +28,11 @@ from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription, describe_model
 from workers.messages import Effect, Experiment, Model
 from workers.messages.checks import as_pairs, as_tuple, check_kind, check_text
+from workers.messages.equality import by_content
 from workers.simulation.fixed_step import communication_notes
 
 
+@by_content
 @dataclass(frozen=True)
 class Problem:
     """One joint estimation: a model, what to estimate in it, and from what.

@@ -25,6 +25,7 @@ from cluster_est.running.sensor_starts import with_best_sensors
 from cluster_est.toml import dotted
 from workers.fmu.description import nearest
 from workers.messages import FloatArray
+from workers.messages.equality import by_content
 
 Sampler = Literal["sobol", "latin_hypercube", "uniform"]
 ATTEMPTS = 50
@@ -77,6 +78,7 @@ class Multistart:
         return max(self.n, 1 + len(self.points))
 
 
+@by_content
 @dataclass(frozen=True)
 class MultistartResult:
     """The minima that the searches found.

@@ -30,6 +30,7 @@ from cluster_est.problem.tables.mat_file import contents
 from workers.fmu.description import nearest
 from workers.messages import FloatArray
 from workers.messages.checks import as_path
+from workers.messages.equality import by_content
 
 READERS = {
     ".csv": "csv", ".tsv": "csv", ".txt": "csv",
@@ -43,6 +44,7 @@ MOST_LISTED = 30
 """Columns in a message."""
 
 
+@by_content
 @dataclass(frozen=True)
 class MeasuredTable:
     """A measured file, its columns still as they are in the file.
