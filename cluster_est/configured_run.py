@@ -235,7 +235,8 @@ def do_run(
         If it is interrupted before anything was simulated.
     """
     resources = build_resources(run.config)
-    for sentence in (*former_keys(run.config), *resources.notes()):
+    said = (*former_keys(run.config), *resources.notes(), *run.identity.problem.data_notes())
+    for sentence in said:
         listener.say(sentence)
     to = replace(to, out=to.out.absolute())  # an FMU may leave this process in another folder
     context = RunContext(run.identity, to.out, to.existing, listener.say)

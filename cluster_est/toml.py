@@ -6,9 +6,13 @@ text.
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import tomli_w
+
+BARE = re.compile("[A-Za-z0-9_-]+")
+"""A key that needs no quotes."""
 
 
 def to_toml(tree: dict[str, Any]) -> str:
@@ -34,8 +38,15 @@ def inline(value: Any) -> str:
 
 
 def dotted(*parts: str) -> str:
-    """Return a key of several parts, each in quotes where it needs them."""
-    return ".".join(tomli_w.dumps({part: 0}).removesuffix(" = 0\n") for part in parts)
+    """Return a key of several parts, each in quotes where it needs them.
+
+    What a message or a config says of a key is written here, so that it can be pasted: a name of an
+    FMU may have points, blanks and brackets.
+    """
+    return ".".join(
+        part if BARE.fullmatch(part) else tomli_w.dumps({part: 0}).removesuffix(" = 0\n")
+        for part in parts
+    )
 
 
 def _plain(value: Any) -> Any:

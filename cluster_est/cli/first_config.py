@@ -11,6 +11,7 @@ from cluster_est.cli.display.run import say
 from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.drafting import draft, read_mapping, write
 from cluster_est.errors import ConfigError
+from cluster_est.toml import dotted
 
 
 def init(options: Namespace) -> int:
@@ -35,7 +36,9 @@ def init(options: Namespace) -> int:
     for name in dict.fromkeys(name for run in found.runs for name in run.missing_inputs):
         where = ", ".join(repr(run.id) for run in found.runs if name in run.missing_inputs)
         lines = enumerate(text.toml.splitlines(), 1)
-        place = next((n for n, line in lines if f'inputs.{name} = "COLUMN"' in line), None)
+        place = next(
+            (n for n, line in lines if f'{dotted("inputs", name)} = "COLUMN"' in line), None
+        )
         say(
             console,
             f"{out}{f', line {place}' if place else ''}: no column of {where} is like input "

@@ -29,6 +29,7 @@ from cluster_est.preflight import (
 from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.run_identity import RunKind
 from cluster_est.running.resources import Resources
+from cluster_est.toml import dotted
 
 
 def check(options: Namespace) -> int:
@@ -65,7 +66,7 @@ def _units(config: Config, problem: Problem) -> list[CheckFinding]:
             CheckVerdict.PROBLEM,
             "units",
             f"column '{m.column}' is given to {m.variable}, which is in {m.wanted}, as it is",
-            f'columns."{m.column}" = {{ factor = {m.change.factor:.12g}, '
+            f"{dotted('columns', m.column)} = {{ factor = {m.change.factor:.12g}, "
             f"offset = {m.change.offset:.12g} }}; with factor = 1 alone if the name is wrong",
         )
         for m in unit_mismatches(config, problem.describe())

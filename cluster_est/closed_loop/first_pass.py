@@ -20,18 +20,16 @@ from cluster_est.closed_loop.thresholds import PreparationThresholds
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import make_space
-from cluster_est.problem.tables.jumps import jump_times
+from cluster_est.problem.tables.jumps import after_jumps
 from cluster_est.results.output_errors import output_residuals
 from cluster_est.statistics.noise.outliers import PROVEN, IsolatedOutliers, isolated_outliers
-from workers.messages import Experiment, FloatArray, Output
+from workers.messages import FloatArray, Output
 
 Place = tuple[int, str]
 """An experiment's index and the name of an output."""
 
 Mask = npt.NDArray[np.bool_]
 
-AFTER_A_JUMP = 3
-"""Samples from the jump of an input on, in which what is fast answers."""
 CHANCE = 0.01
 """Probability above which outliers stand just after jumps by chance."""
 
@@ -155,7 +153,7 @@ def _outliers(workbench: LoopWorkbench, fitted: FittedModel) -> list[OutliersOfO
     for held_out, signals in ((False, training), (True, _held_out(workbench, fitted))):
         for name in dict.fromkeys(output for _, output in signals):
             own = {e: signal for (e, output), signal in signals.items() if output == name}
-            jumps = {e: _after_jumps(workbench.problem.experiments[e], name) for e in own}
+            jumps = {e: after_jumps(workbench.problem.experiments[e], name) for e in own}
             outliers = _in_records(own, jumps, noise.get(name, 0.0))
             found.append(OutliersOfOutput(name, held_out, outliers))
     return [each for each in found if each.count]
@@ -203,20 +201,6 @@ def _of_sensor(
     found = outliers(proven=False)
     few = sum(int(each.mask.sum()) for each in found.values()) < PROVEN
     return found if few else outliers(proven=True)
-
-
-def _after_jumps(experiment: Experiment, output: str) -> Mask:
-    """Samples of an output just after a jump of an input.
-
-    What answers at once and is gone within a sample or two looks like a fault of the sensor.
-    """
-    times = next(each.times for each in experiment.outputs if each.variable == output)
-    after = np.zeros(len(times), bool)
-    for given in experiment.inputs:
-        first = np.searchsorted(times, jump_times(given))
-        for late in range(AFTER_A_JUMP):
-            after[np.minimum(first + late, len(times) - 1)] = True
-    return after
 
 
 def _held_out(workbench: LoopWorkbench, fitted: FittedModel) -> dict[Place, FloatArray]:

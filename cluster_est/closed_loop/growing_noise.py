@@ -13,6 +13,7 @@ from cluster_est.closed_loop.synthetic_experiments import with_outputs
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.problem.problem import Problem
 from cluster_est.statistics.noise.growing_noise import NoiseGrowth, noise_growth
+from cluster_est.toml import dotted
 from workers.messages import Output
 
 
@@ -45,7 +46,7 @@ class GrowingNoise:
             f"the noise of {name} grows with the signal: in the third of its samples with the "
             f"largest values it is {times} that in the third with the smallest"
         )
-        both = f"sigma.{name} = {self.sigma:.3g} and relative_sigma.{name} = "
+        both = f"{dotted('sigma', name)} = {self.sigma:.3g} and {dotted('relative_sigma', name)} = "
         both += f"{self.relative_sigma:.3g}"
         if self.weighted:
             return (
@@ -54,7 +55,8 @@ class GrowingNoise:
             )
         said += ", and one sigma gives the loud ones too much weight"
         if np.isnan(self.sigma):
-            return f"{said}; give it a larger relative_sigma.{name} beside sigma.{name}"
+            larger = dotted("relative_sigma", name)
+            return f"{said}; give it a larger {larger} beside {dotted('sigma', name)}"
         return f"{said}; about {both} would give each sample its own"
 
 

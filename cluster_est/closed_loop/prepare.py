@@ -34,6 +34,7 @@ from cluster_est.running.records import Record, TaskOrigin
 from cluster_est.running.resources import Resources, one_blas_thread
 from cluster_est.statistics.noise.estimate import SHORTEST
 from cluster_est.statistics.records import make_records
+from cluster_est.toml import dotted
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site
 from workers.fmu.description import ModelDescription, nearest
@@ -182,7 +183,8 @@ def _check_shape(problem: Problem, settings: LoopSettings) -> None:
     for parameter in problem.parameters:
         if parameter.prior is not None:
             raise ProblemError(
-                f"closed loop: parameters.{parameter.name}.prior must be left out, because its "
+                f"closed loop: {dotted('parameters', parameter.name)}.prior must be left out, "
+                "because its "
                 "tests take all residuals for those of measurements; remove it here, and give it "
                 "to a fit with what was found"
             )

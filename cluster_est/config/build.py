@@ -7,7 +7,7 @@ from pathlib import Path
 
 from cluster_est.config.constraints import check_signals, parameter_constraints
 from cluster_est.config.effects import build_effects, build_shared_sensors
-from cluster_est.config.experiments import build_experiments, table_sources
+from cluster_est.config.experiments import build_experiments
 from cluster_est.config.maps import with_maps
 from cluster_est.config.options import build_cost, build_prior
 from cluster_est.config.reader import Config, ParameterSection, read_config
@@ -18,6 +18,7 @@ from cluster_est.problem.fmu_file import choose_interface
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.variables import check_value
+from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription, describe, describe_model
 from workers.messages import (
     Interface,
@@ -83,13 +84,13 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
     for name in config.values:
         if name in targets:
             raise ConfigError(
-                f"values.{name}: is also a parameter; remove one of the two, or set "
-                f"parameters.{name}.fixed = true"
+                f"{dotted('values', name)}: is also a parameter; remove one of the two, or set "
+                f"{dotted('parameters', name)}.fixed = true"
             )
     # a sensor shows what all else has left
     effects = (*build_effects(tuple(config.effects)), *build_shared_sensors(config))
     code = UserCode(base, allowed=allow_code)
-    experiments = build_experiments(config, base, code)
+    experiments, tables = build_experiments(config, base, code)
     every = (*parameters, *(p for made in effects for p in made.parameters))
     constraints = (
         *parameter_constraints(config, tuple(p.name for p in every)),
@@ -103,7 +104,7 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
         tuple(made.effect for made in effects),
         constraints,
         units=tuple(config.model.units.items()),
-        tables=table_sources(config, base),
+        tables=tables,
     )
     problem.describe()
     return problem
@@ -133,7 +134,7 @@ def _parameter(name: str, section: ParameterSection) -> Parameter:
         unit=section.unit,
         expression=section.expression,
         auxiliary=section.auxiliary,
-        prior=build_prior(section.prior, f"parameters.{name}.prior"),
+        prior=build_prior(section.prior, f"{dotted('parameters', name)}.prior"),
     )
 
 
@@ -147,7 +148,7 @@ def _model(config: Config, base: Path, targets: tuple[str, ...]) -> Model:
     structure: dict[str, int] = {}
     for name, value in config.values.items():
         if description.variable(name, "values").causality == "structuralParameter":
-            check_value(f"values.{name}", description.variables[name], value)
+            check_value(dotted("values", name), description.variables[name], value)
             structure[name] = int(value)
     description = describe(path.name, archive, structure)
     check_signals(config, description)

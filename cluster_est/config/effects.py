@@ -14,6 +14,7 @@ from cluster_est.problem.effects.declared import (
 )
 from cluster_est.problem.effects.sensors import shared_sensor
 from cluster_est.problem.effects.table_values import UNBOUNDED, TableShape
+from cluster_est.toml import dotted
 
 
 def build_effects(sections: tuple[EffectSection, ...]) -> tuple[MadeEffect, ...]:
@@ -40,7 +41,7 @@ def build_shared_sensors(config: Config) -> tuple[MadeEffect, ...]:
     outputs: dict[str, OutputSection] = {}
     for experiment in config.experiments:
         for name, given in experiment.outputs.items():
-            where = f"experiment {experiment.id!r}.outputs.{name}"
+            where = f"experiment {experiment.id!r}.{dotted('outputs', name)}"
             _check_shared(where, given, outputs.setdefault(name, given))
     return tuple(
         shared_sensor(

@@ -16,14 +16,18 @@ from cluster_est.config.user_code import UserCode
 from cluster_est.errors import ConfigError
 from cluster_est.problem.held_out import hold_out
 from cluster_est.problem.tables.files import MeasuredTable, read_table
-from cluster_est.problem.tables.measured import interval
+from cluster_est.problem.tables.measured import MeasuredColumns, interval
+from cluster_est.problem.tables.stand_ins import by_column
 from cluster_est.problem.tables.unused import TableSource
+from cluster_est.toml import dotted
 from workers.fmu.description import nearest
 from workers.messages import Curve, Experiment, FloatArray, Input, Output
 
 
-def build_experiments(config: Config, base: Path, code: UserCode) -> tuple[Experiment, ...]:
-    """Read every experiment.
+def build_experiments(
+    config: Config, base: Path, code: UserCode
+) -> tuple[tuple[Experiment, ...], tuple[TableSource, ...]]:
+    """Read every experiment, and say from where.
 
     Parameters
     ----------
@@ -34,6 +38,11 @@ def build_experiments(config: Config, base: Path, code: UserCode) -> tuple[Exper
     code
         Finds functions of the user's.
 
+    Returns
+    -------
+    experiments, tables
+        The experiments; the table of each one that has one over time, with what is used of it.
+
     Raises
     ------
     ClusterEstError
@@ -42,30 +51,49 @@ def build_experiments(config: Config, base: Path, code: UserCode) -> tuple[Exper
     _check_weights(config)
     tables: dict[Path, MeasuredTable] = {}
     found: list[Experiment] = []
+    sources: list[TableSource] = []
     for section in config.experiments:
         experiment = _experiment(section, config, base, code, tables)
         found += (
             hold_out(experiment, windows) if (windows := section.test_windows) else [experiment]
         )
-    return tuple(found)
+        sources += _source(section, config, base, tables)
+    return tuple(found), tuple(sources)
 
 
-def table_sources(config: Config, base: Path) -> tuple[TableSource, ...]:
-    """Return the table of each experiment that has one over time, with the columns it uses."""
-    found = []
-    for section in config.experiments:
-        used = [each.column for each in section.inputs.values()]
-        used += [each.column for each in section.signals.values()]
-        used += [each.column for each in section.outputs.values()]
-        if section.data is None or not used:
-            continue
-        path = find_file(section.data, base, config.data_folders, f"experiment {section.id!r}.data")
-        times = () if section.time is None else (section.time,)
-        rows = None if section.rows is None else (section.rows[0], section.rows[1])
-        found.append(
-            TableSource(section.id, path, section.time, section.sample_time, rows, (*times, *used))
+def _source(
+    section: ExperimentSection, config: Config, base: Path, tables: dict[Path, MeasuredTable]
+) -> list[TableSource]:
+    """Return the table of an experiment, if it has one over time, with the columns it uses."""
+    named = (
+        *((f"inputs.{name}", each.column) for name, each in section.inputs.items()),
+        *((f"signals.{name}", each.column) for name, each in section.signals.items()),
+        *((f"outputs.{name}", each.column) for name, each in section.outputs.items()),
+    )
+    if section.data is None or not named:
+        return []
+    path = find_file(section.data, base, config.data_folders, f"experiment {section.id!r}.data")
+    rows = None if section.rows is None else (section.rows[0], section.rows[1])
+    missing = tuple(section.missing)
+    raw = MeasuredColumns(tables[path], section.id, rows, missing=missing)
+    graded = {each.column for each in section.outputs.values() if each.ordinal}
+    numbers = {column: raw.column(column) for _, column in named if column not in graded}
+    looked_at = [(key, column) for key, column in named if column in numbers]
+    times = () if section.time is None else (section.time,)
+    used = (*times, *(column for _, column in named))
+    return [
+        TableSource(
+            section.id,
+            path,
+            section.time,
+            section.sample_time,
+            rows,
+            used,
+            named,
+            missing,
+            by_column(numbers, looked_at, section.id),
         )
-    return tuple(found)
+    ]
 
 
 def _experiment(
@@ -217,6 +245,7 @@ def _check_weights(config: Config) -> None:
     for name in config.cost.weights:
         if name not in named:
             raise ConfigError(
-                f"cost.weights.{name}: must be named as an output of some experiment but is not"
+                f"{dotted('cost', 'weights', name)}: must be named as an output of some experiment "
+                "but is not"
                 f"{nearest(name, sorted(named))}"
             )

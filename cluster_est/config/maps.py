@@ -12,6 +12,7 @@ from cluster_est.config.reader import Config, ConstraintSection, ParameterSectio
 from cluster_est.config.sections.maps import MapSection
 from cluster_est.errors import ConfigError
 from cluster_est.problem.effects.table_values import TableShape, ValueTable, check_table_name
+from cluster_est.toml import dotted
 
 
 def with_maps(config: Config) -> Config:
@@ -30,7 +31,8 @@ def with_maps(config: Config) -> Config:
         for key, parameter in _parameters(section, table).items():
             if key in parameters:
                 raise ConfigError(
-                    f"maps.{name}: its value {key} must have a name of its own but there is a "
+                    f"{dotted('maps', name)}: its value {key} must have a name of its own but "
+                    "there is a "
                     "parameter of that name; rename one of the two"
                 )
             parameters[key] = parameter
@@ -43,7 +45,7 @@ def with_maps(config: Config) -> Config:
 
 def _table(name: str, section: MapSection) -> ValueTable:
     """A map as a table of values, checked."""
-    where, count = f"maps.{name}", len(section.points)
+    where, count = dotted("maps", name), len(section.points)
     check_table_name(name, where, "NAME_1, NAME_2, ...")
     if len(section.variables) != count:
         raise ConfigError(

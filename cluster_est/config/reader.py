@@ -57,6 +57,7 @@ from cluster_est.problem.tables.measured import (
     relative_without_sigma,
     sigma_without_output,
 )
+from cluster_est.toml import dotted
 from workers.fmu.description import nearest
 from workers.messages.checks import as_path, as_tuple
 
@@ -193,7 +194,7 @@ def _unknown_names(config: Config) -> Iterator[str]:
 
 def _missing_starts(config: Config) -> Iterator[str]:
     for name, parameter in config.parameters.items():
-        key = f"parameters.{name}"
+        key = dotted("parameters", name)
         if parameter.start is None and not parameter.expression:
             yield f"{key}.start is missing; add it (where the estimation starts, in the FMU's unit)"
         elif parameter.start is not None and parameter.expression:

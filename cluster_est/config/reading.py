@@ -60,7 +60,8 @@ class ExperimentReader:
             name: ColumnChange(each.factor, each.offset, each.demean)
             for name, each in section.columns.items()
         }
-        self._columns = MeasuredColumns(table, where, section.rows, changes)
+        missing = tuple(section.missing)
+        self._columns = MeasuredColumns(table, where, section.rows, changes, missing)
         self._section = section
 
     def times(self) -> FloatArray:

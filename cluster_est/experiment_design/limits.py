@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from cluster_est.errors import ProblemError
+from cluster_est.toml import dotted
 from workers.messages.checks import check_kind, check_name, check_number, is_number, shown
 
 FEWEST_SAMPLES = 10
@@ -134,7 +135,8 @@ class ExperimentLimits:
         for name, each in self.inputs.items():
             if each.hold > self.duration[0]:
                 raise ProblemError(
-                    f"inputs.{name}.hold: must be at most the duration, {self.duration[0]:g} s, "
+                    f"{dotted('inputs', name)}.hold: must be at most the duration, "
+                    f"{self.duration[0]:g} s, "
                     f"but is {each.hold:g} s; change one"
                 )
 

@@ -18,6 +18,7 @@ from cluster_est.problem.observed_outputs import NOT_PLAIN
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import make_space
 from cluster_est.problem.search_space.unknown import Unknown
+from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription, nearest
 from workers.messages import Experiment
 
@@ -217,10 +218,11 @@ def _check_variables(request: DesignRequest, description: ModelDescription) -> N
         )
     known = [given.variable for given in like.inputs]
     for name in limits.inputs:
-        _check_known(name, f"inputs.{name}", known, f"an input of experiment {like.id!r}")
+        _check_known(name, dotted("inputs", name), known, f"an input of experiment {like.id!r}")
         if variables[name].type == "Boolean":
             raise ProblemError(
-                f"inputs.{name}: must take numbers to be designed but is true or false; leave it "
+                f"{dotted('inputs', name)}: must take numbers to be designed but is true or false; "
+                "leave it "
                 "out, so that it is that of the experiment like"
             )
     for key, names in (("signals", limits.signals), ("start", limits.start)):

@@ -32,6 +32,7 @@ from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.plug_in import check_class_attributes
 from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray, Outcome
+from workers.messages.equality import by_content
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,7 @@ class Progress:
     ending: str = ""
 
 
+@by_content
 @dataclass(frozen=True)
 class Points:
     """A request: evaluate the rows of `x`.
@@ -108,6 +110,7 @@ TOLERANCE = 1e-6
 """A violation up to this counts as none: constraints are in units of their own scale."""
 
 
+@by_content
 @dataclass(frozen=True)
 class Evaluation:
     """The answer for one point: the outcome of each experiment, in their order.
@@ -211,6 +214,7 @@ class Ending(enum.StrEnum):
         return self in (Ending.CONVERGED, Ending.PERFECT)
 
 
+@by_content
 @dataclass(frozen=True)
 class OtherPoint:
     """A point that a search found besides its solution; `objectives` are costs kept apart."""
@@ -220,6 +224,7 @@ class OtherPoint:
     objectives: tuple[float, ...] = ()
 
 
+@by_content
 @dataclass(frozen=True)
 class Solution:
     """The result of a search.

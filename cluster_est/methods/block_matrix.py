@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from workers.messages import FloatArray, IntArray
+from workers.messages.equality import by_content
 
 LEAST_SIZE = 200
 """Number of unknowns from which on blocks pay."""
@@ -22,6 +23,7 @@ LEAST_RATIO = 4
 """Entries of the whole matrix over those of the blocks, from which on blocks pay."""
 
 
+@by_content
 @dataclass(frozen=True)
 class BlockMatrix:
     """A matrix (residuals, unknowns), experiment by experiment.

@@ -10,8 +10,10 @@ import numpy as np
 from cluster_est.methods.base import Ending, Method, Points, Search, Solution
 from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
+from workers.messages.equality import by_content
 
 
+@by_content
 @dataclass(frozen=True)
 class GivenPoints(Method):
     """Evaluate points, and end at the best of them; the solution carries all evaluations.

@@ -1,24 +1,38 @@
-"""Checks of the data: inputs without any, gaps and jumps in them, rounded outputs, weights."""
+"""Checks of the data: inputs without any, gaps and jumps in them, odd samples, weights."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from cluster_est.config.reader import Config
+from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
-from cluster_est.problem.idle_inputs import idle_inputs, stays
+from cluster_est.problem.idle_inputs import driven_or_constant, idle_inputs, stays
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.tables.jumps import jump_findings
+from cluster_est.problem.tables.jumps import AFTER, after_jumps, jump_findings
+from cluster_est.problem.tables.stand_ins import stand_ins
+from cluster_est.statistics.noise.estimate import estimate_noise
+from cluster_est.statistics.noise.outliers import isolated_outliers
 from cluster_est.statistics.noise.quantisation import quantisation_step
+from cluster_est.statistics.records import make_records
+from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription
-from workers.messages import Experiment, FloatArray
+from workers.messages import Experiment, FloatArray, Output
 
 ROUNDING = math.sqrt(12.0)
 """A step over the standard deviation that rounding to it makes; see `quantisation_step`."""
+VISIBLE = 0.01
+"""Share of an output's range that its noise counts as at least where outliers are looked for."""
+FEW_OUTLIERS = 0.01
+"""Largest share of the samples that are outliers; more of them are how this signal is."""
+FEWEST_VALUES = 20
+"""Different values that a signal with outliers has at least: fewer are levels."""
 GAP = 1.5
 """Sampling intervals of an input from which on it has a gap."""
 
@@ -27,9 +41,11 @@ def data_findings(problem: Problem, description: ModelDescription) -> list[Check
     """Look at what drives the model; nothing is simulated."""
     return [
         *_inputs_without_data(problem, description),
-        *_bridged(problem),
-        *_jumping(problem),
+        *_stand_ins(problem),
+        *_bridged(problem, description),
+        *_jumping(problem, description),
         *_rounded(problem),
+        *_outlying(problem),
     ]
 
 
@@ -43,17 +59,18 @@ def _inputs_without_data(problem: Problem, description: ModelDescription) -> lis
             lines.append(CheckFinding(CheckVerdict.OK, f"input {name}", said))
             continue
         said = f"has no data: it stays at {value}"
-        do = f'inputs.{name} = "COLUMN", or values.{name} = NUMBER if it is constant'
+        do = driven_or_constant(name)
         lines.append(CheckFinding(CheckVerdict.NOTE, f"input {name}", said, do))
     return lines
 
 
-def _bridged(problem: Problem) -> list[CheckFinding]:
+def _bridged(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
     """Return a line for each input with samples missing, with its longest gap."""
     worst: dict[str, tuple[float, str]] = {}
     for each in problem.experiments:
         for given in each.inputs:
-            if given.interpolation == "hold":  # a signal that is noted when it changes
+            held = given.interpolation == "hold" or description.holds(given.variable)
+            if held:  # a signal that is noted when it changes
                 continue
             found = _gaps(given.times, _rows(each), each)
             if found is not None and found[0] > worst.get(given.variable, (0.0, ""))[0]:
@@ -68,11 +85,63 @@ def _bridged(problem: Problem) -> list[CheckFinding]:
     ]
 
 
-def _jumping(problem: Problem) -> list[CheckFinding]:
+def _stand_ins(problem: Problem) -> list[CheckFinding]:
+    """Return a line for each number in the data that hardly is a measurement."""
+    return [
+        CheckFinding(CheckVerdict.NOTE, "missing", said, do) for said, do in problem.data_findings
+    ]
+
+
+def _outlying(problem: Problem) -> list[CheckFinding]:
+    """Return a line for each output with single samples far from their neighbours."""
+    runs = [each for each in problem.experiments if each.role == "train"]
+    if not isinstance(problem.cost, SumSquared):
+        return []
+    pairs = [(each, output) for each in runs for output in each.outputs if len(output.values)]
+    lines = []
+    for name in dict.fromkeys(output.variable for _, output in pairs):
+        own = [(each, output) for each, output in pairs if output.variable == name]
+        found = [_alone(each, output) for each, output in own]
+        count, samples = sum(found), sum(len(output.values) for _, output in own)
+        if 0 < count <= FEW_OUTLIERS * samples:
+            said = f"{count} of {samples} samples stand alone, far from their neighbours"
+            needs = (
+                ""
+                if all(o.has_sigma for _, o in own)
+                else f", which needs {dotted('sigma', name)},"
+            )
+            do = f'if they are faults of the sensor: cost.name = "huber"{needs} counts them less'
+            lines.append(CheckFinding(CheckVerdict.NOTE, f"output {name}", said, do))
+    return lines
+
+
+def _alone(experiment: Experiment, output: Output) -> int:
+    """Return how many samples of an output are outliers; none of one that has hardly any values."""
+    values = output.values
+    if output.ordinal or len(np.unique(values)) < FEWEST_VALUES or stand_ins(values):
+        return 0
+    records = make_records([replace(experiment, outputs=(output,))])
+    noise = max(float(estimate_noise(values, records, values)[0]), VISIBLE * float(np.ptp(values)))
+    excepted = _answers(experiment, output)
+    return int(isolated_outliers(values, noise, excepted=excepted).mask.sum())
+
+
+def _answers(experiment: Experiment, output: Output) -> npt.NDArray[np.bool_]:
+    """Return which samples of an output are just after a jump or a single pulse of an input."""
+    after = after_jumps(experiment, output.variable)
+    for given in experiment.inputs:
+        pulses = isolated_outliers(given.values, VISIBLE * float(np.ptp(given.values))).mask
+        first = np.searchsorted(output.times, given.times[pulses])
+        for late in range(-1, AFTER):
+            after[np.clip(first + late, 0, len(after) - 1)] = True
+    return after
+
+
+def _jumping(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
     """Return a line for each input that jumps, and is interpolated by straight lines."""
     return [
         CheckFinding(CheckVerdict.NOTE, "jumps", said, remedy)
-        for said, remedy in jump_findings(problem.experiments)
+        for said, remedy in jump_findings(problem.experiments, description.holds, problem.columns)
     ]
 
 
@@ -96,7 +165,8 @@ def _rounded(problem: Problem) -> list[CheckFinding]:
             f"output {name}",
             f"its values in experiment {each.id} are whole steps of {step:.3g}: rounding alone "
             f"makes an error of {step / ROUNDING:.3g}, {times:.2g} times the sigma that is given",
-            f"sigma.{name} = NUMBER, of {step / ROUNDING:.3g} or more, or measure with a finer "
+            f"{dotted('sigma', name)} = NUMBER, of {step / ROUNDING:.3g} or more, or measure with "
+            "a finer "
             "resolution",
         )
         for name, (times, step, each) in worst.items()
@@ -160,7 +230,8 @@ def sigma_findings(config: Config, description: ModelDescription) -> list[CheckF
         if name in given:
             where = f"{name} in {_named(given[name])} but not in {_named(ids)}"
         said = f"is given for {where}, where it then is 1{unit}"
-        do = f"sigma.{name} = NUMBER, the standard deviation of its noise, or no sigma at all"
+        key = dotted("sigma", name)
+        do = f"{key} = NUMBER, the standard deviation of its noise, or no sigma at all"
         lines.append(CheckFinding(CheckVerdict.NOTE, "sigma", said, do))
     return lines
 

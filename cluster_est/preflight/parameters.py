@@ -13,6 +13,7 @@ from cluster_est.preflight.subject import CheckSubject, unanswered
 from cluster_est.problem.idle_inputs import silent_inputs, stays
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.search_space.unknown import Unknown
+from cluster_est.toml import dotted
 from workers.messages import FloatArray
 from workers.probes.probes import MovementProbe
 from workers.process.trial import NoAnswer
@@ -107,9 +108,14 @@ def _moved(subject: CheckSubject, column: int, share: float) -> FloatArray:
 def _dead(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
     said = "is dead: the outputs do not depend on it at the start"
     if subject.declared:
-        do = "parameters.{}.fixed = true, or remove it, or measure what it acts on"
+        do = "fixed = true, or remove it, or measure what it acts on"
         return [
-            CheckFinding(CheckVerdict.PROBLEM, f"parameter {name}", said, do.format(name))
+            CheckFinding(
+                CheckVerdict.PROBLEM,
+                f"parameter {name}",
+                said,
+                f"{dotted('parameters', name)}.{do}",
+            )
             for name in names
         ]
     if not names:
@@ -136,7 +142,7 @@ def _waiting(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
     if len(silent) > 1:
         while_ = f"while inputs {listed(silent)} have no data"
     said = f"the outputs do not depend on {listed(names)} {while_}"
-    do = f'inputs.{silent[0]} = "COLUMN" in the experiments, then check again'
+    do = f'{dotted("inputs", silent[0])} = "COLUMN" in the experiments, then check again'
     return [CheckFinding(CheckVerdict.PROBLEM, "parameters", said, do)]
 
 
@@ -148,12 +154,15 @@ def _faint(name: str, size: float) -> CheckFinding:
         )
     said = f"hardly acts: moved by 1 % of its size it changes the outputs by {size:.2g} of theirs"
     return CheckFinding(
-        CheckVerdict.NOTE, f"parameter {name}", said, f"another parameters.{name}.start, or fix it"
+        CheckVerdict.NOTE,
+        f"parameter {name}",
+        said,
+        f"another {dotted('parameters', name)}.start, or fix it",
     )
 
 
 def _failed(name: str, said: str) -> CheckFinding:
-    do = f"another parameters.{name}.start or narrower bounds"
+    do = f"another {dotted('parameters', name)}.start or narrower bounds"
     return CheckFinding(
         CheckVerdict.NOTE, f"parameter {name}", f"moved by 1 % of its size: {said}", do
     )
@@ -197,7 +206,7 @@ def _outside(subject: CheckSubject, parameter: Parameter) -> list[CheckFinding]:
     low = -math.inf if variable.low is None else variable.low
     high = math.inf if variable.high is None else variable.high
     where, allowed = f"parameter {parameter.name}", f"the FMU declares [{low:g}, {high:g}]"
-    key = f"parameters.{parameter.name}"
+    key = dotted("parameters", parameter.name)
     lines = []
     if not parameter.expression and not low <= parameter.start <= high:
         said = f"starts at {parameter.start:g} but {allowed}"

@@ -12,7 +12,9 @@ from workers.process.forked import CAN_FORK
 from workers.process.trial import NoAnswer
 
 SECONDS = 1.0
-"""Time for the measurement."""
+"""Time for the measurement, where it suffices."""
+ENOUGH = 150
+"""Simulations for which there is time with any longer time for all checks."""
 SHORT = 2e-4
 """Seconds: shorter simulations are not worth the way to another process."""
 LONG = 1.0
@@ -25,7 +27,11 @@ LEAK = 1024.0
 
 def costs(subject: CheckSubject) -> list[CheckFinding]:
     """Return the median time of a simulation, and the memory that each leaves behind."""
-    probe = CostProbe(*subject.probe_arguments, min(SECONDS, subject.budget.left / 3.0))
+    seconds = max(
+        min(SECONDS, subject.budget.left / 3.0),
+        min(ENOUGH * subject.simulation_seconds, subject.budget.left / 4.0),
+    )
+    probe = CostProbe(*subject.probe_arguments, seconds)
     found = subject.ask(probe, 10)
     if isinstance(found, NoAnswer):
         return (

@@ -10,6 +10,7 @@ import numpy as np
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict
 from cluster_est.preflight.sensitivities import sensitivities
 from cluster_est.preflight.subject import CheckSubject, unanswered
+from cluster_est.toml import dotted
 from workers.messages import FloatArray, Solver
 from workers.probes.directional import DirectionalProbe
 from workers.probes.probes import SolverProbe, StiffnessProbe
@@ -97,8 +98,8 @@ def _against_noise(subject: CheckSubject, errors: list[tuple[str, float]]) -> _N
     if not share > 0.0:
         return _NoiseShare()
     if share < NOISE_GOOD:
-        return _NoiseShare(share, f"that is {share:.2g} of sigma.{name}")
-    said = f"that is {share:.2g} of sigma.{name}, which is not small against the noise"
+        return _NoiseShare(share, f"that is {share:.2g} of {dotted('sigma', name)}")
+    said = f"that is {share:.2g} of {dotted('sigma', name)}, which is not small against the noise"
     return _NoiseShare(share, said)
 
 

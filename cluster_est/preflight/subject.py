@@ -21,6 +21,11 @@ LEAST_SECONDS = 0.2
 """With less left no probe is asked."""
 
 
+SHARE = 1.0 / 3.0
+"""Of the time that is left, that a probe may take where that is more than it needs: with more time
+each check has more."""
+
+
 @dataclass
 class TimeBudget:
     """Seconds that all checks share."""
@@ -105,12 +110,14 @@ class CheckSubject:
         needed = simulations * self.simulation_seconds
         if left < max(LEAST_SECONDS, needed):
             return NoAnswer(f"it would take about {max(needed, LEAST_SECONDS):.2g} s", late=True)
-        return self.bench.ask(probe, min(left, max(most, 3.0 * needed)))
+        return self.bench.ask(probe, min(left, max(most, 3.0 * needed, SHARE * left)))
 
 
 def unanswered(check: str, stopped: NoAnswer) -> CheckFinding:
     """Return the finding of a check without an answer."""
     if stopped.late:
         more = "give it more time with --seconds"
-        return CheckFinding(CheckVerdict.NOT_DONE, check, f"no time left: {stopped.message}", more)
+        return CheckFinding(
+            CheckVerdict.NOT_DONE, check, f"too little time: {stopped.message}", more
+        )
     return CheckFinding(CheckVerdict.NOTE, check, f"could not be found out: {stopped.message}")

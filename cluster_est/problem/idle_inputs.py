@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from cluster_est.problem.problem import Problem
+from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription
 from workers.fmu.variable import ModelVariable
 
@@ -29,6 +30,12 @@ def stays(variable: ModelVariable) -> str:
     return f"{variable.start or 0.0:g} {variable.unit}".strip()
 
 
+def driven_or_constant(name: str) -> str:
+    """Return the two keys of which one says what an input is."""
+    data, constant = dotted("inputs", name), dotted("values", name)
+    return f'{data} = "COLUMN", or {constant} = NUMBER if it is constant'
+
+
 def silent_inputs(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
     """Return the inputs that nothing drives in any experiment."""
     idle, count = idle_inputs(problem, description), len(problem.experiments)
@@ -46,5 +53,5 @@ def silent_notes(problem: Problem, description: ModelDescription) -> tuple[str, 
     return (
         f"input{'' if one else 's'} {', '.join(named)}{more} {'has' if one else 'have'} no data "
         f"and {'keeps its start value' if one else 'keep their start values'}; "
-        f'inputs.{names[0]} = "COLUMN", or values.{names[0]} = NUMBER if it is constant',
+        f"{driven_or_constant(names[0])}",
     )

@@ -9,6 +9,7 @@ from typing import Literal, get_args
 
 from cluster_est.errors import ProblemError
 from cluster_est.priors import Prior
+from cluster_est.toml import dotted
 from workers.messages.checks import (
     check_choice,
     check_flag,
@@ -73,7 +74,7 @@ class Parameter:
 
     def __post_init__(self) -> None:
         check_name(self.name, "parameters.name", ProblemError)
-        where = f"parameters.{self.name}"
+        where = dotted("parameters", self.name)
         self._check_kinds(where)
         if not self.lower < self.upper:
             raise ProblemError(

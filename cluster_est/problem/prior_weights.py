@@ -7,6 +7,7 @@ from dataclasses import replace
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.problem.problem import Problem
+from cluster_est.toml import dotted
 
 
 def check_priors(problem: Problem) -> None:
@@ -26,10 +27,11 @@ def check_priors(problem: Problem) -> None:
         return
     if not isinstance(problem.cost, SumSquared):
         raise ProblemError(
-            f'parameters.{name}.prior: must go with the cost "sse", in which it counts like a '
+            f'{dotted("parameters", name)}.prior: must go with the cost "sse", in which it counts '
+            "like a "
             f"measurement, but cost.name is {problem.cost.name!r}; change one of the two"
         )
-    refuse_distances(problem, f"parameters.{name}.prior")
+    refuse_distances(problem, f"{dotted('parameters', name)}.prior")
     need_sigmas(
         problem, f"the prior of parameter {name} is weighed against it by its standard deviation"
     )
@@ -84,7 +86,8 @@ def need_sigmas(problem: Problem, why: str) -> None:
         for output in experiment.outputs:
             if len(output.times) and not output.has_sigma:
                 raise ProblemError(
-                    f"experiment {experiment.id!r}: sigma.{output.variable} is missing; {why}; "
+                    f"experiment {experiment.id!r}: {dotted('sigma', output.variable)} is missing; "
+                    f"{why}; "
                     "give every output its own, and write 1.000001 where it is 1, which stands "
                     "for none"
                 )

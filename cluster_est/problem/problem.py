@@ -13,7 +13,8 @@ from cluster_est.problem.formulas import Formula, ParameterConstraint
 from cluster_est.problem.names import coefficient_names, refuse_repeated
 from cluster_est.problem.options import check_options
 from cluster_est.problem.parameter import Parameter
-from cluster_est.problem.tables.jumps import jump_notes
+from cluster_est.problem.tables.jumps import jump_findings
+from cluster_est.problem.tables.stand_ins import of_experiment, stand_in_findings
 from cluster_est.problem.tables.unused import TableSource
 from cluster_est.problem.variables import (
     check_effects,
@@ -23,12 +24,15 @@ from cluster_est.problem.variables import (
     check_signals,
     with_units,
 )
+from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription, describe_model
 from workers.messages import Effect, Experiment, Model
 from workers.messages.checks import as_pairs, as_tuple, check_kind, check_text
+from workers.messages.equality import by_content
 from workers.simulation.fixed_step import communication_notes
 
 
+@by_content
 @dataclass(frozen=True)
 class Problem:
     """One joint estimation: a model, what to estimate in it, and from what.
@@ -109,7 +113,7 @@ class Problem:
             object.__setattr__(self, key, found)
         units = as_pairs(self.units, "model.units", ProblemError)
         for name, unit in units:
-            check_text(unit, f"model.units.{name}", ProblemError)
+            check_text(unit, dotted("model", "units", name), ProblemError)
         object.__setattr__(self, "units", units)
 
     @cached_property
@@ -117,7 +121,7 @@ class Problem:
         """Parameters that follow from others, by position, each after those that it needs."""
         names = tuple(p.name for p in self.parameters)
         waiting = {
-            i: Formula(p.expression, names, f"parameters.{p.name}.expression")
+            i: Formula(p.expression, names, f"{dotted('parameters', p.name)}.expression")
             for i, p in enumerate(self.parameters)
             if p.expression
         }
@@ -127,7 +131,8 @@ class Problem:
             if not ready:
                 first = names[next(iter(waiting))]
                 raise ProblemError(
-                    f"parameters.{first}.expression: must not depend on itself but does, through "
+                    f"{dotted('parameters', first)}.expression: must not depend on itself but "
+                    "does, through "
                     f"{', '.join(names[i] for i in waiting)}; give one of them a start instead"
                 )
             found += [(i, waiting.pop(i)) for i in ready]
@@ -165,17 +170,45 @@ class Problem:
         return description
 
     def notes(self) -> tuple[str, ...]:
-        """Say what a user should know about how the FMU is simulated, and with which inputs.
+        """Say what a user should know about how the FMU is simulated, and with which data.
 
         Raises
         ------
         ModelError, ProblemError
             As `describe`, or if it cannot be simulated at the experiments' times.
         """
-        jumps = jump_notes(self.experiments)
+        jumps = jump_findings(
+            self.experiments, lambda name: self.describe().holds(name), self.columns
+        )
+        return (*self.model_notes(), *self.data_notes(), *(": ".join(words) for words in jumps))
+
+    def model_notes(self) -> tuple[str, ...]:
+        """Say how the FMU is simulated alone; raises as `notes`."""
         if self.model.interface == "model_exchange":
-            return jumps
-        return (*communication_notes(self.model, self.describe(), self.experiments), *jumps)
+            return ()
+        return communication_notes(self.model, self.describe(), self.experiments)
+
+    def data_notes(self) -> tuple[str, ...]:
+        """Say which numbers of the data are hardly measurements, and what leaves them out."""
+        return tuple(": ".join(words) for words in self.data_findings)
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """Columns of the tables by the keys of a config, as far as they are known."""
+        return {key: column for table in reversed(self.tables) for key, column in table.named}
+
+    @cached_property
+    def data_findings(self) -> tuple[tuple[str, str], ...]:
+        """What is wrong and what to do, for each number that hardly is a measurement."""
+        read = {each.experiment for each in self.tables}
+        found = [each for table in self.tables for each in table.stand_ins]
+        found += [
+            each
+            for run in self.experiments
+            if run.record_id not in read
+            for each in of_experiment(run)
+        ]
+        return stand_in_findings(found, [each for table in self.tables for each in table.missing])
 
     def _repr_html_(self) -> str:
         """Show model, parameters and experiments in a display."""

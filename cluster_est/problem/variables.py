@@ -9,6 +9,7 @@ from dataclasses import replace
 from cluster_est.errors import ModelError, ProblemError
 from cluster_est.problem.names import refuse_repeated
 from cluster_est.problem.parameter import Parameter
+from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription, nearest
 from workers.fmu.variable import ModelVariable
 from workers.messages import Effect, Experiment, Model, Value
@@ -35,7 +36,7 @@ def check_interface(model: Model, description: ModelDescription) -> None:
 def check_parameters(parameters: Sequence[Parameter], description: ModelDescription) -> None:
     """Check that the FMU lets the start value of each of its parameters be set."""
     for parameter in parameters:
-        _check_start(description, parameter.target, f"parameters.{parameter.name}", real=True)
+        _check_start(description, parameter.target, dotted("parameters", parameter.name), real=True)
 
 
 def check_experiment(
@@ -61,9 +62,15 @@ def _check_set_once(
 ) -> None:
     """Refuse two names of one value, of which whichever is set last would count."""
     where = f"experiment {experiment.id!r}"
-    named = {p.target: f"parameters.{p.name}" for p in parameters if not p.auxiliary}
-    named |= {name: f"{where}.values.{name}" for name, _ in experiment.values if name not in named}
-    named |= {given.variable: f"{where}.inputs.{given.variable}" for given in experiment.inputs}
+    named = {p.target: dotted("parameters", p.name) for p in parameters if not p.auxiliary}
+    named |= {
+        name: f"{where}.{dotted('values', name)}"
+        for name, _ in experiment.values
+        if name not in named
+    }
+    named |= {
+        given.variable: f"{where}.{dotted('inputs', given.variable)}" for given in experiment.inputs
+    }
     seen: dict[str, str] = {}
     for name, place in named.items():
         variable = description.variables.get(name)
@@ -102,7 +109,8 @@ def _check_recorded(
         )
     if variable.causality in ("parameter", "input", "independent"):
         raise ProblemError(
-            f"{where}.outputs.{name}: must be a variable that {description.file} computes but is "
+            f"{where}.{dotted('outputs', name)}: must be a variable that {description.file} "
+            "computes but is "
             f"of causality {variable.causality!r}; choose an output or a local variable"
         )
 
@@ -156,7 +164,8 @@ def with_units(
             variables[name] = replace(variables[name], unit=unit)
         elif name not in signals:
             raise ProblemError(
-                f"model.units.{name}: {description.file} has no variable and no experiment a "
+                f"{dotted('model', 'units', name)}: {description.file} has no variable and no "
+                "experiment a "
                 f"signal of that name{nearest(name, [*variables, *signals])}"
             )
     return replace(description, variables=variables) if units else description
@@ -205,16 +214,17 @@ def _check_roles(
     for given in experiment.inputs:
         if given.variable in targets:
             raise ProblemError(
-                f"{where}.inputs.{given.variable}: must not be estimated too but is "
-                f"parameters.{targets[given.variable]}; remove one of the two"
+                f"{where}.{dotted('inputs', given.variable)}: must not be estimated too but is "
+                f"{dotted('parameters', targets[given.variable])}; remove one of the two"
             )
     for name, value in experiment.values:
         if name in driven:
             raise ProblemError(
-                f"{where}.values.{name}: must not be an input of the same experiment but is; "
+                f"{where}.{dotted('values', name)}: must not be an input of the same experiment "
+                "but is; "
                 "remove one of the two"
             )
-        check_value(f"{where}.values.{name}", description.variables[name], value)
+        check_value(f"{where}.{dotted('values', name)}", description.variables[name], value)
 
 
 def check_value(where: str, variable: ModelVariable, value: Value) -> None:

@@ -9,6 +9,7 @@ from cluster_est.report.blocks import Tone
 from cluster_est.report.error_sizes import error_sentence, error_sizes
 from cluster_est.report.folder import RUNNING, ReportedRun, Row
 from cluster_est.report.numbers import count, digits, duration, percent
+from cluster_est.run_folder.judgement import doubts_of, run_worth
 
 
 @dataclass(frozen=True)
@@ -54,8 +55,9 @@ def summarise(run: ReportedRun) -> ReportSummary:
         verdict, tone = "The parameters are ranked by what they move", ""
     if run.is_design:
         verdict, tone = "The next experiment", ""
-    if run.too_narrow and not run.is_loop:
-        verdict, tone = f"{verdict}; its intervals are too narrow", "" if tone == "good" else tone
+    if run.finished and not (run.is_loop or run.is_sensitivity or run.is_design):
+        doubts = doubts_of(run.facts)
+        verdict, tone = "; ".join([verdict, *doubts]), run_worth(run.status, doubts).value
     sentences = [
         *_fitted(run), *_ranked(run), *_opening(run), *_costs(run), *_errors(run), *_bounds(run),
         *_failed(run),

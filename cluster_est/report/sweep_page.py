@@ -25,6 +25,7 @@ from cluster_est.report.drawing.chart import gutter
 from cluster_est.report.folder import Row
 from cluster_est.report.html_file import rendered, write_page
 from cluster_est.report.numbers import count, digits, duration
+from cluster_est.run_folder.judgement import RunWorth, run_worth
 from cluster_est.run_folder.reading import read_run_table
 
 SUMMARY, PAGE = "summary.parquet", "report.html"
@@ -33,8 +34,9 @@ PARAMETER = "parameter "
 MOST_DRAWN = 60
 """Runs of a picture: the best ones."""
 KNOWN = (
-    "run", "config", "status", "message", "cost_before", "cost", "rmse_train", "rmse_test",
-    "iterations", "evaluations", "simulations", "failures", "seconds", "seed", "started",
+    "run", "config", "status", "message", "doubts", "cost_before", "cost", "rmse_train",
+    "rmse_test", "iterations", "evaluations", "simulations", "failures", "seconds", "seed",
+    "started",
 )  # fmt: skip
 """Columns that every sweep has; the others are its axes and its parameters."""
 
@@ -63,12 +65,18 @@ def write_sweep_report(folder: Path, out: Path | None = None) -> Path:
     rows = read_run_table(folder / SUMMARY)
     states = Counter(row["status"] for row in rows)
     done = states["done"]
-    tone: Tone = "good" if done == len(rows) else "bad" if not done else ""
+    worths = Counter(_worth(row) for row in rows)
+    doubtful = worths[RunWorth.DOUBTFUL]
+    tone: Tone = "good" if worths[RunWorth.GOOD] == len(rows) else "bad" if not done else ""
+    title = f"{count(done)} of {count(len(rows))} runs reached a solution"
+    if doubtful:
+        of = "all" if doubtful == done else count(doubtful)
+        title += f"; {of} of these {'is' if of == '1' else 'are'} doubtful"
     sections = (errors(rows), _estimates(rows), _runs(rows))
     page = rendered(
         "sweep.html",
         name=folder.resolve().name,
-        title=f"{count(done)} of {count(len(rows))} runs reached a solution",
+        title=title,
         tone=tone,
         sentences=_sentences(rows, states),
         sections=[section for section in sections if section.blocks],
@@ -88,6 +96,11 @@ def _sentences(rows: Sequence[Row], states: Counter[str]) -> list[str]:
             size = digits(best[name], 3)
             found.append(f"The least {words} error, {size} over sigma, is that of {best['run']}.")
     return found
+
+
+def _worth(row: Row) -> RunWorth:
+    """Summaries of earlier versions say nothing of doubts."""
+    return run_worth(row["status"], row.get("doubts") or "")
 
 
 def _value(row: Row, name: str) -> float:
@@ -170,6 +183,10 @@ def _estimates(rows: Sequence[Row]) -> ReportSection:
     return ReportSection("estimates", "Estimates", tuple(figures))
 
 
+def _state(row: Row) -> tuple[str, str]:
+    return row["status"], row.get("doubts") or ""
+
+
 def _runs(rows: Sequence[Row]) -> ReportSection:
     """The summary table as people read it."""
     axes = _axes(rows)
@@ -178,7 +195,7 @@ def _runs(rows: Sequence[Row]) -> ReportSection:
         cells(
             TableCell(row["run"], code=True),
             *(str(row[axis]) for axis in axes),
-            TableCell(row["status"], "good" if row["status"] == "done" else "bad"),
+            TableCell("; ".join(filter(None, _state(row))), _worth(row).value),
             digits(_value(row, "rmse_train")),
             digits(_value(row, "rmse_test")),
             digits(_value(row, "cost")),

@@ -13,11 +13,14 @@ from cluster_est.results.output_errors import worse_than_constants
 from cluster_est.results.prior_sentences import prior_sentences
 from cluster_est.results.residual_sentences import residual_facts, residual_sentences
 from cluster_est.results.solver_error.measure import solver_facts
+from cluster_est.statistics.residual_findings import OutputDiagnostics
 
 if TYPE_CHECKING:  # a result offers its facts, so it knows this file
     from cluster_est.results.result import Result
     from cluster_est.results.tables.row_types import Estimate
 
+HELD_OUT = 2.0
+"""Held-out error over that of training from which on it is doubtful what the fit predicts."""
 MOST_NAMED = 3
 """Values that a note names; it counts the others."""
 
@@ -33,6 +36,7 @@ def fit_facts(result: Result) -> dict[str, Any]:
         "rmse_over_sigma": {"train": result.rmse("train"), "test": result.rmse("test")},
         "residuals": None if diagnostics is None else residual_facts(diagnostics),
         "solver_error": solver_facts(result.solver_error),
+        "doubts": list(fit_doubts(result)),
         "notes": list(result.notes),
         "iterations": result.solution.iterations,
         "evaluations": result.evaluations,
@@ -70,6 +74,32 @@ def fit_notes(result: Result) -> tuple[str, ...]:
     if result.posterior is not None:
         notes += result.posterior.sentences
     return (*notes, *fitted_to_held_out(result.estimates), *worse_than_constants(result.errors))
+
+
+def fit_doubts(result: Result) -> tuple[str, ...]:
+    """Say in a few words what is doubtful of the solution of a fit; its notes say more of it."""
+    doubts = []
+    found = () if result.diagnostics is None else result.diagnostics.findings
+    narrow = [each for each in found if each.too_narrow]
+    if narrow:
+        worst = max(narrow, key=_over_noise)
+        of = "sigma" if worst.declared else "its noise"
+        doubts.append(
+            f"its intervals are too narrow; the error of {worst.output} is "
+            f"{_over_noise(worst):.2g} times {of}"
+        )
+    held_out, training = result.rmse("test"), result.rmse("train")
+    if held_out > HELD_OUT * training > 0.0:
+        doubts.append(f"its held-out error is {held_out / training:.2g} times that of training")
+    if worse_than_constants(result.errors):
+        doubts.append("a constant would follow an output better")
+    if result.problem.data_findings:
+        doubts.append("its data have numbers that hardly are measurements")
+    return tuple(doubts)
+
+
+def _over_noise(output: OutputDiagnostics) -> float:
+    return output.rms_over_sigma if output.declared else output.rms_over_noise
 
 
 def fitted_to_held_out(estimates: Sequence[Estimate]) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ import numpy as np
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import SearchSpace, make_space
 from cluster_est.results.output_errors import Simulation, output_residuals
+from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Output
 
@@ -122,7 +123,7 @@ def free_start_advice(problem: Problem) -> str:
     named = states[:MOST_NAMED] or ["STATE"]
     starts = [description.variables[n].start if n in states else None for n in named]
     keys = ", ".join(
-        f"parameters.{name} = {{ start = {'NUMBER' if start is None else f'{start:g}'}, "
+        f"{dotted('parameters', name)} = {{ start = {'NUMBER' if start is None else f'{start:g}'}, "
         'per = "experiment" }'
         for name, start in zip(named, starts, strict=True)
     )
@@ -130,7 +131,7 @@ def free_start_advice(problem: Problem) -> str:
     first = named[0]
     return (
         f"estimate the initial states, {keys}{more}; or give those that were measured, "
-        f"values.{first} = NUMBER"
+        f"{dotted('values', first)} = NUMBER"
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from cluster_est.problem.problem import Problem
 from workers.messages import Experiment, FloatArray, Outcome, Output, Role, Trajectory
+from workers.messages.equality import by_content
 from workers.residuals.observed import (
     bounds_of_categories,
     learnt_from,
@@ -18,6 +19,7 @@ from workers.residuals.observed import (
 from workers.residuals.ordinal import CategoryBounds, disparities
 
 
+@by_content
 @dataclass(frozen=True)
 class Simulation:
     """One experiment simulated at given values: its outcome, with trajectory."""
@@ -26,6 +28,7 @@ class Simulation:
     outcome: Outcome = field(repr=False)
 
 
+@by_content
 @dataclass(frozen=True)
 class OutputError:
     """The error of one output of one experiment, a row of errors.parquet.

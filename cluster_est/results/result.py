@@ -54,11 +54,13 @@ from cluster_est.uncertainty.rows import (
 from workers.fmu.description import nearest
 from workers.messages import FloatArray, Role
 from workers.messages.checks import check_text
+from workers.messages.equality import by_content
 
 if TYPE_CHECKING:
     from cluster_est.export.write import ExportResult
 
 
+@by_content
 @dataclass(frozen=True)
 class Result:
     """The result of a fit.

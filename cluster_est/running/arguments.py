@@ -17,6 +17,7 @@ from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.multistart import Multistart, Sampler
 from cluster_est.running.records import Budget
 from cluster_est.running.resources import Resources
+from cluster_est.toml import dotted
 from workers.fmu.description import nearest
 from workers.messages import Limits
 from workers.messages.checks import check_choice, check_kind, check_name, check_number, shown
@@ -137,7 +138,7 @@ def check_values(problem: Problem, values: Mapping[str, float]) -> None:
     for name, value in values.items():
         if name not in labels:
             raise ProblemError(
-                f"values.{name}: must be named as an unknown of the problem but is not"
+                f"{dotted('values', name)}: must be named as an unknown of the problem but is not"
                 f"{nearest(str(name), labels)}"
             )
-        check_number(value, f"values.{name}", ProblemError)
+        check_number(value, dotted("values", name), ProblemError)

@@ -22,8 +22,10 @@ from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest, suited
 from cluster_est.running.sensor_starts import with_best_sensors
+from cluster_est.toml import dotted
 from workers.fmu.description import nearest
 from workers.messages import FloatArray
+from workers.messages.equality import by_content
 
 Sampler = Literal["sobol", "latin_hypercube", "uniform"]
 ATTEMPTS = 50
@@ -76,6 +78,7 @@ class Multistart:
         return max(self.n, 1 + len(self.points))
 
 
+@by_content
 @dataclass(frozen=True)
 class MultistartResult:
     """The minima that the searches found.
@@ -235,7 +238,8 @@ def _check_bounds(space: SearchSpace) -> None:
             positive = " and positive" if unknown.log else ""
             parameter = unknown.parameter
             raise ProblemError(
-                f"parameters.{parameter.name}.bounds: must be finite{positive}, because starts "
+                f"{dotted('parameters', parameter.name)}.bounds: must be finite{positive}, because "
+                "starts "
                 f"are sampled between them, but are [{parameter.lower:g}, {parameter.upper:g}]; "
                 "narrow them, or give multistart.points instead"
             )

@@ -33,6 +33,7 @@ from cluster_est.sensitivity.quantities import (
 )
 from cluster_est.sensitivity.result import IndexRow, RankedUnknown, SensitivityResult
 from cluster_est.sensitivity.settings import SensitivitySettings
+from cluster_est.toml import dotted
 from cluster_est.uncertainty import linearise
 from workers.messages import FloatArray
 from workers.messages.checks import check_kind, check_number
@@ -183,8 +184,8 @@ def _key_of(space: SearchSpace, name: str) -> str:
     """The key of a parameter's bounds in a config."""
     effect, _, coefficient = name.rpartition(".")
     if effect in {each.name for each in space.problem.effects}:
-        return f"effects.{effect}.parameters.{coefficient}.bounds"
-    return f"parameters.{name}.bounds"
+        return f"effects.{effect}.{dotted('parameters', coefficient)}.bounds"
+    return f"{dotted('parameters', name)}.bounds"
 
 
 def _simulated(

@@ -16,6 +16,7 @@ from cluster_est.sensitivity.quantities import COST, LOG_COST
 from cluster_est.sensitivity.settings import SensitivitySettings
 from workers.fmu.description import nearest
 from workers.messages.checks import check_text
+from workers.messages.equality import by_content
 
 MOST_NAMED = 5
 """Unknowns that a sentence names."""
@@ -72,6 +73,7 @@ class RankedUnknown:
     together: bool = True
 
 
+@by_content
 @dataclass(frozen=True)
 class SensitivityResult:
     """What a sensitivity analysis has found.

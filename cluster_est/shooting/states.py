@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from cluster_est.errors import ProblemError
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
+from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription
 
 
@@ -67,7 +68,8 @@ def _check_plain(parameter: Parameter) -> None:
     if parameter.expression:
         raise ProblemError(
             f"method.shooting: needs states that are set by themselves, but {parameter.target!r} "
-            f"follows from the expression of parameters.{parameter.name}; estimate it, or give "
+            f"follows from the expression of {dotted('parameters', parameter.name)}; estimate it, "
+            "or give "
             "its value"
         )
 

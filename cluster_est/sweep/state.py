@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 
 from cluster_est.errors import RunFolderError
 from cluster_est.run_folder.folder import BEGUN
+from cluster_est.run_folder.judgement import doubts_of
 from cluster_est.run_folder.reading import read_facts, read_run_table
 from cluster_est.run_folder.run_identity import RunIdentity, versions
 from cluster_est.run_folder.run_status import RunStatus
@@ -142,12 +143,12 @@ def write_summary(out: Path, rows: list[dict[str, Any]]) -> None:
 def _row(out: Path, run: SweepRun, state: str, axes: list[str]) -> dict[str, Any]:
     row: dict[str, Any] = {"run": run.name}
     row |= {axis: run.choices.get(axis, "") for axis in axes}
-    row |= {"status": state, "message": ""}
+    row |= {"status": state, "message": "", "doubts": ""}
     if state == NOT_RUN:
         return row
     facts = read_facts(out / run.name)
     errors = facts.get("rmse_over_sigma") or {}
-    row["message"] = facts.get("message") or ""
+    row |= {"message": facts.get("message") or "", "doubts": "; ".join(doubts_of(facts))}
     row |= {key: facts.get(key) for key in ("cost_before", "cost")}
     row |= {f"rmse_{role}": errors.get(role) for role in ("train", "test")}
     counts = ("iterations", "evaluations", "simulations", "failures", "seconds", "seed", "started")

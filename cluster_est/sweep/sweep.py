@@ -10,6 +10,7 @@ from typing import Any
 
 from cluster_est.configured_run import Listener
 from cluster_est.errors import ClusterEstError, ConfigError, RunFolderError
+from cluster_est.run_folder.judgement import RunWorth, run_worth
 from cluster_est.run_folder.lock import locked_by_sweep
 from cluster_est.run_folder.run_status import RunStatus
 from cluster_est.running.shared_pools import SharedPools
@@ -18,7 +19,6 @@ from cluster_est.sweep.run import SweepSettings, check_run, do_sweep_run
 from cluster_est.sweep.state import (
     FAILED,
     NOT_RUN,
-    SUCCESS,
     PlannedRun,
     check_folder,
     status,
@@ -50,8 +50,9 @@ class SweepResult:
 
     @property
     def success(self) -> bool:
-        """True if every run reached a solution, now or in an earlier call."""
-        return all(row["status"] == SUCCESS for row in self.rows)
+        """True if every run reached a solution that nothing casts doubt on, in whatever call."""
+        worths = {run_worth(row["status"], row["doubts"]) for row in self.rows}
+        return worths <= {RunWorth.GOOD}
 
 
 def sweep(

@@ -27,6 +27,7 @@ from cluster_est.uncertainty.covariance.layout import is_shared
 from cluster_est.uncertainty.settings import UncertaintySettings
 from cluster_est.uncertainty.spaces import resampled
 from workers.messages import FloatArray
+from workers.messages.equality import by_content
 
 LEAST_EXPERIMENTS = 5
 LEAST_DRAWS = 20
@@ -78,6 +79,7 @@ class BootstrapInterval:
     used: int
 
 
+@by_content
 @dataclass(frozen=True)
 class BootstrapResult:
     """The result of resampling the experiments.

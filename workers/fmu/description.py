@@ -123,6 +123,11 @@ class ModelDescription:
             raise ModelError(f"{where}: {self.file} has no variable {name!r}{ending}")
         return self.variables[name]
 
+    def holds(self, name: str) -> bool:
+        """Return whether an input changes at events alone, so that it is held between samples."""
+        variable = self.variables.get(name)
+        return variable is not None and not variable.is_continuous
+
     def inputs(self) -> list[ModelVariable]:
         """The inputs, without further names of the same."""
         inputs = (v for v in self.variables.values() if v.causality == "input")

@@ -8,10 +8,12 @@ import numpy as np
 
 from workers.errors import DataError
 from workers.messages.checks import as_tuple, check_flag, check_name, check_number, check_text
+from workers.messages.equality import by_content
 from workers.messages.signals import check_finite, check_length, check_times, kept_floats
 from workers.messages.types import FloatArray
 
 
+@by_content
 @dataclass(frozen=True)
 class Curve:
     """Measured points of a curve without times, such as force over displacement.
@@ -64,6 +66,7 @@ class Curve:
         return tuple(f"tolerance of {name}" for name, tolerance in pairs if tolerance != 0.0)
 
 
+@by_content
 @dataclass(frozen=True)
 class SignalBound:
     """A constraint on a simulated signal y: lower(t) <= y(t) <= upper(t), or y(t) = lower(t).

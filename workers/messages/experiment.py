@@ -23,11 +23,13 @@ from workers.messages.checks import (
     shown,
 )
 from workers.messages.comparison import Curve, SignalBound, UserFunction
+from workers.messages.equality import by_content
 from workers.messages.hashing import content_hash
 from workers.messages.samples import Input, Output
 from workers.messages.types import REDUCTIONS, Role, Value, Want
 
 
+@by_content
 @dataclass(frozen=True)
 class Experiment:
     """One measured run, as a worker needs it.

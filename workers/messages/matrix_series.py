@@ -8,9 +8,11 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from workers.messages.equality import by_content
 from workers.messages.types import FloatArray, IntArray
 
 
+@by_content
 @dataclass(frozen=True, slots=True)
 class MatrixSeries:
     """A matrix at each of n times; entries that are 0 at all of them are not kept.

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from workers.messages.equality import by_content
 from workers.messages.matrix_series import MatrixSeries
 from workers.messages.types import FloatArray
 
@@ -30,6 +31,7 @@ class Status(enum.StrEnum):
         return self not in (Status.OK, Status.ENDED_EARLY)
 
 
+@by_content
 @dataclass(frozen=True, slots=True)
 class Trajectory:
     """Simulated outputs, `values[i, j]` being `variables[j]` at `times[i]`."""
@@ -44,6 +46,7 @@ class Trajectory:
         return np.asarray(self.values[rows, self.variables.index(variable)])
 
 
+@by_content
 @dataclass(frozen=True, slots=True)
 class Linearisation:
     """The model with its effects, linear around one simulation: dx/dt = f(t, x, u, p), y = g(...).
@@ -102,6 +105,7 @@ class Linearisation:
     log_spread: float = 0.0
 
 
+@by_content
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """The answer to a task.

@@ -16,10 +16,12 @@ from workers.messages.checks import (
     check_name,
     check_number,
 )
+from workers.messages.equality import by_content
 from workers.messages.signals import check_finite, check_length, check_times, kept_floats
 from workers.messages.types import FloatArray, Interpolation
 
 
+@by_content
 @dataclass(frozen=True)
 class Input:
     """A measured signal that drives an input variable of the FMU.
@@ -50,6 +52,7 @@ class Input:
             )
 
 
+@by_content
 @dataclass(frozen=True)
 class Output:
     """A measured signal that an output variable of the FMU should follow.

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from workers.messages.equality import by_content
 from workers.messages.model import Effect
 from workers.messages.types import FloatArray, Want
 
 
+@by_content
 @dataclass(frozen=True, slots=True)
 class Task:
     """One point and one experiment: the unit of distribution.

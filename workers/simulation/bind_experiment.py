@@ -128,10 +128,7 @@ def _array_starts(description: ModelDescription, variable: ModelVariable) -> lis
 
 def _held_if_discrete(description: ModelDescription, given: Input) -> Input:
     """Hold an input whose variable changes at events alone, between its samples."""
-    variable = description.variables.get(given.variable)
-    if variable is None or variable.is_continuous:
-        return given
-    return replace(given, interpolation="hold")
+    return replace(given, interpolation="hold") if description.holds(given.variable) else given
 
 
 def _texts(texts: Sequence[str]) -> tuple[IntArray, IntArray]:

@@ -27,11 +27,11 @@ def print_page(console: Console, page: CheckPage) -> None:
     if notes:
         say_what = "says" if notes == 1 else "say"
         said += f"; {_counted(notes, 'note')} {say_what} what may be wrong"
-    if left:
-        said = (
-            f"{left} of {_counted(len(page.findings), 'check')} were not done; in the others "
-            + said
-        )
+    if 0 < left < len(page.findings):
+        are = "was" if left == 1 else "were"
+        said = f"{left} of {len(page.findings)} checks {are} not done; in the others {said}"
+    elif left:
+        said = "nothing was checked yet"
     say(console, said)
 
 

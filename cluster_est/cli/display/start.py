@@ -14,13 +14,13 @@ from cluster_est.results.tables.rows import constraints_at_start
 
 
 def print_model(console: Console, problem: Problem, more: str) -> None:
-    """Print the model, and the faults of its description that were read around."""
+    """Print the model, the faults of its description, and how it is simulated."""
     model = problem.model
     say(
         console,
         f"{model.name}: {model.interface.replace('_', ' ')}, solver {model.solver.name}; {more}",
     )
-    for warning in (*problem.describe().warnings, *problem.notes()):
+    for warning in (*problem.describe().warnings, *problem.model_notes()):
         say(console, warning)
 
 

@@ -26,7 +26,8 @@ def print_sweep(console: Console, out: Path, rows: list[dict[str, Any]], ran: in
 def _cells(row: dict[str, Any]) -> list[str]:
     numbers = [_shown(row.get(key)) for key in ("cost", "rmse_train", "rmse_test", "evaluations")]
     seconds = row.get("seconds")
-    why = "" if row["status"] == SUCCESS else (row["message"].splitlines() or [""])[0]
+    why = (row["message"].splitlines() or [""])[0]
+    why = row["doubts"] if row["status"] == SUCCESS else why
     return [row["run"], row["status"], *numbers, "" if seconds is None else f"{seconds:.1f}", why]
 
 

@@ -37,6 +37,7 @@ from cluster_est.results.shapes.effect_table import curve_table
 from cluster_est.results.tables.display_tables import fit_tables
 from cluster_est.results.tables.row_types import EffectCurve
 from workers.messages import FloatArray, Role
+from workers.messages.equality import by_content
 
 if TYPE_CHECKING:  # it needs SymPy, which is slow
     from cluster_est.export.write import ExportResult
@@ -50,6 +51,7 @@ class ErrorScale(enum.StrEnum):
     PREDICTED = "predicted spread"
 
 
+@by_content
 @dataclass(frozen=True)
 class LoopResult:
     """The result of a closed loop.

@@ -19,6 +19,7 @@ from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.effects.process_noise import noise_parameters
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import make_space
+from cluster_est.toml import dotted
 
 WITH_NOISE = LeastSquares(trials=2, max_iterations=40, ftol=1e-8, xtol=1e-8)
 
@@ -55,7 +56,8 @@ def check_noise_parameters(problem: Problem) -> None:
         for key, given in (("per", parameter.per), ("expression", parameter.expression)):
             if given:
                 raise ProblemError(
-                    f"close-loop: parameters.{parameter.name}.{key}: must be left out, because a "
+                    f"close-loop: {dotted('parameters', parameter.name)}.{key}: must be left out, "
+                    "because a "
                     f"search holds process noise by one number, but is {given!r}; remove it"
                 )
 

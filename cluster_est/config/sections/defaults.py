@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from cluster_est.config.sections.sections import Config
+from cluster_est.toml import dotted
 from workers.fmu.description import nearest
 
 DEFAULTS = "experiment_defaults"
@@ -54,7 +55,7 @@ def unused_defaults(defaults: dict[str, Any], config: Config) -> Iterator[str]:
     for name in defaults.get("columns", {}):
         if name not in columns:
             must = "must be named as a column that some experiment uses but is not"
-            yield f"{DEFAULTS}.columns.{name}: {must}{_beside(name, columns)}"
+            yield f"{DEFAULTS}.{dotted('columns', name)}: {must}{_beside(name, columns)}"
 
 
 def _beside(name: str, known: list[str]) -> str:

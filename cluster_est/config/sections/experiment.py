@@ -99,6 +99,11 @@ class _ExperimentKeys(ConfigSection):
     rows: Annotated[tuple[Count, Count], Strict(False)] | None = Field(
         None, description="[from, to]: rows from (counted from 0) up to, not with, to"
     )
+    missing: list[Finite] = Field(
+        default_factory=list,
+        description="numbers in the columns that mean that nothing was measured, such as -9999; "
+        "they count as empty cells, before a column is converted",
+    )
     inputs: dict[str, Annotated[InputSection, BeforeValidator(as_column)]] = Field(
         default_factory=dict, description="FMU input = column, or { column, interpolation }"
     )

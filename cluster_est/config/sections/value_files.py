@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from cluster_est.errors import ConfigError
+from cluster_est.toml import dotted
 from workers.messages import Value
 from workers.messages.checks import shown
 
@@ -98,7 +99,8 @@ def _starts_of_map(
     missing = [name for name, start in starts.items() if start is None]
     if missing:
         raise ConfigError(
-            f"maps.{key}.start: must be there where the files of values have not all of its "
+            f"{dotted('maps', key)}.start: must be there where the files of values have not all of "
+            "its "
             f"variables, but is not, and {', '.join(missing)} stand in none; add start"
         )
     return list(starts.values())

@@ -42,8 +42,10 @@ from workers.fmu.description import nearest
 from workers.grid import values_at
 from workers.messages import Experiment, FloatArray
 from workers.messages.checks import check_text
+from workers.messages.equality import by_content
 
 
+@by_content
 @dataclass(frozen=True)
 class DesignResult:
     """The next experiment.

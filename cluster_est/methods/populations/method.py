@@ -36,6 +36,7 @@ from cluster_est.methods.populations.generation import (
 from cluster_est.methods.populations.scaling import UnitBox
 from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.problem.search_space.unknown import Unknown
+from cluster_est.toml import dotted
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,7 @@ def _unbounded(method: str, unknown: Unknown) -> str:
     p = unknown.parameter
     positive = " and positive, as its scale is logarithmic," if unknown.log else ""
     return (
-        f"parameters.{p.name}.bounds: must be finite on both sides{positive} for method "
+        f"{dotted('parameters', p.name)}.bounds: must be finite on both sides{positive} for method "
         f'"{method}", which spreads its first points between them, but are '
         f"[{p.lower:g}, {p.upper:g}]; set both, or use a method that needs none"
     )

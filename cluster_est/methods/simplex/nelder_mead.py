@@ -45,6 +45,7 @@ from cluster_est.methods.simplex.simplex import (
     spread,
 )
 from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.toml import dotted
 from workers.messages import FloatArray
 
 NEGLIGIBLE = 1e-3
@@ -123,7 +124,8 @@ class NelderMead(Method):
         if len(bounded):
             p = space.unknowns[bounded[0]].parameter
             raise ProblemError(
-                f'parameters.{p.name}.bounds: must be absent for method "nelder_mead", whose '
+                f'{dotted("parameters", p.name)}.bounds: must be absent for method "nelder_mead", '
+                "whose "
                 f"simplex knows no bounds, but are [{p.lower:g}, {p.upper:g}]; set "
                 'method.options.bounds = "enforce", remove them, or use method "pattern_search"'
             )

@@ -16,6 +16,7 @@ from cluster_est.errors import ProblemError
 from cluster_est.problem.formulas import ParameterConstraint, parse_constraint
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
+from cluster_est.toml import dotted
 from workers.fmu.description import nearest
 from workers.messages import Experiment, FloatArray
 
@@ -78,7 +79,7 @@ def _bounds_of_derived(problem: Problem) -> list[ParameterConstraint]:
         p = problem.parameters[i]
         finite = [abs(bound) for bound in (p.lower, p.upper) if math.isfinite(bound)]
         scale = max(finite, default=0.0) or 1.0
-        where = f"parameters.{p.name}.bounds"
+        where = f"{dotted('parameters', p.name)}.bounds"
         texts = {p.lower: f"{p.lower!r} <= {p.name}", p.upper: f"{p.name} <= {p.upper!r}"}
         for bound, text in texts.items():
             if math.isfinite(bound):
@@ -98,7 +99,7 @@ def label_of(parameter: Parameter, experiment: Experiment) -> str:
     if label is None:
         raise ProblemError(
             f"experiment {experiment.id!r}: must belong to a group, because "
-            f"parameters.{parameter.name} is per {parameter.per!r}, but does not; add "
+            f"{dotted('parameters', parameter.name)} is per {parameter.per!r}, but does not; add "
             f'group = {{ {key} = "..." }}' + (nearest(key, groups) if groups else "")
         )
     return f"{parameter.name}[{label}]"

@@ -30,6 +30,7 @@ from workers.messages.checks import (
     check_name,
     check_number,
     check_once,
+    is_number,
     shown,
 )
 
@@ -54,6 +55,7 @@ def experiment_from_table(
     relative_sigma: float | Mapping[str, float] = 0.0,
     columns: Mapping[str, Mapping[str, float | bool]] | None = None,
     rows: tuple[int, int] | None = None,
+    missing: float | Sequence[float] = (),
     start: float | None = None,
     stop: float | None = None,
     values: Mapping[str, Value] | None = None,
@@ -98,6 +100,8 @@ def experiment_from_table(
         {column: {"factor": ..., "offset": ..., "demean": ...}}: changes of unit.
     rows
         (from, to): rows from (counted from 0) up to, not with, to.
+    missing
+        One or several numbers in the columns that mean that nothing was measured, such as -9999.
     start, stop
         Simulated interval in seconds; by default as far as the data goes.
     values
@@ -126,9 +130,8 @@ def experiment_from_table(
         if part > 0.0 and sigmas[name] == 1.0:
             raise DataError(relative_without_sigma(where, name))
     _check_times(time, sample_time, start, stop, where)
-    reader = MeasuredColumns(
-        _table(table, where), where, _rows(rows, where), _changes(columns, where)
-    )
+    changes, absent = _changes(columns, where), _missing(missing, where)
+    reader = MeasuredColumns(_table(table, where), where, _rows(rows, where), changes, absent)
     counted = next(iter(wanted["outputs"].values()))["column"]
     times = reader.times(time, sample_time, counted)
     measured = [
@@ -245,6 +248,14 @@ def _rows(rows: tuple[int, int] | None, where: str) -> tuple[int, int] | None:
             "or leave it out to use all rows"
         )
     return int(rows[0]), int(rows[1])
+
+
+def _missing(missing: float | Sequence[float], where: str) -> tuple[float, ...]:
+    given: Any = [missing] if is_number(missing) else missing
+    check_kind(given, Sequence, f"{where}.missing", DataError, "; write [-9999]")
+    for i, value in enumerate(given):
+        check_number(value, f"{where}.missing[{i}]", DataError)
+    return tuple(float(value) for value in given)
 
 
 def _check_times(

@@ -30,6 +30,7 @@ from cluster_est.problem.tables.mat_file import contents
 from workers.fmu.description import nearest
 from workers.messages import FloatArray
 from workers.messages.checks import as_path
+from workers.messages.equality import by_content
 
 READERS = {
     ".csv": "csv", ".tsv": "csv", ".txt": "csv",
@@ -37,10 +38,13 @@ READERS = {
     ".feather": "feather", ".arrow": "feather", ".ipc": "feather",
     ".mat": "mat",
 }  # fmt: skip
+MOST_SIGNALS = 1000
+"""In a matrix: it has fewer signals than samples."""
 MOST_LISTED = 30
 """Columns in a message."""
 
 
+@by_content
 @dataclass(frozen=True)
 class MeasuredTable:
     """A measured file, its columns still as they are in the file.
@@ -100,6 +104,11 @@ class MeasuredTable:
         """The sentence on a column that the table does not have: the nearest one, and all."""
         names = [*self.columns]
         found = nearest(name, names)
+        fields = [each for each in names if each.endswith(f".{name}")]
+        if len(fields) == 1:
+            found = f"; did you mean {fields[0]!r}?"
+        if not names and self.unusable:
+            found = "; " + "; ".join(f"{n!r} {why}" for n, why in [*self.unusable.items()][:5])
         listed = ", ".join(repr(each) for each in names[:MOST_LISTED])
         more = len(names) - MOST_LISTED
         listed += f" and {more} more" if more > 0 else ""
@@ -231,7 +240,7 @@ def _read_feather(path: Path) -> MeasuredTable:
 
 
 def _read_mat(path: Path) -> MeasuredTable:
-    """Every variable of a MAT file that is a vector of numbers."""
+    """Every vector of numbers in a MAT file, those in structures and in matrices too."""
     from scipy.io import loadmat
 
     content = path.read_bytes()
@@ -241,6 +250,8 @@ def _read_mat(path: Path) -> MeasuredTable:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             variables = loadmat(io.BytesIO(content), squeeze_me=True, variable_names=wanted)
+            if found is not None and found.fields:
+                variables |= loadmat(io.BytesIO(found.fields), squeeze_me=True)
     except NotImplementedError:
         raise DataError(
             "must be a MAT file of version 7 or older but is of version 7.3, which is HDF5; save "
@@ -257,14 +268,21 @@ def _read_mat(path: Path) -> MeasuredTable:
     others = {} if found is None else found.others
     unusable = {name: f"must be a vector of numbers but is {it}" for name, it in others.items()}
     for name, values in variables.items():
-        vector = np.atleast_1d(values) if isinstance(values, np.ndarray) else None
-        if vector is not None and vector.ndim == 1 and vector.dtype.kind in "fiub":
-            columns[name] = vector.astype(np.float64)
+        numbers = np.atleast_1d(values) if isinstance(values, np.ndarray) else None
+        if numbers is not None and numbers.dtype.kind not in "fiub":
+            numbers = None
+        if numbers is not None and numbers.ndim == 1:
+            columns[name] = numbers.astype(np.float64)
         elif not name.startswith("__"):
             shape = " x ".join(str(n) for n in np.shape(values))
             unusable[name] = f"must be a vector of numbers but is {shape or 'a'} " + (
                 f"{values.dtype}" if isinstance(values, np.ndarray) else type(values).__name__
             )
+            if numbers is not None and numbers.ndim == 2 and min(numbers.shape) <= MOST_SIGNALS:
+                signals = numbers if len(numbers) < len(numbers.T) else numbers.T
+                own = {f"{name}[{i}]": each for i, each in enumerate(signals)}
+                columns |= {key: each.astype(np.float64) for key, each in own.items()}
+                unusable[name] += f"; name one of its signals, {name}[0] to {[*own][-1]}"
     return MeasuredTable(path, columns, unusable)
 
 

@@ -60,4 +60,5 @@ def with_grades(
                 f"one of the grades that are listed but is {word!r}{nearest(word, grades)}"
             )
     numbers = np.array([np.nan if w is None else places[w] for w in words], np.float64)
-    return replace(columns, table=replace(table, columns={**table.columns, column: numbers}))
+    graded = replace(table, columns={**table.columns, column: numbers})
+    return replace(columns, table=graded, missing=())  # words are no numbers of the file

@@ -6,11 +6,12 @@ interval too early. A fit calls that a delay or a lag.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
+from cluster_est.toml import dotted, inline
 from workers.messages import Experiment, FloatArray, Input
 
 LEAST_SAMPLES = 10
@@ -20,6 +21,8 @@ ALONE = 0.8
 """Least share of the changes that stand alone, with samples that repeat before and after."""
 SIZE = 0.05
 """Least median change, over the range of the signal: smaller ones are the steps of a converter."""
+AFTER = 3
+"""Samples from the jump of an input on, in which what is fast answers."""
 REGULAR = 0.1
 """Largest range of the times between changes, over their median, of a staircase."""
 
@@ -63,6 +66,20 @@ def jump_times(given: Input) -> FloatArray:
     return given.times[changes if given.interpolation == "linear" else changes + 1]
 
 
+def after_jumps(experiment: Experiment, output: str) -> npt.NDArray[np.bool_]:
+    """Return which samples of an output are just after a jump of an input.
+
+    What answers at once and is gone within a sample or two looks like a fault of the sensor.
+    """
+    times = next(each.times for each in experiment.outputs if each.variable == output)
+    after = np.zeros(len(times), bool)
+    for given in experiment.inputs:
+        first = np.searchsorted(times, jump_times(given))
+        for late in range(AFTER):
+            after[np.minimum(first + late, len(times) - 1)] = True
+    return after
+
+
 def _changes(values: FloatArray) -> npt.NDArray[np.bool_]:
     """Return for each interval between two samples whether the signal changes in it."""
     return np.asarray(np.abs(np.diff(values)) > 1e-9 * float(np.ptp(values)))
@@ -83,32 +100,44 @@ def _is_rounded(values: FloatArray, changes: npt.NDArray[np.bool_]) -> bool:
     return bool(next_one) and not regular
 
 
-def jumping_inputs(experiments: Sequence[Experiment]) -> dict[str, int]:
+def jumping_inputs(
+    experiments: Sequence[Experiment], holds: Callable[[str], bool]
+) -> dict[str, int]:
     """Return the inputs that jump and are interpolated by straight lines, with how often."""
     found: dict[str, int] = {}
     for each in experiments:
         for given in each.inputs:
             if given.interpolation == "linear":
                 jumps = count_jumps(given.times, given.values)
-                if jumps:
+                if jumps and not holds(given.variable):
                     found[given.variable] = found.get(given.variable, 0) + jumps
     return found
 
 
-def jump_notes(experiments: Sequence[Experiment]) -> tuple[str, ...]:
-    """Say which inputs jump and are interpolated by straight lines, and what to do."""
-    return tuple(": ".join(words) for words in jump_findings(experiments))
+def jump_findings(
+    experiments: Sequence[Experiment],
+    holds: Callable[[str], bool],
+    columns: Mapping[str, str],
+) -> tuple[tuple[str, str], ...]:
+    """Return what is wrong and what to do, for each input that jumps but is not held.
 
-
-def jump_findings(experiments: Sequence[Experiment]) -> tuple[tuple[str, str], ...]:
-    """Return what is wrong and what to do, for each input that jumps but is not held."""
+    Parameters
+    ----------
+    experiments
+        Of a problem.
+    holds
+        Whether an input of this name is held whatever its interpolation is, as the FMU says that it
+        changes at events alone.
+    columns
+        Of the table by key, as far as they are known: {"inputs.u": "force"}.
+    """
     return tuple(
         (
             f"input {name} keeps its value and jumps {count} time{'s' if count > 1 else ''}; "
             "straight lines between its samples make ramps of the jumps, which a fit may take for "
             "a delay",
-            f'inputs.{name} = {{ column = "COLUMN", interpolation = "hold" }}, if it keeps each '
-            "sample until the next",
+            f"{dotted('inputs', name)} = {inline(held)}, if it keeps each sample until the next",
         )
-        for name, count in jumping_inputs(experiments).items()
+        for name, count in jumping_inputs(experiments, holds).items()
+        for held in [{"column": columns.get(f"inputs.{name}", "COLUMN"), "interpolation": "hold"}]
     )

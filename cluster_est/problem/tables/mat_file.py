@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import struct
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 HEADER_BYTES = 128
@@ -20,6 +21,11 @@ SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}
 NUMERIC = range(6, 16)
 """Classes of arrays of numbers."""
 CLASSES = {1: "a cell array", 2: "a structure", 3: "an object", 4: "text", 5: "a sparse matrix"}
+STRUCTURE = 2
+DEEPEST = 8
+"""Structures in structures that are looked into."""
+LONGEST_NAME = 1024
+MOST_NAMED = 12
 COMPLEX = 0x0800
 MOST_BYTES = 2**31
 """Of one variable, unpacked."""
@@ -27,10 +33,41 @@ MOST_BYTES = 2**31
 
 @dataclass(frozen=True)
 class MatContents:
-    """Names of the arrays of numbers, and what the other variables are, by name."""
+    """What is in a file.
+
+    Attributes
+    ----------
+    numbers
+        Names of the arrays of numbers.
+    others
+        What the other variables are, by name.
+    fields
+        A file of its own with the arrays of numbers in structures, called as MATLAB does:
+        "log.time". Empty without any.
+    """
 
     numbers: tuple[str, ...]
     others: dict[str, str]
+    fields: bytes = b""
+
+
+@dataclass(frozen=True)
+class _Variable:
+    """A variable, or a field of one.
+
+    Attributes
+    ----------
+    name
+        With those of the structures that it is in.
+    what
+        What it is if it is no array of numbers.
+    matrix
+        Of a field with numbers: the same as a variable.
+    """
+
+    name: str
+    what: str = ""
+    matrix: bytes = b""
 
 
 def contents(file: bytes) -> MatContents | None:
@@ -49,6 +86,7 @@ def contents(file: bytes) -> MatContents | None:
     order = "<" if little else ">"
     numbers: dict[str, None] = {}
     others: dict[str, str] = {}
+    fields: dict[str, bytes] = {}
     at = HEADER_BYTES
     while at < len(file):
         kind, size = _unpack(f"{order}II", file, at)
@@ -62,29 +100,84 @@ def contents(file: bytes) -> MatContents | None:
             body = body[8 : 8 + size]
         if kind != MATRIX:
             raise ValueError(f"a variable is of the unknown kind {kind}")
-        name, what = _variable(body, order)
-        if what:
-            others[name] = what
-        else:
-            numbers[name] = None
-    return MatContents(tuple(numbers), others)
+        for each in _variables(body, order):
+            if each.what:
+                others[each.name] = each.what
+            elif each.matrix:
+                fields[each.name] = each.matrix
+            else:
+                numbers[each.name] = None
+    inner = file[:HEADER_BYTES] + b"".join(fields.values()) if fields else b""
+    return MatContents(tuple(numbers), others, inner)
 
 
-def _variable(body: bytes, order: str) -> tuple[str, str]:
-    """The name of a variable, and what it is if it is no array of numbers."""
+def _variables(
+    body: bytes, order: str, inside: str = "", own: str = "", depth: int = 0
+) -> Iterator[_Variable]:
+    """Yield a variable, and the fields of one that is a structure.
+
+    Parameters
+    ----------
+    body
+        Of the variable.
+    order
+        Of its bytes.
+    inside, own, depth
+        Of a field: the name of its structure with a point, its own, and how deep it stands.
+    """
     at, flags = _element(body, 0, order, (FLAGS,))
     (first,) = _unpack(f"{order}I", flags, 0)
     kind = first & 0xFF
     if kind not in NUMERIC and kind not in CLASSES:
-        return "", "of an unknown class"
+        yield _Variable(inside + own, "of an unknown class")
+        return
     at, dimensions = _element(body, at, order, (DIMENSIONS,))
     shape = _unpack(f"{order}{len(dimensions) // 4}i", dimensions, 0)
     if not 2 <= len(shape) <= 32 or min(shape) < 0:
         raise ValueError(f"a variable has the dimensions {shape[:4]}")
+    before = body[:at]
     at, name = _element(body, at, order, (NAME, COMPRESSED_NAME))
+    whole = inside + (own or name.decode("latin-1"))
+    if kind == STRUCTURE and math.prod(shape) == 1 and depth < DEEPEST:
+        yield from _structure(body, at, order, whole, depth)
+        return
+    data = at
     for _ in range(0 if kind in CLASSES else 2 if first & COMPLEX else 1):
         at, _ = _element(body, at, order, tuple(SIZES), math.prod(shape))
-    return name.decode("latin-1"), CLASSES.get(kind, "")
+    sizes = " x ".join(str(n) for n in shape)
+    what = f"{CLASSES[kind]} of {sizes}" if kind in CLASSES else ""
+    matrix = _named(before, whole, body[data:at], order) if inside and not what else b""
+    yield _Variable(whole, what, matrix)
+
+
+def _structure(body: bytes, at: int, order: str, whole: str, depth: int) -> Iterator[_Variable]:
+    """Yield a structure and its fields."""
+    at, length = _element(body, at, order, (5,), 1)
+    (longest,) = _unpack(f"{order}i", length, 0)
+    at, texts = _element(body, at, order, (NAME,))
+    if not 0 < longest <= LONGEST_NAME:
+        raise ValueError(f"a structure has names of {longest} bytes")
+    names = [
+        texts[i : i + longest].split(b"\0")[0].decode("latin-1")
+        for i in range(0, len(texts), longest)
+    ]
+    yield _Variable(whole, f"a structure with {', '.join(names[:MOST_NAMED]) or 'nothing'}")
+    for name in names:
+        kind, size = _unpack(f"{order}II", body, at)
+        if kind != MATRIX or at + 8 + size > len(body):
+            raise ValueError(f"a tag says {size} bytes of kind {kind}")
+        if size:  # an empty one may have nothing but a tag
+            inner = body[at + 8 : at + 8 + size]
+            yield from _variables(inner, order, f"{whole}.", name, depth + 1)
+        at += 8 + size
+
+
+def _named(before: bytes, name: str, data: bytes, order: str) -> bytes:
+    """Return a matrix as a variable with a name."""
+    text = name.encode("latin-1")
+    named = struct.pack(f"{order}II", NAME, len(text)) + text + bytes(-len(text) % 8)
+    body = before + named + data
+    return struct.pack(f"{order}II", MATRIX, len(body)) + body
 
 
 def _element(

@@ -6,12 +6,13 @@ Config files and `Experiment.from_table` both read their columns here.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.files import MeasuredTable
+from cluster_est.problem.tables.stand_ins import is_missing
 from workers.fmu.description import nearest
 from workers.messages import FloatArray, Input, Interpolation, Output
 from workers.messages.signals import check_length, check_times, refuse_value
@@ -40,12 +41,15 @@ class MeasuredColumns:
         (from, to): rows from (counted from 0) up to, not with, to; None for all.
     changes
         Of columns, by name.
+    missing
+        Numbers in the file that mean that nothing was measured; in the time they are times.
     """
 
     table: MeasuredTable
     where: str
     rows: tuple[int, int] | None = None
     changes: Mapping[str, ColumnChange] = field(default_factory=dict)
+    missing: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         for name in self.changes:
@@ -66,7 +70,7 @@ class MeasuredColumns:
         """
         path = self.table.path
         if column is not None:
-            times = self.column(column)
+            times = replace(self, missing=()).column(column)
             source = f"{path}, column {column!r}"
         else:
             with np.errstate(over="ignore"):
@@ -137,6 +141,8 @@ class MeasuredColumns:
                     f"{self.table.path} but is [{first}, {last}]; lower its end"
                 )
             values = values[first:last]
+        if self.missing:
+            values = np.where(is_missing(values, self.missing), np.nan, values)
         change = self.changes.get(name)
         if change is None:
             return values

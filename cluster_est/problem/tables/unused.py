@@ -11,6 +11,7 @@ import numpy as np
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.files import read_table
 from cluster_est.problem.tables.measured import MeasuredColumns
+from cluster_est.problem.tables.stand_ins import FoundStandIn
 from workers.messages import FloatArray
 
 
@@ -28,6 +29,12 @@ class TableSource:
         Column with the times, or seconds between rows.
     used
         Columns that the experiment uses, the time among them.
+    named
+        (key of the config, column) of each signal, such as ("outputs.y", "position").
+    missing
+        Numbers that mean that nothing was measured.
+    stand_ins
+        Numbers in the columns of its signals that hardly are measurements.
     """
 
     experiment: str
@@ -36,6 +43,9 @@ class TableSource:
     sample_time: float | None
     rows: tuple[int, int] | None
     used: tuple[str, ...]
+    named: tuple[tuple[str, str], ...] = ()
+    missing: tuple[float, ...] = ()
+    stand_ins: tuple[FoundStandIn, ...] = ()
 
     def unused(self) -> UnusedColumns:
         """Read the file again, for its other columns.
@@ -43,7 +53,8 @@ class TableSource:
         There are none where the file cannot be read any more, or does not say the times.
         """
         try:
-            reader = MeasuredColumns(read_table(self.path), self.experiment, self.rows)
+            table = read_table(self.path)
+            reader = MeasuredColumns(table, self.experiment, self.rows, missing=self.missing)
             times = reader.times(self.time, self.sample_time, self.used[-1])
         except DataError:
             return UnusedColumns(np.zeros(0), {})

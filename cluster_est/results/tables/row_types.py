@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from workers.messages import FloatArray
+from workers.messages.equality import by_content
 
 
 @dataclass(frozen=True)
@@ -108,6 +109,7 @@ class PointValue:
     objectives: tuple[float, ...] = ()
 
 
+@by_content
 @dataclass(frozen=True)
 class EffectCurve:
     """The curve of an effect: what it adds, as a function of the one variable that it depends on.

@@ -763,6 +763,7 @@ TABLES = (
                 "status", TEXT, "", '"done", "failed", "not converged", "not run", ...'
             ),
             ColumnDescription("message", TEXT, "", "why it ended"),
+            ColumnDescription("doubts", TEXT, "", "what is doubtful of its solution"),
             ColumnDescription("cost_before", NUMBER, "", "at the start"),
             ColumnDescription("cost", NUMBER, "", "at the estimates"),
             ColumnDescription("rmse_train", NUMBER, "", "root mean square error over sigma"),

@@ -9,6 +9,7 @@ import numpy as np
 from cluster_est.uncertainty.covariance.directions import UndeterminedDirection
 from cluster_est.uncertainty.covariance.noise_covariance import NoiseBasis
 from workers.messages import FloatArray
+from workers.messages.equality import by_content
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,7 @@ class DerivedInterval:
     upper95: float
 
 
+@by_content
 @dataclass(frozen=True)
 class Uncertainty:
     """The uncertainty of a solution, to first order.

@@ -13,6 +13,7 @@ from cluster_est.methods.base import Evaluation
 from cluster_est.problem.prior_weights import check_priors, need_sigmas, refuse_distances
 from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.problem.search_space.unknown import Unknown
+from cluster_est.toml import dotted
 from workers.messages import FloatArray
 
 
@@ -92,7 +93,7 @@ def check_posterior(space: SearchSpace, walkers: int = 0) -> None:
         if unknown.prior is None and not np.isfinite([low, high]).all():
             parameter = unknown.parameter
             raise ProblemError(
-                f"parameters.{parameter.name}: must have finite bounds or a prior for "
+                f"{dotted('parameters', parameter.name)}: must have finite bounds or a prior for "
                 f"uncertainty.posterior but has the bounds [{parameter.lower:g}, "
                 f"{parameter.upper:g}] on a {parameter.scale} scale; give it one of the two"
             )

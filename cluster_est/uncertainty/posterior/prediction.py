@@ -12,6 +12,7 @@ from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.runner import Runner
 from cluster_est.uncertainty.posterior.result import PosteriorResult, central
 from workers.messages import FloatArray
+from workers.messages.equality import by_content
 from workers.residuals.observed import learnt_from, scale_and_offset
 
 DRAWS = 200
@@ -24,6 +25,7 @@ MOST_VALUES = 20_000_000
 """Simulated values that are kept at a time: 160 MB."""
 
 
+@by_content
 @dataclass(frozen=True)
 class PredictedBand:
     """Where one output of an experiment lies, by the draws of a posterior.

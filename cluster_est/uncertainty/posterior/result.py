@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from workers.messages import FloatArray
+from workers.messages.equality import by_content
 
 LONGEST = 50.0
 """Autocorrelation times that a chain must be long, or the time itself is not known (the advice of
@@ -51,6 +52,7 @@ class PosteriorInterval:
         return self.shrink_factor <= SHRINKS
 
 
+@by_content
 @dataclass(frozen=True)
 class PosteriorResult:
     """Draws from the posterior of all unknowns.

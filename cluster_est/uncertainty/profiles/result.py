@@ -5,6 +5,8 @@ from __future__ import annotations
 import enum
 from dataclasses import dataclass, field
 
+from workers.messages.equality import by_content
+
 
 class ProfileEnd(enum.StrEnum):
     """The end of one side of a profile, or why there is none; the texts of the tables."""
@@ -29,6 +31,7 @@ class ProfilePoint:
     estimates: tuple[float, ...]
 
 
+@by_content
 @dataclass(frozen=True)
 class ProfileResult:
     """The profile of one unknown.

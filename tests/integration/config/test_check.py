@@ -9,13 +9,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rich.console import Console
 from support.described import real, write_fmu
 from support.problems.springs import FMU, ROOT
 from support.spoiled import spoiled_fmu, write_input
 
+import cluster_est as ce
 from cluster_est.cli import main
+from cluster_est.cli.display.preflight import print_page
 from cluster_est.errors import ModelError
-from cluster_est.preflight import bare_problem, run_checks
+from cluster_est.preflight import CheckFinding, CheckPage, CheckVerdict, bare_problem, run_checks
+from cluster_est.preflight.measured_data import data_findings
+from cluster_est.preflight.simulation_costs import costs
+from cluster_est.preflight.subject import CheckSubject, TimeBudget
 from cluster_est.problem.parameter import Parameter
 from cluster_est.running.resources import Resources
 from workers.messages import Effect, Solver
@@ -342,6 +348,74 @@ def test_what_is_not_known_is_not_said_to_be_good(spring, kind, answer, check, v
 
 def test_no_plan_for_few_simulations_where_each_is_quick(spring):
     assert findings(spring, CostProbe, SimulationCost(0.9, 0.0, 300), "few simulations") == []
+
+
+class Asked(ProbeBench):
+    """Answers nothing, and keeps what it was asked last."""
+
+    def ask(self, probe, seconds):
+        self.last = probe, seconds
+        return NoAnswer("it did not end", late=True)
+
+    def close(self):
+        """Nothing was opened."""
+
+
+def test_with_more_time_each_check_has_more(spring):
+    """A tenth of a second a simulation: more seconds must lead to enough of them to see a leak."""
+    bench = Asked()
+
+    def allowed(seconds):
+        budget = TimeBudget.of(seconds)
+        subject = CheckSubject(spring, spring.describe(), bench, budget, simulation_seconds=0.1)
+        costs(subject)
+        probe, limit = bench.last
+        assert isinstance(probe, CostProbe)
+        return limit, probe.seconds
+
+    short, long = allowed(4.0), allowed(100.0)
+    assert short == pytest.approx((3.0, 1.0), rel=0.1)
+    assert long == pytest.approx((33.3, 15.0), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "end"),
+    [
+        (["not done"], "nothing was checked yet"),
+        (["not done", "ok"], "1 of 2 checks was not done; in the others no problem was found"),
+        (["not done"] * 2 + ["problem"], "2 of 3 checks were not done; in the others 1 problem"),
+        (["ok", "note"], "no problem was found; 1 note says what may be wrong"),
+    ],
+)
+def test_the_last_line_counts_what_was_done(capsys, verdicts, end):
+    found = tuple(CheckFinding(CheckVerdict(each), "x", "y") for each in verdicts)
+    print_page(Console(), CheckPage(found, ()))
+    assert capsys.readouterr().out.splitlines()[-1] == end
+
+
+INPUTS = {
+    "an integer": ('causality="input"', '<Integer start="0"/>', False),
+    "a boolean": ('causality="input"', '<Boolean start="false"/>', False),
+    "a discrete one": ('causality="input" variability="discrete"', '<Real start="0"/>', False),
+    "a continuous one": ('causality="input"', '<Real start="0"/>', True),
+}
+
+
+@pytest.mark.parametrize("name", INPUTS)
+def test_an_input_that_is_held_anyway_makes_no_ramps(tmp_path, name):
+    attributes, kind, noted = INPUTS[name]
+    u = f'<ScalarVariable name="u" valueReference="7" {attributes}>{kind}</ScalarVariable>'
+    fmu = write_fmu(tmp_path, real("y", "output"), real("k", "parameter", start=1.0), u)
+    times = 0.1 * np.arange(40)
+    steps = np.repeat([0.0, 1.0, 0.0, 1.0], 10)
+    columns = {"t": times, "u": steps, "y": np.sin(times)}
+    run = ce.Experiment.from_table(columns, id="a", time="t", inputs=["u"], outputs=["y"])
+    problem = ce.Problem(ce.read_model(fmu, ["k"]), [ce.Parameter("k", 1.0)], [run])
+    assert any("makes ramps" in each or "make ramps" in each for each in problem.notes()) is noted
+    with_hole = replace(run.inputs[0], times=np.delete(times, 5), values=np.delete(steps, 5))
+    holed = replace(problem, experiments=(replace(run, inputs=(with_hole,)),))
+    checks = {each.check for each in data_findings(holed, holed.describe())}
+    assert bool({"jumps", "input u"} & checks) is noted
 
 
 def test_an_fmu_that_was_not_tried_is_said_to_be_that():

@@ -76,6 +76,11 @@ def findings(given, check=""):
     return [f for f in page.findings if (f.check == check if check else f.verdict != "ok")]
 
 
+def spikes(size):
+    """Two samples that stand alone."""
+    return np.where(np.isin(np.arange(401), [150, 300]), size, 0.0)
+
+
 REST = {"t": TIMES, "V": 0.0 * TIMES}
 COASTING = run(REST | {"w": 80.0 * np.exp(-2.0 * TIMES)}, outputs={"speed": "w"})
 SLOW = np.arange(200) * 10.0
@@ -163,6 +168,18 @@ def rounded(sigma):
             'inputs.V = { column = "COLUMN", interpolation = "hold" }',
         ),
         (
+            run(TRUTH | {"w": np.where(abs(TIMES - 1.0) < 0.008, -9999.0, TRUTH["w"])}),
+            "missing",
+            "output speed is -9999 in 3 of 401 samples in experiment run, far from all others",
+            r"missing=\[-9999\] of Experiment.from_table leaves such samples out, if nothing was",
+        ),
+        (
+            run(TRUTH | {"w": TRUTH["w"] + spikes(40.0)}, inputs=HELD),
+            "output speed",
+            "2 of 401 samples stand alone, far from their neighbours",
+            'if they are faults.* cost.name = "huber", which needs sigma.speed, counts them less',
+        ),
+        (
             rounded(0.01),
             "output speed",
             "whole steps of 0.25.*an error of 0.0722, 7.2 times the sigma",
@@ -198,6 +215,8 @@ def test_a_likely_mistake_is_named(experiment, check, found, do):
         ),
         (run({n: v[np.r_[0:100, 200:401]] for n, v in TRUTH.items()}), "input V"),
         (rounded(0.2), "output speed"),
+        (run(TRUTH | {"V": VOLTS + spikes(40.0), "w": TRUTH["w"] + spikes(40.0)}), "output speed"),
+        (run(TRUTH | {"w": np.clip(TRUTH["w"], 0.0, 60.0)}), "missing"),
         (
             run(REST | {"w": np.random.default_rng(0).normal(size=401)}, outputs={"speed": "w"}),
             "start",
@@ -275,6 +294,37 @@ def test_a_sigma_for_some_is_named(tmp_path, capsys, defaults, experiments, foun
     assert main(["check", str(tmp_path / "c.toml"), "--seconds", "0"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert re.search(found, said) if found else "sigma" not in said
+
+
+@pytest.mark.parametrize(
+    ("missing", "advised"), [("", "[-9999, 65535]"), ("missing = [-9999]", "[-9999, 65535]")]
+)
+def test_numbers_that_are_no_measurements_are_named_with_the_key(
+    tmp_path, capsys, missing, advised
+):
+    """As they are in the file, whatever its columns are changed to; with the key they are gone."""
+    volts = np.where(abs(TIMES - 1.5) < 0.008, 65535.0, VOLTS + 0.1 * np.sin(40.0 * TIMES))
+    speed = np.where(abs(TIMES - 1.0) < 0.008, -9999.0, TRUTH["w"])
+    rows = np.column_stack([TIMES, volts, speed])
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="t,V,w", comments="")
+    text = (
+        f'[model]\nfmu = "{MODELS / "dc_motor.fmu"}"\n[parameters]\nK.start = 0.05\n'
+        '[experiment_defaults]\ntime = "t"\ndata = "a.csv"\ninputs.V = "V"\noutputs.speed = "w"\n'
+        f"columns.w.factor = {1 / RPM}\n{missing}\n[[experiments]]\nid = 'a'\n"
+    )
+    (tmp_path / "c.toml").write_text(text, encoding="utf-8")
+    command = ["check", str(tmp_path / "c.toml"), "--seconds", "0"]
+    assert main(command) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "input V is 65535 in 3 of 401 samples of column 'V' in experiment a" in said
+    named = "output speed is -9999 in 3 of 401 samples of column 'w' in experiment a"
+    assert (named in said) is not bool(missing)
+    assert f"missing = {advised} in [experiment_defaults], or in the experiment" in said
+    assert main([*command, f"experiment_defaults.missing={advised}"]) == 0
+    assert "65535" not in capsys.readouterr().out
+    given = ce.read_config(tmp_path / "c.toml", [f"experiment_defaults.missing={advised}"])
+    (run,) = ce.build_problem(given, tmp_path).experiments
+    assert len(run.outputs[0].values) == len(run.inputs[0].values) == 398
 
 
 def test_the_error_of_a_solver_is_compared_with_the_noise():

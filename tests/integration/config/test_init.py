@@ -347,7 +347,7 @@ class TestWhereSomethingIsOpen:
         assert main(CHECK) == 1
         said = " ".join(capsys.readouterr().out.split())
         assert "column 'time [ms]' is given to time, which is in s, as it is" in said
-        assert 'columns."y_mm" = { factor = 0.001, offset = 0 }' in said
+        assert "columns.y_mm = { factor = 0.001, offset = 0 }" in said
         assert "F [N]" not in said
 
     def test_a_time_that_is_text_is_named(self, written, tmp_path):

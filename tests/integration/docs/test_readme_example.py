@@ -49,6 +49,15 @@ def test_the_readme_shows_what_is_printed(run, capsys):
         assert found == pytest.approx([float(n) for n in NUMBER.findall(line)], rel=0.01)
 
 
+def test_the_simulations_that_it_takes_are_those_of_the_run(run):
+    """A budget of simulations is judged by this number; it is in two pages."""
+    facts = json.loads((run / "run.json").read_text(encoding="utf-8"))
+    for page in ("README.md", "cluster_est/docs/finding_what_is_missing.md"):
+        text = (ROOT / page).read_text(encoding="utf-8")
+        (said,) = re.findall(r"([\d,]+)(?: simulations; half| on \[the example)", text)
+        assert int(said.replace(",", "")) == pytest.approx(facts["simulations"], rel=0.01)
+
+
 def test_the_friction_that_nothing_declares_is_found(run):
     facts = json.loads((run / "run.json").read_text(encoding="utf-8"))
     (effect,) = facts["effects"]

@@ -18,7 +18,13 @@ def row(method: str, train: float, test: float, k: float) -> dict[str, object]:
     run = {"run": f"spring-{method}", "config": "spring", "method": method, "status": "done"}
     numbers = {"cost_before": 9.0, "cost": 1.0, "rmse_train": train, "rmse_test": test}
     counts = {"iterations": 5, "evaluations": 20, "simulations": 60, "failures": 0}
-    return run | {"message": "converged"} | numbers | counts | {"seconds": 75.0, "parameter k": k}
+    return (
+        run
+        | {"message": "converged", "doubts": ""}
+        | numbers
+        | counts
+        | {"seconds": 75.0, "parameter k": k}
+    )
 
 
 def failed(method: str, why: str) -> dict[str, object]:
@@ -66,6 +72,27 @@ def test_its_pictures_show_the_errors_and_the_estimates_of_every_run(sweep):
         best_first = [each[column] for each in sorted(RUNS, key=lambda each: each[2])]
         assert values == pytest.approx([best_first[i] for i in place], rel=2e-3)
         assert sorted(place) == [0, 1, 2]
+
+
+NARROW = "its intervals are too narrow; the error of y is 4.6 times sigma"
+
+
+@pytest.mark.parametrize(
+    ("doubts", "title", "tone"),
+    [
+        (["", ""], "2 of 2 runs reached a solution", "good"),
+        (["", NARROW], "2 of 2 runs reached a solution; 1 of these is doubtful", ""),
+        ([NARROW, NARROW], "2 of 2 runs reached a solution; all of these are doubtful", ""),
+        ([None, None], "2 of 2 runs reached a solution", "good"),  # of an earlier version
+    ],
+)
+def test_a_run_is_as_green_as_its_own_report(tmp_path, doubts, title, tone):
+    rows = [row(*each) | {"doubts": said} for each, said in zip(RUNS, doubts, strict=False)]
+    page = Page(page_of(written(tmp_path / "results", rows)))
+    assert title in page.text
+    assert [attributes.get("class") for attributes in page.of("h1")] == [tone]
+    assert page.text.count("4.6 times sigma") == doubts.count(NARROW)
+    assert sum(cell.get("class") == "good" for cell in page.of("td")) == 2 - doubts.count(NARROW)
 
 
 def test_texts_of_its_table_are_escaped_and_nothing_is_fetched(sweep):

@@ -1,6 +1,7 @@
 """Sweeps from the command line: what is run, what is skipped, and what is said."""
 
 import json
+import re
 import shutil
 import tempfile
 from collections.abc import Callable
@@ -31,6 +32,8 @@ HASTY = {"name": "hasty", "overrides": {"method.options.max_iterations": 1}}
 NAMES = ["spring-start_1.0-all", "spring-start_1.0-some", "spring-start_3.0-all",
          "spring-start_3.0-some"]  # fmt: skip
 OUT = Path("out")
+NOISE = 0.0018
+"""m, of the example's data."""
 
 Sweep = Callable[..., tuple[int, str, str]]
 Done = Callable[[], list[str]]
@@ -94,6 +97,19 @@ def test_a_sweep_gives_what_single_fits_give(sweep, done):
     assert list(facts(OUT / NAMES[1])["experiments"]) == ["exp1", "exp4"]
     for name in NAMES:
         assert name in printed
+
+
+def test_a_sweep_of_doubtful_fits_does_not_end_as_if_all_were_well(sweep):
+    """With four times the stiffness held, no damping and no mass follow the data."""
+    wrong = {"parameters.k.start": 120.0, "parameters.k.fixed": True}
+    code, printed, _ = sweep(axes=[], overrides=wrong)
+    assert code == 1
+    (row,) = rows(OUT, "summary")
+    assert row["status"] == "done"
+    found = re.search("intervals are too narrow; the error of y is (.*) times its", row["doubts"])
+    assert found is not None
+    assert float(found[1]) == pytest.approx(row["rmse_train"] / NOISE, rel=0.2)
+    assert row["doubts"] in " ".join(printed.split())
 
 
 @pytest.mark.parametrize(

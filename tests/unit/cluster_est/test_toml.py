@@ -57,5 +57,14 @@ def test_a_value_stands_on_one_line(value, text):
     assert inline(value) == text
 
 
+@given(st.lists(NAMES, min_size=1, max_size=3))
+def test_any_key_is_read_as_its_parts(parts):
+    tree = tomllib.loads(f"{dotted(*parts)} = 1")
+    for part in parts:
+        assert list(tree) == [part]
+        tree = tree[part]
+    assert tree == 1
+
+
 def test_parts_of_a_key_have_quotes_where_they_need_them():
     assert dotted("inputs", "der(x)", "") == 'inputs."der(x)".""'

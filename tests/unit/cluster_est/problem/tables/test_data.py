@@ -213,9 +213,13 @@ OTHERS = {
     "turned": (np.arange(5.0) + 1j, "5 complex128"),
     "table": (np.ones((2, 3, 2), np.uint16), "2 x 3 x 2 uint16"),
     "words": ("some text", "text"),
-    "inner": ({"t": np.arange(3.0), "more": {"deep": 1}}, "a structure"),
+    "inner": (
+        {"t": np.arange(3.0), "more": {"deep": np.ones(2), "no": "x"}},
+        "a structure with t, more",
+    ),
     "cells": (np.array([1.0, "a", np.arange(3)], dtype=object), "a cell array"),
 }
+FIELDS = {"inner.t": np.arange(3.0), "inner.more.deep": np.ones(2)}
 DIMENSIONS = np.array([5, 8, 1, 5], "<i4").tobytes()
 
 
@@ -234,13 +238,49 @@ def read_mat(folder, content):
 def test_names_in_a_mat_file_are_those_that_scipy_finds(tmp_path, compressed):
     file = packed(compressed)
     table = read_mat(tmp_path, file)
-    assert list(table.columns) == list(VECTORS)
-    for name, values in VECTORS.items():
+    assert list(table.columns) == [*VECTORS, *FIELDS]
+    for name, values in (VECTORS | FIELDS).items():
         np.testing.assert_array_equal(table.numbers(name, "here"), values.ravel())
     for name, (_, kind) in OTHERS.items():
         with pytest.raises(DataError, match=f"a.mat, column '{name}': .*a vector.*{kind}"):
             table.numbers(name, "here")
     assert {name for name, _, _ in whosmat(io.BytesIO(file))} == {*VECTORS, *OTHERS}
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_signals_in_structures_and_matrices_have_names(tmp_path, compressed):
+    """A log as MATLAB saves it, with other kinds of fields beside the signals."""
+    chance = np.random.default_rng(2)
+    time, force, state = np.arange(5.0), chance.normal(size=5), chance.normal(size=(5, 2))
+    log = {"time": time, "motor": {"force": force.astype(np.float32)}, "state": state}
+    log |= {"note": "run 3", "nothing": np.zeros((0, 0)), "cells": np.array([1, "a"], object)}
+    runs = np.array([({"t": 1},), ({"t": 2},)], dtype=[("s", object)])
+    file = io.BytesIO()
+    savemat(file, {"log": log, "wide": state.T, "runs": runs}, do_compression=compressed)
+    table = read_mat(tmp_path, file.getvalue())
+    expected = {"log.time": time, "log.motor.force": force.astype(np.float32)}
+    expected |= {"log.state[0]": state[:, 0], "log.state[1]": state[:, 1]}
+    expected |= {"wide[0]": state[:, 0], "wide[1]": state[:, 1]}
+    for name, values in expected.items():
+        np.testing.assert_array_equal(table.numbers(name, "here"), values)
+    for name, said in {
+        "log": "is a structure with time, motor, state, note, nothing, cells",
+        "log.state": r"is 5 x 2 float64; name one of its signals, log.state\[0\] to log.state\[1\]",
+        "runs": "is a structure of 1 x 2",
+        "log.note": "is text of 1 x 5",
+        "time": r"no column 'time'; did you mean 'log.time'\?",
+    }.items():
+        with pytest.raises(DataError, match=said):
+            table.numbers(name, "here")
+
+
+def test_a_mat_file_without_any_signal_says_what_it_has(tmp_path):
+    file = io.BytesIO()
+    savemat(file, {"words": "some text", "cells": np.array([1, "a"], object)})
+    with pytest.raises(
+        DataError, match=r"has no column 't'; 'words' must be.*'cells' must be.*cell"
+    ):
+        read_mat(tmp_path, file.getvalue()).numbers("t", "here")
 
 
 def test_a_mat_file_without_tags_is_left_to_scipy(tmp_path):

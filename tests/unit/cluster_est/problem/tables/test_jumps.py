@@ -1,10 +1,12 @@
 """Signals that keep their value and jump."""
 
+import tomllib
+
 import numpy as np
 import pytest
 
 import cluster_est as ce
-from cluster_est.problem.tables.jumps import count_jumps, jump_notes, jump_times
+from cluster_est.problem.tables.jumps import count_jumps, jump_findings, jump_times
 
 TIMES = 0.01 * np.arange(400)
 STEPS = np.repeat(np.random.default_rng(3).uniform(-1.0, 1.0, 8), 50)
@@ -44,15 +46,18 @@ def test_the_jumps_of_steps_are_counted_and_others_have_none(signal):
 def test_what_is_held_already_needs_no_note():
     outputs = (ce.Output("y", TIMES, TIMES, 1.0),)
 
-    def notes(how):
+    def notes(how, holds=(), columns=()):
         given = (ce.Input("u", TIMES, STEPS, how),)
         runs = [ce.Experiment(f"run {i}", 0.0, 4.0, given, outputs) for i in range(2)]
-        return jump_notes(runs)
+        return jump_findings(runs, holds.__contains__, dict(columns))
 
     assert notes("hold") == ()
-    (note,) = notes("linear")
-    assert note.startswith("input u keeps its value and jumps 14 times; straight lines")
-    assert 'inputs.u = { column = "COLUMN", interpolation = "hold" }' in note
+    assert notes("linear", holds="u") == ()
+    ((said, do),) = notes("linear")
+    assert said.startswith("input u keeps its value and jumps 14 times; straight lines")
+    assert 'inputs.u = { column = "COLUMN", interpolation = "hold" }' in do
+    ((_, do),) = notes("linear", columns=[("inputs.u", 'set "point"')])
+    assert tomllib.loads(do.partition(", if")[0])["inputs"]["u"]["column"] == 'set "point"'
 
 
 @pytest.mark.parametrize(("interpolation", "early"), [("linear", 0.01), ("hold", 0.0)])

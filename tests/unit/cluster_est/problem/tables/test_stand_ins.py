@@ -1,0 +1,124 @@
+"""Numbers that stand for no measurement, and those that only look so."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+import cluster_est as ce
+from cluster_est.errors import DataError
+from cluster_est.problem.tables.stand_ins import stand_ins, written
+
+RNG = np.random.default_rng(5)
+TIMES = 0.02 * np.arange(500)
+WAVE = 0.3 * np.sin(3.0 * TIMES) + 0.001 * RNG.standard_normal(500)
+NOISE = RNG.standard_normal(500)
+
+
+def with_values(signal, *pairs):
+    changed = np.array(signal, float)
+    for rows, value in pairs:
+        changed[rows] = value
+    return changed
+
+
+HOLES = slice(10, 13)
+SINGLE = float(np.float32(9.9e37))
+MISSING = {
+    "three of -9999": (with_values(WAVE, (HOLES, -9999.0)), [-9999.0]),
+    "one of -9999": (with_values(WAVE, (10, -9999.0)), [-9999.0]),
+    "65535": (with_values(WAVE, (HOLES, 65535.0)), [65535.0]),
+    "-32768": (with_values(100.0 + 20.0 * WAVE, (400, -32768.0)), [-32768.0]),
+    "9.9e37": (with_values(WAVE, ([3, 99], 9.9e37)), [9.9e37]),
+    "9.9e37 in single precision": (with_values(WAVE, (HOLES, SINGLE)), [SINGLE]),
+    "two kinds": (with_values(WAVE, (HOLES, -9999.0), (80, 9999.0)), [-9999.0, 9999.0]),
+    "beside an outlier": (with_values(WAVE, (HOLES, -9999.0), (80, 2e4)), [-9999.0]),
+    "in a constant": (with_values(0.0 * WAVE + 5.0, (HOLES, -999.0)), [-999.0]),
+    "at the start": (with_values(WAVE, (slice(0, 200), -9999.0)), [-9999.0]),
+    "any number, now and then": (
+        with_values(20.0 + WAVE, (HOLES, 0.0), ([90, 200], 0.0)),
+        [0.0],
+    ),
+    "beside empty cells": (with_values(WAVE, (HOLES, -9999.0), (30, np.nan)), [-9999.0]),
+}
+PEAK = 1.0 / np.sqrt((1.0 - (TIMES / 5.0) ** 2) ** 2 + (0.002 * TIMES) ** 2)
+HIT = np.where(np.arange(500) % 100 == 50, 5.0, 0.0) + 0.01 * NOISE
+MEASURED = {
+    "a wave": WAVE,
+    "a saturated sensor": np.clip(WAVE, -0.2, 0.2),
+    "a converter at its end": np.clip(np.round(2e5 * WAVE), -32768, 32767),
+    "a counter up to 65535": np.linspace(0.0, 65535.0, 500),
+    "a constant": np.full(500, 5.0),
+    "a constant of 9999": np.full(500, -9999.0),
+    "a quantised signal": np.round(WAVE / 0.05) * 0.05,
+    "a switch": 1.0 * (NOISE > 1.5),
+    "a switch of full scale": 32767.0 * (NOISE > 1.5),
+    "steps": np.repeat([0.0, 1.0, 2.0, 40.0, 1.0], 100),
+    "a supply that is switched on": np.where(TIMES < 1.0, 0.0, 12.0 + 0.01 * NOISE),
+    "one that is off for a while": np.where(abs(TIMES - 5.0) < 0.3, 0.0, 12.0 + 0.01 * NOISE),
+    "a resonance": PEAK,
+    "impacts": HIT,
+    "one impact": with_values(WAVE, (100, 30.0)),
+    "noise": NOISE,
+    "heavy tails": RNG.standard_cauchy(500),
+    "very few samples": np.array([0.0, 1.0, -9999.0]),
+    "large values": with_values(1e4 * WAVE, (HOLES, 999.0)),
+}
+
+
+@pytest.mark.parametrize("name", MISSING)
+def test_what_is_no_measurement_is_found(name):
+    values, expected = MISSING[name]
+    assert [each.value for each in stand_ins(values)] == expected
+
+
+@pytest.mark.parametrize("name", MEASURED)
+def test_what_may_well_be_measured_is_not(name):
+    assert stand_ins(MEASURED[name]) == ()
+
+
+def test_it_is_counted_and_compared():
+    (found,) = stand_ins(MISSING["three of -9999"][0])
+    rest = np.delete(WAVE, np.r_[HOLES])
+    assert (found.count, found.samples) == (3, 500)
+    assert (found.low, found.high) == (rest.min(), rest.max())
+
+
+@pytest.mark.parametrize("value", [-9999.0, 65535.0, 2147483647.0, 9.9e37, SINGLE, -999.25, 1e38])
+def test_a_number_is_written_so_that_it_leaves_itself_out(value):
+    (given,) = tomllib.loads(f"missing = [{written(value)}]")["missing"]
+    columns = {"t": TIMES, "y": with_values(WAVE, (HOLES, value))}
+    run = ce.Experiment.from_table(columns, id="a", time="t", outputs=["y"], missing=[given])
+    np.testing.assert_array_equal(run.outputs[0].values, np.delete(WAVE, np.r_[HOLES]))
+
+
+def test_missing_numbers_are_those_of_the_file_and_no_times():
+    """They are left out before a column is changed, and its mean is that of the others."""
+    times = np.array([0.0, 9999.0, 2e4, 3e4])
+    columns = {"t": times, "u": [1.0, 9999.0, 2.0, 3.0], "y": [4.0, 8.0, 9999.0, 6.0]}
+    run = ce.Experiment.from_table(
+        columns,
+        id="a",
+        time="t",
+        inputs=["u"],
+        outputs=["y"],
+        columns={"y": {"factor": 2.0, "demean": True}},
+        missing=9999.0,
+    )
+    assert run.inputs[0].times.tolist() == [0.0, 2e4, 3e4]
+    assert run.outputs[0].times.tolist() == [0.0, 9999.0, 3e4]
+    assert run.outputs[0].values.tolist() == [-4.0, 4.0, 0.0]
+
+
+@pytest.mark.parametrize("given", ["x", [float("nan")], [None], {1: 2}])
+def test_what_is_no_list_of_numbers_is_refused(given):
+    columns = {"t": TIMES, "y": WAVE}
+    with pytest.raises(DataError, match=r"experiment 'a'\.missing"):
+        ce.Experiment.from_table(columns, id="a", time="t", outputs=["y"], missing=given)
+
+
+def test_words_in_an_order_are_no_numbers():
+    columns = {"t": TIMES[:12], "y": ["low", "mid", "high"] * 4}
+    given = {"y": {"column": "y", "ordinal": ["low", "mid", "high"]}}
+    run = ce.Experiment.from_table(columns, id="a", time="t", outputs=given, missing=[2])
+    assert len(run.outputs[0].values) == 12
