@@ -21,7 +21,7 @@ from support.thinning import thinned
 
 from cluster_est.cli import main
 from cluster_est.run_folder.evaluation_log import read_log
-from cluster_est.run_folder.lock import locked
+from cluster_est.run_folder.lock import RunLock
 
 SMALL = ["budget.evaluations=120"]
 METHODS = {
@@ -259,7 +259,7 @@ def test_a_finished_run_is_shown(tmp_path, observer, capsys):
 
 def test_a_run_that_goes_on_is_not_resumed(killed, capsys):
     before = size(killed)
-    with locked(killed / "evaluations"):
+    with RunLock(killed / "evaluations"):
         assert run(killed, "--resume") == 2
     assert "another process is at work here" in capsys.readouterr().err
     assert size(killed) == before
