@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -139,6 +140,9 @@ def read_config_text(run_folder: Path) -> str:
         if is_damaged(content):
             raise ValueError("its checksum is another")
         text = content.decode()
+        if not is_sealed(content) and f"# {SEAL}".startswith(text[:20]):
+            raise ValueError("it has been cut off")
+        tomllib.loads(text)
     except ValueError as error:
         raise RunFolderError(f"{path}: is damaged ({error}); {MEND}") from error
     return text.partition("\n")[2] if is_sealed(content) else text
