@@ -83,6 +83,9 @@ def write_whole(path: Path, content: bytes, advice: str, *, shared: bool = False
     """
     partial = path.with_name(f".{path.name}" + (f".{os.getpid()}" if shared else ""))
     with writing(path, advice):
+        if path.is_symlink() or (path.exists() and not path.is_file()):  # a device, a pipe
+            path.write_bytes(content)
+            return
         try:
             with partial.open("wb") as file:
                 file.write(content)
@@ -93,3 +96,17 @@ def write_whole(path: Path, content: bytes, advice: str, *, shared: bool = False
             with suppress(OSError):
                 partial.unlink(missing_ok=True)
             raise
+
+
+def write_output(path: Path, content: bytes) -> None:
+    """Write the file that a command was told to write with --out, and the folders above it.
+
+    Raises
+    ------
+    UnwritableError
+        If it cannot be written.
+    """
+    advice = f"{ELSEWHERE} --out"
+    with writing(path, advice):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, content, advice, shared=True)

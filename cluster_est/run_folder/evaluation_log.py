@@ -11,6 +11,7 @@ import os
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -129,8 +130,13 @@ class EvaluationLog:
 
     def flush(self) -> None:
         """Write what has been recorded, and sync it once a second."""
-        with writing(self._folder, AGAIN):
-            self._flush()
+        try:
+            with writing(self._folder, AGAIN):
+                self._flush()
+        except UnwritableError as error:
+            self._failure = error
+            self._drop_stream()
+            raise
 
     def _flush(self) -> None:
         with self._writing:
@@ -152,10 +158,18 @@ class EvaluationLog:
                 self._end_segment()
 
     def close(self) -> None:
-        """Write what is left and end the segment."""
+        """Write what is left and end the segment.
+
+        Raises
+        ------
+        UnwritableError
+            If the log cannot be written, now or before.
+        """
         self._ended.set()
         if self._writer is not None:
             self._writer.join()
+        if self._failure is not None:
+            raise self._failure
         self.flush()
         with self._writing, writing(self._folder, AGAIN):
             self._end_segment()
@@ -177,8 +191,7 @@ class EvaluationLog:
         while not self._ended.wait(min(max(SECONDS_PER_WRITE, 0.01), threading.TIMEOUT_MAX)):
             try:
                 self.flush()
-            except UnwritableError as error:
-                self._failure = error
+            except UnwritableError:  # the next row says it
                 return
 
     @property
@@ -206,6 +219,14 @@ class EvaluationLog:
             file.close()
             self._stream = None
             self._shrink()
+
+    def _drop_stream(self) -> None:
+        """Leave a segment that cannot be written as far as it came."""
+        with self._writing:
+            stream, self._stream = self._stream, None
+        if stream is not None:
+            with suppress(OSError):
+                stream[0].close()
 
     def _shrink(self) -> None:
         """Keep to the limit: take residuals and trajectories from the oldest segments."""
