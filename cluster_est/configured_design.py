@@ -27,7 +27,12 @@ from cluster_est.experiment_design.request import (
 from cluster_est.experiment_design.targets import PredictionTarget
 from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.evaluation_log import LogSettings
-from cluster_est.run_folder.reading import check_has_estimates, read_facts, read_run_table
+from cluster_est.run_folder.reading import (
+    check_has_estimates,
+    read_config_text,
+    read_facts,
+    read_run_table,
+)
 from cluster_est.run_folder.replay import config_base
 from cluster_est.run_folder.run_identity import UNHASHED, RunIdentity, RunKind
 from cluster_est.running.environment import RunEnvironment
@@ -88,6 +93,7 @@ def read_design(
                 f"{given}: must be a key of {', '.join(UNHASHED)} for a design, whose problem is "
                 "that of the run, but is another; leave it out"
             )
+    config_text = read_config_text(run_folder)
     resolved = read_config(run_folder / "config.toml", overrides)
     base = config_base(run_folder, config)
     models = _models(run_folder, facts, resolved, base, allow_code=allow_code)
@@ -104,7 +110,7 @@ def read_design(
     identity = RunIdentity(
         RunKind.DESIGN,
         request.problem,
-        (run_folder / "config.toml").read_text(encoding="utf-8"),
+        config_text,
         content_hash(list(parts)),
         wanted.seed,
         base,

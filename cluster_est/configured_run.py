@@ -25,7 +25,7 @@ from cluster_est.config.settings import (
     build_shooting,
     build_uncertainty,
 )
-from cluster_est.errors import BudgetError, ProblemError
+from cluster_est.errors import BudgetError, ProblemError, UnwritableError
 from cluster_est.fit import FitPlan, check_search, fit_in
 from cluster_est.problem.search_space.space import make_space
 from cluster_est.results.result import Result
@@ -258,6 +258,9 @@ def do_run(
             if context.folder is None and getattr(result, "interrupted", False):
                 raise KeyboardInterrupt  # a run that is there stays: nothing was simulated
             status = context.finish(result)
+    except UnwritableError:
+        to = replace(to, report=False)  # it cannot be written either
+        raise
     except (KeyboardInterrupt, BudgetError, ProblemError) as error:
         if context.folder is None:  # nothing was simulated: the input is to blame
             raise

@@ -9,6 +9,7 @@ All derive from one, and each text says where, what it must be, what it is and w
     |-- EffectError       an effect: unknown form, closed site, no equation
     |-- ModelError        the FMU: unreadable, not for this platform, lacks a variable
     |-- RunFolderError    a run folder that cannot be written or read
+    |   `-- UnwritableError   a disk that is full, a folder that is gone or read-only
     |-- BudgetError       the budget was used up before there was a result
     `-- ExecutorError     no workers to be had
         `-- UnsuitableExecutorError   the chosen ones must not run this FMU
@@ -31,6 +32,7 @@ __all__ = [
     "ProblemError",
     "RunFolderError",
     "UnsuitableExecutorError",
+    "UnwritableError",
 ]
 
 
@@ -44,6 +46,10 @@ class ProblemError(ClusterEstError):
 
 class RunFolderError(ClusterEstError):
     """A run folder cannot be written or read."""
+
+
+class UnwritableError(RunFolderError):
+    """A file cannot be written: the disk is full, or its folder is gone or read-only."""
 
 
 class BudgetError(ClusterEstError):

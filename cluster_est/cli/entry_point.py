@@ -14,10 +14,16 @@ from cluster_est.cli.commands import run_command
 from cluster_est.cli.crash_observer import crash_observer, end, refuse_quiet_ends
 from cluster_est.cli.display.terminal_text import readable
 from cluster_est.cli.exit_codes import ExitCode
+from cluster_est.cli.output_streams import LenientStreams
 from cluster_est.cli.parser import parse
 from cluster_est.config.text.key_lines import with_lines
 from cluster_est.errors import ClusterEstError
 from cluster_est.running.interrupts import terminations
+
+LOST = (
+    "standard output: must be written but cannot be ({}); let it go elsewhere and give the command "
+    "again; what a run has found is shown by cluster-est show"
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -31,9 +37,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ClusterEstError as error:
         errors.print(f"cluster-est: {readable(_placed(str(error), options))}")
         return ExitCode.BAD_INPUT
+    except OSError as error:
+        errors.print(f"cluster-est: {readable(_refused(error))}")
+        return ExitCode.BAD_INPUT
     except KeyboardInterrupt:
         errors.print("cluster-est: interrupted")
         return ExitCode.INTERRUPTED
+
+
+def _refused(error: OSError) -> str:
+    """Say what the system refuses, with the file if it is about one."""
+    where = f"{error.filename}: " if error.filename is not None else ""
+    return (
+        f"{where}the system refuses it ({error.strerror or error}); mend that and give the command "
+        "again, with --resume if it had begun a run"
+    )
 
 
 def _placed(message: str, options: Namespace) -> str:
@@ -48,9 +66,14 @@ def _placed(message: str, options: Namespace) -> str:
 def run() -> None:
     """Run a command as a program: end with its exit code, whatever still runs in threads."""
     refuse_quiet_ends(ExitCode.BAD_INPUT)
+    streams = LenientStreams()
     with crash_observer():
         try:
             code = main()
+            lost = streams.lost()
+            if lost:
+                print(f"cluster-est: {LOST.format(lost)}", file=sys.stderr)
+                code = code or ExitCode.BAD_INPUT
         except SystemExit as ended:  # of the parser: help, or a usage error
             code = ended.code if isinstance(ended.code, int) else ExitCode.DONE
         except Exception:

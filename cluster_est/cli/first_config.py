@@ -12,6 +12,7 @@ from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.drafting import draft, read_mapping, write
 from cluster_est.errors import ConfigError
 from cluster_est.toml import dotted
+from cluster_est.whole_files import write_output
 
 
 def init(options: Namespace) -> int:
@@ -25,11 +26,7 @@ def init(options: Namespace) -> int:
         )
     found = draft(options.fmu, options.data, read_mapping(options.map))
     text = write(found, out.parent)
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(text.toml, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise ConfigError(f"--out: {out} cannot be written ({error}); choose another") from error
+    write_output(out, text.toml.encode())
     console = Console()
     for number, line in text.open:
         say(console, f"{out}, line {number}: fill in {line.partition('  # ')[0]}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from argparse import Namespace
 from pathlib import Path
@@ -20,6 +21,7 @@ from cluster_est.errors import RunFolderError
 from cluster_est.experiment_design.findings.experiment_block import STEM, TABLE
 from cluster_est.run_folder.context import Existing
 from cluster_est.run_folder.reading import read_facts, read_run_columns
+from cluster_est.whole_files import write_output
 
 
 def design(options: Namespace) -> int:
@@ -42,10 +44,9 @@ def design(options: Namespace) -> int:
     if end.stopped:
         complain(end.stopped)
         return EXIT_CODES[end.status]
-    try:
-        pacsv.write_csv(read_run_columns(folder / "next_input.parquet"), out)
-    except OSError as error:
-        raise RunFolderError(f"--out: {out} cannot be written ({error}); choose another") from error
+    content = io.BytesIO()
+    pacsv.write_csv(read_run_columns(folder / "next_input.parquet"), content)
+    write_output(out, content.getvalue())
     print_any_run(Console(), folder)
     if (folder / "report.html").is_file():
         say(Console(), f"report: {folder / 'report.html'}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from argparse import Namespace
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from cluster_est.fit import simulate as run_simulate
 from cluster_est.problem.problem import Problem
 from cluster_est.results.curves import residual_table, trajectory_table
 from cluster_est.run_folder.reading import check_has_estimates, read_run_table
+from cluster_est.whole_files import write_output
 
 
 def simulate(options: Namespace) -> int:
@@ -50,11 +52,9 @@ def simulate(options: Namespace) -> int:
     measured = residual_table(problem, good).drop_columns(["simulated", "role"])
     table = trajectory_table(problem, good).join(measured, ["experiment", "output", "time"])
     order = [("experiment", "ascending"), ("output", "ascending"), ("time", "ascending")]
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        writer(table.sort_by(order), out)
-    except OSError as error:
-        raise RunFolderError(f"--out: {out} cannot be written ({error}); choose another") from error
+    content = io.BytesIO()
+    writer(table.sort_by(order), content)
+    write_output(out, content.getvalue())
     Console(soft_wrap=True).print(f"{out}: {table.num_rows} rows", markup=False, highlight=False)
     return ExitCode.DONE if len(good) == len(simulations) else ExitCode.NO_SOLUTION
 

@@ -15,7 +15,12 @@ from cluster_est.export.parameter_reader import ParameterReader
 from cluster_est.export.repaired_model import RepairedModel, ReportedError
 from cluster_est.problem.problem import Problem
 from cluster_est.results.tables.row_types import Estimate
-from cluster_est.run_folder.reading import check_has_estimates, read_facts, read_run_table
+from cluster_est.run_folder.reading import (
+    check_has_estimates,
+    read_config_text,
+    read_facts,
+    read_run_table,
+)
 from cluster_est.run_folder.replay import config_base
 from workers.fmu.description import nearest
 from workers.messages import Experiment
@@ -125,10 +130,10 @@ def _with_errors(repair: RepairedModel, errors: Sequence[Row], *, fitted: bool) 
 
 def _problem(run_folder: Path, facts: Row, config: Path | None, *, allow_code: bool) -> Problem:
     """The problem of the last fit: a closed loop has added effects to that of its config."""
-    path = run_folder / "config.toml"
+    path, text = run_folder / "config.toml", read_config_text(run_folder)
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        raw = tomllib.loads(text)
+    except ValueError as error:
         raise RunFolderError(f"{path}: cannot be read ({error}); it belongs to the run") from error
     resolved = parse_config(raw, str(path))
     found = [tomllib.loads(effect["config"])["effects"][0] for effect in facts.get("effects", [])]

@@ -6,7 +6,7 @@ import hashlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from cluster_est.errors import ConfigError, RunFolderError
+from cluster_est.errors import ConfigError
 from cluster_est.export.modelica import modelica
 from cluster_est.export.repair import gather
 from cluster_est.export.repaired_fmu.compiler import PLATFORMS
@@ -15,6 +15,7 @@ from cluster_est.export.repaired_model import RepairedModel
 from cluster_est.export.ssv import parameter_set
 from cluster_est.export.text import describe_repair
 from cluster_est.export.value_table import value_table
+from cluster_est.whole_files import ELSEWHERE, write_whole
 from workers.fmu.description import nearest
 
 
@@ -119,12 +120,7 @@ def write_forms(repair: RepairedModel, wanted: ExportRequest) -> ExportResult:
 
 
 def _write(path: Path, option: str, document: bytes) -> None:
-    try:
-        path.write_bytes(document)
-    except OSError as error:
-        raise RunFolderError(
-            f"{option}: {path} cannot be written ({error}); choose another"
-        ) from error
+    write_whole(path, document, f"{ELSEWHERE} {option}", shared=True)
 
 
 def _check_not_original(path: Path | None, original: str) -> None:

@@ -96,10 +96,16 @@ class FailureCounts:
         return tuple(sorted(rows, key=lambda row: (-row.count, row.first)))
 
 
-def read_activity(folder: Path) -> LogActivity:
-    """Read the small columns of a log, of one that is still written too."""
+def read_activity(folder: Path, *, ended: bool) -> LogActivity:
+    """Read the small columns of a log, of one that is still written too unless its run has `ended`.
+
+    Raises
+    ------
+    RunFolderError
+        If it is damaged.
+    """
     tail = ActivityTail(folder)
-    tail.read()
+    tail.read(ended=ended)
     return tail.activity
 
 
@@ -112,8 +118,14 @@ class ActivityTail:
         self._parts: list[tuple[IntArray, FloatArray, FloatArray]] = []
         self.counts = FailureCounts()
 
-    def read(self) -> None:
-        """Take in what is new."""
+    def read(self, *, ended: bool = False) -> None:
+        """Take in what is new; nothing may be torn if the run has `ended`.
+
+        Raises
+        ------
+        RunFolderError
+            If the log is damaged.
+        """
         names = self._names
         for batch in self._tail.new():
             self.counts.add(batch)
@@ -121,8 +133,10 @@ class ActivityTail:
                 coded = batch.column("worker").dictionary_encode()
                 known = [names.setdefault(w, len(names)) for w in coded.dictionary.to_pylist()]
                 own = np.array(known, np.int64)[np.asarray(coded.indices)]
-                ended, seconds = (np.array(batch.column(n)) for n in ("ended", "seconds"))
-                self._parts.append((own, ended, seconds))
+                when, seconds = (np.array(batch.column(n)) for n in ("ended", "seconds"))
+                self._parts.append((own, when, seconds))
+        if ended:
+            self._tail.check_ended()
 
     @property
     def activity(self) -> LogActivity:

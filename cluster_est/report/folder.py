@@ -11,7 +11,13 @@ import pyarrow as pa
 
 from cluster_est.report.activity import LogActivity, read_activity
 from cluster_est.run_folder.progress_file import PROGRESS, ProgressTail
-from cluster_est.run_folder.reading import read_facts, read_run_columns, read_run_table
+from cluster_est.run_folder.reading import (
+    is_ended,
+    read_config_text,
+    read_facts,
+    read_run_columns,
+    read_run_table,
+)
 
 Row = Mapping[str, Any]
 RUNNING = "running"
@@ -115,10 +121,7 @@ def read_run(path: Path, activity: LogActivity | None = None) -> ReportedRun:
     tables["progress"] = tuple(vars(line) for line in ProgressTail(path / PROGRESS).new())
     tables["searches"] = tables["searches"] or tables["progress"]
     curves = bool(tables["parameters"])
-    try:
-        config = (path / "config.toml").read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        config = ""
+    config = read_config_text(path) if (path / "config.toml").is_file() else ""
     return ReportedRun(
         name=path.resolve().name,
         facts=facts,
@@ -126,7 +129,7 @@ def read_run(path: Path, activity: LogActivity | None = None) -> ReportedRun:
         tables=tables,
         residuals=_table(path / "residuals.parquet") if curves else None,
         trajectories=_table(path / "trajectories.parquet") if curves else None,
-        activity=activity or read_activity(path / "evaluations"),
+        activity=activity or read_activity(path / "evaluations", ended=is_ended(facts)),
         predictions=_table(path / "predictions.parquet") if curves else None,
     )
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import importlib.resources
-import os
-from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,6 +13,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from cluster_est.errors import RunFolderError
+from cluster_est.whole_files import ELSEWHERE, write_whole
 
 
 def rendered(template: str, **values: Any) -> str:
@@ -42,16 +41,7 @@ def write_page(path: Path, text: str) -> None:
     """
     if path.is_dir():
         raise RunFolderError(f"{path}: must be a file but is a folder; choose another --out")
-    partial = path.with_name(f".{path.name}.{os.getpid()}")  # others may write it too
-    try:
-        partial.write_text(text, encoding="utf-8", newline="\n")
-        partial.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise RunFolderError(
-            f"{path}: must be written but cannot be ({error}); make room, or choose another --out"
-        ) from error
+    write_whole(path, text.encode(), ELSEWHERE, shared=True)
 
 
 def _policy(script: str) -> str:

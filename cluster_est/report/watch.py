@@ -15,7 +15,7 @@ from cluster_est.report.activity import ActivityTail, FailureGroup
 from cluster_est.report.folder import RUNNING
 from cluster_est.report.page import write_report
 from cluster_est.run_folder.progress_file import PROGRESS, IterationLine, ProgressTail, RunState
-from cluster_est.run_folder.reading import left_alone, read_facts
+from cluster_est.run_folder.reading import is_ended, left_alone, read_facts
 
 RATE_SECONDS = 15.0
 """Over which the rate of simulations is taken."""
@@ -107,7 +107,7 @@ class RunFollower:
             self._facts = read_facts(self.path)
         if self._facts.get("started") != started:
             self._begin()
-        self.tail.read()
+        self.tail.read(ended=is_ended(self._facts))
         for line in self._progress.new():
             self._note(line)
         counts = self.tail.counts

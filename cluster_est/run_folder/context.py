@@ -8,8 +8,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from cluster_est.errors import ClusterEstError, ExecutorError
+from cluster_est.errors import ClusterEstError, ExecutorError, UnwritableError
 from cluster_est.run_folder.folder import RunFolder, RunResult, check_free
+from cluster_est.run_folder.lock import RunLock
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.run_folder.progress_text import search_title
 from cluster_est.run_folder.reading import read_facts
@@ -74,27 +75,39 @@ class RunContext:
         self.folder: RunFolder | None = None
         self.finished = False
         self.earlier: EarlierRun | None = None
+        self._lock: RunLock | None = None
+        is_there = existing is Existing.RESUME and check_resumable(out, identity)
         if existing is not Existing.RESUME:
             check_free(out, overwrite=self._overwrite)
-        elif check_resumable(out, identity):
+        self.finished = is_there and is_finished(out)
+        if self.finished:
+            self._say(f"{out} holds a finished run")
+        elif (out / "evaluations").is_dir():
+            self._lock = RunLock(out / "evaluations")
+        if is_there and not self.finished:
             self._take_up()
 
     def _take_up(self) -> None:
         """Go on where the run that is there has stopped."""
-        self.finished = is_finished(self.out)
-        if self.finished:
-            self._say(f"{self.out} holds a finished run")
-            return
         self._logged = LoggedOutcomes(self.out / "evaluations")
         self.earlier = EarlierRun(self._logged, recorded(read_facts(self.out)))
         count = len(self._logged)
         self._say(f"{self.out} is resumed; {count} simulations stand in its log")
+        if self._logged.damaged:
+            lost = self._logged.lost
+            what = f"{lost} others that it had are" if lost else "a part of it is"
+            self._say(f"the log was damaged: {what} not as written, and what is lost is done again")
 
     def begin(self) -> RunFolder:
         """Open the folder, if it is not open yet."""
         if self.folder is None:
             self.folder = RunFolder(
-                self.out, self._identity, self._logged, overwrite=self._overwrite, say=self._say
+                self.out,
+                self._identity,
+                self._logged,
+                overwrite=self._overwrite,
+                held=self._lock,
+                say=self._say,
             )
             if self._reset is not None:
                 self.folder.note_reset(self._reset)
@@ -158,13 +171,15 @@ class RunContext:
         if self.folder is not None and error is not None:
             reason, status = _ending(error)
             self.folder.abandon(f"{reason}; {self.steps}", status)
+        elif self.folder is None and self._lock is not None:
+            self._lock.release()
 
 
 def _ending(error: BaseException) -> tuple[str, RunStatus]:
     """Why a run ended, and how it stands: what is not its own fault lets it be taken up again."""
     if isinstance(error, KeyboardInterrupt):
         return RunStatus.INTERRUPTED, RunStatus.INTERRUPTED
-    if isinstance(error, ExecutorError):
+    if isinstance(error, ExecutorError | UnwritableError | OSError):
         return str(error), RunStatus.INTERRUPTED
     if isinstance(error, ClusterEstError):
         return str(error), RunStatus.FAILED

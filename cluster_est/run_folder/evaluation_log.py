@@ -11,18 +11,19 @@ import os
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-import pyarrow as pa
 
-from cluster_est.errors import RunFolderError
-from cluster_est.run_folder.lock import lock
-from cluster_est.run_folder.log_format import SCHEMA, read_log, segments, slim
+from cluster_est.errors import UnwritableError
+from cluster_est.run_folder.log_format import SCHEMA
 from cluster_est.run_folder.log_rows import LogRow, batch_of, size_of
+from cluster_est.run_folder.log_segment import SegmentWriter, read_log, segments, slim
 from cluster_est.running.records import TaskOrigin
+from cluster_est.whole_files import AGAIN, writing
 from workers.messages import Outcome
 
 __all__ = ["SCHEMA", "EvaluationLog", "LogSettings", "read_log"]
@@ -61,7 +62,7 @@ class EvaluationLog:
     Parameters
     ----------
     folder
-        `evaluations` in a run folder; made if it is not there.
+        `evaluations` in a run folder, which no other process writes; made if it is not there.
     model_key
         Hash of model, interface and solver, the first part of each row's key.
     experiments
@@ -74,11 +75,6 @@ class EvaluationLog:
         Number of the first one that is written; a resumed run's log goes on behind the others.
     say
         Told once, in a sentence, when the log has reached its size.
-
-    Raises
-    ------
-    RunFolderError
-        If another process writes a log there.
     """
 
     def __init__(
@@ -104,20 +100,19 @@ class EvaluationLog:
         self._segment = first_segment
         self._slim: set[str] = set()
         self._is_full = self._stays_large = False
-        self._stream: tuple[BinaryIO, pa.ipc.RecordBatchStreamWriter] | None = None
+        self._stream: tuple[BinaryIO, SegmentWriter] | None = None
         self._adding, self._writing = threading.Lock(), threading.Lock()
         self._ended = threading.Event()
         self._writer: threading.Thread | None = None
-        self._failure: RunFolderError | None = None
+        self._failure: UnwritableError | None = None
         folder.mkdir(parents=True, exist_ok=True)
-        self._lock = lock(folder)
 
     def record(self, origin: TaskOrigin, outcome: Outcome) -> None:
         """Add one simulation; a moment later it is safe from the end of this process.
 
         Raises
         ------
-        RunFolderError
+        UnwritableError
             If the log cannot be written.
         """
         if self._failure is not None:
@@ -136,12 +131,12 @@ class EvaluationLog:
     def flush(self) -> None:
         """Write what has been recorded, and sync it once a second."""
         try:
-            self._flush()
-        except OSError as error:
-            raise RunFolderError(
-                f"{self._folder}: must be written but cannot be ({error}); make room, and go on "
-                "with --resume"
-            ) from error
+            with writing(self._folder, AGAIN):
+                self._flush()
+        except UnwritableError as error:
+            self._failure = error
+            self._drop_stream()
+            raise
 
     def _flush(self) -> None:
         with self._writing:
@@ -154,7 +149,7 @@ class EvaluationLog:
             batch = batch_of(
                 rows, self._model_key, self._experiments, residuals=self._settings.residuals
             )
-            writer.write_batch(batch.replace_schema_metadata(self._schema.metadata))
+            writer.write(batch)
             file.flush()
             if time.monotonic() - self._synced > SECONDS_PER_SYNC:
                 os.fsync(file.fileno())
@@ -163,16 +158,21 @@ class EvaluationLog:
                 self._end_segment()
 
     def close(self) -> None:
-        """Write what is left and end the segment."""
+        """Write what is left and end the segment.
+
+        Raises
+        ------
+        UnwritableError
+            If the log cannot be written, now or before.
+        """
         self._ended.set()
         if self._writer is not None:
             self._writer.join()
+        if self._failure is not None:
+            raise self._failure
         self.flush()
-        with self._writing:
+        with self._writing, writing(self._folder, AGAIN):
             self._end_segment()
-        if self._lock is not None:
-            self._lock.release()
-            self._lock = None
 
     def let_residuals_go(self) -> None:
         """Take residuals and trajectories from a closed log whose run has reached its end.
@@ -191,8 +191,7 @@ class EvaluationLog:
         while not self._ended.wait(min(max(SECONDS_PER_WRITE, 0.01), threading.TIMEOUT_MAX)):
             try:
                 self.flush()
-            except RunFolderError as error:
-                self._failure = error
+            except UnwritableError:  # the next row says it
                 return
 
     @property
@@ -204,11 +203,11 @@ class EvaluationLog:
     def _segment_bytes(self) -> float:
         return min(BYTES_PER_SEGMENT, self._limit / SEGMENTS_AT_LEAST)
 
-    def _open(self) -> tuple[BinaryIO, pa.ipc.RecordBatchStreamWriter]:
+    def _open(self) -> tuple[BinaryIO, SegmentWriter]:
         if self._stream is None:
             file = (self._folder / f"{self._segment:05d}.arrows").open("xb")
             self._segment += 1
-            self._stream = file, pa.ipc.new_stream(file, self._schema)
+            self._stream = file, SegmentWriter(file, self._schema)
         return self._stream
 
     def _end_segment(self) -> None:
@@ -220,6 +219,14 @@ class EvaluationLog:
             file.close()
             self._stream = None
             self._shrink()
+
+    def _drop_stream(self) -> None:
+        """Leave a segment that cannot be written as far as it came."""
+        with self._writing:
+            stream, self._stream = self._stream, None
+        if stream is not None:
+            with suppress(OSError):
+                stream[0].close()
 
     def _shrink(self) -> None:
         """Keep to the limit: take residuals and trajectories from the oldest segments."""

@@ -4,29 +4,28 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import re
-import shutil
 import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from cluster_est.errors import RunFolderError
+from cluster_est.errors import RunFolderError, UnwritableError
 from cluster_est.run_folder.evaluation_log import EvaluationLog
-from cluster_est.run_folder.lock import LOCK
+from cluster_est.run_folder.lock import LOCK, OWNER, RunLock
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.run_folder.progress_file import PROGRESS, ProgressFile
-from cluster_est.run_folder.reading import may_be_resumed
+from cluster_est.run_folder.reading import CHECKSUM, may_be_resumed, write_run_columns
 from cluster_est.run_folder.run_identity import FORMAT, RunIdentity, RunKind, versions
 from cluster_est.run_folder.run_status import RunStatus
 from cluster_est.running.records import RunSnapshot, SearchIteration, TaskOrigin
 from cluster_est.running.trials.reset_policy import ResetDecision
+from cluster_est.whole_files import AGAIN, ELSEWHERE, SEAL, sealed, write_whole, writing
 from workers.messages import Outcome
 
 BEGUN = {"evaluations", "config.toml", ".config.toml", PROGRESS, ".run.json"}
@@ -64,6 +63,8 @@ class RunFolder:
         What the run that is there has simulated, if it is taken up again: its log goes on.
     overwrite
         Whether to replace the run that is there.
+    held
+        Its lock, if somebody took it already.
     say
         Told, in a sentence, what a user should know of the log.
 
@@ -80,6 +81,7 @@ class RunFolder:
         logged: LoggedOutcomes | None = None,
         *,
         overwrite: bool = False,
+        held: RunLock | None = None,
         say: Callable[[str], None] | None = None,
     ) -> None:
         check_free(path, overwrite=overwrite or logged is not None)
@@ -96,15 +98,20 @@ class RunFolder:
         self._iterations: dict[tuple[str, int, str], dict[str, Any]] = {}
         self._workers: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
         self._begin = time.time()
-        if overwrite and path.exists():
-            _remove_run(path)
+        self._lock = held or take_folder(path)
         try:
-            self._log = self._open_log(say)
-            _write_text(path / "config.toml", identity.config_text)
-            self._progress = ProgressFile(path / PROGRESS)
-        except OSError as error:
-            raise RunFolderError(f"{path}: cannot be written ({error}); choose another") from error
-        self._write_status(RunStatus.RUNNING, {})
+            check_free(path, overwrite=overwrite or logged is not None)  # it may have been begun
+            with writing(path, ELSEWHERE):
+                if overwrite:
+                    _remove_run(path)
+                self._log = self._open_log(say)
+                self._progress = ProgressFile(path / PROGRESS)
+            text = f"# {SEAL}\n{identity.config_text}"
+            write_whole(path / "config.toml", sealed(text.encode()), ELSEWHERE)
+            self._write_status(RunStatus.RUNNING, {})
+        except BaseException:
+            self._lock.release()
+            raise
 
     def _open_log(self, say: Callable[[str], None] | None) -> EvaluationLog:
         return EvaluationLog(
@@ -166,6 +173,7 @@ class RunFolder:
             if self._logged is not None:
                 self._logged.close()
             self._log.let_residuals_go()
+        self._lock.release()
         return status
 
     def _write_searches(self) -> None:
@@ -177,18 +185,20 @@ class RunFolder:
         self._table("workers", [row | {"seconds": seconds} for row in rows])
 
     def abandon(self, reason: str, status: RunStatus = RunStatus.FAILED) -> None:
-        """Close the log of a run that ended without a result, and say so."""
-        self._log.close()
-        self._write_status(status, {"message": reason})
+        """Close the log of a run that ended without a result, and say so as far as that goes."""
+        with suppress(UnwritableError):  # what could not be written is simulated again
+            self._log.close()
+        with suppress(UnwritableError):
+            self._write_status(status, {"message": reason})
+        self._lock.release()
 
     def _table(self, name: str, rows: list[dict[str, Any]]) -> None:
         self._write_table(name, pa.Table.from_pylist(rows) if rows else pa.table({}))
 
     def _write_table(self, name: str, table: pa.Table) -> None:
         metadata = {**(table.schema.metadata or {}), **self._metadata}
-        partial = self.path / f".{name}.parquet"
-        pq.write_table(table.replace_schema_metadata(metadata), partial)
-        partial.rename(self.path / f"{name}.parquet")
+        path = self.path / f"{name}.parquet"
+        write_run_columns(path, table.replace_schema_metadata(metadata), AGAIN)
 
     def _write_status(self, status: RunStatus, numbers: dict[str, Any]) -> None:
         base = self._identity.base
@@ -211,7 +221,8 @@ class RunFolder:
             "experiments": {e.id: e.key for e in self._problem.experiments},
             "versions": versions(),
         }
-        _write_text(self.path / "run.json", json.dumps(_finite(facts), indent=2) + "\n")
+        text = json.dumps({CHECKSUM: SEAL, **_finite(facts)}, indent=2) + "\n"
+        write_whole(self.path / "run.json", sealed(text.encode()), AGAIN)
 
 
 def check_free(path: Path, *, overwrite: bool) -> None:
@@ -243,23 +254,27 @@ def only_begun(path: Path) -> bool:
     log = path / "evaluations"
     if "evaluations" not in names or not names <= BEGUN or not log.is_dir():
         return False
-    return {each.name for each in log.iterdir()} <= {LOCK}
+    return {each.name for each in log.iterdir()} <= {LOCK, OWNER}
+
+
+def take_folder(path: Path) -> RunLock:
+    """Lock the folder of a run, which is made if it is not there.
+
+    Raises
+    ------
+    RunFolderError
+        If another process has it, or it cannot be made.
+    """
+    log = path / "evaluations"
+    with writing(log, ELSEWHERE):
+        log.mkdir(parents=True, exist_ok=True)
+    return RunLock(log)
 
 
 def _natural(name: str) -> list[tuple[int, str]]:
     """Sorts "start 2" before "start 10", so that no table depends on which search was faster."""
     parts = re.split(r"(\d+)", name)
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
-
-
-def _write_text(path: Path, text: str) -> None:
-    """Write a file in one step."""
-    partial = path.with_name(f".{path.name}")
-    with partial.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)
 
 
 def _finite(value: Any) -> Any:
@@ -275,7 +290,9 @@ def _finite(value: Any) -> Any:
 
 def _remove_run(path: Path) -> None:
     """Remove what a run wrote, and nothing else."""
-    shutil.rmtree(path / "evaluations", ignore_errors=True)
+    for each in (path / "evaluations").iterdir():
+        if each.name not in (LOCK, OWNER):
+            each.unlink()
     texts = [path / name for name in ("run.json", "config.toml", "report.html", PROGRESS)]
     for file in [*path.glob("*.parquet"), *texts]:
         if not file.is_dir():  # a folder of that name is not the run's

@@ -12,14 +12,15 @@ import json
 import os
 import socket
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Self
 
 from filelock import BaseFileLock, FileLock, Timeout
 
 from cluster_est.errors import RunFolderError
 
-LOCK = ".lock"
+LOCK, OWNER = ".lock", ".owner"
 SWEEP_LOCK, SWEEP_OWNER = ".sweep.flock", ".sweep.lock"
 
 
@@ -42,7 +43,8 @@ def lock(folder: Path, name: str = LOCK) -> BaseFileLock | None:
         held.acquire()
     except Timeout:
         raise RunFolderError(
-            f"{folder}: another process is at work here; wait for it or end it"
+            f"{folder}: another process is at work here ({_named(folder / OWNER)}); wait for it or "
+            "end it"
         ) from None
     except OSError:
         return None
@@ -63,15 +65,40 @@ def is_left(folder: Path) -> bool:
     return True
 
 
-@contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Hold the lock for a while."""
-    held = lock(folder)
-    try:
-        yield
-    finally:
-        if held is not None:
-            held.release()
+class RunLock:
+    """The log of a run, held against other processes until it is released or this one ends.
+
+    Parameters
+    ----------
+    folder
+        `evaluations` of a run folder.
+
+    Raises
+    ------
+    RunFolderError
+        If another process has it, with its number and host.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._held = lock(folder)
+        self._owner: Path | None = folder / OWNER
+        with suppress(OSError):
+            self._owner.write_text(json.dumps(_here()), encoding="utf-8")
+
+    def release(self) -> None:
+        """Let others write it; once more does nothing."""
+        owner, self._owner = self._owner, None
+        if owner is not None:
+            with suppress(OSError):
+                owner.unlink(missing_ok=True)
+            if self._held is not None:
+                self._held.release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
 
 
 @contextmanager
@@ -106,7 +133,7 @@ def _own(owner: Path, *, certain: bool) -> None:
 
     It is gone for certain if the system's lock was free.
     """
-    here = {"pid": os.getpid(), "host": socket.gethostname()}
+    here = _here()
     try:
         try:
             with owner.open("x", encoding="utf-8") as file:
@@ -122,6 +149,10 @@ def _own(owner: Path, *, certain: bool) -> None:
         raise RunFolderError(
             f"{owner.parent}: cannot be written ({error}); choose another"
         ) from error
+
+
+def _here() -> dict[str, object]:
+    return {"pid": os.getpid(), "host": socket.gethostname()}
 
 
 def _named(owner: Path) -> str:

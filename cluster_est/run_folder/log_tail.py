@@ -1,27 +1,23 @@
-"""A log read while it is written: only what is new, and never more than its small columns.
-
-Segments are mapped, so residuals and trajectories are not read at all.
-"""
+"""A log read while it is written: only what is new."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import pyarrow as pa
 
-from cluster_est.run_folder.log_format import segments
+from cluster_est.run_folder.log_segment import SegmentReader, segments
 
 
 @dataclass
-class _SegmentPosition:
-    """The position up to which a segment has been read."""
+class _KnownSegment:
+    """A segment as far as it was read: the file, its reader, and how many rows were given."""
 
     file: int = 0
-    offset: int = 0
     rows: int = 0
-    schema: pa.Schema | None = None
+    reader: SegmentReader = field(default_factory=SegmentReader)
 
 
 class LogTail:
@@ -37,37 +33,46 @@ class LogTail:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._places: dict[str, _SegmentPosition] = {}
+        self._known: dict[str, _KnownSegment] = {}
 
     def new(self) -> Iterator[pa.RecordBatch]:
-        """The new batches, the oldest first."""
+        """The new batches, the oldest first.
+
+        Raises
+        ------
+        RunFolderError
+            If a segment is damaged.
+        """
         for path in segments(self._folder):
-            place = self._places.setdefault(path.name, _SegmentPosition())
+            known = self._known.setdefault(path.name, _KnownSegment())
             try:
                 found = path.stat()
-                if found.st_size <= place.offset and found.st_ino == place.file:
+                if found.st_size <= known.reader.end and found.st_ino == known.file:
                     continue
-                yield from self._read(path, place, found.st_ino)
+                yield from self._read(path, known, found.st_ino)
             except OSError:  # it was replaced or removed just now: the next call sees it
                 continue
+            known.reader.check(path, ended=False)
 
-    def _read(self, path: Path, place: _SegmentPosition, file: int) -> Iterator[pa.RecordBatch]:
+    def check_ended(self) -> None:
+        """Refuse a log that is torn although its run has reached its end.
+
+        Raises
+        ------
+        RunFolderError
+            If it is.
+        """
+        for name, known in self._known.items():
+            known.reader.check(self._folder / name, ended=True)
+
+    def _read(self, path: Path, known: _KnownSegment, file: int) -> Iterator[pa.RecordBatch]:
         seen = 0
-        if file != place.file:  # new, or rewritten without its large columns
-            place.file, place.offset, seen = file, 0, place.rows
+        if file != known.file:  # new, or rewritten without its large columns
+            known.file, known.reader, seen = file, SegmentReader(), known.rows
         with pa.memory_map(str(path)) as mapped:
-            try:
-                mapped.seek(place.offset)
-                if place.offset == 0:
-                    place.schema = pa.ipc.read_schema(mapped)
-                    place.offset = mapped.tell()
-                while True:
-                    batch = pa.ipc.read_record_batch(pa.ipc.read_message(mapped), place.schema)
-                    place.offset = mapped.tell()
-                    new = batch.slice(min(seen, batch.num_rows))
-                    seen -= batch.num_rows - new.num_rows
-                    place.rows += new.num_rows
-                    if new.num_rows:
-                        yield new
-            except (pa.ArrowInvalid, EOFError):
-                return
+            for _, batch in known.reader.batches(mapped.read_buffer()):
+                new = batch.slice(min(seen, batch.num_rows))
+                seen -= batch.num_rows - new.num_rows
+                known.rows += new.num_rows
+                if new.num_rows:
+                    yield new

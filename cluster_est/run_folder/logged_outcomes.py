@@ -10,8 +10,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from cluster_est.executors.base import OutcomeSource
-from cluster_est.run_folder.lock import locked
-from cluster_est.run_folder.log_format import mend, read_batches, residuals_hash, segments
+from cluster_est.run_folder.log_format import residuals_hash
+from cluster_est.run_folder.log_segment import mend, read_segment, segments
 from workers.messages import USUAL, FloatArray, IntArray, Outcome, Status, Trajectory, Want
 
 HASH = "residuals_hash"
@@ -22,13 +22,14 @@ KEY_LENGTH = 32
 class LoggedOutcomes(OutcomeSource):
     """The rows of a log, found by what was asked; each is given out once.
 
-    Torn segments are mended first. Keys are held in memory, about 100 bytes a row; everything else
-    is read from the mapped segments when it is needed.
+    Torn and damaged segments are mended first: only what is as it was written stays in them. Keys
+    are held in memory, about 100 bytes a row; everything else is read from the mapped segments when
+    it is needed.
 
     Parameters
     ----------
     folder
-        `evaluations` of a run folder; may be missing.
+        `evaluations` of a run folder, which no other process writes; may be missing.
 
     Attributes
     ----------
@@ -36,26 +37,24 @@ class LoggedOutcomes(OutcomeSource):
         The number with which the log goes on.
     remaining
         How many rows nobody has taken yet.
+    damaged
+        Whether some of the log was not as it was written, and is gone.
+    lost
+        How many rows are known to be gone.
     differing
         How many rows gave other residuals when they were simulated again.
-
-    Raises
-    ------
-    RunFolderError
-        If another process still writes that log.
     """
 
     def __init__(self, folder: Path) -> None:
-        if folder.is_dir():
-            with locked(folder):
-                for path in segments(folder):
-                    mend(path)
+        mended = [mend(path) for path in segments(folder)]
+        self.damaged = any(each.damaged for each in mended)
+        self.lost = sum(each.lost for each in mended)
         paths = segments(folder)
         self._segments = [pa.memory_map(str(path)) for path in paths]
         self._batches: list[tuple[int, int]] = []  # segment, position
         self._schemas: dict[int, pa.Schema] = {}
         begins, keys, whole = [0], [np.zeros(0, f"S{KEY_LENGTH + 2}")], [np.zeros(0, bool)]
-        for number, mapped in enumerate(self._segments):
+        for number, path in enumerate(paths):
 
             def visit(position: int, batch: pa.RecordBatch, number: int = number) -> None:
                 self._schemas.setdefault(number, batch.schema)
@@ -64,7 +63,7 @@ class LoggedOutcomes(OutcomeSource):
                 keys.append(_keys(batch))
                 whole.append(_whole(batch))
 
-            read_batches(mapped, visit)
+            read_segment(path, visit)
         self._begins = np.array(begins)
         self._whole: IntArray = np.concatenate(whole)
         found: IntArray = np.concatenate(keys)

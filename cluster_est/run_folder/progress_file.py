@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from cluster_est.running.records import RunSnapshot, SearchIteration
+from cluster_est.whole_files import SEAL, is_damaged, sealed
 
 PROGRESS = "progress.jsonl"
 SECONDS_BETWEEN = 1.0
@@ -72,7 +73,7 @@ def _line(row: dict[str, Any]) -> str:
         key: None if isinstance(value, float) and not math.isfinite(value) else value
         for key, value in row.items()
     }
-    return json.dumps(kept) + "\n"
+    return sealed(json.dumps({"checksum": SEAL, **kept}).encode()).decode() + "\n"
 
 
 @dataclass(frozen=True)
@@ -141,8 +142,11 @@ class ProgressTail:
         return [line for line in read if line is not None]
 
     def _read(self, text: bytes) -> IterationLine | None:
+        if is_damaged(text):
+            return None
         try:
             row = json.loads(text)
+            row.pop("checksum", None)
             if "now" in row:
                 for name in ("left", "pace"):
                     row[name] = math.nan if row.get(name) is None else float(row[name])
@@ -151,5 +155,5 @@ class ProgressTail:
             for name in ("cost", "violation"):
                 row[name] = math.nan if row[name] is None else float(row[name])
             return IterationLine(**row)
-        except (ValueError, TypeError, KeyError):  # of another version, or damaged
+        except (ValueError, TypeError, KeyError, AttributeError):  # of another version, or damaged
             return None

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +16,11 @@ import pyarrow.parquet as pq
 from cluster_est.errors import RunFolderError
 from cluster_est.run_folder.lock import is_left
 from cluster_est.run_folder.run_status import RunStatus
+from cluster_est.whole_files import MEND, SEAL, is_damaged, is_sealed, sealed, write_whole
 
 Rows = list[dict[str, Any]]
+CHECKSUM = "checksum"
+"""The key of a seal in run.json and in the metadata of tables."""
 WITHOUT_ESTIMATES = {"sensitivity": "sensitivity analysis", "design": "design"}
 """Runs that estimate nothing, by the key of run.json that they have."""
 
@@ -103,12 +108,63 @@ def read_facts(run_folder: Path) -> dict[str, Any]:
     path = run_folder / "run.json"
     if not path.is_file():
         raise RunFolderError(f"{run_folder}: must be the folder of a run but has no run.json")
+    content = path.read_bytes()
     try:
-        facts: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if is_damaged(content):
+            raise ValueError("its checksum is another")
+        facts: dict[str, Any] = json.loads(content)
         facts["status"]
     except (ValueError, KeyError, TypeError) as error:
-        raise RunFolderError(f"{path}: is damaged ({error}); run again") from error
+        raise RunFolderError(
+            f"{path}: is damaged ({error}); run again, with --overwrite"
+        ) from error
+    facts.pop(CHECKSUM, None)
     return facts
+
+
+def read_config_text(run_folder: Path) -> str:
+    """Return the resolved config of a run.
+
+    Raises
+    ------
+    RunFolderError
+        If it is not there, or damaged.
+    """
+    path = run_folder / "config.toml"
+    if not path.is_file():
+        raise RunFolderError(
+            f"{run_folder}: must hold the config of its run but has no {path.name}"
+        )
+    content = path.read_bytes()
+    try:
+        if is_damaged(content):
+            raise ValueError("its checksum is another")
+        text = content.decode()
+        if not is_sealed(content) and f"# {SEAL}".startswith(text[:20]):
+            raise ValueError("it has been cut off")
+        tomllib.loads(text)
+    except ValueError as error:
+        raise RunFolderError(f"{path}: is damaged ({error}); {MEND}") from error
+    return text.partition("\n")[2] if is_sealed(content) else text
+
+
+def is_ended(facts: Mapping[str, Any]) -> bool:
+    """Return whether a run has written all that it has found."""
+    return facts["status"] in (RunStatus.DONE, RunStatus.NOT_CONVERGED)
+
+
+def write_run_columns(path: Path, table: pa.Table, advice: str) -> None:
+    """Write one of a run's tables in one step, with its checksum.
+
+    Raises
+    ------
+    UnwritableError
+        If it cannot be written.
+    """
+    content = io.BytesIO()
+    metadata = {**(table.schema.metadata or {}), CHECKSUM: SEAL}
+    pq.write_table(table.replace_schema_metadata(metadata), content, write_page_checksum=True)
+    write_whole(path, sealed(content.getvalue()), advice)
 
 
 def read_run_table(path: Path) -> list[dict[str, Any]]:
@@ -131,9 +187,16 @@ def read_run_columns(path: Path) -> pa.Table:
     RunFolderError
         If it is damaged.
     """
+    content = path.read_bytes()
     # pq.read_table would import all of pyarrow.dataset, and make columns of a folder named "k=3"
     try:
-        with pq.ParquetFile(path) as file:
-            return file.read()
-    except (pa.ArrowException, OSError) as error:
-        raise RunFolderError(f"{path}: is damaged ({error}); run again") from error
+        if is_damaged(content):
+            raise OSError("its checksum is another")
+        with pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True) as file:
+            table = file.read()
+        if not is_sealed(content):
+            table.validate(full=True)
+    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
+        raise RunFolderError(f"{path}: is damaged ({error}); {MEND}") from error
+    kept = {k: v for k, v in (table.schema.metadata or {}).items() if k != CHECKSUM.encode()}
+    return table.replace_schema_metadata(kept or None)

@@ -19,7 +19,7 @@ from cluster_est.problem.names import coefficient_names
 from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.evaluation_log import read_log
 from cluster_est.run_folder.log_format import logged_cost, residuals_hash
-from cluster_est.run_folder.reading import read_facts
+from cluster_est.run_folder.reading import is_ended, read_config_text, read_facts
 from cluster_est.running.trials.reset_policy import recorded
 from workers.fmu.description import nearest
 from workers.messages import Effect, FloatArray, Limits, Outcome, Status, Task, Want
@@ -157,10 +157,10 @@ def read_failures(run_folder: Path) -> list[LoggedSimulation]:
 
 
 def _read(run_folder: Path) -> Any:
-    read_facts(run_folder)  # says it if this is no run
+    ended = is_ended(read_facts(run_folder))  # says it if this is no run
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the torn end of a run that was killed
-        return read_log(run_folder / "evaluations")
+        return read_log(run_folder / "evaluations", ended=ended)
 
 
 def prepare(
@@ -183,6 +183,7 @@ def prepare(
     ClusterEstError
         If something is missing, or the row was simulated with what no config names.
     """
+    read_config_text(run_folder)  # says it if that is damaged
     resolved = read_config(run_folder / "config.toml")
     base = config_base(run_folder, config)
     problem = build_problem(resolved, base, allow_code=allow_code)

@@ -8,7 +8,8 @@ from typing import Any
 
 from cluster_est.errors import RunFolderError
 from cluster_est.run_folder.folder import check_free
-from cluster_est.run_folder.reading import read_facts
+from cluster_est.run_folder.log_segment import read_segment, segments
+from cluster_est.run_folder.reading import read_config_text, read_facts, read_run_columns
 from cluster_est.run_folder.run_identity import DECISIVE, FORMAT, UNHASHED, RunIdentity, versions
 from cluster_est.run_folder.run_status import RunStatus
 
@@ -17,12 +18,26 @@ ENDS = ("parameters", "ranking", "next_input")
 
 
 def is_finished(out: Path) -> bool:
-    """Return whether a folder holds a run that reached its end."""
+    """Return whether a folder holds a run that reached its end, and nothing of it is damaged."""
     return (
         (out / "run.json").is_file()
         and any((out / f"{name}.parquet").is_file() for name in ENDS)
         and read_facts(out)["status"] == RunStatus.DONE
+        and is_whole(out)
     )
+
+
+def is_whole(out: Path) -> bool:
+    """Return whether all that a run has left that is done is as it was written."""
+    try:
+        read_config_text(out)
+        for path in out.glob("*.parquet"):
+            read_run_columns(path)
+        for path in segments(out / "evaluations"):
+            read_segment(path, lambda *_: None).check(path, ended=True)
+    except RunFolderError:
+        return False
+    return True
 
 
 def check_resumable(out: Path, identity: RunIdentity) -> bool:
@@ -72,8 +87,8 @@ def _difference(out: Path, facts: dict[str, Any], identity: RunIdentity) -> str:
 
 def _different_key(out: Path, identity: RunIdentity) -> str:
     try:
-        before = tomllib.loads((out / "config.toml").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        before = tomllib.loads(read_config_text(out))
+    except (RunFolderError, ValueError):
         before = {}
     now = tomllib.loads(identity.config_text)
     for tree in (before, now):

@@ -11,21 +11,28 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from cluster_est.errors import RunFolderError
 from cluster_est.run_folder.folder import BEGUN
 from cluster_est.run_folder.judgement import doubts_of
-from cluster_est.run_folder.reading import read_facts, read_run_table
+from cluster_est.run_folder.reading import (
+    read_config_text,
+    read_facts,
+    read_run_table,
+    write_run_columns,
+)
+from cluster_est.run_folder.resume import is_whole
 from cluster_est.run_folder.run_identity import RunIdentity, versions
 from cluster_est.run_folder.run_status import RunStatus
 from cluster_est.sweep.matrix import SweepRun
+from cluster_est.whole_files import write_whole
 from workers.messages import content_hash
 
 STATE, SUMMARY = "sweep.json", "summary.parquet"
 SUCCESS = RunStatus.DONE
 FAILED = (RunStatus.FAILED, RunStatus.NOT_CONVERGED)
 NOT_RUN = "not run"
+GO_ON = "see that there is room and that it may be written, and give the same command again"
 
 
 @dataclass(frozen=True)
@@ -83,7 +90,7 @@ def status(folder: Path, planned: PlannedRun) -> str:
     except (RunFolderError, KeyError, TypeError):
         return NOT_RUN
     found = str(facts["status"])
-    if known != planned.fingerprint or found not in (SUCCESS, *FAILED):
+    if known != planned.fingerprint or found not in (SUCCESS, *FAILED) or not is_whole(folder):
         return NOT_RUN
     if found in FAILED and _budget(folder) != planned.budget:
         return NOT_RUN
@@ -118,9 +125,8 @@ def check_folder(out: Path) -> None:
 def write_state(out: Path, sweep: Path, states: dict[str, str], *, running: str = "") -> None:
     """Write sweep.json: where each run stands, for people and monitors."""
     facts = {"format": "1", "sweep": str(sweep), "running": running, "runs": states}
-    partial = out / f".{STATE}"
-    partial.write_text(json.dumps(facts, indent=2) + "\n", encoding="utf-8")
-    partial.replace(out / STATE)
+    text = json.dumps(facts, indent=2) + "\n"
+    write_whole(out / STATE, text.encode(), GO_ON)
 
 
 def summary_rows(
@@ -135,9 +141,7 @@ def summary_rows(
 
 def write_summary(out: Path, rows: list[dict[str, Any]]) -> None:
     """Write summary.parquet in one step."""
-    partial = out / f".{SUMMARY}"
-    pq.write_table(pa.Table.from_pylist(rows), partial)
-    partial.replace(out / SUMMARY)
+    write_run_columns(out / SUMMARY, pa.Table.from_pylist(rows), GO_ON)
 
 
 def _row(out: Path, run: SweepRun, state: str, axes: list[str]) -> dict[str, Any]:
@@ -173,8 +177,8 @@ def _check_strange(folder: Path) -> None:
 
 def _budget(folder: Path) -> dict[str, Any]:
     try:
-        found = tomllib.loads((folder / "config.toml").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        found = tomllib.loads(read_config_text(folder))
+    except (RunFolderError, ValueError):
         return {}
     budget: dict[str, Any] = found.get("budget", {})
     return budget

@@ -18,6 +18,7 @@ BEGUN = ("format", "seed", "started", "config_hash", "fmu", "experiments", "vers
 def facts(run: Path) -> dict[str, Any]:
     """All of run.json."""
     found: dict[str, Any] = json.loads((run / "run.json").read_text(encoding="utf-8"))
+    found.pop("checksum", None)
     return found
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
-from cluster_est.errors import ModelError, RunFolderError
+from cluster_est.errors import ModelError
 from cluster_est.export.repaired_fmu.c_code import effects_source
 from cluster_est.export.repaired_fmu.compiler import (
     PLATFORMS,
@@ -28,6 +28,7 @@ from cluster_est.export.repaired_fmu.readme import readme
 from cluster_est.export.repaired_fmu.step_error import StepErrors, measure_step
 from cluster_est.export.repaired_model import RepairedModel
 from cluster_est.run_folder.run_identity import versions
+from cluster_est.whole_files import ELSEWHERE, write_whole, writing
 from workers.fmu.archive import open_archive
 from workers.fmu.parsing.xml import XML
 from workers.fmu.platforms import PLATFORM, binary_path, platforms_in
@@ -84,15 +85,10 @@ def write_fmu(
 
 def _write(path: Path, content: dict[str, bytes]) -> None:
     """Write the archive in one step."""
-    partial = path.with_name(f".{path.name}")
-    try:
+    advice = f"{ELSEWHERE} --fmu"
+    with writing(path, advice):
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_bytes(_archive(content))
-        partial.replace(path)
-    except OSError as error:
-        raise RunFolderError(
-            f"--fmu: {path} cannot be written ({error}); choose another"
-        ) from error
+    write_whole(path, _archive(content), advice, shared=True)
 
 
 def _check_platforms(repair: RepairedModel, platforms: Sequence[str]) -> None:

@@ -21,7 +21,7 @@ WORKERS = {
 PROCESSES = {
     "another hash, 2 threads in BLAS": {"PYTHONHASHSEED": "2", "OPENBLAS_NUM_THREADS": "2"},
 }
-TIMED = ("seconds", "started")
+TIMED = ("checksum", "seconds", "started")
 """What of run.json may differ."""
 
 

@@ -456,7 +456,7 @@ class TestMistakes:
             ([str(FMU), "a.csv", "./a.csv"], "a.csv .*named once.*2 times"),
             ([str(FMU), "a.csv", "--out", "there.toml"], "there.toml.* is there already"),
             ([str(FMU), "a.csv", "--out", "."], "a file but is a folder"),
-            ([str(FMU), "a.csv", "--out", "a.csv/b.toml"], "cannot be written"),
+            ([str(FMU), "a.csv", "--out", "a.csv/b.toml"], "must be written but cannot be"),
         ],
     )
     def test_each_is_a_sentence(self, refused, arguments, pattern):

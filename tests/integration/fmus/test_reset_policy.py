@@ -3,7 +3,6 @@
 The truth is the solution of x' = -k x, x(0) = 1, by hand.
 """
 
-import json
 import os
 import re
 import signal
@@ -16,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.decay_fits import RATE, K, decay_table, estimate, fit_decay, run_of
+from support.run_folders import change_facts, facts
 from support.thinning import thinned
 from typing_extensions import override
 
@@ -50,8 +50,8 @@ def fitted(own_fmu, tmp_path):
 
 
 def chosen(folder: Path) -> str:
-    facts = json.loads((folder / "run" / "run.json").read_text(encoding="utf-8"))
-    return str(facts["reset_policy"]["policy"])
+    found = facts(folder / "run")
+    return str(found["reset_policy"]["policy"])
 
 
 @KINDS
@@ -134,10 +134,8 @@ def test_a_run_that_is_resumed_goes_on_as_it_began(fitted, tmp_path):
     """Even where nobody would choose that now."""
     fitted("dahlquist", 2, "budget.evaluations=2")
     (tmp_path / "run" / "parameters.parquet").unlink()
-    known = tmp_path / "run" / "run.json"
-    facts = json.loads(known.read_text(encoding="utf-8"))
-    facts["reset_policy"]["policy"] = "instance"
-    known.write_text(json.dumps(facts), encoding="utf-8")
+    run = tmp_path / "run"
+    change_facts(run, reset_policy=facts(run)["reset_policy"] | {"policy": "instance"})
 
     assert fitted("dahlquist", 2, "--resume") == 0
     assert chosen(tmp_path) == "instance"

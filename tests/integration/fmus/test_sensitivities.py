@@ -1,6 +1,5 @@
 """Derivatives carried along with a simulation: right by complex steps, and chosen by a clock."""
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from support.decay_fits import fit_decay
+from support.run_folders import change_facts
 from support.thinning import thinned
 
 from cluster_est import Experiment, Input, Output, Parameter, Problem, Solver, fit
@@ -298,10 +298,7 @@ def test_a_run_that_a_clock_had_chosen_them_for_is_refused(own_fmu, tmp_path, ca
     assert fit_decay(*resumed, "budget.evaluations=3") in (0, 1)
 
     (tmp_path / "run" / "parameters.parquet").unlink()
-    known = tmp_path / "run" / "run.json"
-    run = json.loads(known.read_text(encoding="utf-8"))
-    run["sensitivities"] = {"carry": True, "sentence": "quicker"}
-    known.write_text(json.dumps(run), encoding="utf-8")
+    change_facts(tmp_path / "run", sensitivities={"carry": True, "sentence": "quicker"})
     assert fit_decay(*resumed, "budget.evaluations=4") == 2
     said = " ".join(capsys.readouterr().err.split())
     assert 'differences = "sensitivities" has to say' in said

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import socket
 import subprocess
 import sys
 import time
@@ -21,7 +22,7 @@ from support.thinning import thinned
 
 from cluster_est.cli import main
 from cluster_est.run_folder.evaluation_log import read_log
-from cluster_est.run_folder.lock import locked
+from cluster_est.run_folder.lock import RunLock
 
 SMALL = ["budget.evaluations=120"]
 METHODS = {
@@ -257,13 +258,21 @@ def test_a_finished_run_is_shown(tmp_path, observer, capsys):
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
 
 
-def test_a_run_that_goes_on_is_not_resumed(killed, capsys):
-    before = size(killed)
-    with locked(killed / "evaluations"):
-        assert run(killed, "--resume") == 2
-    assert "another process is at work here" in capsys.readouterr().err
-    assert size(killed) == before
-    assert run(killed, "--resume") == 0
+@pytest.mark.parametrize("how", ["--resume", "--overwrite"])
+def test_a_run_that_goes_on_has_no_second_writer(how, killed, capsys):
+    def files() -> dict[str, bytes]:
+        return {str(path): path.read_bytes() for path in killed.rglob("*") if path.is_file()}
+
+    with RunLock(killed / "evaluations"):
+        before = files()
+        assert run(killed, how) == 2
+        assert files() == before
+    said = capsys.readouterr().err
+    who = f"process {os.getpid()} on {socket.gethostname()}"
+    assert f"another process is at work here ({who}); wait for it or end it" in said
+    assert run(killed, how) == 0
+    with RunLock(killed / "evaluations"):  # the run has let it go
+        pass
 
 
 def test_a_run_that_was_killed_before_it_began_is_begun(tmp_path):

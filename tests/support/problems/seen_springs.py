@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pyarrow.parquet as pq
 from support.problems.springs import ROOT, TRUE, spring_problem
+from support.run_folders import change_facts
 
 from cluster_est import Output, Problem
 
@@ -54,6 +54,4 @@ def values_of(run: Path) -> dict[str, float]:
 
 def break_off(run: Path) -> None:
     """Leave a run as if it had been killed before it was written down."""
-    facts = json.loads((run / "run.json").read_text(encoding="utf-8"))
-    facts |= {"status": "running", "verdict": None}
-    (run / "run.json").write_text(json.dumps(facts), encoding="utf-8")
+    change_facts(run, status="running", verdict=None)

@@ -12,7 +12,7 @@ from cluster_est.report.activity import (
     without_breaks,
 )
 from cluster_est.run_folder.evaluation_log import SCHEMA
-from cluster_est.run_folder.log_format import slim
+from cluster_est.run_folder.log_segment import slim
 
 
 def batch(rows):
@@ -21,6 +21,7 @@ def batch(rows):
 
 def row(number, status="ok", message="", **more):
     base = {"experiment": "e", "status": status, "message": message, "worker": "w0"}
+    base |= {"key": "k", "want": "residuals", "search": "s", "purpose": "p", "values": [0.0]}
     return base | {"ended": 100.0 + number, "seconds": 1.0, "residuals": [1.0] * 50} | more
 
 
@@ -43,7 +44,7 @@ def test_failures_are_counted_by_reason_whatever_numbers_it_holds(tmp_path):
     rows += [row(i, "solver failure", f"stopped at t = {i}.5e-3 s") for i in range(1, 4)]
     rows += [row(4, "timeout", "too long", experiment="f")]
     write(tmp_path / "00000.arrows", [batch(rows[:2]), batch(rows[2:])])
-    activity = read_activity(tmp_path)
+    activity = read_activity(tmp_path, ended=False)
     assert activity.simulations == 5
     first, second = activity.failures
     assert (first.count, first.first, first.message) == (3, 1, "stopped at t = 1.5e-3 s")
@@ -89,10 +90,10 @@ def test_logs_of_versions_without_ends_have_no_time_line(tmp_path):
     old = pa.RecordBatch.from_pylist([row(0, "timeout", "late")], schema=schema)
     with (tmp_path / "00000.arrows").open("wb") as file, pa.ipc.new_stream(file, schema) as writer:
         writer.write_batch(old)
-    activity = read_activity(tmp_path)
+    activity = read_activity(tmp_path, ended=False)
     assert (activity.simulations, len(activity.ended)) == (1, 0)
     assert activity.failures[0].message == "late"
-    assert read_activity(tmp_path / "none").simulations == 0  # there need not be a log
+    assert read_activity(tmp_path / "none", ended=True).simulations == 0  # there need not be a log
 
 
 def test_busy_shares_are_those_of_the_simulations():

@@ -14,14 +14,14 @@ from filelock import UnixFileLock
 from cluster_est.errors import RunFolderError
 from cluster_est.report.watch import RunFollower
 from cluster_est.run_folder.folder import check_free
-from cluster_est.run_folder.lock import LOCK, SWEEP_OWNER, lock, locked, locked_by_sweep
+from cluster_est.run_folder.lock import LOCK, SWEEP_OWNER, RunLock, lock, locked_by_sweep
 from cluster_est.run_folder.reading import left_alone
 
 GONE = "no process of this machine is at work in it any more; if it was killed, resume it with"
 HOLD = """
 import sys, time
 from pathlib import Path
-from cluster_est.run_folder.lock import locked, locked_by_sweep
+from cluster_est.run_folder.lock import RunLock, locked_by_sweep
 with {function}(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(60)
@@ -56,7 +56,7 @@ def kill_holder(function, folder):
         assert holder.stdout is not None
         assert holder.stdout.readline() == "held\n"
         with pytest.raises(RunFolderError, match="at work here"):
-            lock(folder, LOCK if function == "locked" else ".sweep.flock")
+            lock(folder, LOCK if function == "RunLock" else ".sweep.flock")
         os.kill(holder.pid, signal.SIGKILL if os.name != "nt" else signal.SIGTERM)
     return holder.pid
 
@@ -76,15 +76,18 @@ def without_locks(monkeypatch):
 
 
 def test_a_lock_keeps_others_out_until_it_is_released(tmp_path):
-    with locked(tmp_path), pytest.raises(RunFolderError, match="at work here; wait for it or end"):
+    with (
+        RunLock(tmp_path),
+        pytest.raises(RunFolderError, match=r"at work here .process .*; wait for it or end"),
+    ):
         lock(tmp_path)
-    with locked(tmp_path):
+    with RunLock(tmp_path):
         pass
 
 
 def test_a_folder_without_locks_is_used_without(tmp_path, without_locks):
     assert lock(tmp_path) is None
-    with locked(tmp_path), locked(tmp_path):
+    with RunLock(tmp_path), RunLock(tmp_path):
         pass
 
 
@@ -151,9 +154,9 @@ def run_of(folder, status):
 def test_a_run_whose_process_was_killed_is_left_alone_and_who_watches_it_is_told(tmp_path):
     run = run_of(tmp_path, "running")
     assert left_alone(run, "running") == "", "without a lock it may be anywhere"
-    with locked(run / "evaluations"):
+    with RunLock(run / "evaluations"):
         assert left_alone(run, "running") == ""
-    kill_holder("locked", run / "evaluations")
+    kill_holder("RunLock", run / "evaluations")
     assert left_alone(run, "running").startswith(GONE)
     assert left_alone(run, "done") == ""
     clock = iter([0.0, 0.0, 1.0, 1.0, 10.0, 10.0])

@@ -1,0 +1,365 @@
+"""A segment of an evaluation log: written batch by batch, and read only as far as it checks.
+
+An Arrow IPC stream. Its schema and each of its batches carry, among their metadata, a seal: the
+checksum of the whole message, its length, and how many rows there are up to its end. Nothing is
+given to Arrow before its checksum agrees, because Arrow believes what a damaged message says, or
+crashes. Streams of earlier versions have no seals: they are validated, and what is valid is
+believed.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import BinaryIO, get_args
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from cluster_est.errors import RunFolderError
+from cluster_est.run_folder.log_format import LARGE, NEVER_NULL, ROWS_PER_BATCH, SCHEMA
+from cluster_est.whole_files import MEND, SEAL, is_damaged, sealed
+from workers.messages import Status, Want
+
+END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
+BEGIN = re.compile(rb"(?=\xff\xff\xff\xff)")
+"""Of a message, which begins at a multiple of 8 bytes."""
+CHECKSUM = "checksum"
+"""The key of a seal in the metadata of a message."""
+LARGEST_HEAD = 2**20
+Message = tuple[int, int | None]
+"""The end of a message, and the rows of the segment up to there; None if it has no seal."""
+_SEAL = re.compile(rb"cluster-est crc32:[0-9a-f]{8} bytes:(\d{12}) rows:(\d{12})")
+_INVALID = (pa.ArrowException, OSError, EOFError, ValueError, KeyError, MemoryError)
+"""What reading a damaged message raises."""
+
+
+def segments(folder: Path) -> list[Path]:
+    """The segments of a log, the oldest first."""
+    return sorted(folder.glob("*.arrows"))
+
+
+class SegmentWriter:
+    """Appends sealed batches to a file.
+
+    Parameters
+    ----------
+    file
+        Empty.
+    schema
+        Of the batches.
+    """
+
+    def __init__(self, file: BinaryIO, schema: pa.Schema) -> None:
+        self._file, self._rows = file, 0
+        self._schema = schema.with_metadata({**(schema.metadata or {}), CHECKSUM: _seal(0, 0)})
+        head = self._schema.serialize().to_pybytes()
+        self._head = len(head)
+        file.write(_filled(head, 0))
+
+    def write(self, batch: pa.RecordBatch) -> None:
+        """Append a batch, in one piece."""
+        self._rows += batch.num_rows
+        stream = io.BytesIO()
+        writer = pa.ipc.new_stream(stream, self._schema)
+        batch = batch.replace_schema_metadata(self._schema.metadata)
+        writer.write_batch(batch, custom_metadata={CHECKSUM: _seal(0, self._rows)})
+        self._file.write(_filled(stream.getvalue()[self._head :], self._rows))
+
+    def close(self) -> None:
+        """End the stream, not the file."""
+        self._file.write(END_OF_STREAM)
+
+
+def _seal(size: int, rows: int) -> str:
+    return f"{SEAL} bytes:{size:012d} rows:{rows:012d}"
+
+
+def _filled(message: bytes, rows: int) -> bytes:
+    seal = _seal(len(message), rows).encode()
+    return sealed(message.replace(_seal(0, rows).encode(), seal, 1))
+
+
+class SegmentReader:
+    """Gives what is as it was written; asked again, it goes on where the segment has grown.
+
+    Attributes
+    ----------
+    end
+        Where the last message ends that was believed; 0 before the schema.
+    schema
+        None before it was read, and where it is damaged.
+    lost
+        Rows that are known to be there and cannot be believed.
+    damaged
+        Whether there is anything that is neither as it was written nor merely cut off.
+    torn
+        Whether something follows that last message.
+    closed
+        Whether only the end of the stream follows: nobody will go on with it.
+    """
+
+    def __init__(self) -> None:
+        self.end = 0
+        self.schema: pa.Schema | None = None
+        self.damaged = self.torn = self.closed = False
+        self._is_sealed = False
+        self._rows = self._passed_over = self._cut_off = 0
+
+    @property
+    def lost(self) -> int:
+        return self._passed_over + self._cut_off
+
+    def batches(self, content: pa.Buffer) -> Iterator[tuple[int, pa.RecordBatch]]:
+        """Each batch that was not given yet, with its position in all that the segment holds.
+
+        What is damaged is passed over, and a torn end left: the rest of it may still come.
+        """
+        view = memoryview(content).cast("B")  # of Arrow, it is of signed bytes
+        while not _is_end(view, self.end):
+            begin, found = self.end, self._message(view, self.end)
+            if found is None:
+                begin, found = _following(view, self.end)
+                if found is None:
+                    break
+                self.damaged = True
+            self.end, rows = found
+            batch = self._parsed(content.slice(begin, self.end - begin), rows, first=begin == 0)
+            if batch is not None:
+                yield begin, batch
+        self._judge(view)
+
+    def check(self, path: Path, *, ended: bool) -> None:
+        """Refuse a segment of which something was passed over, or torn although its run has ended.
+
+        Raises
+        ------
+        RunFolderError
+            If that is so.
+        """
+        if self.damaged or (ended and not self.closed):
+            what = f"{self.lost} of its simulations are" if self.lost else "a part of it is"
+            raise RunFolderError(f"{path}: is damaged, {what} not as written; {MEND}")
+
+    def _message(self, view: memoryview, begin: int) -> Message | None:
+        """The message that begins here, if it is as it was written, or if nobody can know."""
+        if self._is_sealed or _seal_at(view, begin) is not None:
+            return _sealed_message(view, begin)
+        source = pa.BufferReader(view[begin:])
+        try:
+            pa.ipc.read_message(source)
+        except _INVALID:
+            return None
+        return begin + source.tell(), None
+
+    def _parsed(self, part: pa.Buffer, rows: int | None, *, first: bool) -> pa.RecordBatch | None:
+        """The batch in a message; None for the schema, and for what is not valid."""
+        batch = None
+        try:
+            if first:
+                self.schema, self._is_sealed = (
+                    _schema(part, known=rows is not None),
+                    rows is not None,
+                )
+            elif self.schema is not None:
+                batch = pa.ipc.read_record_batch(pa.ipc.read_message(part), self.schema)
+                if rows is None:
+                    _check(batch)
+        except _INVALID:
+            batch, self.damaged = None, True
+        count = 0 if batch is None else batch.num_rows
+        now = self._rows + count if rows is None else rows
+        self._passed_over += max(now - self._rows - count, 0)
+        self._rows = now
+        return batch
+
+    def _judge(self, view: memoryview) -> None:
+        """Judge what follows the last message: nothing, what was cut off, or what is damaged."""
+        rest = view[self.end :]
+        self.closed = rest == END_OF_STREAM
+        self.torn = len(rest) > 0 and not self.closed
+        seals = list(_SEAL.finditer(rest))
+        ends = self.torn and len(rest) > 8 and view[-8:] == END_OF_STREAM
+        self.damaged |= ends or (bool(seals) and int(seals[0][1]) <= len(rest))
+        self._cut_off = max(int(seals[-1][2]) - self._rows, 0) if seals else 0
+
+
+def _is_end(view: memoryview, place: int) -> bool:
+    rest = len(view) - place
+    return rest < 8 or (rest == 8 and view[place:] == END_OF_STREAM)
+
+
+def _seal_at(view: memoryview, begin: int) -> re.Match[bytes] | None:
+    """The seal of a message that begins here, if there is one."""
+    if view[begin : begin + 4] != END_OF_STREAM[:4]:
+        return None
+    size = int.from_bytes(view[begin + 4 : begin + 8], "little", signed=True)
+    return _SEAL.search(view[begin : begin + 8 + size]) if 0 < size <= LARGEST_HEAD else None
+
+
+def _sealed_message(view: memoryview, begin: int) -> Message | None:
+    """The message that begins here, if there is one with a seal and it agrees with it."""
+    seal = _seal_at(view, begin)
+    if seal is None:
+        return None
+    end = begin + int(seal[1])
+    whole = end <= len(view) and not is_damaged(view[begin:end])
+    return (end, int(seal[2])) if whole else None
+
+
+def _following(view: memoryview, begin: int) -> tuple[int, Message | None]:
+    """Where the next message begins that agrees with its seal, and the message."""
+    for match in BEGIN.finditer(view, begin + 1):
+        place = match.start()
+        found = _sealed_message(view, place) if place % 8 == 0 else None
+        if found is not None:
+            return place, found
+    return begin, None
+
+
+def _schema(part: pa.Buffer, *, known: bool) -> pa.Schema:
+    schema = pa.ipc.read_schema(part)
+    for each in schema:
+        if not known and not SCHEMA.field(each.name).equals(each):
+            raise ValueError(each.name)
+    kept = {k: v for k, v in (schema.metadata or {}).items() if k != CHECKSUM.encode()}
+    return schema.with_metadata(kept or None)
+
+
+def _check(batch: pa.RecordBatch) -> None:
+    """Refuse a batch without a seal that no version can have written."""
+    batch.validate(full=True)
+    there = [name for name in NEVER_NULL if name in batch.schema.names]
+    good = not any(batch.column(name).null_count for name in there)
+    for name, known in (("status", list(map(str, Status))), ("want", get_args(Want))):
+        if name in there:
+            good &= bool(pc.all(pc.is_in(batch.column(name), pa.array(known))).as_py() is not False)
+    if "trajectory" in batch.schema.names:
+        lengths = [
+            pc.fill_null(pc.list_value_length(batch.column(name)), 0).to_numpy()
+            for name in ("times", "variables", "trajectory")
+        ]
+        good &= bool(np.all(lengths[0] * lengths[1] == lengths[2]))
+    if not good:
+        raise ValueError("batch")
+
+
+def read_segment(path: Path, visit: Callable[[int, pa.RecordBatch], None]) -> SegmentReader:
+    """Go through the batches of a segment that are as they were written.
+
+    Parameters
+    ----------
+    path
+        Of the segment.
+    visit
+        Called with the position at which a batch begins, and the batch.
+    """
+    reader = SegmentReader()
+    with pa.OSFile(str(path)) as opened:
+        content = opened.read_buffer()
+    for position, batch in reader.batches(content):
+        visit(position, batch)
+    return reader
+
+
+def read_log(folder: Path, *, ended: bool = False) -> pa.Table:
+    """All simulations in a folder of segments, in the order in which they ended.
+
+    A torn end, left by a process that was killed while writing, is dropped with a warning. Where
+    the log was told to leave residuals out, they are null.
+
+    Parameters
+    ----------
+    folder
+        `evaluations` of a run folder.
+    ended
+        Whether the run has reached its end, so that nothing may be torn.
+
+    Raises
+    ------
+    RunFolderError
+        If there are no segments, or one is damaged.
+    """
+    batches: list[pa.RecordBatch] = []
+    paths = segments(folder)
+    if not paths:
+        raise RunFolderError(f"{folder}: must hold evaluation segments but holds none")
+    for path in paths:
+        reader = read_segment(path, lambda _, batch: batches.append(batch))
+        reader.check(path, ended=ended)
+        if reader.torn:
+            warnings.warn(f"{path}: its torn end was dropped", stacklevel=2)
+    if not batches:
+        return pa.Table.from_batches([], schema=SCHEMA)
+    tables = [pa.Table.from_batches([batch]) for batch in batches]
+    return pa.concat_tables(tables, promote_options="default")  # segments may be older than others
+
+
+def mend(path: Path) -> SegmentReader:
+    """Leave of a segment what is as it was written, and return what was found.
+
+    A torn segment is cut back to its last whole batch, and ended there. A kill in the middle of
+    this loses nothing: only what cannot be believed goes.
+    """
+    kept: list[pa.RecordBatch] = []
+    reader = read_segment(path, lambda *_: None)
+    if reader.schema is None:
+        path.unlink()
+    elif reader.damaged:
+        read_segment(path, lambda _, batch: kept.append(batch))
+        _rewrite(path, reader.schema, kept)
+    else:
+        _end_at(path, reader.end)
+    return reader
+
+
+def _end_at(path: Path, end: int) -> None:
+    with path.open("r+b") as file:
+        file.seek(end)
+        if file.read() != END_OF_STREAM:
+            file.truncate(end)
+            file.seek(end)
+            file.write(END_OF_STREAM)
+            file.flush()
+            os.fsync(file.fileno())
+
+
+def slim(path: Path) -> None:
+    """Rewrite a segment without its large columns, in one step.
+
+    Its batches are joined: many that were written as they came take more room than their rows.
+    """
+    kept: list[pa.RecordBatch] = []
+    reader = read_segment(path, lambda _, batch: kept.append(_without(batch)))
+    if reader.schema is not None:
+        table = pa.Table.from_batches(kept, reader.schema).combine_chunks()
+        _rewrite(path, reader.schema, table.to_batches(max_chunksize=ROWS_PER_BATCH))
+
+
+def _rewrite(path: Path, schema: pa.Schema, batches: list[pa.RecordBatch]) -> None:
+    partial = path.with_name(f".{path.stem}.slim")
+    try:
+        with partial.open("wb") as file:
+            writer = SegmentWriter(file, schema)
+            for batch in batches:
+                writer.write(batch)
+            writer.close()
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _without(batch: pa.RecordBatch) -> pa.RecordBatch:
+    schema = batch.schema
+    columns = [
+        pa.nulls(batch.num_rows, field.type) if field.name in LARGE else batch.column(field.name)
+        for field in schema
+    ]
+    return pa.RecordBatch.from_arrays(columns, schema=schema)
