@@ -42,7 +42,7 @@ class Solver:
         Tolerances of the error of one step; `atol` is in units of each state's nominal value.
         For "fmu", `rtol` is handed to the FMU, None leaves the choice to it.
     max_steps
-        Steps after which a simulation counts as failed.
+        Steps from one time in the data to the next after which a simulation counts as failed.
 
     Raises
     ------
