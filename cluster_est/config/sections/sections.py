@@ -68,6 +68,11 @@ class ModelSection(ConfigSection):
         description='a folder in the FMU, such as "resources", that its process works in, for an '
         "FMU that opens its files by relative paths; not with local",
     )
+    stop_time: bool | None = Field(
+        None,
+        description="whether the FMU is told when a simulation will end; default: only if it "
+        "cannot be initialised otherwise",
+    )
     units: dict[str, str] = Field(
         default_factory=dict,
         description="variable of the FMU or signal = its unit, where the FMU names none or "
