@@ -18,6 +18,7 @@ from cluster_est.cli.parser import parse
 from cluster_est.config.text.key_lines import with_lines
 from cluster_est.errors import ClusterEstError
 from cluster_est.running.interrupts import terminations
+from workers import caches
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -34,6 +35,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         errors.print("cluster-est: interrupted")
         return ExitCode.INTERRUPTED
+    finally:
+        if said := caches.notice():
+            errors.print(f"cluster-est: {said}")
 
 
 def _placed(message: str, options: Namespace) -> str:
