@@ -65,8 +65,12 @@ def interrupts_arrive() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Unpack FMUs into a folder of this session, not into the user's cache."""
+    """Unpack FMUs into a folder of this session, not into the user's cache, which keeps the loops.
+
+    They are looked for there by all processes that tests start.
+    """
     folder = tmp_path_factory.mktemp("cache")
+    os.environ["NUMBA_CACHE_DIR"] = str(Path(compiling.cache_folder()).parents[1])
     before = os.environ.get("CLUSTER_EST_CACHE")
     os.environ["CLUSTER_EST_CACHE"] = str(folder)
     yield folder

@@ -19,6 +19,7 @@ from cluster_est.cli.parser import parse
 from cluster_est.config.text.key_lines import with_lines
 from cluster_est.errors import ClusterEstError
 from cluster_est.running.interrupts import terminations
+from workers import caches
 
 LOST = (
     "standard output: must be written but cannot be ({}); let it go elsewhere and give the command "
@@ -43,6 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         errors.print("cluster-est: interrupted")
         return ExitCode.INTERRUPTED
+    finally:
+        if said := caches.notice():
+            errors.print(f"cluster-est: {said}")
 
 
 def _refused(error: OSError) -> str:

@@ -164,6 +164,7 @@ def _model(config: Config, base: Path, targets: tuple[str, ...]) -> Model:
         reset=config.model.reset,
         environment=tuple(config.model.environment.items()),
         working_folder=config.model.working_folder,
+        stop_time=config.model.stop_time,
     )
 
 

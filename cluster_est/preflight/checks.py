@@ -18,7 +18,7 @@ from cluster_est.preflight.remedies import (
     remedy,
     without_parameters,
 )
-from cluster_est.preflight.repeatability import instances, repeatable
+from cluster_est.preflight.repeatability import instances, repeatable, stop_time
 from cluster_est.preflight.rest import at_rest, starts_elsewhere
 from cluster_est.preflight.simulation_costs import costs
 from cluster_est.preflight.solver_checks import accuracy, derivatives, stiffness
@@ -41,7 +41,7 @@ LOADING, FIRST_SIMULATION = 0.6, 0.6
 """Shares of the time left for loading the FMU, and for one simulation."""
 
 CHECKS: tuple[Callable[[CheckSubject], list[CheckFinding]], ...] = (
-    lambda subject: [instances(subject)],
+    lambda subject: [stop_time(subject), instances(subject)],
     effects,
     stiffness,
     accuracy,

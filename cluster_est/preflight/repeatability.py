@@ -13,6 +13,7 @@ from workers.probes.probes import (
     LeftoverProbe,
     RepeatProbe,
     RepetitionResult,
+    StopTimeProbe,
     differences,
 )
 from workers.process.forked import CAN_FORK
@@ -116,6 +117,23 @@ def _leftovers(subject: CheckSubject) -> list[CheckFinding]:
             'model.reset = "instance"',
         )
     ]
+
+
+def stop_time(subject: CheckSubject) -> CheckFinding:
+    """Return whether the FMU must be told when a simulation will end."""
+    found = subject.ask(StopTimeProbe(subject.experiment, subject.start), 0)
+    if isinstance(found, NoAnswer):
+        return unanswered("stop time", found)
+    without, told = found
+    if without:
+        said = "it starts without one" + ("" if told else ", and not with one")
+        return CheckFinding(CheckVerdict.OK, "stop time", said)
+    said = "it can only be initialised with one, which it is told"
+    if subject.problem.model.stop_time:
+        return CheckFinding(CheckVerdict.OK, "stop time", said)
+    said += " after a first initialisation that fails"
+    do = "model.stop_time = true in a config, for no such failure"
+    return CheckFinding(CheckVerdict.NOTE, "stop time", said, do)
 
 
 def instances(subject: CheckSubject) -> CheckFinding:

@@ -22,6 +22,7 @@ def read_model(
     reset: ResetPolicy = "auto",
     environment: Mapping[str, str] | None = None,
     working_folder: str = "",
+    stop_time: bool | None = None,
 ) -> Model:
     """Read an FMU, with the defaults of a config.
 
@@ -41,6 +42,8 @@ def read_model(
         The state that every simulation begins with; see `Model.reset`.
     environment, working_folder
         What the FMU finds around it in its process; see `Model`.
+    stop_time
+        Whether the FMU is told when a simulation will end; see `Model`.
 
     Raises
     ------
@@ -81,6 +84,7 @@ def read_model(
         reset=reset,
         environment=as_pairs(environment or {}, "model.environment", ModelError),
         working_folder=working_folder,
+        stop_time=stop_time,
     )
 
 

@@ -26,7 +26,7 @@ UNHASHED = ("executor", "budget", "log")
 """Sections of a config that change no result."""
 UNHASHED_MODEL = ("units",)
 """Keys of its section `model` that change no number."""
-LATER_MODEL = ("environment", "working_folder")
+LATER_MODEL = ("environment", "working_folder", "stop_time")
 """Keys of it that do, but that runs of earlier versions lack: they count where they are given."""
 
 
@@ -117,6 +117,6 @@ def hash_config(parts: dict[str, Any], unused: Collection[str]) -> str:
         kept["model"] = {
             key: value
             for key, value in kept["model"].items()
-            if key not in UNHASHED_MODEL and (value or key not in LATER_MODEL)
+            if key not in UNHASHED_MODEL and (value not in (None, "", {}) or key not in LATER_MODEL)
         }
     return content_hash([json.dumps(kept, sort_keys=True, default=str)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import lzma
 import os
@@ -11,10 +12,10 @@ import struct
 import tempfile
 import zipfile
 import zlib
+from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 
-import platformdirs
-
+from workers.caches import cache_folder, is_mine, write_whole
 from workers.errors import ModelError
 
 MAX_UNPACKED_BYTES = 4 * 2**30
@@ -30,11 +31,17 @@ DAMAGED = (
 """What zipfile raises for damaged, encrypted or unknown content."""
 
 
+Stamps = dict[str, tuple[int, ...] | None]
+_checked: dict[Path, Stamps] = {}
+"""What files were like that this process, or one that it was forked from, has compared."""
+
+
 def unpack(name: str, archive: bytes, archive_hash: str) -> Path:
     """Unpack an FMU into the cache folder of this machine, unless it is there already.
 
     Processes that do this at the same time do not meet: each unpacks into a folder of its own and
-    renames it, which is atomic.
+    renames it, which is atomic. Files that are there already are compared with the archive: what is
+    damaged, or another user's, is written anew.
 
     Parameters
     ----------
@@ -52,31 +59,112 @@ def unpack(name: str, archive: bytes, archive_hash: str) -> Path:
         the cache folder cannot be written.
     """
     target = unpacked_folder(archive_hash)
-    if target.is_dir():
+    known = _checked.get(target)
+    is_there = _is_own_folder(target)
+    if is_there and known is not None and known == _stamps(target, known):
         return target
     with open_archive(name, archive) as opened:
+        if not is_there:
+            _unpack_anew(name, opened, target)
         try:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            private = Path(tempfile.mkdtemp(prefix="unpacking-", dir=target.parent))
+            _mend(opened, target)
         except OSError as error:
-            raise ModelError(
-                f"{name}: cannot be unpacked into {target.parent} ({error.strerror}); set "
-                "CLUSTER_EST_CACHE to a folder that can be written"
-            ) from error
-        _extract(name, opened, private, target)
+            raise _unwritable(name, target.parent, error) from error
+        except DAMAGED as error:
+            raise ModelError(f"{name}: cannot be unpacked ({error}); export it again") from error
+        _checked[target] = _stamps(target, [entry.filename for entry in _files(opened)])
     return target
 
 
 def unpacked_folder(archive_hash: str) -> Path:
     """Return the folder that an FMU is unpacked into on this machine."""
-    home = Path(os.environ.get("CLUSTER_EST_CACHE") or platformdirs.user_cache_dir("cluster-est"))
-    return home / "fmus" / archive_hash
+    return cache_folder("fmus") / archive_hash
+
+
+def _is_own_folder(target: Path) -> bool:
+    """Return whether an FMU is unpacked there; what is no folder of this user is removed."""
+    try:
+        found = target.lstat()
+    except OSError:
+        return False
+    if stat.S_ISDIR(found.st_mode) and is_mine(found):
+        return True
+    _remove(target)
+    return False
+
+
+def _remove(path: Path) -> None:
+    """Remove what stands in the way, of whatever kind, as far as that can be done."""
+    shutil.rmtree(path, ignore_errors=True)
+    with contextlib.suppress(OSError):
+        path.unlink()
+
+
+def _unpack_anew(name: str, opened: zipfile.ZipFile, target: Path) -> None:
+    try:
+        private = Path(tempfile.mkdtemp(prefix="unpacking-", dir=target.parent))
+    except OSError as error:
+        raise _unwritable(name, target.parent, error) from error
+    _extract(name, opened, private, target)
+
+
+def _unwritable(name: str, folder: Path, error: OSError) -> ModelError:
+    return ModelError(
+        f"{name}: cannot be unpacked into {folder} ({error.strerror}); make room there, or set "
+        "CLUSTER_EST_CACHE to a folder that can be written"
+    )
+
+
+def _mend(opened: zipfile.ZipFile, target: Path) -> None:
+    """Write anew what is not as in the archive; processes that have it open keep what they have."""
+    for entry in _files(opened):
+        file = target / entry.filename
+        if _is_as_packed(file, entry):
+            continue
+        for folder in reversed(file.relative_to(target).parents[:-1]):
+            if (target / folder).is_symlink() or not (target / folder).is_dir():
+                _remove(target / folder)
+                (target / folder).mkdir(exist_ok=True)
+        if file.is_dir() and not file.is_symlink():
+            _remove(file)
+        write_whole(file, opened.read(entry))
+
+
+def _is_as_packed(file: Path, entry: zipfile.ZipInfo) -> bool:
+    """Return whether a file is this user's and has the length and the checksum of the archive."""
+    try:
+        found = file.lstat()
+        if not (stat.S_ISREG(found.st_mode) and is_mine(found)):
+            return False
+        return found.st_size == entry.file_size and zlib.crc32(file.read_bytes()) == entry.CRC
+    except OSError:
+        return False
+
+
+def _files(opened: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
+    """Return the entries that are files, of several with one name the last."""
+    return [entry for entry in opened.NameToInfo.values() if not entry.is_dir()]
+
+
+def _stamps(target: Path, names: Iterable[str]) -> Stamps:
+    """Return by which of their facts changed files are told; None for what is no file."""
+    stamps: Stamps = {}
+    for name in names:
+        try:
+            found = (target / name).lstat()
+        except OSError:
+            stamps[name] = None
+            continue
+        stamps[name] = found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
+    return stamps
 
 
 def _extract(name: str, opened: zipfile.ZipFile, private: Path, target: Path) -> None:
     """Extract an archive into a private folder, and rename that to the target."""
     try:
         opened.extractall(private)
+        for file in private.rglob("*"):
+            _write_through(file)
         private.rename(target)
     except OSError as error:
         if not target.is_dir():  # no other process was faster
@@ -88,6 +176,16 @@ def _extract(name: str, opened: zipfile.ZipFile, private: Path, target: Path) ->
         raise ModelError(f"{name}: cannot be unpacked ({error}); export it again") from error
     finally:
         shutil.rmtree(private, ignore_errors=True)
+
+
+def _write_through(file: Path) -> None:
+    """Have a file's content on the disk before its folder gets its name."""
+    if file.is_file():
+        handle = os.open(file, os.O_RDWR)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def open_archive(name: str, archive: bytes) -> zipfile.ZipFile:

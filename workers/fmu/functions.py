@@ -100,7 +100,7 @@ class FunctionTable:
         accessors = np.array(
             [[self._address(verb + t) if t else 0 for t in types] for verb in ("Get", "Set")]
         )
-        return nothing_loaded(description.version)._replace(
+        component = nothing_loaded(description.version)._replace(
             handle=int(self._fmu.component),
             get_real=int(accessors[0, 0]),
             set_real=int(accessors[1, 0]),
@@ -110,8 +110,8 @@ class FunctionTable:
             eventful=_has_events(description),
             n_states=len(description.states) if exchange else 0,
             n_indicators=description.event_indicators if exchange else 0,
-            **found,
         )
+        return component._replace(**found)  # type: ignore[arg-type]
 
     def _check_counts(self) -> None:
         """Refuse an FMU of FMI 3.0 that is not what its description says: events would be lost."""

@@ -95,7 +95,7 @@ def filter_states(  # type: ignore[no-untyped-def]
         (c, references, starts, settings, hooks, offsets, grid, work)
     )
     perturbed, result, kalman = by_reference((perturbed, result, kalman))
-    times, steps_left = grid.times, settings.max_steps
+    times, most = grid.times, settings.max_steps
     time, proposed = times[0], 0.0
     select_point(hooks, 0, work)
     code = start_simulation(c, references, starts, settings, hooks, grid, point, work)
@@ -119,9 +119,8 @@ def filter_states(  # type: ignore[no-untyped-def]
         if i + 1 == len(times):
             break
         _predict(result.A[i], times[i + 1] - times[i], kalman)
-        code, time, proposed, steps_left = step_on_grid(
-            stepping, c, references, settings, hooks, grid, i, time, proposed, steps_left, work,
-            result,
+        code, time, proposed, _ = step_on_grid(
+            stepping, c, references, settings, hooks, grid, i, time, proposed, most, work, result,
         )  # fmt: skip
     return code, time
 

@@ -115,7 +115,7 @@ def linearise(  # type: ignore[no-untyped-def]
         (c, references, starts, settings, hooks, offsets, grid, work)
     )
     perturbed, result = by_reference((perturbed, result))
-    times, steps_left = grid.times, settings.max_steps
+    times, most = grid.times, settings.max_steps
     time, proposed = times[0], 0.0
     select_point(hooks, 0, work)
     code = start_simulation(c, references, starts, settings, hooks, grid, point, work)
@@ -132,9 +132,8 @@ def linearise(  # type: ignore[no-untyped-def]
             return failed(LINEARISATION, status), time
         if i + 1 == len(times):
             break
-        code, time, proposed, steps_left = step_on_grid(
-            stepping, c, references, settings, hooks, grid, i, time, proposed, steps_left, work,
-            result,
+        code, time, proposed, _ = step_on_grid(
+            stepping, c, references, settings, hooks, grid, i, time, proposed, most, work, result,
         )  # fmt: skip
     return code, time
 

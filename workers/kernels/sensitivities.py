@@ -37,7 +37,7 @@ def simulate_forward(  # type: ignore[no-untyped-def]
     c, references, starts, settings, hooks, grid, work, forward = by_reference(
         (c, references, starts, settings, hooks, grid, work, forward)
     )
-    times, steps_left = grid.times, settings.max_steps
+    times, most = grid.times, settings.max_steps
     time, proposed = times[0], 0.0
     count_simulation(work)
     code = _start_sensitivities(c, references, starts, settings, hooks, grid, point, work, forward)
@@ -57,12 +57,12 @@ def simulate_forward(  # type: ignore[no-untyped-def]
         if i + 1 == len(times):
             return code, time
         if fixed is not None:
-            code, time, steps_left = equal_steps(
-                c, references, settings, hooks, grid, i, time, steps_left, work, forward
+            code, time, _ = equal_steps(
+                c, references, settings, hooks, grid, i, time, most, work, forward
             )
         else:
-            code, time, proposed, steps_left = adaptive_steps(
-                c, references, settings, hooks, grid, i, time, proposed, steps_left, work, forward
+            code, time, proposed, _ = adaptive_steps(
+                c, references, settings, hooks, grid, i, time, proposed, most, work, forward
             )
     return code, time
 

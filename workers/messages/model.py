@@ -42,7 +42,7 @@ class Solver:
         Tolerances of the error of one step; `atol` is in units of each state's nominal value.
         For "fmu", `rtol` is handed to the FMU, None leaves the choice to it.
     max_steps
-        Steps after which a simulation counts as failed.
+        Steps from one time in the data to the next after which a simulation counts as failed.
 
     Raises
     ------
@@ -149,6 +149,9 @@ class Model:
     working_folder
         The folder in the FMU's archive, such as "resources", that its process works in, for an FMU
         that opens its files by relative paths; "" for that of the program.
+    stop_time
+        Whether the FMU is told when a simulation will end. None: only if it cannot be initialised
+        otherwise.
     seats
         Those that its instances may take, where their number is limited; None where it is not.
 
@@ -168,6 +171,7 @@ class Model:
     reset: ResetPolicy = "auto"
     environment: tuple[tuple[str, str], ...] = ()
     working_folder: str = ""
+    stop_time: bool | None = None
     seats: Seats | None = None
 
     def __post_init__(self) -> None:
@@ -191,6 +195,8 @@ class Model:
         for name, value in variables:
             _check_variable(name, value)
         _check_folder(self.working_folder)
+        if self.stop_time is not None:
+            check_kind(self.stop_time, bool, "model.stop_time", ModelError)
 
     def at_most(self, workers: int) -> int:
         """How many of so many workers may have an instance at once."""
@@ -214,6 +220,7 @@ class Model:
         more += [f"renew {self.reset}"] if self.reset != "auto" else []
         more += [f"environment {self.environment!r}"] if self.environment else []
         more += [f"folder {self.working_folder}"] if self.working_folder else []
+        more += [f"stop time {self.stop_time}"] if self.stop_time is not None else []
         return content_hash(
             [self.archive_hash, self.interface, repr(self.solver), *self.parameters, *more]
         )

@@ -103,6 +103,23 @@ class RepeatProbe(FmuProbe):
 
 
 @dataclass(frozen=True)
+class StopTimeProbe(FmuProbe):
+    """Asks whether the FMU can be initialised without a stop time, and with one."""
+
+    experiment: int
+    point: FloatArray
+
+    def answer(self, evaluator: Evaluator) -> tuple[bool, bool]:
+        """Whether it can without, and with one."""
+        model, experiment = evaluator.model, evaluator.experiments[self.experiment]
+        without, told = (
+            _simulator_of(evaluator, replace(model, reset="instance", stop_time=t), experiment)
+            for t in (False, True)
+        )
+        return without.starts(0, self.point), told.starts(0, self.point)
+
+
+@dataclass(frozen=True)
 class LeftoverProbe(FmuProbe):
     """Asks how far values that were set survive a reset, in the outputs.
 

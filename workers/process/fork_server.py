@@ -24,6 +24,7 @@ import numpy as np
 
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
+from workers.fmu.archive import unpack
 from workers.process.child import serve
 from workers.process.orders import END, FORK, FORK_FOR_EFFECTS
 
@@ -34,6 +35,10 @@ def serve_forks(orders: Connection, evaluator: Evaluator | ModelError) -> None:
     `evaluator` is ready but for the FMU; or what is wrong with it, for the processes to say.
     """
     running: set[int] = set()
+    if isinstance(evaluator, Evaluator):
+        model = evaluator.model
+        with contextlib.suppress(ModelError):  # which those say that load it
+            unpack(model.name, model.archive, model.archive_hash)  # compared once for all of them
     with contextlib.suppress(EOFError, OSError):
         while (order := orders.recv()) != END:
             if order == FORK_FOR_EFFECTS:

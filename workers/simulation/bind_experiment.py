@@ -70,13 +70,15 @@ def bind_experiment(
     if model.interface == "co_simulation":
         own_step = description.fixed_internal_step or description.default_step
         grid = grid._replace(intervals=step_lengths(grid.times, own_step))
-    starts, known_values, string_memory = _start_values(model, description, experiment)
+    communication = communication_points(model, description, experiment, outputs, grid.times)
+    stop = float((grid if communication is None else communication.grid).times[-1])
+    starts, known_values, string_memory = _start_values(model, description, experiment, stop)
     array_starts = partial(_array_starts, description)
     inputs = [description.variable(each.variable, where) for each in experiment.inputs]
     continuous_inputs = [v if v.is_continuous else None for v in inputs]
     return BoundExperiment(
         grid=grid,
-        communication=communication_points(model, description, experiment, outputs, grid.times),
+        communication=communication,
         outputs=outputs,
         starts=starts,
         references=VariableReferences(
@@ -92,7 +94,7 @@ def bind_experiment(
 
 
 def _start_values(
-    model: Model, description: ModelDescription, experiment: Experiment
+    model: Model, description: ModelDescription, experiment: Experiment, stop: float
 ) -> tuple[StartValues, FloatArray, IntArray]:
     """Return what is set before a simulation, known values, and the memory of strings."""
     where = f"experiment {experiment.id!r}"
@@ -105,6 +107,7 @@ def _start_values(
     array_starts = partial(_array_starts, description)
     addresses, memory = _texts(list(texts.values()))
     starts = StartValues(
+        stop=stop,
         structure=variable_access(
             [*[None] * (len(parameters) + len(numbers)), *structure], array_starts
         ),

@@ -182,10 +182,11 @@ def _step(
                 f"none, and the times of inputs and measurements are {intervals.min():g} to "
                 f"{intervals.max():g} s apart; set model.step to a step that it takes"
             )
-    if not (experiment.stop - experiment.start) / step <= model.solver.max_steps:
+    longest = float(np.diff(times).max(initial=0.0))
+    if not longest / step <= model.solver.max_steps:
         raise ModelError(
             f"{where}: {description.file} must communicate in steps of {step:g} s, of which "
-            f"{experiment.stop - experiment.start:g} s have more than model.max_steps = "
+            f"{longest:g} s from one time in the data to the next have more than model.max_steps = "
             f"{model.solver.max_steps}; set model.step to a longer one that it takes, or raise that"
         )
     return step

@@ -39,6 +39,12 @@ BATCHES: dict[str, Batch] = {
     "dormand_prince": lambda arguments: int(dormand_prince_batch(*arguments)),
 }
 
+UNTOLD, EXACT = -1.0, 0.0
+STOP_UNITS = (EXACT, 1.0, 86400.0)
+"""What FMUs ask of a stop time: that of the experiment, whole seconds, whole days (EnergyPlus)."""
+_stop_units: dict[str, float] = {}
+"""By the FMU's hash, what this process has found to be asked, where there must be a stop time."""
+
 DEFAULT_RTOL = 1e-8
 """Of Dormand-Prince: on sampled inputs its steps are short anyhow, so accuracy costs little."""
 
@@ -144,6 +150,7 @@ class FmuIntegrator:
         name = model.solver.name
         self.batch: Batch = CvodeBatch() if name == "cvode" else BATCHES[name]
         self._checks_jacobian = name == "cvode" and _may_use_jacobian(model, description)
+        self._has_started = False
         self._workspaces: dict[tuple[int, ...], KernelWorkspace] = {}
         self._settings: dict[int, SolverSettings] = {}
         self._progress = no_watcher() if progress is None else progress
@@ -202,12 +209,54 @@ class FmuIntegrator:
 
     def starts(self, instance: FmuInstance, bound: BoundExperiment, point: FloatArray) -> bool:
         """Start a new instance, which can be reset from then on; False if that does not work."""
+        started = self._starts(instance, self._told(instance.begin()), bound, point)
+        return started or self._lacked_stop_time(instance, bound, point)
+
+    def _starts(
+        self,
+        instance: FmuInstance,
+        component: FmiComponent,
+        bound: BoundExperiment,
+        point: FloatArray,
+    ) -> bool:
         run = _BatchRun.of(self.batch, _start_alone(bound), point[None], no_hooks(1), 0)
-        self._simulate(run, instance.begin(), slice(1))
+        self._simulate(run, component, slice(1))
         code = int(run.result.codes[0])
         if code >= failure.FATAL:
             instance.replace()
         return code == failure.FINISHED
+
+    def _lacked_stop_time(
+        self, instance: FmuInstance, bound: BoundExperiment, point: FloatArray
+    ) -> bool:
+        """Return whether a start that failed works with a stop time, which is told from then on.
+
+        What was told before is tried once more, because some FMUs fail by chance.
+        """
+        before = self._stop_unit
+        if self._model.stop_time is False:
+            return False
+        for unit in dict.fromkeys((before, *STOP_UNITS)):
+            try:
+                component = instance.begin_anew()._replace(stop_unit=unit)
+                started = self._starts(instance, component, bound, point)
+            except ModelError:  # there is no other instance to be had
+                return False
+            if started and unit != before:
+                _stop_units[self._model.archive_hash] = unit
+            if started:
+                return unit != before
+        return False
+
+    @property
+    def _stop_unit(self) -> float:
+        if self._model.stop_time is False:
+            return UNTOLD
+        return _stop_units.get(self._model.archive_hash, EXACT if self._model.stop_time else UNTOLD)
+
+    def _told(self, component: FmiComponent) -> FmiComponent:
+        """Return an instance that is told the stop time if the FMU needs it."""
+        return component._replace(stop_unit=self._stop_unit)
 
     def find_jacobian(self, bound: BoundExperiment) -> None:
         """Let CVODE use the FMU's directional derivatives, if they are right at the start.
@@ -262,7 +311,8 @@ class FmuIntegrator:
 
     def component(self) -> FmiComponent:
         """Return the instance for the next simulation."""
-        return self.instance.begin_anew() if self._new_instance_each else self.instance.begin()
+        anew = self._new_instance_each
+        return self._told(self.instance.begin_anew() if anew else self.instance.begin())
 
     def settings(self, n_effect_states: int = 0) -> SolverSettings:
         """Return the solver settings, with tolerances of the effects' states."""
@@ -323,6 +373,7 @@ class FmuIntegrator:
         last = following - 1
         code = int(run.result.codes[last])
         if code == failure.FINISHED:
+            self._has_started = True
             return following
         if code == failure.DISCARDED and (end := self.instance.termination_time()) is not None:
             run.result.codes[last] = code = failure.TERMINATED
@@ -333,6 +384,12 @@ class FmuIntegrator:
             run.result.messages[last] = self._explain(code, float(run.stopped_at[last]))
         if code >= failure.FATAL:
             self.instance.replace()
+        if code % failure.FATAL != failure.INITIALISATION:
+            self._has_started = True
+        elif not self._has_started and following > last:
+            values = run.rows[last, : len(self._model.parameters)]
+            if self._lacked_stop_time(self.instance, run.bound, values):
+                run.result.messages[last], following = "", last
         return following
 
     def _simulate(self, run: _BatchRun, component: FmiComponent, points: slice) -> int:

@@ -262,6 +262,10 @@ class Simulator:
         run.sensitivities[0] = sensitivities
         return run, ""
 
+    def starts(self, experiment: int, point: FloatArray) -> bool:
+        """Return whether the FMU can be initialised for an experiment."""
+        return self._integrator.starts(self.instance, self._bound[experiment], point)
+
     def is_stiff(self, experiment: int, point: FloatArray, max_steps: int = 5000) -> bool:
         """Return whether a model exchange FMU without effects is stiff at a point.
 

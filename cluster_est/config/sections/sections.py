@@ -48,7 +48,11 @@ class ModelSection(ConfigSection):
     atol: Finite | None = Field(
         None, gt=0.0, description="absolute tolerance over each state's nominal; default rtol"
     )
-    max_steps: Count = Field(1_000_000, gt=0, description="steps after which a simulation fails")
+    max_steps: Count = Field(
+        1_000_000,
+        gt=0,
+        description="steps from one time in the data to the next after which a simulation fails",
+    )
     reset: Literal["auto", "reset", "instance", "process"] = Field(
         "auto",
         description="what every simulation begins with: a reset of the instance, a new instance "
@@ -63,6 +67,11 @@ class ModelSection(ConfigSection):
         "",
         description='a folder in the FMU, such as "resources", that its process works in, for an '
         "FMU that opens its files by relative paths; not with local",
+    )
+    stop_time: bool | None = Field(
+        None,
+        description="whether the FMU is told when a simulation will end; default: only if it "
+        "cannot be initialised otherwise",
     )
     units: dict[str, str] = Field(
         default_factory=dict,

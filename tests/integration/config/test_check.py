@@ -34,7 +34,7 @@ MINUTE = 60.0
 HARMLESS = {
     *("thermostat", "van_der_pol", "dead_parameter", "wrong_directional", "zero_directional"),
     *("robertson", "fails_to_reset", "reset_keeps_state", "reset_spoils_directional"),
-    *("refuses_parameter", "needs_library", "no_licence"),
+    *("refuses_parameter", "needs_library", "no_licence", "needs_stop_time"),
 }
 """Asked in this process, which a process of their own would only make slower."""
 
@@ -93,6 +93,7 @@ def test_a_good_fmu(examined, name, fmi):
         ("dead_parameter", 3, "dead parameters", "note", "depend on dead", "inputs are driven"),
         ("wrong_directional", 2, "derivatives", "note", "differ from the model's slopes", "export"),
         ("zero_directional", 3, "derivatives", "note", "all are silently 0", "export"),
+        ("needs_stop_time", 3, "stop time", "note", "only be initialised with", "model.stop_time"),
         ("robertson", 2, "stiffness", "note", "is stiff", 'model.solver = "cvode"'),
         ("needs_library", 2, "loads", "problem", "libnobody_has_this.so", ""),
         ("no_licence", 3, "loads", "problem", "no licence for this model", ""),

@@ -127,10 +127,11 @@ def test_edges_of_an_input_may_be_a_rounding_error_apart(opened):
 
 
 def test_longest_step_and_limit_of_steps(opened):
-    (outcome,) = run(oscillator(opened, 1e-4, step=0.1, max_steps=400), ONE)
+    how = {"experiment": oscillation(np.array([0.0, 20.0])), "step": 0.1}
+    (outcome,) = run(oscillator(opened, 1e-4, max_steps=400, **how), ONE)
     assert outcome.ok
-    (outcome,) = run(oscillator(opened, 1e-4, step=0.1, max_steps=190), ONE)
-    assert "limit on the number of steps was reached at t = 1" in outcome.message
+    (outcome,) = run(oscillator(opened, 1e-4, max_steps=190, **how), ONE)
+    assert "model.max_steps, was reached at t = 1" in outcome.message
     assert "stiff" not in outcome.message
 
 

@@ -170,7 +170,7 @@ def test_chattering_is_a_failure(simulate):
     times, how = np.linspace(0.0, 2.0, 5), {"rtol": 1e-6, "max_steps": 20_000}
     (outcome,) = simulate("chatters", ["y"], times, step=1e-2, **how)
     assert not outcome.ok
-    assert "the limit on the number of steps" in outcome.message or "events" in outcome.message
+    assert "model.max_steps" in outcome.message or "events" in outcome.message
 
 
 @EVERY

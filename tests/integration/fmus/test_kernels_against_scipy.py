@@ -124,7 +124,16 @@ def test_fixed_steps_divide_an_interval_and_are_counted(solver):
     for step, most in ((0.1, 9), (0.3, 3), (1e-12, 10**6), (1e-320, 10**6)):
         outcome = ends(Solver(solver, step, max_steps=most))  # type: ignore[arg-type]
         assert outcome.status is Status.SOLVER_FAILURE
-        assert "limit on the number of steps was reached at t = 1 s" in outcome.message
+        assert "model.max_steps, was reached at t = 1 s" in outcome.message
+
+
+@pytest.mark.parametrize("solver", list(INTERFACES))
+def test_the_limit_of_steps_counts_anew_at_each_time_in_the_data(solver):
+    experiment, at, expected = free_run(np.linspace(1.1, 9.0, 80), 9.0)
+    chosen = Solver(solver, 0.01, rtol=1e-6, max_steps=40)  # type: ignore[arg-type]
+    outcome = simulate("mass_spring_damper", experiment, chosen)
+    assert relative_error(outcome, at, expected) < 2e-2
+    assert outcome.steps >= 800
 
 
 def test_dormand_prince_obeys_its_longest_step():

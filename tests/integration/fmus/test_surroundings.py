@@ -29,8 +29,8 @@ def fitted(tmp_path, monkeypatch):
     monkeypatch.setenv(NAME, "")  # so that what a test leaves is taken away
     monkeypatch.delenv(NAME)
 
-    def fit(fmu: Path, model: str, *overrides: str) -> int:
-        return fit_decay(tmp_path, fmu, "--overwrite", *overrides, model=model, gain=GAIN)
+    def fit(fmu: Path, model: str, *overrides: str, gain: float = GAIN) -> int:
+        return fit_decay(tmp_path, fmu, "--overwrite", *overrides, model=model, gain=gain)
 
     return fit
 
@@ -154,6 +154,8 @@ def test_what_an_fmu_finds_is_part_of_what_its_simulations_depend_on(own_fmu):
         read_model(fmu, environment={NAME: "1"}),
         read_model(fmu, environment={NAME: "2"}),
         read_model(fmu, working_folder="resources"),
+        read_model(fmu, stop_time=True),
+        read_model(fmu, stop_time=False),
     ]
     assert len({model.key for model in models}) == len(models)
     assert replace(models[0], logging_on=True).key == models[0].key
@@ -162,6 +164,35 @@ def test_what_an_fmu_finds_is_part_of_what_its_simulations_depend_on(own_fmu):
 def test_a_run_of_before_these_keys_can_be_resumed():
     before = hash_config({"model": {"fmu": "a.fmu"}}, ())
     nothing: dict[str, object] = {"fmu": "a.fmu", "environment": {}, "working_folder": ""}
+    nothing["stop_time"] = None
     assert hash_config({"model": nothing}, ()) == before
-    for key, value in (("environment", {NAME: "1"}), ("working_folder", "resources")):
+    others = (("environment", {NAME: "1"}), ("working_folder", "resources"), ("stop_time", False))
+    for key, value in others:
         assert hash_config({"model": {**nothing, key: value}}, ()) != before
+
+
+@pytest.mark.parametrize(
+    ("fmi", "solver", "executor"),
+    [
+        *((2, "dormand_prince", "local"), (3, "fmu", "processes")),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in
+          ((2, "fmu", "local"), (2, "cvode", "processes"), (3, "rk4", "local"),
+           (3, "dormand_prince", "processes"), (2, "fmu", "ray"))),
+    ],
+)  # fmt: skip
+def test_an_fmu_that_needs_a_stop_time_is_told_it(own_fmu, fitted, tmp_path, fmi, solver, executor):
+    interface = "co_simulation" if solver == "fmu" else "model_exchange"
+    chosen = f'interface = "{interface}"\nsolver = "{solver}"\nstep = 0.002\n'
+    if executor == "local":
+        chosen += 'reset = "reset"\n'
+    fmu = own_fmu("needs_stop_time", fmi)
+    assert fitted(fmu, chosen, f"executor.name={executor}", gain=1.0) == 0
+    assert estimate(tmp_path) == pytest.approx(RATE, rel=3e-3)
+
+
+def test_a_stop_time_can_be_withheld_and_given(own_fmu, fitted, tmp_path):
+    fmu = own_fmu("needs_stop_time", 2)
+    assert fitted(fmu, "stop_time = false", gain=1.0) == 1
+    for model in ("stop_time = true", "stop_time = true\n[values]\nmultiple = 86400.0"):
+        assert fitted(fmu, model, gain=1.0) == 0
+        assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-4)

@@ -7,18 +7,24 @@ code, with all that they call; the others are only translated. That takes half t
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-from collections.abc import Callable
+import io
+import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numba
-import platformdirs
 from numba import _dynfunc, config, njit
 from numba.core import typed_passes, untyped_passes
+from numba.core.caching import IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager, register_pass
+
+from workers.caches import cache_folder as private_folder
+from workers.caches import is_mine, write_whole
 
 _NEWEST_KNOWN = (0, 68)
 """The newest numba whose way of compiling is known here. Newer ones compile as they always do."""
@@ -118,8 +124,7 @@ def cache_folder() -> Path:
     """
     sources = [file.read_bytes() for file in sorted(Path(__file__).parents[1].rglob("*.py"))]
     digest = hashlib.sha256(b"\0".join(sources)).hexdigest()[:16]
-    home = config.CACHE_DIR or platformdirs.user_cache_dir("cluster-est")
-    return Path(home) / "kernels" / digest
+    return private_folder("kernels", config.CACHE_DIR) / digest
 
 
 _CACHE_FOLDER = str(cache_folder())
@@ -137,6 +142,42 @@ def compiled_before(module: str = "") -> bool:
     return folder.is_dir() and (not module or any(folder.rglob(f"{module}.*")))
 
 
+class _CheckedFiles(IndexDataCacheFile):
+    """The files of one loop, each of which ends with a digest of its name and what is in it.
+
+    What is damaged, or another user's, is removed before it is read, and compiled anew.
+    """
+
+    def load(self, key: Any) -> Any:
+        folder, loop = Path(self._cache_path), self._index_name.removesuffix("nbi")
+        for file in folder.iterdir() if folder.is_dir() else ():
+            if file.name.startswith(loop) and not _is_sealed(file):
+                file.unlink(missing_ok=True)
+        return super().load(key)
+
+    @contextlib.contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
+        content, file = io.BytesIO(), Path(filepath)
+        yield content
+        written = content.getvalue()
+        write_whole(file, written + _seal(file.name, written))  # of no account to who unpickles it
+
+
+def _seal(name: str, content: bytes) -> bytes:
+    return hashlib.sha256(name.encode() + b"\0" + content).digest()
+
+
+def _is_sealed(file: Path) -> bool:
+    """Return whether a file is whole, in its place and of this user; one that is gone is."""
+    try:
+        with file.open("rb") as opened:
+            found, content = os.fstat(opened.fileno()), opened.read()
+    except FileNotFoundError:
+        return True
+    size = hashlib.sha256().digest_size
+    return is_mine(found) and content[-size:] == _seal(file.name, content[:-size])
+
+
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile a loop that Python calls, without reference counting, and keep it on disk.
 
@@ -146,6 +187,11 @@ def kernel(function: Callable[..., Any]) -> Any:
     before = config.CACHE_DIR
     config.CACHE_DIR = _CACHE_FOLDER  # read while decorating, and other users of numba keep theirs
     try:
-        return njit(nogil=True, cache=True, _nrt=False, no_cfunc_wrapper=True)(function)
+        loop = njit(nogil=True, cache=True, _nrt=False, no_cfunc_wrapper=True)(function)
     finally:
         config.CACHE_DIR = before
+    if numba.version_info.short <= _NEWEST_KNOWN:
+        cache = loop._cache
+        stamp = cache._impl.locator.get_source_stamp()
+        cache._cache_file = _CheckedFiles(cache.cache_path, cache._impl.filename_base, stamp)
+    return loop

@@ -20,6 +20,8 @@ class FmiComponent(NamedTuple):
     states and event indicators; arrays of states may be longer. `interpolates_inputs` and
     `completes_steps` repeat the flags canInterpolateInputs and completedIntegratorStepNotNeeded
     (negated) of the model description. `eventful` says whether an input that jumps is an event.
+    `stop_unit` says what the FMU is told of the time at which a simulation will end: nothing if it
+    is negative, that time itself if it is 0, else the next multiple of it, counted from the start.
     """
 
     handle: int
@@ -49,6 +51,7 @@ class FmiComponent(NamedTuple):
     interpolates_inputs: bool
     completes_steps: bool
     eventful: bool
+    stop_unit: float
     n_states: int
     n_indicators: int
 
@@ -58,11 +61,12 @@ Component3 = NamedTuple("Component3", list(FmiComponent.__annotations__.items())
 
 
 class StartValues(NamedTuple):
-    """Variables that are set before a simulation: `structure` has structural parameters.
+    """What is set before a simulation: variables, and `stop`, the time at which it will end.
 
-    Strings are addresses of what ends with a zero byte.
+    `structure` has structural parameters. Strings are addresses of what ends with a zero byte.
     """
 
+    stop: float
     structure: VariableAccess
     numbers: VariableAccess
     strings: IntArray
@@ -155,5 +159,6 @@ def nothing_loaded(version: str) -> FmiComponent:
     fields: dict[str, Any] = dict.fromkeys(FmiComponent._fields, 0)
     fields.update(accessors=np.zeros((2, len(TYPES)), np.int64))
     fields.update(interpolates_inputs=False, completes_steps=False, eventful=False)
+    fields.update(stop_unit=-1.0)
     made = FmiComponent if version == "2.0" else Component3
     return cast(FmiComponent, made(**fields))

@@ -25,7 +25,8 @@ MESSAGES = {
     STEP: "the FMU could not go on",
     OUTPUT: "the FMU could not compute its outputs",
     STEP_TOO_SMALL: "no step was short enough for the tolerance",
-    TOO_MANY_STEPS: "the limit on the number of steps was reached",
+    TOO_MANY_STEPS: "the limit on the steps between two times in the data, model.max_steps, "
+    "was reached",
     NOT_FINITE: "an output became infinite or not a number",
     EVENT: "the FMU could not handle an event",
     CHATTERING: "events followed each other without end",

@@ -10,6 +10,8 @@ event, whether the FMU ends the simulation, and room for FMI 3.0's booleans, whi
 
 from __future__ import annotations
 
+from math import ceil
+
 import numpy as np
 from numba.core.types import float64, int32, intp, uintp
 
@@ -72,20 +74,38 @@ def set_strings(c, references, texts):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def setup_experiment(c, tolerance, start):  # type: ignore[no-untyped-def]
-    """Name the start time and a tolerance, where 0 is none. FMI 3.0 is told these later."""
+def setup_experiment(c, tolerance, start, stop):  # type: ignore[no-untyped-def]
+    """Name the start time, a tolerance, where 0 is none, and a stop time, for those that need it.
+
+    FMI 3.0 is told these later.
+    """
     if not is_fmi_2(c):
         return 0
-    return _setup(c.setup_experiment, (c.handle, tolerance > 0.0, tolerance, start, 0, 0.0))
+    return _set_up(c, c.setup_experiment, tolerance, start, stop)
 
 
 @inlined
-def enter_initialization_mode(c, tolerance, start):  # type: ignore[no-untyped-def]
+def enter_initialization_mode(c, tolerance, start, stop):  # type: ignore[no-untyped-def]
     """Begin initialisation."""
     if is_fmi_2(c):
         return _handle_only(c.enter_initialization_mode, (c.handle,))
-    given = tolerance > 0.0
-    return _setup(c.enter_initialization_mode, (c.handle, given, tolerance, start, 0, 0.0))
+    return _set_up(c, c.enter_initialization_mode, tolerance, start, stop)
+
+
+@inlined
+def _set_up(c, function, tolerance, start, stop):  # type: ignore[no-untyped-def]
+    told, unit = stop, c.stop_unit
+    if unit > 0.0:
+        told = start + unit * max(1.0, ceil((stop - start) / unit))
+    values = (
+        c.handle,
+        tolerance > 0.0,
+        tolerance,
+        start,
+        unit >= 0.0,
+        told if unit >= 0.0 else 0.0,
+    )
+    return _setup(function, values)
 
 
 @inlined

@@ -55,13 +55,13 @@ def initialise(c, references, starts, values, inputs, tolerance, start, work):  
     if status < DISCARD and len(starts.structure.elements) > 0:
         status = max(status, _configure(c, starts.structure, values, work))
     if status < DISCARD:  # before the values, like most importers: some FMUs set defaults in it
-        status = max(status, setup_experiment(c, tolerance, start))
+        status = max(status, setup_experiment(c, tolerance, start, starts.stop))
     if status < DISCARD:
         status = max(status, set_values(c, starts.numbers, values, work.buffer))
     if status < DISCARD and len(starts.strings) > 0:
         status = max(status, set_strings(c, starts.strings, starts.texts))
     if status < DISCARD:
-        status = max(status, enter_initialization_mode(c, tolerance, start))
+        status = max(status, enter_initialization_mode(c, tolerance, start, starts.stop))
     if status < DISCARD:
         status = max(status, set_values(c, references.inputs, inputs, work.buffer))
     if status < DISCARD:

@@ -112,7 +112,7 @@ def _co_simulate(c, references, starts, settings, hooks, grid, point, work, outp
 @subroutine
 def _step_through_grid(c, references, settings, grid, work, outputs):  # type: ignore[no-untyped-def]
     """Step from the first time of the grid to the last. Returns (code, time)."""
-    times, steps_left = grid.times, settings.max_steps
+    times, steps_in_all = grid.times, 0
     for i in range(len(times)):
         status = 0
         if grid.inputs.shape[1] > 0:
@@ -125,23 +125,23 @@ def _step_through_grid(c, references, settings, grid, work, outputs):  # type: i
             return ENDED_EARLY, times[i]
         if i + 1 == len(times):
             break
-        steps = n_steps(grid.intervals[i], settings.step, steps_left)
-        if steps > steps_left:
+        steps = n_steps(grid.intervals[i], settings.step, settings.max_steps)
+        if steps > settings.max_steps:
             return TOO_MANY_STEPS, times[i]
-        steps_left -= steps
+        steps_in_all += steps
         status = _advance_to_next_time(c, references, settings, grid, i, steps, work)
         if status >= DISCARD:
             return failed_step(status), times[i]
         if has_terminated(c, work.info):
             return TERMINATED, _termination_time(c, times[i], work)
-    note_steps(work, settings.max_steps - steps_left)
+    note_steps(work, steps_in_all)
     return FINISHED, times[-1]
 
 
 @subroutine
 def _step_through_grid_with_effects(c, references, settings, hooks, grid, work, outputs):  # type: ignore[no-untyped-def]
     """Do the same where effects change inputs or parameters; apart, to keep the other one fast."""
-    times, steps_left = grid.times, settings.max_steps
+    times, steps_in_all = grid.times, 0
     for i in range(len(times)):
         status = _set_effective_inputs(c, references, hooks, grid, i, times[i], work)
         if status < DISCARD:
@@ -152,10 +152,10 @@ def _step_through_grid_with_effects(c, references, settings, hooks, grid, work, 
             return ENDED_EARLY, times[i]
         if i + 1 == len(times):
             break
-        steps = n_steps(grid.intervals[i], settings.step, steps_left)
-        if steps > steps_left:
+        steps = n_steps(grid.intervals[i], settings.step, settings.max_steps)
+        if steps > settings.max_steps:
             return TOO_MANY_STEPS, times[i]
-        steps_left -= steps
+        steps_in_all += steps
         status = _advance_to_next_time_with_effects(
             c, references, settings, hooks, grid, i, steps, work
         )
@@ -163,7 +163,7 @@ def _step_through_grid_with_effects(c, references, settings, hooks, grid, work, 
             return failed_step(status), times[i]
         if has_terminated(c, work.info):
             return TERMINATED, _termination_time(c, times[i], work)
-    note_steps(work, settings.max_steps - steps_left)
+    note_steps(work, steps_in_all)
     return FINISHED, times[-1]
 
 

@@ -134,9 +134,9 @@ def _cvode_batch(  # type: ignore[no-untyped-def]
 
 @subroutine
 def _simulate(s, c, references, starts, settings, hooks, grid, point, work, outputs, states_out):  # type: ignore[no-untyped-def]
-    times = grid.times
+    times, steps = grid.times, 0
     code = start_simulation(c, references, starts, settings, hooks, grid, point, work)
-    s.flags[STATUS], s.flags[STEPS_LEFT], s.flags[NEXT_STOP] = 0, settings.max_steps, 0
+    s.flags[STATUS], s.flags[NEXT_STOP] = 0, 0
     s.flags[STEP_REPORTED], s.flags[EVENT_DUE], s.flags[REPEATED_EVENTS] = 1, 0, 0
     s.time[0] = times[0]
     for i in range(len(times)):
@@ -155,6 +155,8 @@ def _simulate(s, c, references, starts, settings, hooks, grid, point, work, outp
         if i + 1 < len(times):
             if i == s.flags[NEXT_STOP]:
                 set_next_stop(s, settings, grid, i, work)
+            s.flags[STEPS_LEFT] = settings.max_steps
             code = advance_to(s, c, references, settings, hooks, grid, i + 1, work)
-    note_steps(work, settings.max_steps - s.flags[STEPS_LEFT])
+            steps += settings.max_steps - s.flags[STEPS_LEFT]
+    note_steps(work, steps)
     return code, s.time[0]

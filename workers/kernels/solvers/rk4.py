@@ -89,7 +89,7 @@ def rk4_batch(  # type: ignore[no-untyped-def]
 
 @subroutine
 def _simulate(c, references, starts, settings, hooks, grid, point, work, outputs):  # type: ignore[no-untyped-def]
-    times, steps_left = grid.times, settings.max_steps
+    times, steps = grid.times, 0
     time = times[0]
     code = start_simulation(c, references, starts, settings, hooks, grid, point, work)
     for i in range(len(times)):
@@ -104,9 +104,10 @@ def _simulate(c, references, starts, settings, hooks, grid, point, work, outputs
             return ENDED_EARLY, time
         if i + 1 < len(times):
             code, time, steps_left = equal_steps(
-                c, references, settings, hooks, grid, i, time, steps_left, work
+                c, references, settings, hooks, grid, i, time, settings.max_steps, work
             )
-    note_steps(work, settings.max_steps - steps_left)
+            steps += settings.max_steps - steps_left
+    note_steps(work, steps)
     return code, time
 
 

@@ -85,7 +85,7 @@ def test_a_damaged_archive_is_refused(cache, content, sentence):
 def test_a_path_that_leaves_the_folder_is_refused(cache, name):
     message = refusal(with_entry(name))
     assert f"the path {name!r} in it must stay inside the FMU's folder but leaves it" in message
-    assert not cache.exists()
+    assert [*cache.glob("fmus/*")] == []
 
 
 def test_an_entry_without_a_name_is_refused(cache, tmp_path):
@@ -93,7 +93,7 @@ def test_an_entry_without_a_name_is_refused(cache, tmp_path):
     with zipfile.ZipFile(path, "w") as packed, packed.open(zipfile.ZipInfo(""), "w") as entry:
         entry.write(b"x")
     assert "every entry in it must have a name but one has none" in refusal(path.read_bytes())
-    assert not cache.exists()
+    assert [*cache.glob("fmus/*")] == []
 
 
 def test_a_symbolic_link_is_refused(cache, tmp_path):
@@ -104,14 +104,14 @@ def test_a_symbolic_link_is_refused(cache, tmp_path):
     with zipfile.ZipFile(path, "w") as packed:
         packed.writestr(link, "/etc/passwd")
     assert "the path 'link' in it must stay inside" in refusal(path.read_bytes())
-    assert not cache.exists()
+    assert [*cache.glob("fmus/*")] == []
 
 
 def test_a_zip_bomb_is_refused_before_it_is_unpacked(cache):
     zeros = bytes(archive.HARMLESS_BYTES + 1)
     message = refusal(spoiled_fmu(lambda e: (e.clear(), e.update(zeros=zeros))))
     assert re.search(r"would unpack to 64 MiB from 0\.\d MiB, which is no ordinary FMU", message)
-    assert not cache.exists()
+    assert [*cache.glob("fmus/*")] == []
 
 
 def test_an_archive_that_unpacks_to_too_much_is_refused(cache, monkeypatch):
@@ -119,10 +119,59 @@ def test_an_archive_that_unpacks_to_too_much_is_refused(cache, monkeypatch):
     assert "which is no ordinary FMU; nothing was unpacked" in refusal(FMU)
 
 
-def test_a_cache_that_cannot_be_written_is_said(tmp_path, monkeypatch):
-    (tmp_path / "file").touch()
-    monkeypatch.setenv("CLUSTER_EST_CACHE", str(tmp_path / "file"))
-    assert "set CLUSTER_EST_CACHE to a folder that can be written" in refusal(FMU)
+def cut(file):
+    file.write_bytes(file.read_bytes()[:-1])
+
+
+def swap(file):
+    file.write_bytes(bytes(reversed(file.read_bytes())))
+
+
+def replace_by_folder(file):
+    file.unlink()
+    (file / "within").mkdir(parents=True)
+
+
+def redirect(file):
+    file.rename(file.with_name("elsewhere"))
+    file.symlink_to("elsewhere")
+
+
+def give_away(file):
+    if os.geteuid():
+        pytest.skip("only root can give a file to another user")
+    os.chown(file, 54321, 54321)
+
+
+HARM = [lambda file: file.write_bytes(b""), cut, swap, lambda file: file.unlink()]
+HARM += [replace_by_folder, redirect, give_away]
+
+
+@pytest.mark.parametrize("harm", HARM)
+def test_every_file_that_was_harmed_is_written_anew(cache, harm):
+    folder = unpack("x.fmu", FMU, "some-hash")
+    with open_archive("x.fmu", FMU) as opened:
+        truth = {name: opened.read(name) for name in opened.namelist()}
+    for name in truth:
+        harm(folder / name)
+    with (folder / LIBRARY).parent.joinpath("own.txt").open("w") as own:
+        own.write("written by the FMU")
+    assert unpack("x.fmu", FMU, "some-hash") == folder
+    for name, content in truth.items():
+        assert (folder / name).read_bytes() == content
+        assert (folder / name).lstat().st_uid == os.geteuid()
+        assert not (folder / name).is_symlink()
+    assert (folder / LIBRARY).parent.joinpath("own.txt").is_file()
+
+
+@pytest.mark.parametrize("kind", ["file", "link"])
+def test_what_stands_in_the_place_of_the_folder_gives_way(cache, tmp_path, kind):
+    folder = unpack("x.fmu", FMU, "some-hash")
+    folder.rename(tmp_path / "moved")
+    folder.symlink_to(tmp_path / "moved") if kind == "link" else folder.touch()
+    assert unpack("x.fmu", FMU, "some-hash") == folder
+    assert (folder / LIBRARY).is_file()
+    assert not folder.is_symlink()
 
 
 def test_any_damage_is_met_with_a_sentence(cache):
