@@ -12,7 +12,7 @@ from typing_extensions import override
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Method, Points, Search, Solution
-from cluster_est.methods.derivatives.differences import Scheme, jacobian
+from cluster_est.methods.derivatives.differences import Scheme, jacobian, without_guesses
 from cluster_est.problem.observed_outputs import check_observed_outputs
 from cluster_est.problem.prior_weights import check_priors
 from cluster_est.problem.problem import Problem
@@ -83,7 +83,7 @@ class ResidualFunction:
     x_scale : (unknowns,)
         The size of a noticeable change, for `least_squares(..., x_scale=f.x_scale)`.
     reason
-        Why the last point that failed did; "" if none has.
+        Why the last point that failed did, or which derivatives are not known; "" if none has.
     """
 
     def __init__(self, space: SearchSpace, resources: Resources, differences: Scheme) -> None:
@@ -129,11 +129,13 @@ class ResidualFunction:
     def jac(self, x: FloatArray) -> FloatArray:
         """(residuals, unknowns): derivatives, all differences simulated at once.
 
-        The column of an unknown whose difference fails is 0, so that a method leaves it where
-        it is; where x itself fails everything is NaN.
+        The column of an unknown whose differences fail, on both sides and with several steps, is
+        0, so that a method leaves it where it is, and `reason` names it: a search that ends there
+        has not converged. Where x itself fails everything is NaN.
         """
         found = self._run(_PointEvaluation(self._checked(x), self._differences))
         if found.jacobian is not None:
+            self.reason = found.message or self.reason
             return found.jacobian
         self.reason = "" if found.at is None else found.at.reason
         return np.full((self._size, self._space.size), np.nan)
@@ -194,7 +196,8 @@ class _PointEvaluation(Method):
         if self.differences is None or not at.ok:
             return Solution(self.x, at.cost, Ending.CONVERGED, at=at)
         found = yield from jacobian(space, self.x, at, self.differences, 0.0, None)
-        return Solution(self.x, at.cost, Ending.CONVERGED, jacobian=found.matrix, at=at)
+        solution = Solution(self.x, at.cost, Ending.CONVERGED, jacobian=found.matrix, at=at)
+        return without_guesses(space, solution, found.frozen)
 
 
 def _check(space: SearchSpace) -> None:

@@ -204,6 +204,7 @@ class Ending(enum.StrEnum):
     STALLED = "no step lowers the cost any more, but the gradient is not zero"
     START_FAILED = "the start could not be simulated"
     DERIVATIVES_FAILED = "no derivative could be computed"
+    DERIVATIVES_MISSING = "some derivatives could not be computed, so that it may not be a minimum"
     NO_EFFECT = "no unknown changes the residuals, so that there is nothing to go by"
     INFEASIBLE = "no point was found that satisfies the constraints"
     BUDGET = "the budget is used up"

@@ -5,22 +5,26 @@ curvature times the step; it is smallest where the relative step is the square r
 noise, for a central difference the cube root (P. E. Gill, W. Murray, M. H. Wright, Practical
 Optimization (1981), section 8.6). The noise of a simulation is not that of a double: an adaptive
 solver's result jumps by a part of its tolerance whenever its number of steps changes.
+
+Where a simulation fails, the unknowns that were moved in it are asked for again, on the other side
+and with other steps. A derivative that stays unknown is not 0: such unknowns are frozen at this
+point, and `without_guesses` says so of a search that ends there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from dataclasses import dataclass
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.methods.base import Evaluation, Points, Progress
+from cluster_est.methods.base import Ending, Evaluation, Points, Progress, Solution
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.problem.search_space.space import SearchSpace
-from workers.messages import FloatArray, Solver
+from workers.messages import FloatArray, IntArray, Outcome, Solver
 
 Scheme = Literal["forward", "central"]
 Differences = Literal["auto", "forward", "central", "sensitivities"]
@@ -34,6 +38,15 @@ NOISE_OF_CVODE = 10.0
 NOISE_FIXED = 1e-14
 NOISE_UNKNOWN = 1e-11
 """Of a co-simulation FMU, whose solver is not known."""
+PARTS: dict[Scheme, tuple[tuple[float, ...], ...]] = {
+    "forward": ((1.0,), (-1.0, 0.5), (-0.5, 2.0), (-2.0, 0.25)),
+    "central": ((1.0, -1.0), (0.5, -0.5), (2.0, -2.0), (0.25, -0.25)),
+}
+"""Parts of a step, one request after the other until each derivative is known."""
+SHORTER = 0.9
+"""Factor of the steps where all of these have failed."""
+MOST_NAMED = 6
+"""Unknowns in a sentence."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +85,29 @@ class ResidualJacobian:
         """`blocks`, where the whole matrix is too large."""
         entries = self.blocks.row_count * self.blocks.size
         return self.blocks if self.blocks.sparse and entries > LARGE else None
+
+
+def without_guesses(
+    space: SearchSpace, solution: Solution, frozen: npt.NDArray[np.bool_]
+) -> Solution:
+    """Return a solution that claims no minimum in unknowns whose derivatives are not known.
+
+    Parameters
+    ----------
+    space, solution
+        The space, and what a search found in it.
+    frozen : (unknowns,)
+        The unknowns without derivatives where it ended.
+    """
+    if not frozen.any() or solution.ending not in (Ending.CONVERGED, Ending.NO_EFFECT):
+        return solution
+    names = [repr(space.unknowns[i].label) for i in np.flatnonzero(frozen)]
+    shown = ", ".join(names[:MOST_NAMED])
+    more = f" and {len(names) - MOST_NAMED} others" if len(names) > MOST_NAMED else ""
+    message = (
+        f"{Ending.DERIVATIVES_MISSING}: simulations beside the last point failed for {shown}{more}"
+    )
+    return replace(solution, ending=Ending.DERIVATIVES_MISSING, message=message)
 
 
 def relative_noise(solver: Solver) -> float:
@@ -127,62 +163,128 @@ def jacobian(
         0 for the step that suits the solver.
     """
     steps = difference_steps(space, x, scheme, relative_step)
-    plus = np.tile(x, (len(space.colours), 1))
-    minus = plus.copy()
-    for colour, members in enumerate(space.colours):
-        plus[colour, members] += steps[members]
-        minus[colour, members] -= steps[members]
-    if scheme == "forward":
-        forward = yield Points(plus, "jacobian", progress)
-        quotients = _ColouredDifferences(forward, [at] * len(forward), plus - x)
-        return _assemble(space, x, at, steps, quotients)
-    minus = np.clip(minus, space.lower, space.upper)
-    both = yield Points(np.vstack([plus, minus]), "jacobian_central", progress)
-    quotients = _ColouredDifferences(both[: len(plus)], both[len(plus) :], plus - minus)
-    return _assemble(space, x, at, steps, quotients)
+    beside = Neighbours(x, scheme, space.colours)
+    purpose = "jacobian" if scheme == "forward" else "jacobian_central"
+    wanted = np.ones(space.size, dtype=bool)
+    for parts in PARTS[scheme]:
+        yield from beside.ask(space, steps, parts, wanted, purpose, progress)
+        found = _assemble(space, at, steps, beside)
+        wanted = found.frozen
+        if not wanted.any():
+            break
+    return found
 
 
-@dataclass(frozen=True)
-class _ColouredDifferences:
-    """Two evaluations for each colour, and their distances (colours, unknowns)."""
+class Neighbours:
+    """Evaluations beside a point, round after round.
 
-    plus: list[Evaluation]
-    minus: list[Evaluation]
-    widths: FloatArray
+    Parameters
+    ----------
+    x, scheme
+        The point, and the differences that are made of its neighbours.
+    groups
+        Unknowns that are moved in one point, group after group.
+    """
+
+    def __init__(self, x: FloatArray, scheme: Scheme, groups: Sequence[IntArray]) -> None:
+        self.x, self._scheme, self._groups = x, scheme, groups
+        self._group_of = np.zeros(len(x), np.intp)
+        for group, members in enumerate(groups):
+            self._group_of[members] = group
+        self._rounds: list[dict[int, tuple[FloatArray, Evaluation]]] = []
+
+    def ask(
+        self,
+        space: SearchSpace,
+        steps: FloatArray,
+        parts: tuple[float, ...],
+        wanted: npt.NDArray[np.bool_],
+        purpose: str,
+        progress: Progress | None,
+    ) -> Generator[Points, list[Evaluation], None]:
+        """Ask, in one request, for points at parts of the steps of the unknowns that are wanted."""
+        chosen = [g for g, members in enumerate(self._groups) if wanted[members].any()]
+        points = np.tile(self.x, (len(parts), len(chosen), 1))
+        for place, part in zip(points, parts, strict=True):
+            for row, group in zip(place, chosen, strict=True):
+                members = self._groups[group][wanted[self._groups[group]]]
+                row[members] += part * steps[members]
+        points = np.clip(points, space.lower, space.upper)
+        answers = yield Points(points.reshape(-1, len(self.x)), purpose, progress)
+        for k, place in enumerate(points):
+            own = answers[k * len(chosen) : (k + 1) * len(chosen)]
+            self._rounds.append(dict(zip(chosen, zip(place, own, strict=True), strict=True)))
+
+    def derivative(
+        self, i: int, at: FloatArray, value: Callable[[Evaluation], FloatArray | None]
+    ) -> FloatArray | None:
+        """Return the derivative of a value by an unknown; None if too few neighbours have one.
+
+        Parameters
+        ----------
+        i
+            The unknown.
+        at, value
+            The value at the point, and that of an evaluation; None where it has none.
+        """
+        group = int(self._group_of[i])
+        asked = [each[group] for each in self._rounds if group in each]
+        samples = [(float(point[i]), value(evaluation)) for point, evaluation in asked]
+        if self._scheme == "central":
+            for (p, ahead), (q, behind) in zip(samples[::2], samples[1::2], strict=True):
+                if ahead is not None and behind is not None and p != q:
+                    return np.asarray((ahead - behind) / (p - q))
+        x = float(self.x[i])
+        known = {p - x: found for p, found in samples if found is not None and p != x}
+        if self._scheme == "forward":
+            return next(((found - at) / h for h, found in known.items()), None)
+        return _slope_of_parabola(at, *list(known.items())[:2]) if len(known) > 1 else None
+
+
+def _slope_of_parabola(
+    at: FloatArray, one: tuple[float, FloatArray], other: tuple[float, FloatArray]
+) -> FloatArray:
+    """Return the slope at a point from values at two distances from it, of second order."""
+    (h, first), (k, second) = one, other
+    return np.asarray(((first - at) * (k / h) - (second - at) * (h / k)) / (k - h))
 
 
 def _assemble(
-    space: SearchSpace,
-    x: FloatArray,
-    at: Evaluation,
-    steps: FloatArray,
-    quotients: _ColouredDifferences,
+    space: SearchSpace, at: Evaluation, steps: FloatArray, beside: Neighbours
 ) -> ResidualJacobian:
-    """Take each unknown's column from the experiments that it acts on, in its colour's point."""
-    constraint_rows = space.constraint_rows
+    """Take each unknown's column from the experiments that it acts on, in its group's points."""
     pairs = zip(at.rows, space.acting, strict=True)
     blocks = [np.zeros((row.stop - row.start, len(columns))) for row, columns in pairs]
     constraints = np.zeros((len(space.constraint_names), space.size))
-    on_parameters = space.parameter_constraint_jacobian(x)
+    on_parameters = space.parameter_constraint_jacobian(beside.x)
     constraints[: len(on_parameters)] = on_parameters
     frozen = np.zeros(space.size, dtype=bool)
-    colour_of = np.zeros(space.size, np.intp)
-    for colour, members in enumerate(space.colours):
-        colour_of[members] = colour
     for e, columns in enumerate(space.acting):
+        here = _values(at.outcomes[e])
+
+        def value(each: Evaluation, e: int = e) -> FloatArray | None:
+            return _values(each.outcomes[e])
+
         for j, i in enumerate(columns.tolist()):
-            colour = colour_of[i]
-            plus, minus = quotients.plus[colour].outcomes[e], quotients.minus[colour].outcomes[e]
-            width = quotients.widths[colour, i]
-            if plus.residuals is None or minus.residuals is None or width == 0.0:
+            found = None if here is None else beside.derivative(i, here, value)
+            if found is None:
                 frozen[i] = True
                 continue
-            blocks[e][:, j] = (plus.residuals - minus.residuals) / width
-            if len(plus.constraints):
-                constraints[constraint_rows[e], i] = (plus.constraints - minus.constraints) / width
+            count = len(blocks[e])
+            blocks[e][:, j] = found[:count]
+            constraints[space.constraint_rows[e], i] = found[count:]
     for block, columns in zip(blocks, space.acting, strict=True):
         block[:, frozen[columns]] = 0.0
     constraints[:, frozen] = 0.0
     return ResidualJacobian(
         BlockMatrix(tuple(blocks), space.acting, space.size), frozen, steps, constraints
     )
+
+
+def _values(outcome: Outcome) -> FloatArray | None:
+    """Return the residuals, and behind them the constraints; None if one of them has no value."""
+    if outcome.residuals is None or not len(outcome.constraints):
+        return outcome.residuals
+    if not np.isfinite(outcome.constraints).all():
+        return None
+    return np.concatenate([outcome.residuals, outcome.constraints])

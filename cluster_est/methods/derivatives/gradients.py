@@ -9,13 +9,15 @@ coloured point mixes the changes of several.
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from cluster_est.methods.base import Evaluation, Points, Progress
 from cluster_est.methods.derivatives.differences import (
+    PARTS,
+    Neighbours,
     ResidualJacobian,
     Scheme,
     difference_steps,
@@ -96,10 +98,8 @@ def _from_jacobian(
     weighted = jacobians.matrix * weights[:, None]
     gradient = 2.0 * np.add.reduce(weighted * residuals[:, None], axis=0)
     gauss_newton = 2.0 * (jacobians.matrix.T @ weighted)
-    return _freeze_undefined(
-        CostDerivatives(
-            gradient, jacobians.constraint_jacobian, gauss_newton, jacobians.frozen, jacobians
-        )
+    return CostDerivatives(
+        gradient, jacobians.constraint_jacobian, gauss_newton, jacobians.frozen, jacobians
     )
 
 
@@ -113,38 +113,25 @@ def _cost_differences(
 ) -> Generator[Points, list[Evaluation], CostDerivatives]:
     """Ask for differences of the cost itself: a point for each unknown, or two."""
     steps = difference_steps(space, x, scheme, relative_step)
-    x_plus = x + np.diag(steps)
-    x_minus = np.tile(x, (space.size, 1))
-    if scheme == "forward":
-        plus = yield Points(x_plus, "gradient", progress)
-        minus = [at] * space.size
-    else:
-        x_minus = np.clip(x - np.diag(steps), space.lower, space.upper)
-        both = yield Points(np.vstack([x_plus, x_minus]), "gradient_central", progress)
-        plus, minus = both[: space.size], both[space.size :]
-    widths = np.diagonal(x_plus - x_minus)
+    beside = Neighbours(x, scheme, [np.array([i], np.intp) for i in range(space.size)])
+    purpose = "gradient" if scheme == "forward" else "gradient_central"
+    here, wanted = _values(at), np.ones(space.size, dtype=bool)
     gradient = np.zeros(space.size)
     constraints = np.zeros((len(space.constraint_names), space.size))
-    frozen = np.zeros(space.size, dtype=bool)
-    for i, width in enumerate(widths.tolist()):
-        derivative = (plus[i].cost - minus[i].cost) / width if width != 0.0 else np.nan
-        frozen[i] = not np.isfinite(derivative)
-        if not frozen[i]:
-            gradient[i] = derivative
-            constraints[:, i] = (plus[i].constraints - minus[i].constraints) / width
+    for parts in PARTS[scheme]:
+        yield from beside.ask(space, steps, parts, wanted.copy(), purpose, progress)
+        for i in np.flatnonzero(wanted).tolist():
+            found = None if here is None else beside.derivative(i, here, _values)
+            if found is not None and np.isfinite(found).all():
+                wanted[i], gradient[i], constraints[:, i] = False, found[0], found[1:]
+        if not wanted.any():
+            break
     on_parameters = space.parameter_constraint_jacobian(x)
-    constraints[: len(on_parameters)] = np.where(frozen, 0.0, on_parameters)
-    return _freeze_undefined(CostDerivatives(gradient, constraints, None, frozen))
+    constraints[: len(on_parameters)] = np.where(wanted, 0.0, on_parameters)
+    return CostDerivatives(gradient, constraints, None, wanted)
 
 
-def _freeze_undefined(found: CostDerivatives) -> CostDerivatives:
-    """Freeze unknowns with which a constraint loses its value."""
-    undefined = ~np.isfinite(found.constraint_jacobian).all(axis=0)
-    if not undefined.any():
-        return found
-    return replace(
-        found,
-        gradient=np.where(undefined, 0.0, found.gradient),
-        constraint_jacobian=np.where(undefined, 0.0, found.constraint_jacobian),
-        frozen=found.frozen | undefined,
-    )
+def _values(at: Evaluation) -> FloatArray | None:
+    """Return the cost, and behind it the constraints; None if one of them has no value."""
+    values = np.array([at.cost, *at.constraints])
+    return values if np.isfinite(values).all() else None

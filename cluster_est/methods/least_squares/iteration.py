@@ -106,7 +106,7 @@ class LeastSquaresIteration:
             dampings = damping * DAMPING_RATIO ** (np.arange(float(self.trials)) - below)
             steps = np.array([model.step(d) for d in dampings])
             if self._negligible(state, model, steps[0]):
-                return state, _end_without_a_step(state, dampings[0])
+                return state, _end_of_steps(state, dampings[0])
             trials = yield from self._try(state, "trial", steps, dampings)
             if self._is_curved(state, model, trials):
                 steps, steps_dampings = curved_steps(model, trials, state.at.cost)
@@ -117,7 +117,7 @@ class LeastSquaresIteration:
                 return self._accept(state, model, trials)
             damping = dampings[-1] * DAMPING_RATIO ** (1 + below)
             if damping > LARGEST_DAMPING:
-                return state, _end_without_a_step(state, damping)
+                return state, _end_of_steps(state, damping)
 
     def _try(
         self, state: IterationState, purpose: str, steps: FloatArray, dampings: FloatArray
@@ -146,7 +146,7 @@ class LeastSquaresIteration:
         short = np.all(np.abs(step) <= self.xtol * unknown_sizes(self.space, x))
         converged = small or (short and trusted)
         new = state.moved(self.space, x, trials.evaluations[best], damping)
-        return new, Ending.CONVERGED if converged else None
+        return new, _end_of_steps(state, trials.dampings[best]) if converged else None
 
     def _negligible(self, state: IterationState, model: LocalModel, step: FloatArray) -> bool:
         """Return whether a step changes nothing, in a search that began with little damping."""
@@ -162,8 +162,8 @@ def enough_to_notice(at: Evaluation) -> float:
     return max(CLOSE, NOTICEABLE / max(len(at.residuals), 1))
 
 
-def _end_without_a_step(state: IterationState, damping: float) -> Ending:
-    """Return the ending where nothing is left to try.
+def _end_of_steps(state: IterationState, damping: float) -> Ending:
+    """Return the ending where nothing is left to try, or what is left makes no difference.
 
     A step that was made short by damping says nothing of the minimum: the cost must also promise to
     fall by no more, or the derivatives are wrong, as where simulations are noisy.

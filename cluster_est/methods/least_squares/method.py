@@ -30,7 +30,11 @@ from cluster_est.methods.base import (
     Search,
     Solution,
 )
-from cluster_est.methods.derivatives.differences import Differences, ResidualJacobian
+from cluster_est.methods.derivatives.differences import (
+    Differences,
+    ResidualJacobian,
+    without_guesses,
+)
 from cluster_est.methods.derivatives.sensitivities import JacobianProvider
 from cluster_est.methods.follow_up import within_budget
 from cluster_est.methods.least_squares.final_steps import final_step
@@ -156,7 +160,8 @@ class LeastSquares(Method):
             if jacobian is None:
                 secant = _corrected(before_step, state, compared)
                 if secant is None:
-                    return _without_room(_End(state, compared, ended, provider.note), before)
+                    end = _End(state, compared, ended, provider.note)
+                    return _without_room(end, before).solution(space)
                 jacobian = secant
             doubtful = compared is not None and _disagree(scaled, state, compared, jacobian)
             end = _End(state, jacobian, ended, provider.note)
@@ -169,11 +174,15 @@ class LeastSquares(Method):
                 if ending is None:
                     compared, before_step = None, (jacobian, last)
                     updates = 0 if secant is None else updates
-                    secant = secant_update(jacobian, last, state) if updates < most else None
+                    updated = updates < most and not jacobian.frozen.any()
+                    secant = secant_update(jacobian, last, state) if updated else None
                     updates += 1
                     continue
-                if secant is not None:  # an end must be one by the derivatives of its own point
-                    secant, compared, most, before_step = None, None, 0, None
+                unknown = ending in DOUBTED and jacobian.frozen.any() and state.x is not last.x
+                if secant is not None or unknown:
+                    # an end must be one by the derivatives of its own point
+                    most = 0 if secant is not None else most
+                    secant, compared, before_step = None, None, None
                     state = replace(state, damping=min(state.damping, INITIAL_DAMPING))
                     continue
                 ended = ending
@@ -184,7 +193,7 @@ class LeastSquares(Method):
                 end = _End(state, jacobian, ending, provider.note)
                 unsettled = ending in (Ending.STALLED, Ending.NO_EFFECT)
                 if not (unsettled and provider.lengthen()):
-                    return end.better_than(before).solution()
+                    return end.better_than(before).solution(space)
             before = end.better_than(before)
             compared, state = jacobian, _without_scales(state)
 
@@ -236,7 +245,7 @@ class _End:
         settled = self.ending.success and not before.ending.success
         return self if gained or settled else replace(before, state=self.state)
 
-    def solution(self) -> Solution:
+    def solution(self, space: SearchSpace) -> Solution:
         state, ending, note, jacobian = self.state, self.ending, self.note, self.jacobian
         found = Solution(
             x=state.x,
@@ -248,13 +257,14 @@ class _End:
         )
         if jacobian is None:
             return found
-        return replace(
+        found = replace(
             found,
             jacobian=jacobian.dense_if_small,
             block_jacobian=jacobian.blocks_if_large,
             difference_steps=jacobian.steps,
             frozen=jacobian.frozen,
         )
+        return without_guesses(space, found, jacobian.frozen)
 
 
 def _corrected(
@@ -271,15 +281,15 @@ def _corrected(
     return secant_update(*before, state)
 
 
-def _without_room(end: _End, before: _End | None) -> Solution:
-    """Return the solution where a budget has no room for derivatives and a step that follows.
+def _without_room(end: _End, before: _End | None) -> _End:
+    """Return the end where a budget has no room for derivatives and a step that follows.
 
     An end that has derivatives stays one, though there is no room for better ones.
     """
     if end.jacobian is None:
-        return replace(end, ending=Ending.BUDGET).solution()
+        return replace(end, ending=Ending.BUDGET)
     note = f"{end.note}; {NO_ROOM}" if end.note else NO_ROOM
-    return replace(end, note=note).better_than(before).solution()
+    return replace(end, note=note).better_than(before)
 
 
 def _disagree(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -21,12 +22,22 @@ from cluster_est.methods.base import (
     Solution,
 )
 from cluster_est.methods.callback_bridge import Ask, run_with, search_in_thread
-from cluster_est.methods.derivatives.differences import Scheme, jacobian
+from cluster_est.methods.derivatives.differences import (
+    SHORTER,
+    Scheme,
+    jacobian,
+    suitable_step,
+    without_guesses,
+)
 from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
 FAILED_RESIDUAL = 1e100
 """SciPy has no failed evaluations: a residual so large makes it shorten its step."""
+
+
+RESTARTS = 5
+"""Runs of SciPy, of which each but the last ended with a derivative that was not known."""
 
 
 class _StartFailedError(Exception):
@@ -83,37 +94,28 @@ class ScipyLeastSquares(Method):
         return search_in_thread(lambda ask: self._solve(space, ask))
 
     def _solve(self, space: SearchSpace, ask: Ask) -> Solution:
-        from scipy.optimize import least_squares  # slow to import: only a search imports it
-
         cache = _LastEvaluation(space, ask)
         scheme: Scheme = self.differences
+        relative = self.relative_step or suitable_step(space, scheme)
 
         def derivatives(x: FloatArray) -> FloatArray:
             at = cache.evaluation(x)
-            requests = jacobian(space, x, at, scheme, self.relative_step, cache.progress)
+            requests = jacobian(space, x, at, scheme, relative, cache.progress)
             found = run_with(requests, ask)
-            cache.steps, cache.frozen = found.steps, found.frozen
+            cache.steps, cache.frozen_before, cache.frozen = found.steps, cache.frozen, found.frozen
             return found.matrix
 
+        start = space.start
         try:
-            with np.errstate(over="ignore"):  # of a trial step, whose cost is then infinite
-                result = least_squares(
-                    cache.residuals,
-                    space.start,
-                    jac=derivatives,
-                    bounds=(space.lower, space.upper)
-                    if self.algorithm != "lm"
-                    else (-np.inf, np.inf),
-                    method=self.algorithm,
-                    ftol=_tolerance(self.ftol),
-                    xtol=_tolerance(self.xtol),
-                    gtol=_tolerance(self.gtol),
-                    x_scale="jac",
-                    max_nfev=self.max_evaluations or None,
-                )
+            for _ in range(RESTARTS):
+                cache.frozen = cache.frozen_before = np.zeros(space.size, dtype=bool)
+                result = self._run(space, cache.residuals, derivatives, start)
+                start, relative = result.x, SHORTER * relative
+                if result.status <= 0 or not cache.guessed.any():
+                    break
         except _StartFailedError as failure:
             return Solution(space.start, np.nan, Ending.START_FAILED, str(failure))
-        return Solution(
+        found = Solution(
             x=result.x,
             cost=cache.evaluation(result.x).cost,
             ending=Ending.CONVERGED if result.status > 0 else Ending.MAX_ITERATIONS,
@@ -123,6 +125,31 @@ class ScipyLeastSquares(Method):
             difference_steps=cache.steps,
             frozen=cache.frozen,
         )
+        return without_guesses(space, found, cache.guessed)
+
+    def _run(
+        self,
+        space: SearchSpace,
+        residuals: Callable[[FloatArray], FloatArray],
+        derivatives: Callable[[FloatArray], FloatArray],
+        start: FloatArray,
+    ) -> Any:
+        """Run SciPy from a point, and return its result."""
+        from scipy.optimize import least_squares  # slow to import: only a search imports it
+
+        with np.errstate(over="ignore"):  # of a trial step, whose cost is then infinite
+            return least_squares(
+                residuals,
+                start,
+                jac=derivatives,
+                bounds=(space.lower, space.upper) if self.algorithm != "lm" else (-np.inf, np.inf),
+                method=self.algorithm,
+                ftol=_tolerance(self.ftol),
+                xtol=_tolerance(self.xtol),
+                gtol=_tolerance(self.gtol),
+                x_scale="jac",
+                max_nfev=self.max_evaluations or None,
+            )
 
 
 class _LastEvaluation:
@@ -134,7 +161,12 @@ class _LastEvaluation:
         self._at: Evaluation | None = None
         self.progress = Progress(0, np.nan)
         self.steps: FloatArray | None = None
-        self.frozen: npt.NDArray[np.bool_] | None = None
+        self.frozen = self.frozen_before = np.zeros(space.size, dtype=bool)
+
+    @property
+    def guessed(self) -> npt.NDArray[np.bool_]:
+        """Unknowns whose derivatives were not known in the last step, or at its end."""
+        return self.frozen | self.frozen_before
 
     def evaluation(self, x: FloatArray) -> Evaluation:
         if self._at is None or self._x is None or not np.array_equal(x, self._x):

@@ -8,7 +8,7 @@ import numpy as np
 
 from cluster_est.methods.base import Evaluation, Points, Progress
 from cluster_est.methods.callback_bridge import Ask, run_with
-from cluster_est.methods.derivatives.differences import Scheme
+from cluster_est.methods.derivatives.differences import SHORTER, Scheme, suitable_step
 from cluster_est.methods.derivatives.gradients import CostDerivatives, derivatives
 from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
@@ -40,6 +40,12 @@ class EvaluationCache:
         self.gradients = 0
         self.progress = Progress(0, np.nan)
         self.best: tuple[FloatArray, Evaluation] | None = None
+
+    def forget_derivatives(self) -> None:
+        """Have all derivatives asked for anew, with other steps than those that failed."""
+        relative = self._relative_step or suitable_step(self._space, self.scheme)
+        self._relative_step = SHORTER * relative
+        self._derivatives.clear()
 
     def point(self, z: FloatArray) -> FloatArray:
         """Return the point of the space: within bounds, and exactly the origin where z is 0."""

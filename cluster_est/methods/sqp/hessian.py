@@ -15,6 +15,7 @@ Lagrangian's gradient along it.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -35,7 +36,7 @@ class HessianApproximations:
 
     def __init__(self, kind: Hessian) -> None:
         self._kind = kind
-        self._iterates: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+        self._iterates: list[tuple[FloatArray, CostDerivatives]] = []
         self._errors = np.zeros(2)
         self._matrices: list[FloatArray] = []
 
@@ -66,7 +67,7 @@ class HessianApproximations:
         sizes : (n,)
             A noticeable change of each unknown.
         """
-        self._iterates.append((x, derivatives.gradient, derivatives.constraint_jacobian))
+        self._iterates.append((x, derivatives))
         self._iterates = self._iterates[-MEMORY - 1 :]
         pairs = self._pairs(multipliers)
         gauss_newton = derivatives.gauss_newton
@@ -97,11 +98,16 @@ class HessianApproximations:
         self._errors = ERROR_DECAY * self._errors + errors / total
 
     def _pairs(self, multipliers: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-        """Return the steps s, and the changes y of the Lagrangian's gradient along them."""
+        """Return the steps s, and the changes y of the Lagrangian's gradient along them.
+
+        A derivative that is known at one end alone has no change.
+        """
         pairs = []
-        for before, after in zip(self._iterates[:-1], self._iterates[1:], strict=True):
-            y = after[1] - before[1] + (after[2] - before[2]).T @ multipliers
-            pairs.append((after[0] - before[0], y))
+        for (x, before), (x_after, after) in pairwise(self._iterates):
+            if (before.frozen != after.frozen).any():
+                continue
+            bent = after.constraint_jacobian - before.constraint_jacobian
+            pairs.append((x_after - x, after.gradient - before.gradient + bent.T @ multipliers))
         return pairs
 
 

@@ -27,7 +27,7 @@ from cluster_est.methods.base import (
     Solution,
 )
 from cluster_est.methods.callback_bridge import Ask, search_in_thread
-from cluster_est.methods.derivatives.differences import Scheme
+from cluster_est.methods.derivatives.differences import Scheme, without_guesses
 from cluster_est.methods.derivatives.gradients import CostDerivatives
 from cluster_est.methods.evaluation_status import (
     is_defined,
@@ -48,6 +48,8 @@ GRADIENT_TOLERANCE = 1e-14
 STANDSTILL, STANDSTILLS = 1e-9, 5
 """Steps of SLSQP, in typical sizes, that are less than derivatives by differences can tell, and so
 many in a row: at a feasible point it has converged then, though its own tolerance is finer."""
+RESTARTS = 5
+"""Runs of SciPy, of which each but the last met a derivative that was not known."""
 BARRIER_MARGIN = 0.01
 """Distance from a bound at which the barrier of trust-constr begins, in typical sizes."""
 
@@ -89,6 +91,8 @@ class _ScipyCallbacks:
         self._scale = 1.0
         self._last, self._standstills = self._origin, 0
         self._feasibility_only = False
+        self._guessed = np.zeros(space.size, dtype=bool)
+        """Unknowns whose derivatives were not known somewhere in the last run."""
         self._constraints_before: FloatArray = np.zeros(len(self._equality))
 
     def solve(self, algorithm: Algorithm) -> Solution:
@@ -99,15 +103,26 @@ class _ScipyCallbacks:
         run = {"slsqp": self._slsqp, "trust_constr": self._trust_constr}[algorithm]
         with np.errstate(all="ignore"):
             try:
-                ending, message = self._once(run)
+                ending, message = self._until_known(run)
                 if self._settings.differences in ("auto", "sensitivities"):
                     self._cache.scheme = "central"
-                    ending, message = self._once(run)
+                    ending, message = self._until_known(run)
             except _FeasiblePointError:
                 ending, message = Ending.CONVERGED, ""
             except _LimitError:
                 ending, message = Ending.MAX_ITERATIONS, ""
         return self._solution(ending, message)
+
+    def _until_known(self, run: Callable[[], tuple[Ending, str]]) -> tuple[Ending, str]:
+        """Run SciPy; again, from the best point, if a derivative was not known on the way."""
+        for i in range(RESTARTS):
+            if i:
+                self._cache.forget_derivatives()
+            self._guessed = np.zeros(self._space.size, dtype=bool)
+            ending, message = self._once(run)
+            if ending is Ending.DERIVATIVES_FAILED or not self._guessed.any():
+                break
+        return ending, message
 
     def _once(self, run: Callable[[], tuple[Ending, str]]) -> tuple[Ending, str]:
         """Start SciPy from the best point."""
@@ -241,7 +256,9 @@ class _ScipyCallbacks:
         cache = self._cache
         if not cache.has_derivatives(z) and cache.gradients >= self._settings.max_iterations:
             raise _LimitError
-        return cache.derivatives(z)
+        found = cache.derivatives(z)
+        self._guessed |= found.frozen
+        return found
 
     def _note_slsqp(self, z: FloatArray) -> None:
         """Add a line, and end where nothing moves any more."""
@@ -296,14 +313,16 @@ class _ScipyCallbacks:
         found = Solution(x, at.cost, ending, message, cache.progress.iteration, at=at)
         if self._feasibility_only or ending is Ending.DERIVATIVES_FAILED:
             return found
+        found = without_guesses(self._space, found, self._guessed)
         if self._space.problem.cost.weights(at.residuals, self._space.outputs) is None:
             return found
         jacobian = cache.derivatives_at_best().residual_jacobian
         if jacobian is None:
             return found
-        return replace(
+        found = replace(
             found,
             jacobian=jacobian.matrix,
             difference_steps=jacobian.steps,
             frozen=jacobian.frozen,
         )
+        return without_guesses(self._space, found, jacobian.frozen)

@@ -30,8 +30,7 @@ from cluster_est.methods.base import (
     Search,
     Solution,
 )
-from cluster_est.methods.callback_bridge import run_with
-from cluster_est.methods.derivatives.differences import Differences
+from cluster_est.methods.derivatives.differences import Differences, without_guesses
 from cluster_est.methods.derivatives.gradients import CostDerivatives, derivatives
 from cluster_est.methods.derivatives.sensitivities import JacobianProvider
 from cluster_est.methods.evaluation_status import (
@@ -57,6 +56,10 @@ NEARLY_OPTIMAL = 1e-3
 AT_A_KINK = (
     "no step longer than xtol lowers the cost; the gradient is not zero there, as at a kink or "
     "where simulations are noisy"
+)
+CUT_SHORT = (
+    f"{Ending.STALLED}: the steps became too short because simulations at the end of longer ones "
+    "failed"
 )
 
 DerivativeRequests = Generator[Points, list[Evaluation], CostDerivatives]
@@ -126,6 +129,7 @@ class _TrustRegionSearch:
         self._penalty = self._model.penalty
         self._x, self._at, self._best = x, at, (x, at)
         self._multipliers = np.zeros(len(space.constraint_names))
+        self._shrunk_by_failures = False
         self._radius, self._largest_cost = INITIAL_RADIUS, abs(at.cost)
         self._speculative: tuple[FloatArray, list[Evaluation]] | None = None
         self._progress = Progress(0, at.cost, violation=self._table_violation(at))
@@ -158,9 +162,11 @@ class _TrustRegionSearch:
             x, at = self._x, self._at
         message = self._provider.note
         if ending is Ending.STALLED and self._progress.iteration > 0:
-            ending = Ending.CONVERGED
             zero = abs(at.cost) <= FLOOR * self._largest_cost
-            message = message if zero or self._progress.optimality < NEARLY_OPTIMAL else AT_A_KINK
+            settled = zero or self._progress.optimality < NEARLY_OPTIMAL
+            if settled or not self._shrunk_by_failures:
+                ending = Ending.CONVERGED
+            message = message if settled else CUT_SHORT if self._shrunk_by_failures else AT_A_KINK
         if not at.feasible:
             ended = ending in (Ending.CONVERGED, Ending.STALLED)
             ending = Ending.INFEASIBLE if ended else ending
@@ -169,17 +175,19 @@ class _TrustRegionSearch:
         found = Solution(x, at.cost, ending, message, iterations, at=at)
         if self._feasibility_only or ending is Ending.DERIVATIVES_FAILED:
             return found
+        found = without_guesses(self._space, found, self._model.derivatives.frozen)
         if not self._model.is_at(x) and self._model.derivatives.residual_jacobian is not None:
             yield from self._differentiate(x, at)
         jacobian = self._model.derivatives.residual_jacobian
         if jacobian is None:
             return found
-        return replace(
+        found = replace(
             found,
             jacobian=jacobian.matrix,
             difference_steps=jacobian.steps,
             frozen=jacobian.frozen,
         )
+        return without_guesses(self._space, found, jacobian.frozen)
 
     def _differentiate(
         self, x: FloatArray, at: Evaluation
@@ -187,9 +195,8 @@ class _TrustRegionSearch:
         """Ask for the derivatives, unless they came with the trial."""
         requests, answered, self._speculative = self._derivatives(x, at), self._speculative, None
         if answered is not None and np.array_equal(answered[0], x):
-            found = run_with(requests, lambda _: answered[1])
-        else:
-            found = yield from requests
+            requests = _begun(requests, answered[1])
+        found = yield from requests
         self._model.move_to(x, at, found, self._multipliers)
 
     def _derivatives(self, x: FloatArray, at: Evaluation) -> DerivativeRequests:
@@ -231,6 +238,7 @@ class _TrustRegionSearch:
                 found = yield from self._derivatives(trial.x, trial.at)
                 self._model.add_linearisation(trial.x, trial.at, found)
                 continue
+            self._shrunk_by_failures |= not is_defined(trial.at)
             self._radius = SHRINK * min(self._radius, self._model.length(trial.step.vector))
         return Ending.STALLED
 
@@ -270,6 +278,7 @@ class _TrustRegionSearch:
         """Move to a trial point. Return the ending, if it is one."""
         length = self._model.length(trial.step.vector)
         self._radius = _next_radius(self._radius, trial.rho, length)
+        self._shrunk_by_failures &= self._radius < REFINED_RADIUS
         self._x, self._at, self._multipliers = trial.x, trial.at, trial.step.multipliers
         self._largest_cost = max(self._largest_cost, abs(trial.at.cost))
         self._progress = Progress(
@@ -283,6 +292,8 @@ class _TrustRegionSearch:
         violation = self._penalty.value * self._penalty.violations(trial.at)
         reduction = max(trial.reduction, trial.step.predicted_reduction)
         least = self._settings.ftol * self._merit_scale(trial.at)
+        if self._model.derivatives.frozen.any():
+            return None  # an end must be one by all derivatives
         if trial.at.feasible and reduction + violation <= least:
             return Ending.CONVERGED
         return Ending.STALLED if length <= self._settings.xtol else None
@@ -301,6 +312,18 @@ class _TrustRegionSearch:
 
     def _table_violation(self, at: Evaluation) -> float:
         return at.violation if len(at.constraints) else np.nan
+
+
+def _begun(requests: DerivativeRequests, answers: list[Evaluation]) -> DerivativeRequests:
+    """Go on with requests of which the first has been answered."""
+    next(requests)
+    try:
+        points = requests.send(answers)
+        while True:
+            points = requests.send((yield points))
+    except StopIteration as end:
+        found: CostDerivatives = end.value
+        return found
 
 
 def _next_radius(radius: float, rho: float, length: float) -> float:

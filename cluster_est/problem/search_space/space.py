@@ -202,7 +202,8 @@ class SearchSpace:
     def parameter_constraint_jacobian(self, x: FloatArray) -> FloatArray:
         """(constraints on parameters, unknowns): their derivatives.
 
-        By central differences, one-sided at a bound. They cost no simulation.
+        By central differences, one-sided at a bound and where a constraint has no value.
+        They cost no simulation.
         """
         derivatives = np.zeros((len(self._specs), self.size))
         if not len(derivatives):
@@ -213,7 +214,14 @@ class SearchSpace:
             high[i] = min(x[i] + step, self.upper[i])
             low[i] = max(x[i] - step, self.lower[i])
             ahead, behind = self.parameter_constraints(high), self.parameter_constraints(low)
-            derivatives[:, i] = (ahead - behind) / (high[i] - low[i])
+            central = (ahead - behind) / (high[i] - low[i])
+            if not np.isfinite(central).all():  # as beside the end of a root's domain
+                here = self.parameter_constraints(x)
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    sides = (ahead - here) / (high[i] - x[i]), (here - behind) / (x[i] - low[i])
+                for side in sides:
+                    central = np.where(np.isfinite(central), central, side)
+            derivatives[:, i] = central
         return np.where(np.isfinite(derivatives), derivatives, 0.0)
 
     @cached_property
