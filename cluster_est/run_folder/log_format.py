@@ -30,12 +30,14 @@ SCHEMA = pa.schema(
         ("trajectory", pa.list_(pa.float64())),
         ("ended", pa.float64()),
         ("bound", pa.float64()),
+        ("steps", pa.int64()),
     ]
 )
 """`trajectory` is (times, variables), row after row, where that was wanted; `ended` is when its
 answer came, in seconds since 1970, `bound` the sum of squares above which it was to end early, null
-for none. `ended`, `bound` and `residuals_hash`, which stays where residuals have left, are missing
-in logs of versions that did not keep them."""
+for none, and `steps` those of the solver, 0 where nobody counts them. These three are missing in
+logs of versions that did not keep them, and so is `residuals_hash`, which stays where residuals
+have left."""
 HASH_LENGTH = 32
 """Characters of a hash of residuals: 128 bits."""
 ROWS_PER_BATCH = 2000

@@ -71,6 +71,7 @@ def batch_of(
         _lists([path and path.values.ravel() for path in paths]),
         pa.array(ended, pa.float64()),
         pa.array([_finite(origin.task.bound) for origin in origins], pa.float64()),
+        pa.array([outcome.steps for outcome in outcomes], pa.int64()),
     ]
     return pa.RecordBatch.from_arrays(columns, schema=SCHEMA)
 

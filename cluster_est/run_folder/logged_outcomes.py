@@ -14,7 +14,7 @@ from cluster_est.run_folder.log_format import residuals_hash
 from cluster_est.run_folder.log_segment import mend, read_segment, segments
 from workers.messages import USUAL, FloatArray, IntArray, Outcome, Status, Trajectory, Want
 
-HASH = "residuals_hash"
+HASH, STEPS = "residuals_hash", "steps"
 KEY_LENGTH = 32
 """Characters of a key that are kept in memory: 128 bits."""
 
@@ -113,6 +113,7 @@ class LoggedOutcomes(OutcomeSource):
             batch.column("seconds")[i].as_py(),
             batch.column("worker")[i].as_py(),
             constraints=np.zeros(0) if constraints is None else constraints,
+            steps=batch.column(STEPS)[i].as_py() if STEPS in batch.schema.names else 0,
         )
 
     def compare(self, row: int, outcome: Outcome) -> None:

@@ -24,7 +24,7 @@ def answer(task: Task) -> Outcome:
         return Outcome(task.id, Status.SOLVER_FAILURE, message="too far left", worker="w")
     path = Trajectory(("a", "b"), steps, np.outer(steps, x)) if task.want == "trajectory" else None
     found = replace(ROSENBROCK.answer(task), trajectory=path, constraints=x[:1])
-    return replace(found, seconds=0.5, worker="w")
+    return replace(found, seconds=0.5, worker="w", steps=7 + task.id)
 
 
 def tasks(*values: float, want: str = "residuals") -> list[Task]:
@@ -72,6 +72,7 @@ def test_what_is_logged_is_given_back_as_it_was(tmp_path: Path, want: str) -> No
         true = answer(task)
         assert (found.task, found.status, found.message) == (task.id, true.status, true.message)
         assert (found.seconds, found.worker) == (true.seconds, true.worker)
+        assert found.steps == true.steps
         np.testing.assert_array_equal(found.constraints, true.constraints)
         assert bytes_of(found.residuals) == bytes_of(true.residuals)
         assert (found.trajectory is None) == (true.trajectory is None)
