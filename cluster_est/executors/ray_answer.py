@@ -8,7 +8,6 @@ import platform
 import socket
 import subprocess
 import sys
-
 from importlib.metadata import version
 
 SECONDS_TO_CONNECT, SECONDS_TO_ANSWER = 2.0, 7.0
