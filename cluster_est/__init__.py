@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +35,23 @@ if TYPE_CHECKING:
     from cluster_est.running.resources import Resources
     from cluster_est.uncertainty import UncertaintySettings
     from workers.messages import Effect, Experiment, Input, Model, Output, Solver
+
+
+def _refuse_other_workers() -> None:
+    """Say which package or module stands in the way of this project's `workers`."""
+    own = Path(__file__).parents[1] / "workers"
+    known = sys.modules.get("workers")
+    found = find_spec("workers") if known is None else getattr(known, "__spec__", None)
+    places = [] if found is None else list(found.submodule_search_locations or ())
+    if own.is_dir() and not any(Path(place).resolve() == own.resolve() for place in places):
+        where = None if found is None else found.origin or next(iter(places), None)
+        raise ImportError(
+            f"cluster_est needs its package 'workers' in {own.parent}, but {where} is found under "
+            "that name first: rename it, or move it out of the folders that Python imports from"
+        )
+
+
+_refuse_other_workers()
 
 __all__ = [
     "Budget",

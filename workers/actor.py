@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+
 import ray
 
 from workers.messages import Experiment, Limits, Model
@@ -25,10 +28,14 @@ class FmuActor:
         experiments: tuple[Experiment, ...],
         limits: Limits,
         pool: str,
+        folder: str,
         name: str,
     ) -> None:
         self._installation = model, experiments, name, limits
         self._pool = pool
+        if folder:  # that of the program, which FMUs may read files of
+            with contextlib.suppress(OSError):  # it has been removed
+                os.chdir(folder)
 
     def node(self) -> str:
         """Return the id of the node that it is on."""

@@ -5,11 +5,20 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+from collections.abc import Iterator
+from pathlib import Path
 
 import ray
 from ray.exceptions import RayTaskError
 
 from cluster_est.errors import ExecutorError, ModelError
+from cluster_est.executors.ray_answer import why_not_joined
+
+_PACKAGES = Path(__file__).parents[2]
+"""The folder of this package and `workers`, which Ray's workers import from in any case."""
+_ALONE = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
+_started_in: list[str] = []
+"""The folder of this program when it started Ray; nothing without a Ray of its own."""
 
 LOCAL_STARTS = 3
 """Starts of Ray on this machine: it gives up after 15 seconds, too few where much else runs."""
@@ -32,15 +41,21 @@ def connect(workers: int | None, address: str | None) -> bool:
         return False
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     local = address in (None, "", "local")
+    if not local and (reason := why_not_joined(str(address))):
+        raise ExecutorError(f"executor.address: {reason}")
     for left in reversed(range(LOCAL_STARTS if local else 1)):
         try:
-            ray.init(
-                address="local" if local else address,
-                num_cpus=workers if local else None,
-                include_dashboard=False if local else None,
-                logging_level=logging.ERROR,
-                log_to_driver=False,
-            )
+            with _away_from_the_users_files() as folder, _alone(local):
+                ray.init(
+                    address="local" if local else address,
+                    num_cpus=workers if local else None,
+                    include_dashboard=False if local else None,
+                    logging_level=logging.ERROR,
+                    log_to_driver=False,
+                )
+            if local:
+                _started_in[:] = [folder]
+                _close_token_to_others()
             break
         except Exception as error:  # a start that takes too long raises no class of its own
             disconnect()
@@ -48,6 +63,57 @@ def connect(workers: int | None, address: str | None) -> bool:
                 line = (str(error).splitlines() or [type(error).__name__])[0]
                 raise ExecutorError(_not_connected(address, line, local=local)) from error
     return True
+
+
+@contextlib.contextmanager
+def _away_from_the_users_files() -> Iterator[str]:
+    """Work in a folder without files of the user, and come back; gives the folder before.
+
+    Ray has its workers import from the folder that it is started or joined in before all others: a
+    numpy.py that is there would be executed.
+    """
+    try:
+        before = os.getcwd()
+    except OSError:  # it has been removed
+        before = ""
+    os.chdir(_PACKAGES)
+    try:
+        yield before
+    finally:
+        if before:
+            os.chdir(before)
+
+
+@contextlib.contextmanager
+def _alone(local: bool) -> Iterator[None]:
+    """Have a Ray that is started here listen to this machine alone: all of its processes.
+
+    So it does on systems for which it has no clusters; the key is one of Ray's.
+    """
+    constants = ray._private.ray_constants
+    before = os.environ.get(_ALONE), getattr(constants, "ENABLE_RAY_CLUSTER", True)
+    if local:
+        os.environ[_ALONE], constants.ENABLE_RAY_CLUSTER = "0", False
+    try:
+        yield
+    finally:
+        constants.ENABLE_RAY_CLUSTER = before[1]
+        if before[0] is not None:
+            os.environ[_ALONE] = before[0]
+        else:
+            os.environ.pop(_ALONE, None)
+
+
+def _close_token_to_others() -> None:
+    """Let nobody else read the password that Ray has written for this user."""
+    with contextlib.suppress(OSError, RuntimeError):  # there is none, or no home
+        named = os.environ.get("RAY_AUTH_TOKEN_PATH")
+        (Path(named) if named else Path.home() / ".ray" / "auth_token").chmod(0o600)
+
+
+def folder_of_workers() -> str:
+    """Return the folder that workers of a Ray of this program go back to; "" of any other Ray."""
+    return _started_in[0] if _started_in else ""
 
 
 def _not_connected(address: str | None, line: str, *, local: bool) -> str:
@@ -64,6 +130,7 @@ def _not_connected(address: str | None, line: str, *, local: bool) -> str:
 
 def disconnect() -> None:
     """Leave the cluster; stop Ray if `connect` started it."""
+    _started_in.clear()
     ray.shutdown()
 
 

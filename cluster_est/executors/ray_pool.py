@@ -22,7 +22,13 @@ from ray.exceptions import RayError, RayTaskError
 from cluster_est.errors import ExecutorError
 from cluster_est.executors.backlog import TaskBacklog
 from cluster_est.executors.base import WorkerPool
-from cluster_est.executors.ray_cluster import connect, cores, disconnect, why_not_started
+from cluster_est.executors.ray_cluster import (
+    connect,
+    cores,
+    disconnect,
+    folder_of_workers,
+    why_not_started,
+)
 from cluster_est.executors.ray_seats import ActorSeats
 from workers.actor import FmuActor
 from workers.messages import Experiment, Limits, Model, Outcome, Status, Task
@@ -79,7 +85,8 @@ class RayPool(WorkerPool):
         self._seats = ActorSeats(model.seats)
         self._owns_ray = owns_ray
         own = uuid.uuid4().hex[:12]
-        self._installation = ray.put(model), ray.put(experiments), limits, own
+        folder = folder_of_workers()
+        self._installation = ray.put(model), ray.put(experiments), limits, own, folder
         self._backlog = TaskBacklog(IN_FLIGHT * self.workers, FEW_SECONDS)
         self._starting: dict[Any, tuple[str, Any]] = {}
         self._actors: dict[str, Any] = {}

@@ -6,13 +6,16 @@ The truth is the solution of x' = -k x, x(0) = 1, by hand, times the gain: 2.5 e
 import os
 import re
 import subprocess
+import sys
 import zipfile
 from dataclasses import replace
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
 from fmus.variables import read_model as read_spec
 from support.decay_fits import RATE, estimate, fit_decay
+from support.problems.springs import ROOT
 
 from cluster_est import read_model
 from cluster_est.run_folder.run_identity import hash_config
@@ -195,4 +198,38 @@ def test_a_stop_time_can_be_withheld_and_given(own_fmu, fitted, tmp_path):
     assert fitted(fmu, "stop_time = false", gain=1.0) == 1
     for model in ("stop_time = true", "stop_time = true\n[values]\nmultiple = 86400.0"):
         assert fitted(fmu, model, gain=1.0) == 0
+        assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("command", "executor"),
+    [
+        ("fit", "processes"),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in
+          (("check", "processes"), ("fit", "local"), ("check", "local"), ("fit", "ray"))),
+    ],
+)  # fmt: skip
+def test_no_file_beside_a_config_is_executed(with_file, fitted, tmp_path, command, executor):
+    """A file of each name that anything could import, and an FMU that reads one that is there."""
+    folder, marker = tmp_path / "beside", tmp_path / "executed"
+    folder.mkdir()
+    fitted(with_file(2), "", "budget.evaluations=1")  # which leaves the config and the table
+    names = {*sys.stdlib_module_names, *packages_distributions(), "workers", "cluster_est"}
+    for name in names:
+        said = f"open({str(marker)!r}, 'a').write({name + chr(10)!r})\n"
+        (folder / f"{name}.py").write_text(said, encoding="utf-8")
+    (folder / "gain.txt").write_text(f"{GAIN}\n", encoding="utf-8")
+    asked = [str(tmp_path / "config.toml"), f"executor.name={executor}", "executor.workers=1"]
+    more = ["--out", str(tmp_path / "run"), "--overwrite"] if command == "fit" else []
+    ended = subprocess.run(
+        [sys.executable, "-P", "-m", "cluster_est", command, *asked, *more],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert not marker.exists(), marker.read_text()
+    if command == "fit":
         assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-4)

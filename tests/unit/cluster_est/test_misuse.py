@@ -1,5 +1,9 @@
 """Misuse of the Python interface ends in a sentence of this project, as that of a config does."""
 
+import os
+import re
+import subprocess
+import sys
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import ClassVar
@@ -267,3 +271,25 @@ def test_the_base_of_the_base_of_a_class_counts_too():
 
         class Wrong(Family):
             strength: float = 1.0
+
+
+@pytest.mark.parametrize("name", ["workers.py", "workers/__init__.py", "workers/notes.txt"])
+def test_a_module_of_that_name_in_the_way_of_the_workers_is_named(tmp_path, name):
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text("", encoding="utf-8")
+    (tmp_path / "script.py").write_text("import cluster_est\n", encoding="utf-8")
+    ended = subprocess.run(
+        [sys.executable, str(tmp_path / "script.py")],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if name.endswith(".txt"):  # a folder without modules stands in nobody's way
+        assert ended.returncode == 0, ended.stderr
+        return
+    assert re.search(
+        rf"ImportError: cluster_est needs .*{re.escape(str(tmp_path / name))}"
+        " is found under that name first: rename it",
+        ended.stderr,
+    ), ended.stderr

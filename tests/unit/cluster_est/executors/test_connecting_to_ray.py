@@ -3,13 +3,22 @@
 Ray gives up a start that takes too long, as it does on a busy machine; it is started again then.
 """
 
-from collections.abc import Callable
+import json
+import os
+import platform
+import socket
+import stat
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 import ray
+from support.problems.springs import ROOT
 
 from cluster_est.errors import ExecutorError
-from cluster_est.executors import executor_class
+from cluster_est.executors import executor_class, ray_answer
 
 Failing = Callable[..., list[object]]
 TIMED_OUT = Exception("timed out during startup.\nmore")
@@ -38,7 +47,6 @@ def failing(monkeypatch: pytest.MonkeyPatch) -> Failing:
     [
         (None, TIMED_OUT, "Ray did not start on this machine"),
         ("local", RuntimeError("no port"), 'no port.*executor.name to "processes"'),
-        ("10.0.0.1:6379", ConnectionError("refused"), "answers at '10.0.0.1:6379'.*refused"),
         ("auto", TimeoutError(), "answers at 'auto'.*TimeoutError.*start one, or remove"),
     ],
 )
@@ -56,3 +64,97 @@ def test_ray_is_started_again_on_a_busy_machine(failing: Failing) -> None:
     starts = failing(TIMED_OUT, TIMED_OUT)
     executor_class("ray").join(2, None)
     assert starts == ["local"] * 3
+
+
+def refusal(address: str) -> str:
+    with pytest.raises(ExecutorError) as caught:
+        executor_class("ray").join(2, address)
+    said = str(caught.value)
+    assert said.startswith("executor.address: ")
+    assert address in said
+    assert "\n" not in said
+    return said
+
+
+@pytest.fixture
+def listening() -> Iterator[str]:
+    """The address of somebody who listens and says nothing."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        yield f"127.0.0.1:{server.getsockname()[1]}"
+
+
+def test_a_port_at_which_nobody_listens_is_said_to_be_one(failing: Failing) -> None:
+    starts = failing()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    assert "nothing answers at" in refusal(f"127.0.0.1:{port}")
+    assert starts == []
+
+
+OWN = {"ray_version": ray.__version__, "python_version": platform.python_version()}
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        ({"failed": "AuthenticationError", "why": ""}, "must be given its token"),
+        ({"failed": "RpcError", "why": ""}, "does not answer as the head of a Ray cluster"),
+        ({"is": OWN | {"ray_version": "1.0.0"}}, "has Ray 1.0.0.*install ray==1.0.0 here"),
+        ({"is": OWN | {"python_version": "3.1.4"}}, "runs Python 3.1.4.*the same Python"),
+        ({"is": OWN}, ""),
+    ],
+)
+def test_what_keeps_a_cluster_from_being_joined_is_told_apart(
+    failing: Failing,
+    listening: str,
+    monkeypatch: pytest.MonkeyPatch,
+    answer: dict[str, object],
+    said: str,
+) -> None:
+    monkeypatch.setattr(ray_answer, "_ASK", f"print({json.dumps(answer)!r})")
+    starts = failing()
+    if said:
+        with pytest.raises(ExecutorError, match=said):
+            executor_class("ray").join(2, listening)
+    else:
+        executor_class("ray").join(2, listening)
+    assert starts == ([] if said else [listening])
+
+
+@pytest.mark.slow
+def test_who_listens_and_is_no_ray_is_said_to_be_none(failing: Failing, listening: str) -> None:
+    assert "does not answer as the head of a Ray cluster" in refusal(listening)
+
+
+ALONE = """
+import json, sys
+import psutil
+from cluster_est.executors import executor_class
+if sys.argv[1] == "imported":
+    import ray
+leave = executor_class("ray").join(2, None)
+import ray
+ray.get([ray.remote(lambda: 1).remote() for _ in range(2)])
+me = psutil.Process()
+found = [each for p in (me, *me.children(recursive=True)) for each in p.net_connections()]
+print(json.dumps([each.laddr.ip for each in found if each.status == "LISTEN"]))
+leave()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("before", ["imported", "not imported"])
+def test_a_ray_of_ones_own_listens_to_this_machine_alone(tmp_path: Path, before: str) -> None:
+    pytest.importorskip("psutil")
+    ended = subprocess.run(
+        [sys.executable, "-P", "-c", ALONE, before],
+        env={**os.environ, "HOME": str(tmp_path), "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        check=True,
+        text=True,
+    )
+    addresses = json.loads(ended.stdout.splitlines()[-1])
+    assert len(addresses) >= 5
+    assert {each.removeprefix("::ffff:") for each in addresses} == {"127.0.0.1"}
+    token = tmp_path / ".ray" / "auth_token"
+    assert not token.exists() or stat.S_IMODE(token.stat().st_mode) == 0o600
