@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from argparse import Namespace
+from functools import partial
 from pathlib import Path
 
 import pyarrow.csv as pacsv
@@ -86,7 +87,7 @@ def read_estimates(run_folder: Path, problem: Problem) -> dict[str, float]:
 
 def _table_writer(out: Path):  # type: ignore[no-untyped-def]
     writers = {
-        ".parquet": pq.write_table,
+        ".parquet": partial(pq.write_table, write_page_checksum=True),
         ".feather": feather.write_feather,
         ".csv": pacsv.write_csv,
     }

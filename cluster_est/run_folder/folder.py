@@ -266,8 +266,10 @@ def take_folder(path: Path) -> RunLock:
         If another process has it, or it cannot be made.
     """
     log = path / "evaluations"
+    with writing(path, ELSEWHERE):
+        path.mkdir(parents=True, exist_ok=True)
     with writing(log, ELSEWHERE):
-        log.mkdir(parents=True, exist_ok=True)
+        log.mkdir(exist_ok=True)
     return RunLock(log)
 
 

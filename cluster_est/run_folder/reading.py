@@ -197,6 +197,7 @@ def read_run_columns(path: Path) -> pa.Table:
         if not is_sealed(content):
             table.validate(full=True)
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
-        raise RunFolderError(f"{path}: is damaged ({error}); {MEND}") from error
+        reason = " ".join(str(error).split())  # of Arrow, it may have several lines
+        raise RunFolderError(f"{path}: is damaged ({reason}); {MEND}") from error
     kept = {k: v for k, v in (table.schema.metadata or {}).items() if k != CHECKSUM.encode()}
     return table.replace_schema_metadata(kept or None)

@@ -227,7 +227,7 @@ def _lines(path: Path, delimiter: str) -> Iterator[tuple[int, list[str]]]:
 
 def _read_parquet(path: Path) -> MeasuredTable:
     # read_table would make columns of a folder's name like "run=3"
-    with pq.ParquetFile(path) as opened:
+    with pq.ParquetFile(path, page_checksum_verification=True) as opened:
         table = opened.read()
     table.validate(full=True)
     return named_columns(path, table)

@@ -109,3 +109,14 @@ def test_a_finished_run_of_which_something_is_damaged_is_mended_by_resuming_it(
     assert tables(copy) == tables(whole)
     assert main(["show", str(copy)]) == 0
     assert read_log(copy / "evaluations", ended=True).num_rows > 0
+
+
+def test_a_table_without_its_end_is_said_in_one_line(copy: Path, capsys) -> None:
+    """What Arrow says of a page of zeros there has two."""
+    path = copy / "errors.parquet"
+    content = path.read_bytes()
+    path.write_bytes(bytes(len(content) - 8) + content[-8:])
+    assert main(["show", str(copy)]) == 2
+    said = capsys.readouterr().err
+    assert "errors.parquet: is damaged" in said
+    assert said.count("\n") == 1
