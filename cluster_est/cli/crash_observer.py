@@ -11,26 +11,39 @@ import sys
 from collections.abc import Iterator
 from typing import NoReturn
 
+from workers.fmu.surroundings import before_first_instance
+
 SENTENCE = (
+    "cluster-est: this process has died: something in it has crashed or ended it, or it was "
+    "killed from outside; --resume continues a run that was begun"
+)
+OF_FMU = (
     "cluster-est: this process has died: an FMU that runs in it has crashed, or it was killed from "
     'outside. With executor.name = "processes" each FMU has a process of its own, and a crash '
     "costs only its simulation; --resume continues a run that was begun"
 )
 SHELL = "/bin/sh"
-OBSERVE = "trap '' HUP INT TERM; read -r farewell || printf '%s\\n' \"$0\" >&2"
-"""Prints its first argument unless it is told farewell before its input ends."""
+FAREWELL, LOADED = b"farewell\n", b"loaded\n"
+OBSERVE = (
+    "trap '' HUP INT TERM; said=$0; while read -r word; do "
+    'case "$word" in farewell) exit;; *) said=$1;; esac; done; printf \'%s\\n\' "$said" >&2'
+)
+"""Prints its first argument, or the second once it is told that an FMU is loaded, unless it is
+told farewell before its input ends."""
 
 
 @contextlib.contextmanager
-def crash_observer(sentence: str = SENTENCE) -> Iterator[None]:
+def crash_observer() -> Iterator[None]:
     """Print a sentence to standard error if this process dies within the context.
+
+    It speaks of FMUs only if one has been loaded in this process.
 
     A shell waits for a farewell from this process; the system closes the pipe if it dies. Where
     there is no such shell nothing is printed.
     """
     try:
         observer = subprocess.Popen(
-            [SHELL, "-c", OBSERVE, sentence],
+            [SHELL, "-c", OBSERVE, SENTENCE, OF_FMU],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             start_new_session=True,  # Ctrl-C is not meant for it
@@ -38,10 +51,19 @@ def crash_observer(sentence: str = SENTENCE) -> Iterator[None]:
     except OSError:
         yield
         return
+    assert observer.stdin is not None
+    told = observer.stdin
+
+    def tell() -> None:
+        with contextlib.suppress(OSError, ValueError):  # it was killed
+            told.write(LOADED)
+            told.flush()
+
+    before_first_instance(tell)
     try:
         yield
     finally:
-        observer.communicate(b"\n")
+        observer.communicate(FAREWELL)
 
 
 def refuse_quiet_ends(code: int) -> None:

@@ -80,6 +80,8 @@ def run() -> None:
                 code = code or ExitCode.BAD_INPUT
         except SystemExit as ended:  # of the parser: help, or a usage error
             code = ended.code if isinstance(ended.code, int) else ExitCode.DONE
+        except KeyboardInterrupt:  # a second one, while the first was being said
+            code = ExitCode.INTERRUPTED
         except Exception:
             sys.excepthook(*sys.exc_info())
             code = ExitCode.NO_SOLUTION

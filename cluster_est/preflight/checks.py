@@ -18,7 +18,7 @@ from cluster_est.preflight.remedies import (
     remedy,
     without_parameters,
 )
-from cluster_est.preflight.repeatability import instances, repeatable, stop_time
+from cluster_est.preflight.repeatability import instances, later, repeatable, stop_time
 from cluster_est.preflight.rest import at_rest, starts_elsewhere
 from cluster_est.preflight.simulation_costs import costs
 from cluster_est.preflight.solver_checks import accuracy, derivatives, stiffness
@@ -137,10 +137,11 @@ def _probe_findings(subject: CheckSubject, simulations: list[Simulation]) -> lis
         experiment=first.experiment,
         trajectory=None if seen is None or subject.problem.effects else seen.values,
     )
-    findings, policy = repeatable(subject)
+    findings, policy, earlier = repeatable(subject)
     subject = replace(subject, reset_policy=policy or "reset", repeats=policy is not None)
     for check in CHECKS:
         findings += check(subject)
+    findings += later(subject, earlier)
     return findings + misread_units(subject, simulations)
 
 

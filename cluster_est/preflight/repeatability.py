@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
@@ -19,19 +21,24 @@ from workers.probes.probes import (
 from workers.process.forked import CAN_FORK
 from workers.process.trial import NoAnswer
 
+LATER_SECONDS = 1.1
+"""After which a clock that counts whole seconds shows another number."""
 FACTOR = 1.37
 """Of every value, to see whether it survives a reset: no round number."""
 FRESH = "processes" if CAN_FORK else "instances"
+Earlier = tuple[float, FloatArray] | None
+"""When a simulation began, and its outputs."""
 TRIED: tuple[tuple[ResetPolicy, ...], ...] = (("reset", "instance"), ("instance",), ())
 """What is tried, one after the other, as long as the process crashes."""
 
 
-def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy | None]:
+def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy | None, Earlier]:
     """Compare a reset instance with a fresh one, and two fresh processes (or instances) together.
 
-    Returns also the reset policy for all further checks; None if none makes simulations in one
-    process the same.
+    Returns also the reset policy for all further checks, None if none makes simulations in one
+    process the same; and what `later` compares.
     """
+    begun = time.monotonic()
     crash = ""
     for policies in TRIED:
         probe = RepeatProbe(subject.experiment, subject.start, policies)
@@ -40,28 +47,52 @@ def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy |
             break
         crash = crash or found.message
     if isinstance(found, NoAnswer):
-        return [unanswered("repeatable", found)], "reset"
+        return [unanswered("repeatable", found)], "reset", None
     again = subject.trajectory
     if again is None or again.tobytes() != found.first.tobytes():  # that was after a reset
         other = subject.ask(probe, 2)
         if isinstance(other, NoAnswer):
-            return [unanswered("repeatable", other)], "reset"
+            return [unanswered("repeatable", other)], "reset", None
         again = other.first
     if again.tobytes() != found.first.tobytes():
-        return [_not_repeatable(subject, again, found.first)], None
+        how = f"two fresh {FRESH} differ"
+        return [_not_repeatable(subject, again, found.first, how)], None, None
     same = CheckFinding(CheckVerdict.OK, "repeatable", f"two fresh {FRESH} give the same bits")
     lines = [same, _reset(subject, found, crash)]
     if found.reset == 0.0:
-        return lines + _leftovers(subject), "reset"
-    return lines, "instance" if found.instance == 0.0 else None
+        return lines + _leftovers(subject), "reset", (begun, found.first)
+    policy: ResetPolicy | None = "instance" if found.instance == 0.0 else None
+    return lines, policy, (begun, found.first)
 
 
-def _not_repeatable(subject: CheckSubject, one: FloatArray, other: FloatArray) -> CheckFinding:
+def later(subject: CheckSubject, earlier: Earlier) -> list[CheckFinding]:
+    """Compare a simulation with what it was more than a second before, in another process."""
+    if earlier is None:
+        return []
+    begun, first = earlier
+    wait = max(begun + LATER_SECONDS - time.monotonic(), 0.0)
+    if wait > subject.budget.left:
+        said = "not tried a second later: there was no time left for it"
+        return [CheckFinding(CheckVerdict.NOT_DONE, "later", said, "more time with --seconds")]
+    time.sleep(wait)
+    found = subject.ask(RepeatProbe(subject.experiment, subject.start, ()), 1)
+    if isinstance(found, NoAnswer):
+        return [unanswered("later", found)]
+    if found.first.tobytes() == first.tobytes():
+        said = "a simulation a second later gives the same bits"
+        return [CheckFinding(CheckVerdict.OK, "later", said)]
+    how = "a simulation a second later differs"
+    return [_not_repeatable(subject, first, found.first, how)]
+
+
+def _not_repeatable(
+    subject: CheckSubject, one: FloatArray, other: FloatArray, how: str
+) -> CheckFinding:
     names = subject.problem.experiments[subject.experiment].recorded
     far = dict(zip(names, differences(one, other).tolist(), strict=True))
     differing = [name for name in names if not far[name] <= 0.0]
     sizes = [f"{name} (by {far[name]:.2g} of its size)" for name in differing]
-    said = f"no: two fresh {FRESH} differ in {listed(sizes)}"
+    said = f"no: {how} in {listed(sizes)}"
     do = (
         "export it without a random generator or clock; else choose a method.name that takes "
         'no differences, such as "pattern_search"'

@@ -21,6 +21,8 @@ from cluster_est.running.search_state import SearchRequest, suited
 from cluster_est.uncertainty import Uncertainty, assess
 from workers.messages import FloatArray
 
+ROUNDING = 1e-5
+"""Of what was measured: rounded values and other steps of a solver change a simulation by less."""
 BEFORE_BYTES = 2**28
 """Of all trajectories at the start values together: more are not kept until the end of a fit."""
 
@@ -70,6 +72,8 @@ def complete(
     if test_solution is not None:
         known |= test.estimates(test_solution.x)
     after = simulate_all(runner, problem, known, segmented)
+    if differs := _not_repeated(train, solution, after):
+        steps.failed.append(differs)
     solution = _whole(train, solution, method, after)
     if test_solution is not None:
         test_solution = _whole(test, test_solution, method, after)
@@ -139,6 +143,27 @@ def simulate_all(
     outcomes = runner.simulate(values, missing, "trajectory", name, problem.effects)
     there |= {e: Simulation(e, outcome) for e, outcome in zip(missing, outcomes, strict=True)}
     return [there[e] for e in range(len(problem.experiments))]
+
+
+def _not_repeated(space: SearchSpace, solution: Solution, after: list[Simulation]) -> str:
+    """Say so if the simulation at a solution does not come out a second time; else ""."""
+    found = None if solution.at is None else solution.at.residuals
+    outcomes = [with_priors(space, solution.x, i, after[e].outcome) for i, e in
+                enumerate(space.experiments)]  # fmt: skip
+    known = [outcome.residuals for outcome in outcomes if outcome.residuals is not None]
+    again = np.concatenate([np.zeros(0), *known])
+    if found is None or found.shape != again.shape or not np.isfinite(found).all():
+        return ""
+    outputs = [o for e in space.experiments for o in space.problem.experiments[e].outputs]
+    sizes = [np.linalg.norm(again), *(np.linalg.norm(o.values / o.sigmas) for o in outputs)]
+    change, size = float(np.linalg.norm(again - found)), float(np.linalg.norm(sizes))
+    if not change > ROUNDING * size:
+        return ""
+    return (
+        f"simulated once more with the same values, the outputs differ by {change / size:.1g} of "
+        "what was measured: the FMU depends on more than its inputs (its process, a clock), or on "
+        "its parameters so strongly that rounding decides; check it with cluster-est check"
+    )
 
 
 def _whole(

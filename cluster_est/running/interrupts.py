@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM and a stop file: they end a run where that spoils nothing.
+"""Ctrl-C, SIGTERM, SIGHUP and a stop file: they end a run where that spoils nothing.
 
 An interrupt in the middle of a write would tear the log, so while a runner is at work it is only
 noted, and raised where the runner waits for workers.
@@ -16,7 +16,9 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
 LOOK_SECONDS = 0.5
 INSISTED = 3
 """Interrupts after which one is raised at once, wherever that is."""
@@ -91,14 +93,19 @@ class _RaisingHandler:
 
 @contextlib.contextmanager
 def terminations() -> Iterator[None]:
-    """Let SIGTERM, which batch systems send, interrupt as Ctrl-C does; lose neither of them."""
+    """Let SIGTERM, of batch systems, and SIGHUP, of a terminal that goes, interrupt as Ctrl-C does.
+
+    None of them is lost. A program that is to outlive its terminal (nohup) ignores SIGHUP.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     handler = _RaisingHandler()
-    before: dict[signal.Signals, Any] = {signal.SIGTERM: signal.signal(signal.SIGTERM, handler)}
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        before[signal.SIGINT] = signal.signal(signal.SIGINT, handler)
+    before: dict[signal.Signals, Any] = {}
+    for number in SIGNALS:
+        usual = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
+        if number == signal.SIGTERM or signal.getsignal(number) is usual:
+            before[number] = signal.signal(number, handler)
     try:
         with _quiet():
             yield

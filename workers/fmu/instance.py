@@ -25,6 +25,7 @@ from workers.fmu.logger import CALLBACKS, log_message_3, open_log
 from workers.fmu.platforms import binary_path
 from workers.fmu.seats import Seat
 from workers.fmu.signal_handlers import kept_signal_handlers
+from workers.fmu.surroundings import tell_of_first_instance
 from workers.kernels.fmi.component import FmiComponent
 from workers.messages import Model
 
@@ -182,6 +183,7 @@ class FmuInstance:
         with _load_lock:
             _instance_count += 1
             name = f"{identifier}-{_instance_count}"
+        tell_of_first_instance()
         open_log(name, self.log, shown=self._model.logging_on)
         try:
             with _load_lock, _unchanged_working_folder(), kept_signal_handlers():

@@ -10,7 +10,9 @@ import threading
 import time
 from typing import Any
 
-KEPT = (int(signal.SIGINT), int(signal.SIGTERM))
+KEPT = tuple(
+    int(getattr(signal, name)) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
 ROOM = 512
 """Bytes: more than a struct sigaction has on any system."""
 ADDRESS = ctypes.sizeof(ctypes.c_void_p)

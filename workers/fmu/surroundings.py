@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 
 from workers.errors import ModelError
 from workers.fmu.archive import unpack
@@ -62,3 +63,17 @@ def enter_working_folder(model: Model) -> None:
             f'"resources", but is {model.working_folder!r} ({error.strerror}); look into the FMU, '
             "which is a zip file"
         ) from error
+
+
+_to_be_told: list[Callable[[], None]] = []
+
+
+def before_first_instance(call: Callable[[], None]) -> None:
+    """Have something called before this process loads an FMU for the first time from now on."""
+    _to_be_told.append(call)
+
+
+def tell_of_first_instance() -> None:
+    """Call who is to be told that an FMU is about to be loaded here."""
+    while _to_be_told:
+        _to_be_told.pop()()

@@ -18,7 +18,14 @@ import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.cli.display.preflight import print_page
 from cluster_est.errors import ModelError
-from cluster_est.preflight import CheckFinding, CheckPage, CheckVerdict, bare_problem, run_checks
+from cluster_est.preflight import (
+    CheckFinding,
+    CheckPage,
+    CheckVerdict,
+    bare_problem,
+    repeatability,
+    run_checks,
+)
 from cluster_est.preflight.measured_data import data_findings
 from cluster_est.preflight.simulation_costs import costs
 from cluster_est.preflight.subject import CheckSubject, TimeBudget
@@ -37,6 +44,12 @@ HARMLESS = {
     *("refuses_parameter", "needs_library", "no_licence", "needs_stop_time"),
 }
 """Asked in this process, which a process of their own would only make slower."""
+
+
+@pytest.fixture(autouse=True)
+def at_once(monkeypatch):
+    """Nobody waits for the next second who has not to tell of it."""
+    monkeypatch.setattr(repeatability, "LATER_SECONDS", 0.0)
 
 
 @pytest.fixture
@@ -108,6 +121,16 @@ def test_what_is_wrong_is_named(examined, name, fmi, check, verdict, found, do):
     assert named.verdict == verdict
     assert found in named.found
     assert do in named.do
+
+
+def test_an_fmu_with_a_clock_is_named(examined, monkeypatch):
+    monkeypatch.setattr(repeatability, "LATER_SECONDS", 1.1)
+    page = examined("tells_the_time")
+    assert not page.good
+    found = [each for each in page.findings if each.verdict == "problem"]
+    assert [each.check for each in found] == ["repeatable"]
+    assert "differ" in found[0].found
+    assert "clock" in found[0].do
 
 
 @pytest.mark.parametrize("fmi", [2, pytest.param(3, marks=slow)])

@@ -300,6 +300,19 @@ def test_an_fmu_that_ends_the_process_in_order_does_not_look_like_success(
     assert DIED in ended.stderr.strip().splitlines()[-1]
 
 
+@SLOW_IN_3
+def test_a_copy_of_the_process_that_an_fmu_makes_answers_nothing(fitted, tmp_path, fmi):
+    assert fitted("copies_its_process", fmi, "executor.name=processes", "model.reset=reset") == 0
+    assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
+
+
+def test_a_result_that_does_not_come_out_again_is_noted(fitted, capsys, monkeypatch):
+    fitted("random_output", 2, "executor.name=local", "model.reset=reset")
+    assert "depends on more than its inputs" in " ".join(capsys.readouterr().out.split())
+    fitted("dahlquist", 2, "executor.name=local", "model.reset=reset", "--overwrite")
+    assert "depends on more than its inputs" not in " ".join(capsys.readouterr().out.split())
+
+
 def test_a_program_ends_with_the_exit_code_of_its_command(tmp_path):
     for arguments, code in ((["--help"], 0), (["show", str(tmp_path)], 2)):
         ended = command(*arguments)

@@ -100,6 +100,26 @@ class TestInterrupts:
         with ThreadPoolExecutor(1) as pool:
             pool.submit(work).result()
 
+    @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+    def test_a_batch_system_and_a_terminal_that_goes_interrupt_as_one_does(self, name):
+        number = getattr(signal, name, None)
+        if number is None:
+            pytest.skip("there is no such signal here")
+        before = signal.getsignal(number)
+        raised = pytest.raises(KeyboardInterrupt)
+        with raised, terminations(), DeferredInterrupts() as interrupts, interrupts.waiting():
+            interrupt_here(number)
+        assert signal.getsignal(number) is before
+
+    @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="there is no such signal here")
+    def test_a_program_that_outlives_its_terminal_does(self):
+        before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        try:
+            with terminations():
+                interrupt_here(signal.SIGHUP)
+        finally:
+            signal.signal(signal.SIGHUP, before)
+
     def test_one_that_a_library_swallowed_is_not_lost(self):
         with terminations():
             interrupt_in_vain()
