@@ -42,6 +42,7 @@ from cluster_est.running.multistart import (
 from cluster_est.running.records import Note, Record, Show
 from cluster_est.running.resources import Resources, one_blas_thread
 from cluster_est.running.runner import Runner
+from cluster_est.running.sizes import with_sizes
 from cluster_est.shooting.settings import Shooting
 from cluster_est.shooting.shoot import ShotFit, check_shooting, shoot
 from cluster_est.shooting.whole_records import fit_whole_records
@@ -232,6 +233,7 @@ def fit_on(
     units = {name: each.unit for name, each in problem.describe().variables.items()}
     runner.interrupted = shot is not None and shot.interrupted
     before = simulate_all(runner, problem, {})
+    train = with_sizes(runner, train)
     found, summary = _search(runner, train, plan, shot)
     in_segments = shot is not None and summary is not None and not summary.joined
     segmented = shot.simulations if shot is not None and in_segments else ()

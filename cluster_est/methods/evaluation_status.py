@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from cluster_est.methods.base import Evaluation
+from cluster_est.methods.base import Ending, Evaluation
 from cluster_est.problem.search_space.space import SearchSpace
+
+CUT_SHORT = (
+    f"{Ending.STALLED}: the steps became too short because simulations at the end of longer ones "
+    "failed"
+)
+"""The message of a search that ends there."""
 
 
 def is_defined(at: Evaluation) -> bool:

@@ -121,7 +121,7 @@ def _basis(space: SearchSpace, solution: Solution, count: int) -> FloatArray:
     blocks, priors = jacobian_blocks(space, solution), space.priors.among(space.rows)
     if blocks is None or blocks.row_count != count + int(priors.sum()):
         return np.zeros((count, 0))
-    free = [i for i, bound in enumerate(active_bounds(space, solution.x)) if not bound]
+    free = [i for i, bound in enumerate(active_bounds(space, solution.x, blocks)) if not bound]
     matrix = blocks.dense()[:, free]
     matrix = matrix[~priors] if priors.any() else matrix
     if not np.isfinite(matrix).all():

@@ -14,8 +14,9 @@ point, and `without_guesses` says so of a search that ends there.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from typing import Literal
 
 import numpy as np
@@ -63,12 +64,16 @@ class ResidualJacobian:
         The difference step of each unknown.
     constraint_jacobian : (constraints, unknowns)
         Derivatives of `Evaluation.constraints`; zero in frozen columns too.
+    walls : (unknowns,)
+        1 or -1 where no simulation succeeded above or below, but one on the other side; empty where
+        none failed.
     """
 
     blocks: BlockMatrix
     frozen: npt.NDArray[np.bool_]
     steps: FloatArray
     constraint_jacobian: FloatArray
+    walls: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @cached_property
     def matrix(self) -> FloatArray:
@@ -215,6 +220,21 @@ class Neighbours:
             own = answers[k * len(chosen) : (k + 1) * len(chosen)]
             self._rounds.append(dict(zip(chosen, zip(place, own, strict=True), strict=True)))
 
+    @property
+    def walls(self) -> FloatArray:
+        """See `ResidualJacobian.walls`."""
+        if len(self._rounds) <= len(PARTS[self._scheme][0]):
+            return np.zeros(0)
+        tried = np.zeros((2, 2, len(self.x)), dtype=bool)  # failed or succeeded, below or above
+        for group, (point, evaluation) in chain(*(each.items() for each in self._rounds)):
+            members = self._groups[group]
+            for side, moved in enumerate((point < self.x, point > self.x)):
+                tried[int(evaluation.ok), side, members] |= moved[members]
+        (fails_below, fails_above), (works_below, works_above) = tried
+        above = fails_above & ~works_above & works_below
+        below = fails_below & ~works_below & works_above
+        return np.asarray(above.astype(np.float64) - below)
+
     def derivative(
         self, i: int, at: FloatArray, value: Callable[[Evaluation], FloatArray | None]
     ) -> FloatArray | None:
@@ -277,7 +297,11 @@ def _assemble(
         block[:, frozen[columns]] = 0.0
     constraints[:, frozen] = 0.0
     return ResidualJacobian(
-        BlockMatrix(tuple(blocks), space.acting, space.size), frozen, steps, constraints
+        BlockMatrix(tuple(blocks), space.acting, space.size),
+        frozen,
+        steps,
+        constraints,
+        beside.walls,
     )
 
 

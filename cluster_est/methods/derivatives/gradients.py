@@ -45,6 +45,8 @@ class CostDerivatives:
         constraint has no value close by.
     residual_jacobian
         The Jacobian of the residuals, where the cost has weights.
+    walls
+        See `ResidualJacobian.walls`.
     """
 
     gradient: FloatArray
@@ -52,6 +54,7 @@ class CostDerivatives:
     gauss_newton: FloatArray | None
     frozen: npt.NDArray[np.bool_]
     residual_jacobian: ResidualJacobian | None = field(default=None, repr=False)
+    walls: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 def derivatives(
@@ -99,7 +102,12 @@ def _from_jacobian(
     gradient = 2.0 * np.add.reduce(weighted * residuals[:, None], axis=0)
     gauss_newton = 2.0 * (jacobians.matrix.T @ weighted)
     return CostDerivatives(
-        gradient, jacobians.constraint_jacobian, gauss_newton, jacobians.frozen, jacobians
+        gradient,
+        jacobians.constraint_jacobian,
+        gauss_newton,
+        jacobians.frozen,
+        jacobians,
+        jacobians.walls,
     )
 
 
@@ -128,7 +136,7 @@ def _cost_differences(
             break
     on_parameters = space.parameter_constraint_jacobian(x)
     constraints[: len(on_parameters)] = np.where(wanted, 0.0, on_parameters)
-    return CostDerivatives(gradient, constraints, None, wanted)
+    return CostDerivatives(gradient, constraints, None, wanted, walls=beside.walls)
 
 
 def _values(at: Evaluation) -> FloatArray | None:

@@ -115,6 +115,12 @@ class LeastSquaresIteration:
                     trials = trials if trials.least <= curved.least else curved
             if trials.least < state.at.cost:
                 return self._accept(state, model, trials)
+            if not np.isfinite(trials.costs).any():
+                along = [s for d in dampings if (s := model.along_walls(d)) is not None]
+                if along:
+                    trials = yield from self._try(state, "wall", np.array(along), dampings)
+                if along and trials.least < state.at.cost:
+                    return self._accept(state, model, trials)[0], None
             damping = dampings[-1] * DAMPING_RATIO ** (1 + below)
             if damping > LARGEST_DAMPING:
                 return state, _end_of_steps(state, damping)

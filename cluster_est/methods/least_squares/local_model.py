@@ -19,6 +19,8 @@ LONGEST_STEP = 10.0
 
 A longer one can lead to where nothing depends on an unknown any more, and there is no way back.
 """
+LARGEST_WEIGHT = 1e200
+"""Of a residual; those of an output that is followed exactly would be infinite."""
 
 
 class LocalModel:
@@ -64,11 +66,21 @@ class LocalModel:
         longest = _longest_step(space, x)
         self._bounds = np.maximum(space.lower - x, -longest), np.minimum(space.upper - x, longest)
         self._diagonal = np.where(self.scale > 0.0, self.scale, 1.0)
+        self._walls = derivatives.walls
         self._solver = self._jacobian.solver(self._residuals, self._diagonal, *self._bounds)
 
     def step(self, damping: float) -> FloatArray:
         """Return the step p that minimises the model plus damping |D p|^2."""
         return self._solver.step(damping)
+
+    def along_walls(self, damping: float) -> FloatArray | None:
+        """Return the step that stays clear of sides on which simulations fail, if there are any."""
+        if not self._walls.any():
+            return None
+        lower, upper = self._bounds
+        lower, upper = np.where(self._walls < 0, 0.0, lower), np.where(self._walls > 0, 0.0, upper)
+        solver = self._jacobian.solver(self._residuals, self._diagonal, lower, upper)
+        return solver.step(damping)
 
     def corrected(self, step: FloatArray, at: Evaluation, damping: float) -> FloatArray:
         """Return the step for residuals with the curvature that `at`, its end, shows."""
@@ -106,7 +118,7 @@ def _weights(space: SearchSpace, at: Evaluation) -> FloatArray:
             f"cost.name: must be one with weights for a least-squares method, but is "
             f'{space.problem.cost.name!r}; use method.name = "sqp" or another cost'
         )
-    return np.maximum(weights, 0.0)
+    return np.clip(weights, 0.0, LARGEST_WEIGHT)
 
 
 def _optimality(

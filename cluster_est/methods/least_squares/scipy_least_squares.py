@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
@@ -29,6 +30,7 @@ from cluster_est.methods.derivatives.differences import (
     suitable_step,
     without_guesses,
 )
+from cluster_est.methods.evaluation_status import CUT_SHORT
 from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
@@ -38,6 +40,14 @@ FAILED_RESIDUAL = 1e100
 
 RESTARTS = 5
 """Runs of SciPy, of which each but the last ended with a derivative that was not known."""
+
+
+BY_XTOL = 3
+"""SciPy's status where a step was short."""
+FAILURES = 3
+"""Trials that failed in a row, after which a short step says nothing of a minimum."""
+NEARLY_OPTIMAL = 1e-3
+"""Cosine between the residuals and a column, below which it is one all the same."""
 
 
 class _StartFailedError(Exception):
@@ -58,7 +68,8 @@ class ScipyLeastSquares(Method):
     max_evaluations
         SciPy's max_nfev, without those of Jacobians; 0 leaves it to SciPy.
     ftol, xtol, gtol
-        As SciPy defines them.
+        As SciPy defines them, of unknowns in units of their typical sizes, and of residuals in
+        units of their norm at the start where that is below 1.
     differences, relative_step
         Scheme and relative step of the Jacobian; 0 takes the step that suits the solver's noise.
     """
@@ -98,30 +109,38 @@ class ScipyLeastSquares(Method):
         scheme: Scheme = self.differences
         relative = self.relative_step or suitable_step(space, scheme)
 
-        def derivatives(x: FloatArray) -> FloatArray:
+        unit = 2.0 ** np.round(np.log2(space.typical))
+
+        def residuals(z: FloatArray) -> FloatArray:
+            return cache.residuals(z * unit) / cache.size
+
+        def derivatives(z: FloatArray) -> FloatArray:
+            x = z * unit
             at = cache.evaluation(x)
             requests = jacobian(space, x, at, scheme, relative, cache.progress)
             found = run_with(requests, ask)
             cache.steps, cache.frozen_before, cache.frozen = found.steps, cache.frozen, found.frozen
-            return found.matrix
+            return found.matrix * unit / cache.size
 
-        start = space.start
+        start, bounds = space.start / unit, (space.lower / unit, space.upper / unit)
         try:
             for _ in range(RESTARTS):
                 cache.frozen = cache.frozen_before = np.zeros(space.size, dtype=bool)
-                result = self._run(space, cache.residuals, derivatives, start)
+                result = self._run(residuals, derivatives, start, bounds)
                 start, relative = result.x, SHORTER * relative
+                short = result.status == BY_XTOL and cache.failures >= FAILURES
                 if result.status <= 0 or not cache.guessed.any():
                     break
         except _StartFailedError as failure:
             return Solution(space.start, np.nan, Ending.START_FAILED, str(failure))
+        ending = _ending(result, short)
         found = Solution(
-            x=result.x,
-            cost=cache.evaluation(result.x).cost,
-            ending=Ending.CONVERGED if result.status > 0 else Ending.MAX_ITERATIONS,
-            message=result.message,
+            x=result.x * unit,
+            cost=cache.evaluation(result.x * unit).cost,
+            ending=ending,
+            message=CUT_SHORT if ending is Ending.STALLED else result.message,
             iterations=cache.progress.iteration,
-            jacobian=result.jac,
+            jacobian=result.jac / unit * cache.size,
             difference_steps=cache.steps,
             frozen=cache.frozen,
         )
@@ -129,10 +148,10 @@ class ScipyLeastSquares(Method):
 
     def _run(
         self,
-        space: SearchSpace,
         residuals: Callable[[FloatArray], FloatArray],
         derivatives: Callable[[FloatArray], FloatArray],
         start: FloatArray,
+        bounds: tuple[FloatArray, FloatArray],
     ) -> Any:
         """Run SciPy from a point, and return its result."""
         from scipy.optimize import least_squares  # slow to import: only a search imports it
@@ -142,7 +161,7 @@ class ScipyLeastSquares(Method):
                 residuals,
                 start,
                 jac=derivatives,
-                bounds=(space.lower, space.upper) if self.algorithm != "lm" else (-np.inf, np.inf),
+                bounds=bounds if self.algorithm != "lm" else (-np.inf, np.inf),
                 method=self.algorithm,
                 ftol=_tolerance(self.ftol),
                 xtol=_tolerance(self.xtol),
@@ -161,6 +180,11 @@ class _LastEvaluation:
         self._at: Evaluation | None = None
         self.progress = Progress(0, np.nan)
         self.steps: FloatArray | None = None
+        self.failures = 0
+        """Of trial points, one after the other."""
+        self.size = 1.0
+        """A power of two by which SciPy's residuals are divided: its `gtol` is absolute, and would
+        take small ones for a minimum."""
         self.frozen = self.frozen_before = np.zeros(space.size, dtype=bool)
 
     @property
@@ -175,7 +199,11 @@ class _LastEvaluation:
             (at,) = self._ask(Points(x[None, :].copy(), purpose, self.progress))
             if first and not at.ok:
                 raise _StartFailedError(at.reason)
+            if first:
+                size = float(np.linalg.norm(at.residuals))
+                self.size = 2.0 ** min(round(math.log2(size)), 0) if size > 0.0 else 1.0
             self._x, self._at = x.copy(), at
+            self.failures = 0 if at.ok else self.failures + 1
             if at.ok and not at.cost >= self.progress.cost:
                 self.progress = Progress(0 if first else self.progress.iteration + 1, at.cost)
         return self._at
@@ -185,6 +213,17 @@ class _LastEvaluation:
         if at.ok:
             return at.residuals
         return np.full(self._space.rows[-1].stop, FAILED_RESIDUAL)
+
+
+def _ending(result: Any, cut_short: bool) -> Ending:
+    """Return the ending of a run of SciPy, of which failures may have cut the last steps short."""
+    if result.status <= 0:
+        return Ending.MAX_ITERATIONS
+    norms = np.linalg.norm(result.jac, axis=0) * np.linalg.norm(result.fun)
+    free = (norms > 0.0) & (result.active_mask * result.grad <= 0.0)
+    cosines = np.abs(result.grad[free]) / norms[free]
+    steep = bool(np.max(cosines, initial=0.0) > NEARLY_OPTIMAL)
+    return Ending.STALLED if cut_short and steep else Ending.CONVERGED
 
 
 def _tolerance(value: float) -> float | None:

@@ -10,6 +10,7 @@ from cluster_est.methods.base import Evaluation, Points, Progress
 from cluster_est.methods.callback_bridge import Ask, run_with
 from cluster_est.methods.derivatives.differences import SHORTER, Scheme, suitable_step
 from cluster_est.methods.derivatives.gradients import CostDerivatives, derivatives
+from cluster_est.methods.evaluation_status import is_defined
 from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
@@ -38,6 +39,8 @@ class EvaluationCache:
         self.origin = space.start
         self.scheme = scheme
         self.gradients = 0
+        self.failures = 0
+        """Of points, one after the other."""
         self.progress = Progress(0, np.nan)
         self.best: tuple[FloatArray, Evaluation] | None = None
 
@@ -60,6 +63,7 @@ class EvaluationCache:
             purpose = "start" if self.best is None else "trial"
             (at,) = self._ask(Points(x[None, :], purpose, self.progress))
             self._evaluations[key] = at
+            self.failures = 0 if is_defined(at) else self.failures + 1
             if len(self._evaluations) > CAPACITY:
                 self._evaluations.popitem(last=False)
             if self.best is None or at.rank < self.best[1].rank:

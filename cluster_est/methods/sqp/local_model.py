@@ -77,6 +77,8 @@ class SqpLocalModel:
         )
         self._at: Evaluation
         self.derivatives: CostDerivatives
+        self.along_walls = False
+        """Whether steps stay clear of sides on which simulations fail."""
         self.penalty = PenaltyParameter(self._equality)
 
     def move_to(
@@ -89,6 +91,7 @@ class SqpLocalModel:
             x, at.constraints, derivatives.constraint_jacobian
         )
         self._at, self.derivatives = at, derivatives
+        self.along_walls = False
         self._sizes = np.where(
             self._space.logarithmic, 1.0, np.maximum(np.abs(x), self._space.typical)
         )
@@ -168,4 +171,8 @@ class SqpLocalModel:
         """Return bounds of the step by the trust region and the bounds; 0 for frozen unknowns."""
         radii = np.where(self.derivatives.frozen, 0.0, radius * self._sizes)
         lower = np.maximum(-radii, self._space.lower - self._linearisation.x)
-        return lower, np.minimum(radii, self._space.upper - self._linearisation.x)
+        upper = np.minimum(radii, self._space.upper - self._linearisation.x)
+        walls = self.derivatives.walls
+        if not self.along_walls or not len(walls):
+            return lower, upper
+        return np.where(walls < 0, 0.0, lower), np.where(walls > 0, 0.0, upper)

@@ -30,12 +30,13 @@ from cluster_est.methods.callback_bridge import Ask, search_in_thread
 from cluster_est.methods.derivatives.differences import Scheme, without_guesses
 from cluster_est.methods.derivatives.gradients import CostDerivatives
 from cluster_est.methods.evaluation_status import (
+    CUT_SHORT,
     is_defined,
     undefined_reason,
     worst_constraint,
 )
 from cluster_est.methods.sqp.evaluation_cache import EvaluationCache
-from cluster_est.methods.sqp.trust_region import SqpOptions
+from cluster_est.methods.sqp.trust_region import NEARLY_OPTIMAL, SqpOptions
 from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 
@@ -50,6 +51,8 @@ STANDSTILL, STANDSTILLS = 1e-9, 5
 many in a row: at a feasible point it has converged then, though its own tolerance is finer."""
 RESTARTS = 5
 """Runs of SciPy, of which each but the last met a derivative that was not known."""
+FAILURES = 3
+"""Points that failed in a row, after which a short step says nothing of a minimum."""
 BARRIER_MARGIN = 0.01
 """Distance from a bound at which the barrier of trust-constr begins, in typical sizes."""
 
@@ -302,6 +305,14 @@ class _ScipyCallbacks:
         multipliers = lsq_linear(normals.T, -gradient, (least, np.inf)).x
         return float(np.abs(gradient + normals.T @ multipliers).max())
 
+    def _cut_short(self, x: FloatArray) -> bool:
+        """Return whether failures ended the search where the cost can still fall."""
+        if self._feasibility_only or self._cache.failures < FAILURES:
+            return False
+        self._cache.origin = x
+        self._cache.derivatives(self._origin)
+        return self._optimality(self._origin) > NEARLY_OPTIMAL
+
     def _solution(self, ending: Ending, message: str) -> Solution:
         cache = self._cache
         assert cache.best is not None  # the start was evaluated
@@ -310,6 +321,8 @@ class _ScipyCallbacks:
             ended = ending in (Ending.CONVERGED, Ending.STALLED)
             ending = Ending.INFEASIBLE if ended else ending
             message = worst_constraint(self._space, at)
+        if ending is Ending.CONVERGED and self._cut_short(x):
+            ending, message = Ending.STALLED, CUT_SHORT
         found = Solution(x, at.cost, ending, message, cache.progress.iteration, at=at)
         if self._feasibility_only or ending is Ending.DERIVATIVES_FAILED:
             return found

@@ -34,6 +34,7 @@ from cluster_est.methods.derivatives.differences import Differences, without_gue
 from cluster_est.methods.derivatives.gradients import CostDerivatives, derivatives
 from cluster_est.methods.derivatives.sensitivities import JacobianProvider
 from cluster_est.methods.evaluation_status import (
+    CUT_SHORT,
     is_defined,
     undefined_reason,
     worst_constraint,
@@ -56,10 +57,6 @@ NEARLY_OPTIMAL = 1e-3
 AT_A_KINK = (
     "no step longer than xtol lowers the cost; the gradient is not zero there, as at a kink or "
     "where simulations are noisy"
-)
-CUT_SHORT = (
-    f"{Ending.STALLED}: the steps became too short because simulations at the end of longer ones "
-    "failed"
 )
 
 DerivativeRequests = Generator[Points, list[Evaluation], CostDerivatives]
@@ -238,7 +235,11 @@ class _TrustRegionSearch:
                 found = yield from self._derivatives(trial.x, trial.at)
                 self._model.add_linearisation(trial.x, trial.at, found)
                 continue
-            self._shrunk_by_failures |= not is_defined(trial.at)
+            if not is_defined(trial.at):
+                self._shrunk_by_failures = True
+                if self._model.derivatives.walls.any() and not self._model.along_walls:
+                    self._model.along_walls = True
+                    continue
             self._radius = SHRINK * min(self._radius, self._model.length(trial.step.vector))
         return Ending.STALLED
 
@@ -292,7 +293,7 @@ class _TrustRegionSearch:
         violation = self._penalty.value * self._penalty.violations(trial.at)
         reduction = max(trial.reduction, trial.step.predicted_reduction)
         least = self._settings.ftol * self._merit_scale(trial.at)
-        if self._model.derivatives.frozen.any():
+        if self._model.derivatives.frozen.any() or self._model.along_walls:
             return None  # an end must be one by all derivatives
         if trial.at.feasible and reduction + violation <= least:
             return Ending.CONVERGED

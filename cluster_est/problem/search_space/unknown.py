@@ -84,6 +84,7 @@ class Unknown:
         """The size of a noticeable change, where nothing better is known.
 
         1 for a logarithm; else the start's own size, or a tenth of the range for a start of 0.
+        A fit measures the last one and keeps it in `size`.
         """
         if self.log:
             return 1.0

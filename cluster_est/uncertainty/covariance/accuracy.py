@@ -62,12 +62,11 @@ def column_errors(
 
 
 def measured_errors(
-    space: SearchSpace, sensitivity: FloatArray, outputs: float, measured_step: float
+    space: SearchSpace, sensitivity: FloatArray, outputs: float, measured_steps: FloatArray
 ) -> FloatArray:
-    """Return them for directions measured with steps of this relative size; see `sharpen`."""
+    """Return them for directions measured with steps of these relative sizes; see `sharpen`."""
     noise = relative_noise(space.problem.model.solver)
-    curvature = np.full(space.size, measured_step**4)
-    return _errors(curvature, np.full(space.size, noise * outputs / measured_step), sensitivity)
+    return _errors(measured_steps**4, noise * outputs / measured_steps, sensitivity)
 
 
 def _errors(curvature: FloatArray, noise: FloatArray, sensitivity: FloatArray) -> FloatArray:
@@ -76,7 +75,7 @@ def _errors(curvature: FloatArray, noise: FloatArray, sensitivity: FloatArray) -
     return np.asarray(np.maximum(SAFETY * (curvature + np.minimum(over, 1.0)), ROUNDING))
 
 
-def output_norm(space: SearchSpace, factor: FloatArray) -> float:
+def output_norm(space: SearchSpace, factor: FloatArray | None = None) -> float:
     """Return the norm of the measured outputs, weighted like the residuals; 0 if not known."""
     parts = [np.zeros(0)]
     for e in space.experiments:
@@ -85,6 +84,8 @@ def output_norm(space: SearchSpace, factor: FloatArray) -> float:
             return 0.0
         parts += [_size(output) for output in experiment.outputs]
     values = np.concatenate(parts)
+    if factor is None:
+        return float(np.linalg.norm(values))
     return float(np.linalg.norm(values * factor)) if len(values) == len(factor) else 0.0
 
 

@@ -27,7 +27,7 @@ from cluster_est.methods.base import Solution
 from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.uncertainty.covariance.blocks import BlockCovariance
 from cluster_est.uncertainty.covariance.directions import joined
-from cluster_est.uncertainty.covariance.jacobian import has_jacobian
+from cluster_est.uncertainty.covariance.jacobian import has_jacobian, jacobian_blocks
 from cluster_est.uncertainty.covariance.layout import (
     HELD,
     ActiveBound,
@@ -59,7 +59,9 @@ def intervals(space: SearchSpace, solution: Solution) -> list[ConfidenceInterval
     return list(assess(space, solution).intervals)
 
 
-def assess(space: SearchSpace, solution: Solution, measured_step: float = 0.0) -> Uncertainty:
+def assess(
+    space: SearchSpace, solution: Solution, measured_step: float | FloatArray = 0.0
+) -> Uncertainty:
     """Return the uncertainty of a solution from its Jacobian, without simulations.
 
     Parameters
@@ -77,7 +79,10 @@ def assess(space: SearchSpace, solution: Solution, measured_step: float = 0.0) -
 
 
 def scaled_jacobian(
-    space: SearchSpace, solution: Solution, measured_step: float = 0.0, weak: float = WEAK
+    space: SearchSpace,
+    solution: Solution,
+    measured_step: float | FloatArray = 0.0,
+    weak: float = WEAK,
 ) -> ScaledJacobian | None:
     """Return the factorised Jacobian of a solution; None if a part of it or its values lack."""
     has_values = solution.at is not None or isinstance(space.problem.cost, SumSquared)
@@ -85,7 +90,8 @@ def scaled_jacobian(
     if not known or not has_values or not np.isfinite(solution.cost):
         return None
     constraints = np.zeros(0) if solution.at is None else solution.at.constraints
-    layout = unknown_layout(space, solution.x, constraints)
+    jacobian = jacobian_blocks(space, solution)
+    layout = unknown_layout(space, solution.x, constraints, jacobian=jacobian)
     unbounded = unknown_layout(space, solution.x, constraints, held=False)
     return factorised_jacobian(
         space, solution, (layout, unbounded), measured_step=measured_step, weak=weak

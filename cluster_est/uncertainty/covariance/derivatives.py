@@ -19,7 +19,7 @@ from cluster_est.uncertainty.covariance.accuracy import relative_sizes
 from cluster_est.uncertainty.covariance.covariance import assess, scaled_jacobian
 from cluster_est.uncertainty.covariance.jacobian import has_jacobian, jacobian_blocks, with_jacobian
 from cluster_est.uncertainty.covariance.result import Uncertainty
-from cluster_est.uncertainty.covariance.system import ScaledJacobian, vectors
+from cluster_est.uncertainty.covariance.system import NEGLIGIBLE, ScaledJacobian, vectors
 from cluster_est.uncertainty.spaces import with_start
 from workers.messages import FloatArray
 
@@ -29,6 +29,8 @@ SUSPECT = 1e-2
 makes an adaptive solver's result jump by more than its tolerance; over the step of a difference
 that looks as if the data determined, badly, what they do not determine at all.
 """
+LENGTHS = (1.0, 0.9, 0.7)
+"""Of directional steps: simulations of one may fail."""
 ROUNDS = 3
 REPEATED = 0.1
 """Part of its old ratio below which a direction is measured once more."""
@@ -51,7 +53,7 @@ def examine(runner: Runner, space: SearchSpace, solution: Solution) -> Uncertain
     solution = linearise(runner, space, solution)
     sharp, step = sharpen(runner, space, solution)
     found = assess(space, sharp, step)
-    if not found.directions or step > 0.0:
+    if not found.directions or (step > 0.0).all():
         return found
     note = (
         "what is said of directions was not confirmed by simulations, because some failed close "
@@ -86,43 +88,48 @@ def linearise(runner: Runner, space: SearchSpace, solution: Solution) -> Solutio
     )
 
 
-def sharpen(runner: Runner, space: SearchSpace, solution: Solution) -> tuple[Solution, float]:
+def sharpen(runner: Runner, space: SearchSpace, solution: Solution) -> tuple[Solution, FloatArray]:
     """Measure derivatives along the directions in which the residuals hardly change.
 
     Returns
     -------
     solution
         With a Jacobian whose products with these directions are the measured ones.
-    step
-        The relative step that was used; 0 if there was nothing to measure or it failed.
+    steps : (unknowns,)
+        The relative step that was used; 0 if there was nothing to measure, and for the unknowns
+        that move along a direction which could not be measured.
     """
-    system, step = scaled_jacobian(space, solution, weak=SUSPECT), 0.0
+    system, steps = scaled_jacobian(space, solution, weak=SUSPECT), np.zeros(space.size)
     for _ in range(ROUNDS):
         if system is None or not system.combinations:
             break
         found = _measured(runner, space, solution, system)
         if found is None:
             break
-        solution, step = found
+        solution, steps = found
         least = min(direction.ratio for direction in system.combinations)
-        system = scaled_jacobian(space, solution, step, SUSPECT)
+        system = scaled_jacobian(space, solution, steps, SUSPECT)
         if system is None or not any(
             not c.undetermined and c.ratio < REPEATED * least for c in system.combinations
         ):
             break
-    return solution, step
+    return solution, steps
 
 
 def _measured(
     runner: Runner, space: SearchSpace, solution: Solution, system: ScaledJacobian
-) -> tuple[Solution, float] | None:
-    """Return the solution with measured derivatives, and the step; None if that failed."""
+) -> tuple[Solution, FloatArray] | None:
+    """Return the solution with measured derivatives, and the steps; None if that failed.
+
+    A direction along which bounds leave no room, or simulations fail, keeps the derivatives that
+    it has, and leaves the others theirs.
+    """
     matrix = jacobian_blocks(space, solution)
     assert matrix is not None
     found = vectors(space, system.unbounded_layout, system.combinations)
     basis = np.asarray(np.linalg.qr(found.T)[0])
     directions = basis.T / system.scale
-    lengths, step = _lengths(space, solution.x, directions)
+    lengths, relative = _lengths(space, solution.x, directions)
     own_step = (
         0.0
         if solution.difference_steps is None
@@ -132,28 +139,41 @@ def _measured(
             )
         )
     )
-    if step <= own_step:
+    chosen = np.flatnonzero(relative > own_step)
+    if not len(chosen):
         return None
-    asked = _DirectionalDifferences(directions * lengths[:, None])
+    asked = _DirectionalDifferences((directions * lengths[:, None])[chosen])
     start_space = with_start(space, solution.x)
     (measured,) = runner.run([SearchRequest("directions", asked, start_space)])
     if measured.jacobian is None or solution.at is None:
         return None
-    products = measured.jacobian / lengths
-    return with_jacobian(solution, _corrected(matrix, system, basis, products)), step
+    known = np.isfinite(measured.jacobian).all(axis=0)
+    chosen = chosen[known]
+    products = measured.jacobian[:, known] / lengths[chosen]
+    others = np.delete(np.arange(len(directions)), chosen)
+    unsure = (np.abs(basis[:, others]) > NEGLIGIBLE).any(axis=1)
+    steps = np.where(unsure, 0.0, float(np.min(relative[chosen])))
+    corrected = _corrected(matrix, system, basis[:, chosen], products)
+    return with_jacobian(solution, corrected), steps
 
 
-def _lengths(space: SearchSpace, x: FloatArray, directions: FloatArray) -> tuple[FloatArray, float]:
-    """Return the step along each direction, and the least relative change by one."""
+def _lengths(
+    space: SearchSpace, x: FloatArray, directions: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the step along each direction, and the relative change by it.
+
+    What moves less than rounding makes it move does not count as moving towards its bound.
+    """
     noise = relative_noise(space.problem.model.solver)
     step = min(max(noise**0.2, LEAST_STEP), LARGEST_STEP)
-    largest = np.max(np.abs(directions) / relative_sizes(space, x), axis=1)
+    parts = np.abs(directions) / relative_sizes(space, x)
+    largest = np.max(parts, axis=1)
     distance = np.minimum(space.upper - x, x - space.lower)
     far = np.full(directions.shape, np.inf)
-    np.divide(distance, np.abs(directions), out=far, where=directions != 0.0)
+    np.divide(distance, np.abs(directions), out=far, where=parts > NEGLIGIBLE * largest[:, None])
     most = np.min(far, axis=1)
     lengths = np.minimum(step / largest, most)
-    return lengths, float(np.min(lengths * largest))
+    return lengths, lengths * largest
 
 
 def _corrected(
@@ -207,6 +227,8 @@ class _CentralJacobian(Method):
 class _DirectionalDifferences(Method):
     """Directional derivatives of the residuals along some steps from the start, of fourth order.
 
+    NaN where simulations fail, however often they are asked for.
+
     Attributes
     ----------
     steps : (directions, unknowns)
@@ -221,18 +243,28 @@ class _DirectionalDifferences(Method):
     @override
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
         x = space.start
-        parts = [x + share * self.steps for share in (1.0, -1.0, 0.5, -0.5)]
-        points = np.clip(np.vstack(parts), space.lower, space.upper)
-        found = yield Points(points, "direction")
-        if not all(evaluation.ok for evaluation in found):
+        products: dict[int, FloatArray] = {}
+        missing = np.arange(len(self.steps))
+        for length in LENGTHS:
+            steps = length * self.steps[missing]
+            parts = [x + share * steps for share in (1.0, -1.0, 0.5, -0.5)]
+            points = np.clip(np.vstack(parts), space.lower, space.upper)
+            found = yield Points(points, "direction")
+            for k, j in enumerate(missing.tolist()):
+                four = [found[k + q * len(missing)] for q in range(4)]
+                if all(evaluation.ok for evaluation in four):
+                    products[j] = self._derivative(four) / length
+            missing = np.array([j for j in missing.tolist() if j not in products], np.intp)
+            if not len(missing):
+                break
+        if not products:
             return Solution(x, np.nan, Ending.DERIVATIVES_FAILED)
-        products = np.column_stack([self._derivative(found, j) for j in range(len(self.steps))])
-        return Solution(x, np.nan, Ending.CONVERGED, jacobian=products)
+        unknown = np.full(len(next(iter(products.values()))), np.nan)
+        columns = [products.get(j, unknown) for j in range(len(self.steps))]
+        return Solution(x, np.nan, Ending.CONVERGED, jacobian=np.column_stack(columns))
 
-    def _derivative(self, found: Sequence[Evaluation], j: int) -> FloatArray:
+    def _derivative(self, four: Sequence[Evaluation]) -> FloatArray:
         """Return Richardson's extrapolation of two central differences."""
-        plus, minus, half_plus, half_minus = (
-            found[j + q * len(self.steps)].residuals for q in range(4)
-        )
+        plus, minus, half_plus, half_minus = (evaluation.residuals for evaluation in four)
         whole, half = (plus - minus) / 2.0, half_plus - half_minus
         return np.asarray((4.0 * half - whole) / 3.0)

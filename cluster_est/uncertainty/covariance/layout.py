@@ -11,11 +11,14 @@ import numpy.typing as npt
 from cluster_est.methods.base import TOLERANCE
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.uncertainty.covariance import accuracy
 from cluster_est.uncertainty.covariance.blocks import JacobianBlock
 from workers.messages import FloatArray, IntArray
 
 AT_BOUND = 1e-6
 """Of an unknown's scale: closer to a bound than this, it counts as held there."""
+MUCH_SMALLER = 1e-2
+"""Of the typical size: the scale that the Jacobian shows counts where it is below this part."""
 HELD = 1e-9
 """Part of an unknown's column below which active constraints determine it."""
 
@@ -52,9 +55,21 @@ class UnknownLayout:
     ignored: tuple[str, ...]
 
 
-def active_bounds(space: SearchSpace, x: FloatArray) -> tuple[ActiveBound, ...]:
-    """Return the bound that each unknown is at, or ""."""
-    tolerance = AT_BOUND * space.typical
+def active_bounds(
+    space: SearchSpace, x: FloatArray, jacobian: BlockMatrix | None = None
+) -> tuple[ActiveBound, ...]:
+    """Return the bound that each unknown is at, or "".
+
+    Wide bounds, or a start of 0, say little of an unknown's scale. Where the Jacobian is known, a
+    change that would change the residuals by all that was measured is not much smaller than it.
+    """
+    scale = space.typical
+    outputs = accuracy.output_norm(space)
+    if jacobian is not None and outputs > 0.0:
+        norms = jacobian.norms()
+        reach = np.divide(outputs, norms, out=np.full(len(norms), np.inf), where=norms > 0.0)
+        scale = np.where(reach < MUCH_SMALLER * scale, reach, scale)
+    tolerance = AT_BOUND * scale
     low, high = x - space.lower <= tolerance, space.upper - x <= tolerance
     return tuple("lower" if a else "upper" if b else "" for a, b in zip(low, high, strict=True))
 
@@ -67,22 +82,27 @@ def is_shared(space: SearchSpace) -> npt.NDArray[np.bool_]:
 
 
 def unknown_layout(
-    space: SearchSpace, x: FloatArray, constraints: FloatArray, *, held: bool = True
+    space: SearchSpace,
+    x: FloatArray,
+    constraints: FloatArray,
+    *,
+    held: bool = True,
+    jacobian: BlockMatrix | None = None,
 ) -> UnknownLayout:
     """Return the layout at a point whose constraints have these values, of which some may lack.
 
     Unknowns at a bound are free too if not `held`.
     """
-    at_bounds = active_bounds(space, x)
+    at_bounds = active_bounds(space, x, jacobian)
     if not held:
         at_bounds = tuple("" for _ in at_bounds)
     free = np.array([not bound for bound in at_bounds], dtype=bool)
-    jacobian = space.parameter_constraint_jacobian(x)
+    slopes = space.parameter_constraint_jacobian(x)
     values = space.parameter_constraints(x)
     active = np.abs(values) <= TOLERANCE
     active |= space.equality[: len(values)] | (values > 0.0)
-    active &= (jacobian[:, free] != 0.0).any(axis=1)
-    coupled = (jacobian[active] != 0.0).any(axis=0)
+    active &= (slopes[:, free] != 0.0).any(axis=1)
+    coupled = (slopes[active] != 0.0).any(axis=0)
     shared = is_shared(space) | coupled
     of_signals = range(len(values), len(constraints))
     names = space.constraint_names
@@ -91,7 +111,7 @@ def unknown_layout(
         shared=np.flatnonzero(free & shared),
         local=tuple(acting[(free & ~shared)[acting]] for acting in space.acting),
         active=tuple(names[j] for j in np.flatnonzero(active)),
-        constraint_jacobian=jacobian[active][:, free & shared],
+        constraint_jacobian=slopes[active][:, free & shared],
         ignored=tuple(
             names[j] for j in of_signals if space.equality[j] or constraints[j] >= -TOLERANCE
         ),

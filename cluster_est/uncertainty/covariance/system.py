@@ -95,7 +95,7 @@ def factorised_jacobian(
     solution: Solution,
     layouts: tuple[UnknownLayout, UnknownLayout],
     *,
-    measured_step: float,
+    measured_step: float | FloatArray,
     weak: float = WEAK,
 ) -> ScaledJacobian:
     """Weight, scale and factorise the Jacobian of a solution.
@@ -107,7 +107,8 @@ def factorised_jacobian(
     layouts
         `ScaledJacobian.layout` and `ScaledJacobian.unbounded_layout`.
     measured_step
-        The relative step with which undetermined directions were measured; 0 if they were not.
+        The relative step with which undetermined directions were measured, of each unknown or of
+        all; 0 if they were not.
     weak
         Ratio up to which a direction counts as hardly determined.
     """
@@ -150,7 +151,7 @@ def _scaled(
     solution: Solution,
     jacobian: BlockMatrix,
     weighting: RowWeighting,
-    measured_step: float,
+    measured_step: float | FloatArray,
 ) -> tuple[BlockMatrix, FloatArray, FloatArray]:
     """Return the weighted, scaled Jacobian, the relative errors of its columns, and the scale."""
     matrix = jacobian.scaled_rows(weighting.factor)
@@ -189,6 +190,7 @@ def directions(
     ratio = max((c.ratio for c in undetermined), default=0.0)
     limit = max((c.limit for c in undetermined), default=0.0)
     moves = system.undetermined / system.scale
+    moves = moves[np.isfinite(moves).all(axis=1) & moves.any(axis=1)]
     found = [direction(space, x, move, ratio, limit, undetermined=True) for move in moves]
     for combination in weak:
         (move,) = vectors(space, system.unbounded_layout, [combination]) / system.scale
@@ -243,7 +245,7 @@ def _limits(
     solution: Solution,
     weighting: RowWeighting,
     norms: FloatArray,
-    measured_step: float,
+    measured_step: float | FloatArray,
 ) -> FloatArray:
     """Return the relative error of each column."""
     x = solution.x
@@ -253,6 +255,7 @@ def _limits(
         space, factor if weighting.priors is None else factor[~weighting.priors]
     )
     outputs = max(measured, float(sensitivity.max(initial=0.0)))
-    if measured_step > 0.0:
-        return accuracy.measured_errors(space, sensitivity, outputs, measured_step)
-    return accuracy.column_errors(space, x, sensitivity, outputs, solution.difference_steps)
+    errors = accuracy.column_errors(space, x, sensitivity, outputs, solution.difference_steps)
+    steps = np.broadcast_to(measured_step, errors.shape)
+    sharper = accuracy.measured_errors(space, sensitivity, outputs, np.where(steps > 0, steps, 1.0))
+    return np.where(steps > 0.0, sharper, errors)

@@ -54,6 +54,11 @@ class ResidualScatter:
     spread: FloatArray | None
 
 
+LARGEST_WEIGHT = 1e200
+"""Weights above it stand for an infinite one."""
+EXACT = "nothing is left of the residuals of an output whose noise is taken from them"
+
+
 @dataclass(frozen=True)
 class RowWeighting:
     """Row weights of the Jacobian at a solution.
@@ -132,6 +137,8 @@ def row_weighting(
     weights = cost.weights(residuals, outputs)
     if weights is None or not np.isfinite(weights).all():
         return RowWeighting(np.ones(count), problem=f"the cost {cost.name!r} has no weights")
+    if weights.max(initial=0.0) > LARGEST_WEIGHT:
+        return RowWeighting(np.ones(count), problem=EXACT)
     groups = outputs if len(outputs) == count else np.zeros(count, np.int64)
     if _constant_in_groups(weights, groups, rows):
         factor = np.sqrt(weights)

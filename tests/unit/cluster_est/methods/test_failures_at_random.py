@@ -93,3 +93,15 @@ def test_an_unknown_that_can_never_be_moved_is_named(method):
     if method != "trust_constr":  # which starts away from the start
         assert found.ending is Ending.DERIVATIVES_MISSING
         assert "failed for 'x2'" in found.message
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_start_beside_what_cannot_be_simulated_is_left_along_it_or_not_called_a_minimum(method):
+    def walled(x):  # the rate pulls upwards, where nothing can be simulated
+        return decay(x) if x[0] <= 0.3 else np.full(len(TIMES), np.nan)
+
+    found = replace(DECAY, residuals=walled, start=(0.3, 0.5, 0.1)).solve(METHODS[method])
+    assert not found.ending.success
+    if method in ("least_squares", "sqp"):
+        along = replace(DECAY, start=(0.3, 0.5, 0.1), upper=(0.3, 9.0, 9.0)).solve(LeastSquares())
+        assert found.cost == pytest.approx(along.cost, rel=1e-3)

@@ -8,6 +8,7 @@ import pytest
 from support.problems.curves import Curves
 
 from cluster_est import LeastSquares, Parameter
+from cluster_est.costs.likelihood import GaussianLikelihood
 from cluster_est.methods.base import Ending, Solution
 from cluster_est.uncertainty import assess, examine, linearise
 
@@ -282,3 +283,53 @@ def test_an_unknown_whose_differences_fail_is_not_said_to_have_no_effect():
     (note,) = found.notes
     assert re.search("no intervals, because.*derivatives by b failed", note)
     assert all(np.isnan(each.std_error) for each in found.intervals)
+
+
+def test_a_direction_that_cannot_be_measured_does_not_keep_others_from_it():
+    """One unknown without effect stands at its bound; a kink hides that two others are one."""
+
+    def kinked(times, values, experiment):
+        a, b, c, _ = values
+        return a * b * np.exp(-c * times) + 1e-6 * np.sin(1e7 * a)
+
+    problem = curves(kinked, (2.0, 3.0, 1.0, 0.0))
+    bounded = (*problem.parameters[:3], Parameter("d", 0.0, 0.0, 100.0))
+    problem = replace(problem, parameters=bounded)
+    runner, space = problem.runner(), problem.space()
+    solution = linearise(runner, space, Solution(space.start, 1.0, Ending.CONVERGED))
+    before = runner.evaluations
+    found = examine(runner, space, solution)
+    assert runner.evaluations > before
+    assert {d.labels for d in found.directions} >= {("d",)}
+    assert "not confirmed" in found.notes[0]
+
+
+def test_directions_are_measured_where_some_simulations_fail():
+    def patchy(times, values, experiment):
+        a, b, c = values
+        drawn = np.random.default_rng(np.array(values).view(np.uint32)).random()
+        start = np.array_equal(values, (2.0, 3.0, 1.0))
+        fine = drawn > 0.15 or start
+        return a * b * np.exp(-c * times) if fine else np.full(len(times), np.nan)
+
+    runner, space, solution = at_truth(patchy, (2.0, 3.0, 1.0))
+    assert not solution.frozen.any()
+    found = examine(runner, space, solution)
+    check_names(found, CASES["by inverse factors"][2])
+    assert not any("not confirmed" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1.0, 1e12])
+def test_an_output_that_is_followed_exactly_tells_its_noise_to_no_likelihood(scale):
+    def line(times, values, experiment):
+        return scale * (values[0] + values[1] * times + values[2] * times**2)
+
+    parameters = tuple(Parameter(name, 1.0) for name in "abc")
+    times = np.array([0.0, 1.0])
+    measured = [line(times, (1.0, 1.0, 1.0), 0)]
+    problem = Curves(line, parameters, times, measured, cost=GaussianLikelihood())
+    runner, space, solution = problem.solve()
+    found = examine(runner, space, solution)
+    assert [d.labels for d in found.directions] == [("b", "c")]
+    assert np.isnan([interval.std_error for interval in found.intervals]).all()
+    assert any("nothing is left of the residuals" in note for note in found.notes)
