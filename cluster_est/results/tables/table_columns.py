@@ -554,6 +554,7 @@ TABLES = (
             ColumnDescription(
                 "trajectory", NUMBERS, "the FMU's", "(times, variables), row after row"
             ),
+            ColumnDescription("steps", WHOLE, "", "of the solver; 0 where nobody counts them"),
         ),
     ),
     TableMeaning(

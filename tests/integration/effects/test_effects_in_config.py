@@ -131,7 +131,7 @@ def test_effects_elsewhere_have_the_same_bits(folder, executor):
         (", width = { start = 0.01, fixed = true }", "", r"parameters\.width\.start is missing"),
         ('form = "coulomb"', "", "must have either form or equation.*neither"),
         ('form = "coulomb"', 'form = "coulomb"\nequation = "k"', "form or equation.*both"),
-        ("start = 0.1", "start = -0.1", r"friction\.k\.start: must lie in its bounds"),
+        ("start = 0.1", "start = -0.1", r'"friction\.k"\.start: must lie in its bounds'),
     ],
 )
 def test_a_wrong_effect_is_one_sentence(folder, capsys, old, new, said):

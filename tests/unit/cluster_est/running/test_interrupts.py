@@ -105,11 +105,14 @@ class TestInterrupts:
         number = getattr(signal, name, None)
         if number is None:
             pytest.skip("there is no such signal here")
-        before = signal.getsignal(number)
+        before = signal.signal(number, signal.SIG_DFL)  # with nohup it is ignored
         raised = pytest.raises(KeyboardInterrupt)
-        with raised, terminations(), DeferredInterrupts() as interrupts, interrupts.waiting():
-            interrupt_here(number)
-        assert signal.getsignal(number) is before
+        try:
+            with raised, terminations(), DeferredInterrupts() as interrupts, interrupts.waiting():
+                interrupt_here(number)
+            assert signal.getsignal(number) is signal.SIG_DFL
+        finally:
+            signal.signal(number, before)
 
     @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="there is no such signal here")
     def test_a_program_that_outlives_its_terminal_does(self):
