@@ -15,7 +15,7 @@ from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
 from cluster_est.problem.idle_inputs import driven_or_constant, idle_inputs, stays
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.tables.jumps import AFTER, after_jumps, jump_findings
+from cluster_est.problem.tables.jumps import after_jumps, jump_findings, samples_after
 from cluster_est.problem.tables.stand_ins import stand_ins
 from cluster_est.statistics.noise.estimate import estimate_noise
 from cluster_est.statistics.noise.outliers import isolated_outliers
@@ -131,9 +131,7 @@ def _answers(experiment: Experiment, output: Output) -> npt.NDArray[np.bool_]:
     after = after_jumps(experiment, output.variable)
     for given in experiment.inputs:
         pulses = isolated_outliers(given.values, VISIBLE * float(np.ptp(given.values))).mask
-        first = np.searchsorted(output.times, given.times[pulses])
-        for late in range(-1, AFTER):
-            after[np.clip(first + late, 0, len(after) - 1)] = True
+        after |= samples_after(output.times, given.times[pulses], before=1)
     return after
 
 

@@ -74,9 +74,18 @@ def after_jumps(experiment: Experiment, output: str) -> npt.NDArray[np.bool_]:
     times = next(each.times for each in experiment.outputs if each.variable == output)
     after = np.zeros(len(times), bool)
     for given in experiment.inputs:
-        first = np.searchsorted(times, jump_times(given))
-        for late in range(AFTER):
-            after[np.minimum(first + late, len(times) - 1)] = True
+        after |= samples_after(times, jump_times(given))
+    return after
+
+
+def samples_after(
+    times: FloatArray, events: FloatArray, *, before: int = 0
+) -> npt.NDArray[np.bool_]:
+    """Return which of some times are just after events, or so many samples before them."""
+    after = np.zeros(len(times), bool)
+    first = np.searchsorted(times, events)
+    for late in range(-before, AFTER):
+        after[np.clip(first + late, 0, len(times) - 1)] = True
     return after
 
 
