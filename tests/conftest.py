@@ -19,6 +19,7 @@ from build_fmus import SCAFFOLD
 from fmus import build as own
 from hypothesis import settings
 
+from cluster_est.preflight import repeatability
 from cluster_est.running.resources import one_blas_thread
 from workers.kernels.fmi import compiling
 
@@ -54,6 +55,12 @@ def faults_are_noted() -> Iterator[None]:
 def faults_are_raised() -> None:
     """A step after a search that fails by a fault fails the test, whatever that looks at."""
     logging.getLogger("cluster_est").addHandler(_Faults())
+
+
+@pytest.fixture(scope="session", autouse=True)
+def nobody_waits_for_the_next_second() -> None:
+    """In a check, but for the test of an FMU that tells the time."""
+    repeatability.LATER_SECONDS = 0.0
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -11,10 +11,10 @@ import numpy as np
 from rich.console import Console
 
 from cluster_est.cli.commands import run_command
-from cluster_est.cli.crash_observer import crash_observer, end, refuse_quiet_ends
 from cluster_est.cli.display.terminal_text import readable
 from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.output_streams import LenientStreams
+from cluster_est.cli.parent_process import end, run_in_child
 from cluster_est.cli.parser import parse
 from cluster_est.config.text.key_lines import with_lines
 from cluster_est.errors import ClusterEstError
@@ -69,21 +69,20 @@ def _placed(message: str, options: Namespace) -> str:
 
 def run() -> None:
     """Run a command as a program: end with its exit code, whatever still runs in threads."""
-    refuse_quiet_ends(ExitCode.BAD_INPUT)
+    run_in_child()
     streams = LenientStreams()
-    with crash_observer():
-        try:
-            code = main()
-            lost = streams.lost()
-            if lost:
-                print(f"cluster-est: {LOST.format(lost)}", file=sys.stderr)
-                code = code or ExitCode.BAD_INPUT
-        except SystemExit as ended:  # of the parser: help, or a usage error
-            code = ended.code if isinstance(ended.code, int) else ExitCode.DONE
-        except KeyboardInterrupt:  # a second one, while the first was being said
-            code = ExitCode.INTERRUPTED
-        except Exception:
-            sys.excepthook(*sys.exc_info())
-            code = ExitCode.NO_SOLUTION
+    try:
+        code = main()
+        lost = streams.lost()
+        if lost:
+            print(f"cluster-est: {LOST.format(lost)}", file=sys.stderr)
+            code = code or ExitCode.BAD_INPUT
+    except SystemExit as ended:  # of the parser: help, or a usage error
+        code = ended.code if isinstance(ended.code, int) else ExitCode.DONE
+    except KeyboardInterrupt:  # a second one, while the first was being said
+        code = ExitCode.INTERRUPTED
+    except Exception:
+        sys.excepthook(*sys.exc_info())
+        code = ExitCode.NO_SOLUTION
     # a simulation that nobody can stop must not keep the process
     end(code, in_order=code != ExitCode.INTERRUPTED)

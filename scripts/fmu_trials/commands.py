@@ -7,7 +7,6 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from cluster_est.cli.crash_observer import SENTENCE
 from cluster_est.cli.exit_codes import ExitCode
 
 PROGRAM = [sys.executable, "-c", "from cluster_est.cli import run; run()"]
@@ -28,7 +27,7 @@ class CommandEnd:
             return "HANGS"
         if "Traceback (most recent call last)" in self.errors:
             return "TRACEBACK"
-        if self.code not in set(ExitCode) and SENTENCE not in self.errors:
+        if self.code not in set(ExitCode) and "has died" not in self.errors:
             return f"DIES IN SILENCE ({self.code})"
         return ""
 

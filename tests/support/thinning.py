@@ -7,16 +7,23 @@ from typing import Any
 
 import pytest
 
+COMPILED = {("dormand_prince", 2), ("dormand_prince", 3), ("rk4", 2), ("cvode", 2), ("fmu", 2)}
+"""The solvers and versions of FMI of the default run: a pair takes up to 15 seconds to compile."""
+
 
 def thinned(cases: Sequence[Any], *factors: Callable[..., Hashable]) -> list[Any]:
     """Mark cases as slow, except for a few in which each value of each factor occurs.
 
     A case is a `pytest.param` or a tuple of arguments; a factor gets the case's arguments and gives
     what must occur, for instance the name of a method or a pair of version and interface. Greedy:
-    of all cases the one with the most values that did not occur yet, the first of equals.
+    of all cases the one with the most values that did not occur yet, the first of equals. Values
+    that occur in slow cases alone need not occur.
     """
     params = [case if hasattr(case, "values") else pytest.param(*case) for case in cases]
-    wanted = [{(i, factor(*p.values)) for i, factor in enumerate(factors)} for p in params]
+    wanted: list[set[tuple[int, Hashable]]] = [
+        {(i, factor(*p.values)) for i, factor in enumerate(factors)} if p.marks == () else set()
+        for p in params
+    ]
     missing = set().union(*wanted)
     kept: set[int] = set()
     while missing:
@@ -24,6 +31,8 @@ def thinned(cases: Sequence[Any], *factors: Callable[..., Hashable]) -> list[Any
         kept.add(best)
         missing -= wanted[best]
     return [
-        p if i in kept else pytest.param(*p.values, marks=[*p.marks, pytest.mark.slow], id=p.id)
+        p
+        if i in kept or p.marks
+        else pytest.param(*p.values, marks=[*p.marks, pytest.mark.slow], id=p.id)
         for i, p in enumerate(params)
     ]

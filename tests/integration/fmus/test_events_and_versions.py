@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from support.simulated import answers
+from support.thinning import COMPILED
 from support.truth.own_fmus import (
     bouncing_ball,
     dahlquist,
@@ -27,10 +28,6 @@ SOLVERS = {
 }
 
 
-USUAL = {("dormand_prince", 2), ("rk4", 3), ("cvode", 2), ("co_simulation", 3)}
-"""Each solver and each version once: a pair takes up to ten seconds to compile."""
-
-
 def pairs(*solvers: str, versions: Sequence[int] = (2, 3)) -> pytest.MarkDecorator:
     """Each version and each solver, and by default not every pair of them."""
     every = [(fmi, name) for name in solvers for fmi in versions]
@@ -39,7 +36,7 @@ def pairs(*solvers: str, versions: Sequence[int] = (2, 3)) -> pytest.MarkDecorat
             fmi,
             "co_simulation" if name == "co_simulation" else "model_exchange",
             SOLVERS[name],
-            marks=() if (name, fmi) in USUAL else pytest.mark.slow,
+            marks=() if (SOLVERS[name].name, fmi) in COMPILED else pytest.mark.slow,
             id=f"{name}-{fmi}",
         )
         for fmi, name in every

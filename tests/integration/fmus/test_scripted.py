@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.simulated import answers
-from support.thinning import thinned
+from support.thinning import COMPILED, thinned
 
 from workers.messages import Experiment, Model, Outcome, Output, Solver, Status, Task
 
@@ -77,13 +77,17 @@ def ended_at(outcome: Outcome, why: str) -> float:
     return float(re.search(r"at t = (\S+) s", outcome.message)[1])
 
 
+def usual(solver: str, fmi: int) -> tuple[pytest.MarkDecorator, ...]:
+    return () if (solver, fmi) in COMPILED else (pytest.mark.slow,)
+
+
 HOW = (lambda solver, *_: solver, lambda _, function, how, fmi: (function, fmi), lambda *a: a[2])
 
 
 NEVER = {("SetupExperiment", 3)}
 """There is none in FMI 3."""
 FAILING = [
-    (solver, function, status, fmi)
+    pytest.param(solver, function, status, fmi, marks=usual(solver, fmi))
     for solver in SOLVERS
     for function in [*INITIAL, "GetReal"]
     for status in (DISCARD, ERROR, FATAL)
@@ -111,7 +115,8 @@ CALLED += [(solver, name) for solver in EXCHANGE for name in ADVANCING]
 @pytest.mark.parametrize(
     ("solver", "function", "nth", "fmi"),
     thinned(
-        [(*called, nth, fmi) for nth in (1, 2, 9) for fmi in (2, 3)
+        [pytest.param(*called, nth, fmi, marks=usual(called[0], fmi))
+         for nth in (1, 2, 9) for fmi in (2, 3)
          for called in [*CALLED, ("fmu", "DoStep")] if (called[1], fmi) not in NEVER],
         *HOW, lambda solver, function, *_: (solver == "fmu", function),
     ),
@@ -126,7 +131,7 @@ def test_nothing_is_called_after_a_fatal_error(simulate, capfd, solver, function
     assert "after a fatal error" not in capfd.readouterr().err
 
 
-@pytest.mark.parametrize(("solver", "fmi"), [*zip(EXCHANGE, (2, 3, 2), strict=True)])
+@pytest.mark.parametrize(("solver", "fmi"), [*zip(EXCHANGE, (3, 2, 2), strict=True)])
 class TestEvents:
     def test_an_end_by_the_fmu_is_reported(self, simulate, solver, fmi):
         at_once, later = simulate(fmi, solver, {"ends": 0.0}, {"stops": 1.0})

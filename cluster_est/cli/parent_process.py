@@ -1,0 +1,144 @@
+"""A parent for the process of a command: an FMU that ends that process leaves it no last word.
+
+The command runs in a child. The parent passes signals on, waits for the child, says a sentence if
+it died, ends what it left behind, and gives its exit code. A model that calls `_exit(0)` in the
+middle of a fit so cannot make it look as if it had succeeded. Linux alone has what this takes;
+elsewhere the command runs without a parent.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import ctypes
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import NoReturn
+
+from workers.fmu.surroundings import before_first_instance
+
+SENTENCE = (
+    "cluster-est: the process of this command has died ({}): something in it has crashed or ended "
+    "it, or it was killed from outside; --resume continues a run that was begun"
+)
+OF_FMU = (
+    "cluster-est: the process of this command has died ({}): an FMU that runs in it has crashed or "
+    'ended it, or it was killed from outside. With executor.name = "processes" each FMU has a '
+    "process of its own, and a crash costs only its simulation; --resume continues a run that was "
+    "begun"
+)
+PASSED_ON = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP} if sys.platform != "win32" else set()
+FAREWELL, LOADED = b"farewell\n", b"loaded\n"
+PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36  # linux/prctl.h
+
+_to_parent: list[int] = []
+"""Where this process tells its parent what it must know."""
+
+
+def run_in_child() -> None:
+    """Go on in a child of this process; the parent stays here, and ends when the child has ended.
+
+    The child has a process group of its own, so that a signal from a terminal or a scheduler
+    reaches it once, by its parent.
+    """
+    if sys.platform != "linux":
+        return
+    reading, writing = os.pipe()
+    watched = PASSED_ON | {signal.SIGCHLD, signal.SIGTSTP}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, watched)
+    parent, child = os.getpid(), os.fork()
+    if child:
+        os.close(writing)
+        _give_exit_code(child, reading, watched - _ignored(watched))
+    os.close(reading)
+    os.setpgid(0, 0)
+    signal.signal(signal.SIGTTOU, signal.SIG_IGN)  # it prints, though no group in the foreground
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(1)
+    signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    _to_parent.append(writing)
+    before_first_instance(lambda: _tell(LOADED))
+
+
+def end(code: int, *, in_order: bool = True) -> NoReturn:
+    """End the process of a command with an exit code, whatever libraries would do at its end.
+
+    Parameters
+    ----------
+    code
+        The exit code.
+    in_order
+        Whether what is registered with `atexit` comes first.
+    """
+    if in_order:
+        atexit._run_exitfuncs()
+    for stream in filter(None, (sys.stdout, sys.stderr)):  # a program may have neither
+        with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
+            stream.flush()
+    _tell(FAREWELL)
+    os._exit(code)
+
+
+def _tell(word: bytes) -> None:
+    with contextlib.suppress(OSError, IndexError):  # an FMU has closed it; there is no parent
+        os.write(_to_parent[0], word)
+
+
+def _ignored(signals: set[signal.Signals]) -> set[signal.Signals]:
+    """Return the signals that whoever has started this program wants ignored, as nohup does."""
+    return {each for each in signals if signal.getsignal(each) == signal.SIG_IGN}
+
+
+def _give_exit_code(child: int, reading: int, watched: set[signal.Signals]) -> NoReturn:
+    """End this process as its child ends."""
+    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    status = _wait(child, watched | {signal.SIGCHLD})
+    _end_descendants()
+    os.set_blocking(reading, False)  # what the child has left behind may hold the other end
+    with contextlib.suppress(BlockingIOError):
+        told = b""
+        told = os.read(reading, 64)
+    code = os.waitstatus_to_exitcode(status)
+    if FAREWELL in told:
+        os._exit(code)
+    how = f"signal {-code}" if code < 0 else f"exit code {code}"
+    with contextlib.suppress(OSError, ValueError, AttributeError):  # nobody reads it
+        sys.stderr.write((OF_FMU if LOADED in told else SENTENCE).format(how) + "\n")
+        sys.stderr.flush()
+    os._exit(128 - code if code < 0 else code or 1)
+
+
+def _wait(child: int, watched: set[signal.Signals]) -> int:
+    """Return the status of a child once it has ended; until then pass signals on to it."""
+    while True:
+        received = signal.sigwait(watched)
+        if received in PASSED_ON:
+            os.kill(child, received)
+        elif received == signal.SIGTSTP:
+            os.killpg(child, signal.SIGSTOP)
+            os.kill(os.getpid(), signal.SIGSTOP)
+            os.killpg(child, signal.SIGCONT)
+        ended, status = os.waitpid(child, os.WNOHANG | os.WUNTRACED)
+        if ended and os.WIFSTOPPED(status) and received == signal.SIGCHLD:
+            os.kill(child, signal.SIGCONT)  # an FMU has stopped it: nobody else would continue it
+        elif ended and not os.WIFSTOPPED(status):
+            return status
+
+
+def _end_descendants() -> None:
+    """Kill what the child has left behind: an FMU may have started a process."""
+    while children := _children():
+        for each in children:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(each, signal.SIGKILL)
+        with contextlib.suppress(ChildProcessError):
+            os.waitpid(-1, 0)
+
+
+def _children() -> list[int]:
+    tasks = Path(f"/proc/{os.getpid()}/task").glob("*/children")
+    return [int(each) for task in tasks for each in task.read_text().split()]
