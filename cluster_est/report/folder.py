@@ -118,7 +118,10 @@ def read_run(path: Path, activity: LogActivity | None = None) -> ReportedRun:
     tables = {name: _rows(path, name) for name in SMALL}
     if facts["status"] == RUNNING:  # tables of an earlier run in a folder that is taken up again
         tables = dict.fromkeys(SMALL, ())
-    tables["progress"] = tuple(vars(line) for line in ProgressTail(path / PROGRESS).new())
+    progress = ProgressTail(path / PROGRESS)
+    tables["progress"] = tuple(vars(line) for line in progress.new())
+    if facts["status"] != RUNNING:
+        progress.check()
     tables["searches"] = tables["searches"] or tables["progress"]
     curves = bool(tables["parameters"])
     config = read_config_text(path) if (path / "config.toml").is_file() else ""

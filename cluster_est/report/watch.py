@@ -126,6 +126,16 @@ class RunFollower:
             searches=tuple(self._searches.values()),
         )
 
+    def check(self) -> None:
+        """Check that nothing was left out of what was shown of a run that has ended.
+
+        Raises
+        ------
+        RunFolderError
+            If its progress is damaged.
+        """
+        self._progress.check()
+
     def _note(self, line: IterationLine) -> None:
         known = self._searches.pop(line.search, None)
         costs = [line.cost] if known is None else [line.cost, known.best]
@@ -149,7 +159,7 @@ def follow(path: Path, every: float, show: Callable[[RunView], None], *, html: b
     Raises
     ------
     RunFolderError
-        If there is no run.
+        If there is no run, or what was shown of it lacks lines that are damaged.
     """
     follower = RunFollower(path)
     written, problem = -math.inf, ""
@@ -161,6 +171,7 @@ def follow(path: Path, every: float, show: Callable[[RunView], None], *, html: b
             written = time.monotonic()
         show(view if not problem else RunView(**{**vars(view), "problem": problem}))
         if view.ended:
+            follower.check()
             return
         time.sleep(every)
 

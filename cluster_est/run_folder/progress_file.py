@@ -14,8 +14,9 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from cluster_est.errors import RunFolderError
 from cluster_est.running.records import RunSnapshot, SearchIteration
-from cluster_est.whole_files import SEAL, is_damaged, sealed
+from cluster_est.whole_files import MEND, SEAL, is_damaged, is_sealed, sealed
 
 PROGRESS = "progress.jsonl"
 SECONDS_BETWEEN = 1.0
@@ -59,11 +60,14 @@ class ProgressFile:
         self._write(_line({"now": snapshot.search} | {n: getattr(snapshot, n) for n in names}))
 
     def _write(self, line: str) -> None:
-        text, mode = line, "ab"
+        text = line.encode()
         if self._size > MOST_BYTES:
-            text, mode, self._size = "".join(self._last.values()) + line, "wb", 0
-        with suppress(OSError), self._path.open(mode) as file:
-            file.write(text.encode())
+            text, self._size = "".join(self._last.values()).encode() + text, 0
+        with suppress(OSError):
+            with self._path.open("r+b") as file:
+                file.truncate(self._size)  # what of a line was written before the disk was full
+                file.seek(self._size)
+                file.write(text)
             self._size += len(text)
 
 
@@ -118,12 +122,15 @@ class ProgressTail:
     ----------
     state
         The last one; None before the first.
+    damaged
+        How many lines are not as they were written; they are left out.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._offset = 0
         self._torn = b""
+        self.damaged = 0
         self.state: RunState | None = None
 
     def new(self) -> list[IterationLine]:
@@ -131,7 +138,7 @@ class ProgressTail:
         try:
             with self._path.open("rb") as file:
                 if file.seek(0, 2) < self._offset:  # it has begun anew
-                    self._offset, self._torn = 0, b""
+                    self._offset, self._torn, self.damaged = 0, b"", 0
                 file.seek(self._offset)
                 found = file.read()
                 self._offset = file.tell()
@@ -141,8 +148,22 @@ class ProgressTail:
         read = [self._read(line) for line in whole]
         return [line for line in read if line is not None]
 
+    def check(self) -> None:
+        """Check what was read of a run that has ended.
+
+        Raises
+        ------
+        RunFolderError
+            If a line is not as it was written.
+        """
+        lost = self.damaged + bool(self._torn)
+        if lost:
+            what = f"{lost} of its lines {'is' if lost == 1 else 'are'}"
+            raise RunFolderError(f"{self._path}: is damaged, {what} not as written; {MEND}")
+
     def _read(self, text: bytes) -> IterationLine | None:
-        if is_damaged(text):
+        if is_damaged(text) or not is_sealed(text):
+            self.damaged += 1
             return None
         try:
             row = json.loads(text)
@@ -155,5 +176,5 @@ class ProgressTail:
             for name in ("cost", "violation"):
                 row[name] = math.nan if row[name] is None else float(row[name])
             return IterationLine(**row)
-        except (ValueError, TypeError, KeyError, AttributeError):  # of another version, or damaged
+        except (ValueError, TypeError, KeyError, AttributeError):  # of another version
             return None

@@ -9,6 +9,7 @@ from typing import Any
 from cluster_est.errors import RunFolderError
 from cluster_est.run_folder.folder import check_free
 from cluster_est.run_folder.log_segment import read_segment, segments
+from cluster_est.run_folder.progress_file import PROGRESS, ProgressTail
 from cluster_est.run_folder.reading import read_config_text, read_facts, read_run_columns
 from cluster_est.run_folder.run_identity import DECISIVE, FORMAT, UNHASHED, RunIdentity, versions
 from cluster_est.run_folder.run_status import RunStatus
@@ -31,6 +32,9 @@ def is_whole(out: Path) -> bool:
     """Return whether all that a run has left that is done is as it was written."""
     try:
         read_config_text(out)
+        progress = ProgressTail(out / PROGRESS)
+        progress.new()
+        progress.check()
         for path in out.glob("*.parquet"):
             read_run_columns(path)
         for path in segments(out / "evaluations"):

@@ -86,6 +86,7 @@ def ranked(problem):
         return rank(bench, fitted)
 
 
+@pytest.mark.slow
 def test_the_leak_leads_at_its_node(ranked):
     (first,) = ranked.leaders(ranked.white, 1)
     effect = ranked.trials[first].candidate.effect

@@ -59,6 +59,7 @@ def test_tables_are_without_them(run: Path) -> None:
 @pytest.mark.parametrize(
     "shares", [(0.5,), pytest.param((0.9, 1.0, 0.05, 0.98, 0.7), marks=pytest.mark.slow)]
 )
+@pytest.mark.slow
 def test_a_resumed_run_is_the_same(run: Path, tmp_path: Path, shares: tuple[float, ...]) -> None:
     """In all of its tables and all that it says, from a log that has its residuals."""
     again = tmp_path / "again"

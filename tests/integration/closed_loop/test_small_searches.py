@@ -80,7 +80,7 @@ def test_a_wave_that_all_experiments_agree_on_is_found_with_its_period():
 @pytest.mark.parametrize(
     ("frequency", "ways"),
     [
-        pytest.param(RESONANCE, (1.0, 1.0), id="a resonance of the model"),
+        pytest.param(RESONANCE, (1.0, 1.0), id="a resonance of the model", marks=pytest.mark.slow),
         pytest.param(2.0, (1.0, 1.0), id="less than three periods in a record"),
         pytest.param(9.3, (1.0, 0.1), id="another one in each experiment"),
     ],
@@ -114,6 +114,7 @@ def test_a_drift_that_would_leave_more_than_noise_is_not_added():
     assert left.over_noise > 2.0
 
 
+@pytest.mark.slow
 def test_what_was_found_beside_such_a_drift_is_judged_without_it():
     """A small gap is closed by a dead zone at the force, most of the rest would be by a drift."""
     problem = driven_by(
@@ -163,6 +164,7 @@ def test_a_dead_zone_is_found_whose_grid_is_far_from_it():
     assert effect.coefficients[0].value == pytest.approx(width, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_limit_is_drawn_over_what_was_measured_before_it():
     limit = 0.5 * LARGEST
     problem = driven_by(*repeat(lambda t, f: np.clip(f, -limit, limit), 2))

@@ -195,6 +195,7 @@ def test_bad_options(tmp_path, monkeypatch, capsys, arguments):
     assert sorted(tmp_path.rglob("*")) == before
 
 
+@pytest.mark.slow
 def test_a_process_of_its_own_says_no_more(tmp_path):
     """What a library would print on its way is not seen in this process."""
     (tmp_path / "x.fmu").write_bytes(spoiled_fmu(rename("binaries/linux64", "binaries/linux32")))

@@ -101,7 +101,9 @@ def test_a_good_fmu(examined, name, fmi):
         ("wrong_directional", 2, "derivatives", "note", "differ from the model's slopes", "export"),
         ("zero_directional", 2, "derivatives", "note", "all are silently 0", "export"),
         ("needs_stop_time", 2, "stop time", "note", "only be initialised with", "model.stop_time"),
-        ("robertson", 2, "stiffness", "note", "is stiff", 'model.solver = "cvode"'),
+        pytest.param(
+            *("robertson", 2, "stiffness", "note", "is stiff", 'model.solver = "cvode"'), marks=slow
+        ),
         ("needs_library", 2, "loads", "problem", "libnobody_has_this.so", ""),
         ("no_licence", 3, "loads", "problem", "no licence for this model", ""),
         ("crashes_at_start", 2, "experiment default", "problem", "crash: ", ""),
@@ -169,7 +171,7 @@ def test_what_there_is_no_time_for_is_said(examined):
 @pytest.mark.parametrize(
     ("name", "verdict", "found"),
     [
-        ("van_der_pol", "ok", "the communication step of .* halved"),
+        ("dahlquist", "ok", "the communication step of .* halved"),
         ("fixed_step", "not done", "cannot be halved"),
     ],
 )

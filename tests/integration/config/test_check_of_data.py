@@ -17,6 +17,7 @@ from workers.process.trial import BenchHere
 
 MODELS = ROOT / "configs" / "models"
 MINUTE = 60.0
+slow = pytest.mark.slow
 RPM = 30.0 / np.pi
 TIMES = np.arange(401) * 0.005
 VOLTS = np.where(TIMES < 0.1, 0.0, np.where(TIMES < 1.0, 6.0, 9.0))
@@ -125,19 +126,21 @@ def rounded(sigma):
             "",
         ),
         *(
-            (
+            pytest.param(
                 run(TRUTH | {"t": TIMES * factor}),
                 "time",
                 f"seems to be in {unit}, and is read as {2.0 * factor:.4g} s",
                 f"columns.COLUMN = {{ factor = {1.0 / factor:g} }}, .* sample_time",
+                marks=marks,
             )
-            for unit, factor in (("milliseconds", 1e3), ("minutes", 1.0 / 60.0))
+            for unit, factor, marks in (("milliseconds", 1e3, slow), ("minutes", 1.0 / 60.0, ()))
         ),
-        (  # twenty periods, whose frequency is off by a tenth at the start values
+        pytest.param(  # twenty periods, whose frequency is off by a tenth at the start values
             swing(LONG * 1e3, 0.3 * np.cos(1.1 * np.sqrt(20.0) * LONG), 0.3),
             "time",
             r"in milliseconds, and is read as 3.998e\+04 sec.*own experiment takes 20 sec.*only",
             "",
+            marks=slow,
         ),
         (
             run(TRUTH, inputs={}),

@@ -195,6 +195,7 @@ def written(folder, old="", new=""):
     return str(path)
 
 
+@pytest.mark.slow
 def test_the_sun_is_fitted_from_a_config(folder):
     assert main(["fit", written(folder), "--out", str(folder / "run"), "--no-report"]) == 0
     rows = pq.read_table(folder / "run" / "parameters.parquet").to_pylist()

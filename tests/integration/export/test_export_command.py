@@ -82,6 +82,7 @@ def test_the_exported_fmu_does_what_the_run_did(run, tmp_path, export):
 
 
 @needs_compiler
+@pytest.mark.slow
 def test_the_fmu_says_which_step_reproduces_the_error_and_another_tool_finds_it(
     run, tmp_path, export
 ):

@@ -66,6 +66,7 @@ def reference(exported, name):
     return [exported.references[name]]
 
 
+@pytest.mark.slow
 def test_the_description_is_one_of_fmi_2(types):
     path, notes = types
     assert validate_fmu(str(path)) == []

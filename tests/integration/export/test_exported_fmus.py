@@ -161,10 +161,10 @@ def test_an_original_for_co_simulation_stays_one(tmp_path):
 @pytest.mark.parametrize(
     ("solver", "fmi"),
     [
-        (Solver("dormand_prince"), 2),
-        (Solver("rk4", step=0.01), 3),
-        pytest.param(Solver("rk4", step=0.01), 2, marks=pytest.mark.slow),
-        pytest.param(Solver("dormand_prince"), 3, marks=pytest.mark.slow),
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in product((Solver("rk4", step=0.01), Solver("dormand_prince")), (3, 2))
+        ),
     ],
 )
 def test_state_events_happen_when_they_did(own_fmu, tmp_path, fmpy_prints, solver, fmi):
@@ -210,6 +210,7 @@ def test_other_events_pass_through(own_fmu, tmp_path, name, fmi):
 
 
 @pytest.mark.parametrize("fmi", FMI_3)
+@pytest.mark.slow
 def test_an_empty_folder_of_the_original_goes_along(own_fmu, tmp_path, fmi):
     of = model_of(own_fmu("needs_resources", fmi), EXACT, ("k",))
     measured, drag = undriven("y", TIMES), Effect("drag", "der(x)", "quadratic")
@@ -242,6 +243,7 @@ def test_a_sensor_at_a_state_goes_along_and_a_measured_signal_becomes_an_input(t
 
 
 @pytest.mark.parametrize("fmi", FMI_3)
+@pytest.mark.slow
 def test_an_original_with_a_fixed_step_keeps_it(own_fmu, tmp_path, fmi):
     of = model_of(own_fmu("fixed_step", fmi), Solver("fmu"))
     description = describe(of.name, of.archive)
@@ -285,6 +287,7 @@ def test_directional_derivatives_pass_through_where_no_effect_touches_them(
 
 
 @pytest.mark.parametrize("fmi", FMI_2)
+@pytest.mark.slow
 def test_what_the_original_says_passes_through(own_fmu, tmp_path, fmi):
     """The strict test FMU knows no such reference."""
     of = model_of(own_fmu("dahlquist", fmi))
@@ -303,6 +306,7 @@ def test_the_same_repair_is_the_same_archive(spring, tmp_path):
     assert (tmp_path / "spring.fmu").read_bytes() == (spring / "exported.fmu").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_step_that_reproduces_nothing_is_not_named(tmp_path):
     row = {"experiment": "e", "role": "train", "output": "y", "unit": "m", "samples": len(TIMES)}
     error = row | {"rmse_before": 1.0, "rmse_after": 1e-9}

@@ -307,6 +307,7 @@ def test_what_segments_cannot_help_is_refused(problem, shooting, how, said):
         ce.fit(problem, shooting=shooting, **how)
 
 
+@pytest.mark.slow
 def test_a_price_of_continuity_that_no_noise_explains_is_said(standing):
     assert standing.shooting.continuity_p > 0.01
     pushed = with_outputs(

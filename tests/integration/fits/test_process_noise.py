@@ -197,6 +197,7 @@ def test_output_errors_on_the_same_data_are_worse(fitted):
     assert any("autocorrelated" in note for note in plain.notes)
 
 
+@pytest.mark.slow
 def test_an_ornstein_uhlenbeck_force_has_a_strength_and_a_time(fitted):
     problem = spring(fitted.problem.experiments, 1.0, COLOURED)
     *_, q, tau = problem.parameters

@@ -128,6 +128,7 @@ def test_without_constraints_the_cost_falls_as_far_in_no_more_evaluations(tmp_pa
     ],
     ids=["sqp", "speculative", "least squares"],
 )
+@pytest.mark.slow
 def test_with_tolerances_both_are_satisfied_in_no_more_evaluations(changes, tmp_path, capsys):
     assert main(["fit", str(TOLERANCES), "--out", str(tmp_path), "--no-report", *changes]) == 0
     assert "violated" not in capsys.readouterr().out

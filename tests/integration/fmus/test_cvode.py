@@ -204,6 +204,7 @@ def test_the_fmus_jacobian_is_not_trusted_unseen(own_fmu, name, fmi):
     np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow(opened):
     asked = oscillator(opened, 1e-4, oscillation(np.linspace(0.0, 1.0, 3)))
     points = np.concatenate([np.tile([[1.0], [2.0]], (500, 1)), np.full((50, 1), np.nan)])

@@ -202,7 +202,7 @@ def test_a_derivative_out_of_range_ends_adaptive_solvers(simulate, solver, fmi, 
         assert at == pytest.approx(max(since, 0.0), abs=1e-6)
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("fmi", [2, pytest.param(3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("status", "why"), [(DISCARD, "no step was short enough"), (ERROR, "could not go on")]
 )
@@ -215,8 +215,8 @@ def test_cvode_takes_its_jacobian_from_the_fmu_which_may_refuse_it(simulate, fmi
 
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_an_instance_that_is_made_to_log_shows_what_it_says(simulate, capfd, fmi):
-    (quiet,) = simulate(fmi, "rk4", {"ends": 0.0})
+    (quiet,) = simulate(fmi, "dormand_prince", {"ends": 0.0})
     assert "logging is on" not in quiet.message + capfd.readouterr().err
-    (loud,) = simulate(fmi, "rk4", {"ends": 0.0}, logging_on=True)
+    (loud,) = simulate(fmi, "dormand_prince", {"ends": 0.0}, logging_on=True)
     assert "it said: logging is on" in loud.message
     assert "error: logging is on" in capfd.readouterr().err

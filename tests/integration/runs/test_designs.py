@@ -155,6 +155,7 @@ def test_the_block_that_is_printed_makes_it_one_more_experiment(folder):
     assert last.outputs[0].values == pytest.approx(0.01)
 
 
+@pytest.mark.slow
 def test_overrides_say_where_it_runs_and_for_how_long(folder, design, tmp_path, capsys):
     assert design("parameters.k.start=3") == 2
     assert "must be a key of executor, budget, log" in capsys.readouterr().err

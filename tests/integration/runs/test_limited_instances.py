@@ -259,6 +259,7 @@ def test_after_a_fatal_error_the_process_is_ended_and_its_neighbours_are_answere
     assert counted.most == 2
 
 
+@pytest.mark.slow
 def test_after_a_fatal_error_in_this_process_there_is_no_other_instance(own_fmu, counted, tmp_path):
     """It may not be freed, so that the limit can only be held by ending, with a sentence."""
     config = write_decay(tmp_path, own_fmu("counts_instances", 2))

@@ -153,6 +153,7 @@ def test_what_is_done_is_skipped_until_it_changes(sweep, done):
     assert done() == NAMES[:2]
 
 
+@pytest.mark.slow
 def test_what_other_versions_did_and_what_was_killed_is_done_again(sweep, done):
     run = OUT / "spring"
     assert sweep(axes=[])[0] == 0
@@ -233,6 +234,7 @@ def test_the_next_call_goes_on_where_one_stopped(sweep, done, monkeypatch, error
     assert len(observer.simulated) == sum(log.num_rows for log in logs)
 
 
+@pytest.mark.slow
 def test_an_interrupt_among_many_starts_ends_the_sweep(sweep, done, monkeypatch):
     """Some starts have ended then: the fit could give the best of them, but it is not done."""
     observer = observe(monkeypatch)

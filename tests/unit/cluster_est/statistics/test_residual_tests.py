@@ -89,6 +89,7 @@ def test_white_noise_in_few_or_many_samples_gives_no_alarm():
         assert sum(bool(each.findings) for each in alarms) <= 1, records
 
 
+@pytest.mark.slow
 def test_what_the_parameters_have_taken_out_counts():
     """White noise behind a fit of many directions is neither small nor smooth."""
     generator = np.random.default_rng(9)

@@ -159,6 +159,7 @@ def drawn(how: str) -> list[str]:
     return done.stdout.split()
 
 
+@pytest.mark.slow
 def test_an_fmu_in_python_does_not_draw_the_same_in_each_process():
     """With the state that forks inherit it would, and seem to repeat."""
     one, other = drawn("inherited")

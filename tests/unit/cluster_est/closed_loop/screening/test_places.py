@@ -56,7 +56,7 @@ def drive():
 @pytest.mark.parametrize(
     "planted",
     [
-        ("coulomb", "der(w_load)", "w_load"),
+        pytest.param(("coulomb", "der(w_load)", "w_load"), marks=pytest.mark.slow),
         ("drift", "der(w_load)"),
         ("square", "der(w_motor)", "w_load"),
         ("gap", "pair w_motor,w_load", "twist"),

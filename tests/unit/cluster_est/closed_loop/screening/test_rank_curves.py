@@ -19,6 +19,7 @@ def forms(ranking):
     return {trial.candidate.form.name for trial in ranking.trials}
 
 
+@pytest.mark.slow
 def test_curves_of_one_argument_are_not_crowded_out_by_those_of_a_switch(ranked):
     assert forms(ranked[2]) == {"coulomb_table", "coulomb_table_13", "coulomb_table_25"}
     assert not forms(ranked[1]) & forms(ranked[2])

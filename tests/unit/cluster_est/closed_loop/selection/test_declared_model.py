@@ -17,7 +17,9 @@ def pendulum():
     return measured(missing_effect_problem("pendulum", signals=()), NOISE)
 
 
-@pytest.mark.parametrize("starts", [{"G": 6.0}, {"G": 0.7}, {"J": 0.04}])
+@pytest.mark.parametrize(
+    "starts", [{"G": 6.0}, {"G": 0.7}, pytest.param({"J": 0.04}, marks=pytest.mark.slow)]
+)
 def test_a_pendulum_that_starts_at_a_wrong_frequency(pendulum, starts):
     problem = started(pendulum, **starts)
     stuck = fit(problem)

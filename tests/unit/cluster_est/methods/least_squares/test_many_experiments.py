@@ -54,6 +54,7 @@ def test_enough_experiments_for_blocks_end_where_scipy_sees_no_better_point(boun
     assert held[0].sum() > 10 if bounded else not held[0].any()
 
 
+@pytest.mark.slow
 def test_intervals_from_a_jacobian_that_is_too_large_for_one_array():
     """A slope that all share and an offset of each: their variances are known."""
     count, times = 1100, np.linspace(0.0, 1.0, 7)

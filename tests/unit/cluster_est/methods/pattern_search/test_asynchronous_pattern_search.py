@@ -115,6 +115,7 @@ def time_to(target: float, method: Method, seed: int, workers: int) -> float:
 
 
 @pytest.mark.parametrize("step", ["quadratic", pytest.param("none", marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_is_sooner_where_one_simulation_in_ten_takes_ten_times_longer(step):
     methods = PatternSearch(search_step=step), AsynchronousPatternSearch(search_step=step)
     together, as_they_come = (

@@ -63,11 +63,11 @@ ACKLEY = FunctionProblem(
 HS11 = replace(named("hs11", CONSTRAINED), lower=(-10.0,) * 2, upper=(10.0,) * 2)
 HS7 = replace(named("hs7", CONSTRAINED), lower=(-3.0,) * 2, upper=(3.0,) * 2)
 MINIMA = [
-    (ParticleSwarm(), RASTRIGIN, 1e-8),
     (ParticleSwarm(), ON_A_BOUND, 1e-9),
+    (ParticleSwarm(), RASTRIGIN, 1e-8),
     (ParticleSwarm(adaptive=True), ACKLEY, 1e-4),
-    (DifferentialEvolution(), ACKLEY, 1e-4),
     (DifferentialEvolution(base="best"), ROSENBROCK, 1e-10),
+    (DifferentialEvolution(), ACKLEY, 1e-4),
     (Cmaes(), ACKLEY, 1e-4),
     (GeneticAlgorithm(), RASTRIGIN, 1e-2),  # few digits, as its docstring says
     (Isres(), ACKLEY, 1e-4),

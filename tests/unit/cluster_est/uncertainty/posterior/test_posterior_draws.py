@@ -73,7 +73,7 @@ def test_a_linear_gaussian_problem_has_the_posterior_of_linear_algebra():
         for name, m, s in zip("ab", means, sds, strict=True)
     )
     records = measured()
-    found = drawn(declared(line, own, TIMES, records))
+    found = drawn(declared(line, own, TIMES, records), steps=1500)
     columns = np.column_stack([np.ones(len(TIMES)), TIMES])
     precision = columns.T @ columns + np.diag(sds**-2)
     mean = np.linalg.solve(precision, columns.T @ records[0] + means / sds**2)

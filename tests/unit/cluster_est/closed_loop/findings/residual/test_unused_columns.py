@@ -58,6 +58,7 @@ def test_a_disturbance_that_was_logged_is_named(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_columns_that_have_nothing_to_do_with_it_are_hardly_ever_named(tmp_path):
     """10 draws with 6 columns each, at 1 % for all of them together."""
     rng = np.random.default_rng(11)
