@@ -1,5 +1,6 @@
 """`python -m cluster_est.cli`, the same as `cluster-est`."""
 
-from cluster_est.cli.entry_point import run
+from cluster_est.cli import run
 
-run()
+if __name__ == "__main__":
+    run()

@@ -14,12 +14,13 @@ from cluster_est.cli.commands import run_command
 from cluster_est.cli.display.terminal_text import readable
 from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.output_streams import LenientStreams
-from cluster_est.cli.parent_process import end, run_in_child
+from cluster_est.cli.parent_process import end, tell_of_fmu
 from cluster_est.cli.parser import parse
 from cluster_est.config.text.key_lines import with_lines
 from cluster_est.errors import ClusterEstError
 from cluster_est.running.interrupts import terminations
 from workers import caches
+from workers.fmu.surroundings import before_first_instance
 
 LOST = (
     "standard output: must be written but cannot be ({}); let it go elsewhere and give the command "
@@ -44,6 +45,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         errors.print("cluster-est: interrupted")
         return ExitCode.INTERRUPTED
+    except MemoryError as error:
+        errors.print(f"cluster-est: {_short_of_memory(error)}")
+        return ExitCode.NO_SOLUTION
     finally:
         if said := caches.notice():
             errors.print(f"cluster-est: {said}")
@@ -58,6 +62,16 @@ def _refused(error: OSError) -> str:
     )
 
 
+def _short_of_memory(error: MemoryError) -> str:
+    """Say what was asked for, and what may be done."""
+    said = f" ({error})" if str(error) else ""
+    return (
+        f"there is not enough memory{said}; let this process have more if that is limited "
+        "(ulimit -v), or give it fewer samples, workers or starts; --resume continues a run that "
+        "was begun"
+    )
+
+
 def _placed(message: str, options: Namespace) -> str:
     """Return a message with the lines of the config that it speaks of."""
     config = getattr(options, "config", None)
@@ -69,7 +83,7 @@ def _placed(message: str, options: Namespace) -> str:
 
 def run() -> None:
     """Run a command as a program: end with its exit code, whatever still runs in threads."""
-    run_in_child()
+    before_first_instance(tell_of_fmu)
     streams = LenientStreams()
     try:
         code = main()
@@ -79,8 +93,6 @@ def run() -> None:
             code = code or ExitCode.BAD_INPUT
     except SystemExit as ended:  # of the parser: help, or a usage error
         code = ended.code if isinstance(ended.code, int) else ExitCode.DONE
-    except KeyboardInterrupt:  # a second one, while the first was being said
-        code = ExitCode.INTERRUPTED
     except Exception:
         sys.excepthook(*sys.exc_info())
         code = ExitCode.NO_SOLUTION

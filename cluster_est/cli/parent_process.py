@@ -17,8 +17,6 @@ import sys
 from pathlib import Path
 from typing import NoReturn
 
-from workers.fmu.surroundings import before_first_instance
-
 SENTENCE = (
     "cluster-est: the process of this command has died ({}): something in it has crashed or ended "
     "it, or it was killed from outside; --resume continues a run that was begun"
@@ -43,6 +41,7 @@ def run_in_child() -> None:
     The child has a process group of its own, so that a signal from a terminal or a scheduler
     reaches it once, by its parent.
     """
+    _open_standard_streams()
     if sys.platform != "linux":
         return
     reading, writing = os.pipe()
@@ -60,7 +59,21 @@ def run_in_child() -> None:
         os._exit(1)
     signal.pthread_sigmask(signal.SIG_SETMASK, before)
     _to_parent.append(writing)
-    before_first_instance(lambda: _tell(LOADED))
+
+
+def _open_standard_streams() -> None:
+    """Open on nothing what is closed: a file of a run in its place would get what is printed."""
+    for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+            setattr(sys, name, os.fdopen(descriptor, "w" if descriptor else "r", closefd=False))
+
+
+def tell_of_fmu() -> None:
+    """Have the parent know that an FMU is loaded in the process of the command."""
+    _tell(LOADED)
 
 
 def end(code: int, *, in_order: bool = True) -> NoReturn:
@@ -73,6 +86,8 @@ def end(code: int, *, in_order: bool = True) -> NoReturn:
     in_order
         Whether what is registered with `atexit` comes first.
     """
+    if sys.platform != "win32":
+        signal.pthread_sigmask(signal.SIG_BLOCK, PASSED_ON)  # nothing is left to be interrupted
     if in_order:
         atexit._run_exitfuncs()
     for stream in filter(None, (sys.stdout, sys.stderr)):  # a program may have neither

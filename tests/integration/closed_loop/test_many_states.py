@@ -93,6 +93,7 @@ def test_the_leak_leads_at_its_node(ranked):
     assert (effect.site, effect.variables) == (f"der(T{LEAKING})", (f"T{LEAKING}",))
 
 
+@pytest.mark.slow
 def test_pairs_are_those_of_neighbours(ranked):
     """No heat flows between nodes that do not touch."""
     sites = {trial.candidate.site for trial in ranked.trials}

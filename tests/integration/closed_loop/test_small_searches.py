@@ -137,6 +137,7 @@ def test_a_drift_that_leaves_noise_is_found():
     assert (effect.form, effect.coefficients[0].value) == ("drift", pytest.approx(0.5, rel=0.03))
 
 
+@pytest.mark.slow
 def test_a_column_that_varies_with_what_nothing_explains_is_named(tmp_path):
     """A force that was logged, 3 times as large, and that the config does not use."""
     problem = driven_by(*(lambda t, f, s=s: f + gusts(s, 1.0) for s in (3, 4)))

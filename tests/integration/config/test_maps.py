@@ -84,6 +84,7 @@ def test_every_value_of_a_map_is_a_parameter_and_a_smooth_one_fits_as_well(fitte
     assert fitted(smooth=True)[2].cost < result.cost + 3.0 * priors
 
 
+@pytest.mark.slow
 def test_smoothness_fills_what_the_data_did_not_visit(fitted):
     """Where a small motion never comes, a table of free values stays where it began."""
     free, _, _ = fitted(1.0)

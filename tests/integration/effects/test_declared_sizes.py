@@ -54,6 +54,7 @@ def tried(*values: float) -> list[object]:
 
 
 @pytest.mark.parametrize("factor", tried(0.2, 5.0, 10.0, 0.1))
+@pytest.mark.slow
 def test_a_lag_is_found_from_a_start_far_off(factor: float) -> None:
     fit = ce.fit(ce.add_effect(shown(), "output y", "lag", start={"tau": factor * LAG}))
     assert fit.x["lag.tau"] == pytest.approx(LAG, rel=0.02)

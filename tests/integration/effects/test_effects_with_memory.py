@@ -97,8 +97,11 @@ def behind_a_limit(interpolation, from_rest):
 @pytest.mark.parametrize(
     ("solver", "interpolation", "form"),
     thinned(
-        list(product((EXACT, CO_SIMULATION), ("linear", "hold"), RATE_LIMITS)),
-        *(lambda *case, i=i: case[i] for i in range(3)),
+        [
+            pytest.param(*case, marks=() if case[0] is EXACT else pytest.mark.slow)
+            for case in product((EXACT, CO_SIMULATION), ("linear", "hold"), RATE_LIMITS)
+        ],
+        lambda solver, *_: solver,
     ),
 )
 def test_a_limited_rate_of_an_input(solver, interpolation, form):

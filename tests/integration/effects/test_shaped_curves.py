@@ -265,6 +265,7 @@ def test_a_block_of_the_loop_takes_the_keys(tmp_path, own_fmu):
     assert starts["shift.slope"] == pytest.approx(0.2 / (8.0 / 6))
 
 
+@pytest.mark.slow
 def test_what_is_exported_reads_back_as_starts(tmp_path, own_fmu, capsys):
     basis = hats(FORCE, -4.0, 4.0)
     tree = config(tmp_path, own_fmu, at_output(slope_change=CHANGE), LINEAR + basis @ TRUE)

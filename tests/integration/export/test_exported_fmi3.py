@@ -159,6 +159,7 @@ def test_what_the_run_needs_and_fmi_2_has_not_is_refused(own_fmu, tmp_path):
         written(repair(own_fmu, ("int64", 2**40)), tmp_path / "types.fmu")
 
 
+@pytest.mark.slow
 def test_an_original_that_ends_the_simulation_says_so(own_fmu, tmp_path):
     """The stair ends at 10 s; FMI 2.0 says it by a discarded step."""
     archive = own_fmu("stair", 3)

@@ -158,6 +158,7 @@ def test_records_are_cut_into_so_many_segments(records, samples, shooting, segme
     assert found.shooting.asked == segments
 
 
+@pytest.mark.slow
 def test_standard_errors_by_segments_are_those_of_whole_records():
     """Whole records are not tried where they explain less than half of what was measured."""
     problem = spring_problem(2, 100, noise=0.3).problem

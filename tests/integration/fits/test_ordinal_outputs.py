@@ -61,6 +61,7 @@ def test_few_grades_say_less(grades, differences, within):
     assert found["c"] == pytest.approx(TRUE["c"], rel=within)
 
 
+@pytest.mark.slow
 def test_what_an_order_says_nothing_of_is_named():
     """A sensor's scale changes no order; a known start in metres says how large the rest is."""
     problem = judged()

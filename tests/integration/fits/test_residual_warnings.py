@@ -74,6 +74,7 @@ def test_a_wrong_sigma_is_named(clean, sigma, doubt):
     assert f"sigma is probably 10 times {doubt.removeprefix('sigma ')}" in note.replace("9.9", "10")
 
 
+@pytest.mark.slow
 def test_where_residuals_have_no_such_meaning_nothing_is_said(lacking):
     names = tuple(p.name for p in lacking.parameters)
     below = ParameterConstraint("m below 5", Formula("m - 5", names, "constraints"))

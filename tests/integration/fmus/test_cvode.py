@@ -99,6 +99,7 @@ def test_sampled_inputs_with_kinks_and_jumps(opened, interpolation):
 
 
 @pytest.mark.parametrize("interpolation", ["linear", pytest.param("hold", marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_a_pulse_much_shorter_than_a_step_is_not_missed(opened, interpolation):
     knots = np.array([0.0, 900.0, 900.5, 901.0, 1000.0])
     pulse = Input("feed", knots, np.array([0.0, 0.0, 1.0, 0.0, 0.0]), interpolation)

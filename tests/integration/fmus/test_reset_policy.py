@@ -275,6 +275,7 @@ def test_a_process_that_dies_leaves_a_sentence(fitted, tmp_path):
     assert DIED in ended.stderr.strip().splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_what_was_found_is_written_before_the_fmu_is_let_go(built_fmu, tmp_path):
     """It crashes in the process of the command, at the very end."""
     (tmp_path / "a.csv").write_text(decay_table(), encoding="utf-8")

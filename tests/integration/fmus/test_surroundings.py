@@ -89,6 +89,7 @@ def test_one_that_is_something_else_in_this_process_is_refused_there_alone(
     assert fitted(fmu, given) == 0
 
 
+@pytest.mark.slow
 def test_one_that_is_read_when_a_process_starts(own_fmu, fitted, tmp_path, capsys):
     """A library that the FMU needs, in a folder that is not known when this process starts."""
     fmu, folder = own_fmu("needs_library", 2), tmp_path / "libraries"

@@ -183,6 +183,7 @@ def test_what_does_not_fit_the_run_is_refused_in_a_sentence(
     assert not (tmp_path / "new.csv").exists()
 
 
+@pytest.mark.slow
 def test_an_input_that_moves_nothing_tells_nothing_apart(design, tmp_path):
     """The mass is at rest, and stays there with either friction."""
     assert design(text=limits_text(within=(-1e-6, 1e-6), candidates=10)) == 0

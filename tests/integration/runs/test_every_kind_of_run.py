@@ -42,7 +42,15 @@ KINDS: dict[str, list[str]] = {
 }
 """The command of each kind of run, without what all of them take."""
 DISTURBANCES = ("third answer", "budget", "eighth answer", "two processes")
-CASES = thinned([*product(KINDS, DISTURBANCES)], lambda kind, _: kind, lambda _, how: how)
+LONG = {"ordinal", "posterior", "own sensors"}
+CASES = thinned(
+    [
+        pytest.param(kind, how, marks=pytest.mark.slow if kind in LONG else ())
+        for kind, how in product(KINDS, DISTURBANCES)
+    ],
+    lambda kind, _: kind,
+    lambda _, how: how,
+)
 
 Run = Callable[..., tuple[int, dict[str, str]]]
 

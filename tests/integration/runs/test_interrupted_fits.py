@@ -37,7 +37,10 @@ def check_best_so_far(run: Path) -> None:
 @pytest.mark.parametrize(
     ("how", "executor"),
     thinned(
-        [*product(HOW, ["processes", "local"])],
+        [
+            pytest.param(how, executor, marks=pytest.mark.slow if how == "terminate" else ())
+            for how, executor in product(HOW, ["processes", "local"])
+        ],
         lambda how, _: how,
         lambda _, executor: executor,
     ),

@@ -25,6 +25,7 @@ def usual(tmp_path_factory) -> Path:
     return fit(tmp_path_factory.mktemp("posterior") / "run")
 
 
+@pytest.mark.slow
 def test_every_draw_is_a_row_and_what_has_not_mixed_has_no_interval(usual):
     draws = rows(usual, "posterior")
     assert {row["label"] for row in draws} == {"m", "k", "c", "x0[exp5]"}

@@ -79,6 +79,7 @@ def logged(run: Path) -> list[tuple[Any, ...]]:
     return list(zip(*(map(repr, table[name].to_pylist()) for name in columns), strict=True))
 
 
+@pytest.mark.slow
 def test_a_sweep_gives_what_single_fits_give(sweep, done):
     code, printed, _ = sweep()
     assert code == 0
@@ -209,7 +210,11 @@ def test_whatever_goes_wrong_in_a_run_is_its_own(sweep, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("error", "expected"), [(KeyboardInterrupt(), 130), (ExecutorError("no workers"), 2)]
+    ("error", "expected"),
+    [
+        (KeyboardInterrupt(), 130),
+        pytest.param(ExecutorError("no workers"), 2, marks=pytest.mark.slow),
+    ],
 )
 def test_the_next_call_goes_on_where_one_stopped(sweep, done, monkeypatch, error, expected):
     """In the midst of the second run, what was simulated is not simulated again."""

@@ -34,9 +34,11 @@ def files_up_to(size: int) -> Iterator[None]:
     """No file may grow beyond so many bytes: to who writes it that is a full disk."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    bytecode, sys.dont_write_bytecode = sys.dont_write_bytecode, True  # it would be cut, unnoticed
     try:
         yield
     finally:
+        sys.dont_write_bytecode = bytecode
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 

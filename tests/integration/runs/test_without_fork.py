@@ -64,6 +64,7 @@ def test_a_fit_and_a_check_work_in_this_process_and_a_replay_says_what_it_lacks(
 @pytest.mark.parametrize(
     "commands", [["fit"], pytest.param(["close-loop", "sensitivity"], marks=pytest.mark.slow)]
 )
+@pytest.mark.slow
 def test_processes_are_refused_in_a_sentence(tmp_path, commands):
     chosen = "--out", str(tmp_path / "run"), "executor.name=processes"
     for code, _, err in ends_of([[command, SPRING, *chosen] for command in commands]):

@@ -114,7 +114,9 @@ def test_wide_bounds_say_nothing_of_a_size(bounds):
     np.testing.assert_allclose(errors, plain_errors, rtol=1e-3)
 
 
-@pytest.mark.parametrize("factor", [1e-12, 1.0, 1e12])
+@pytest.mark.parametrize(
+    "factor", [1e-12, *(pytest.param(f, marks=pytest.mark.slow) for f in (1.0, 1e12))]
+)
 def test_a_bound_that_holds_is_named_in_any_unit(factor):
     x, _, said = fitted(LeastSquares(), unit=(1.0, 1.0, factor), bounds=(0.0, np.inf), offset=-0.3)
     assert x[2] == 0.0

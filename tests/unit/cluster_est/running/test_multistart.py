@@ -335,6 +335,7 @@ def test_failed_starts_bring_nothing_new_but_end_nothing_before_the_first_minimu
     st.integers(1, 9),
     st.lists(st.sampled_from([0.0, 0.3, 0.5, 1.1, 1.7, 2.9]), min_size=1, max_size=9),
 )
+@pytest.mark.slow
 def test_which_starts_are_enough_does_not_depend_on_which_is_faster(seed, workers, at_once, given):
     multistart = Multistart(points=stays(given), patience=2)
     expected = bits(search(HIMMELBLAU, replace(multistart, at_once=1), STAY))
