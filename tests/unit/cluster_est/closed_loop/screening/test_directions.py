@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from support.truth.systems_with_missing_effects import (
 from support.thinning import thinned
+from support.truth.systems_with_missing_effects import (
     SYSTEMS,
     missing_effect_problem,
     opened,
