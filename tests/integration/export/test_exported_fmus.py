@@ -24,7 +24,6 @@ from support.exported import (
 )
 from support.problems.springs import FMU
 from support.simulated import simulated
-from support.thinning import thinned
 from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M, plain, pushed, solve
 
 from cluster_est.errors import ModelError
@@ -187,10 +186,10 @@ def test_state_events_happen_when_they_did(own_fmu, tmp_path, fmpy_prints, solve
 
 @pytest.mark.parametrize(
     ("name", "fmi"),
-    thinned(
-        [*product(("step_events", "thermostat", "stair", "held_input"), (2, 3))],
-        lambda name, fmi: fmi,
-    ),
+    [
+        pytest.param(*case, marks=() if case == ("thermostat", 2) else pytest.mark.slow)
+        for case in product(("step_events", "thermostat", "stair", "held_input"), (2, 3))
+    ],
 )
 def test_other_events_pass_through(own_fmu, tmp_path, name, fmi):
     """Time events, step events, discrete outputs: without effects, as the original."""

@@ -19,6 +19,7 @@ from cluster_est.running.environment import RunEnvironment
 from workers.effects.forms import PROCESS_NOISE
 from workers.messages import Effect
 
+pytestmark = pytest.mark.slow  # the filter takes 20 seconds to compile
 MODELS = ROOT / "configs" / "models"
 STEP, SIGMA = 0.02, 0.02
 
@@ -197,7 +198,6 @@ def test_output_errors_on_the_same_data_are_worse(fitted):
     assert any("autocorrelated" in note for note in plain.notes)
 
 
-@pytest.mark.slow
 def test_an_ornstein_uhlenbeck_force_has_a_strength_and_a_time(fitted):
     problem = spring(fitted.problem.experiments, 1.0, COLOURED)
     *_, q, tau = problem.parameters

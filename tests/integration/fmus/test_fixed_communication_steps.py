@@ -18,7 +18,7 @@ TIMES = np.array([0.0, 0.07, 0.1, 0.15, 0.3, 0.333, 0.9, 1.21, 1.99])
 ON_GRID = np.isin(TIMES, [0.0, 0.1, 0.3, 0.9])
 
 
-@pytest.fixture(params=[2, 3])
+@pytest.fixture(params=[2, pytest.param(3, marks=pytest.mark.slow)])
 def fmi(request):
     return request.param
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from support.changed_fmus import with_description
 from support.simulated import answer, answers
+from support.thinning import COMPILED
 
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
@@ -87,11 +88,7 @@ def test_a_description_that_breaks_the_schema_does_no_harm(own_fmu):
 
 
 VERSIONS = pytest.mark.parametrize("fmi", [2, 3])
-SOLVERS = pytest.mark.parametrize(
-    "solver",
-    [Solver("dormand_prince"), Solver("rk4", 0.05), Solver("cvode")],
-    ids=lambda solver: solver.name,
-)
+SOLVERS = [Solver("dormand_prince"), Solver("rk4", 0.05), Solver("cvode")]
 SAMPLED = np.linspace(0.0, 1.95, 16)
 
 
@@ -110,8 +107,17 @@ def found(outcome: Outcome) -> np.ndarray:
     return -outcome.residuals
 
 
-@VERSIONS
-@SOLVERS
+@pytest.mark.parametrize(
+    ("solver", "fmi"),
+    [
+        pytest.param(
+            *(solver, fmi), marks=() if (solver.name, fmi) in COMPILED else pytest.mark.slow
+        )
+        for solver in SOLVERS
+        for fmi in (2, 3)
+    ],
+    ids=lambda value: getattr(value, "name", value),
+)
 def test_event_indicators_that_are_computed_only_when_a_variable_is_got(own_fmu, fmi, solver):
     """The switch is on while the input is above the threshold: a triangle up to 1."""
     triangle = Input("u", np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 0.0]), "linear")
