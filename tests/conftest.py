@@ -19,8 +19,8 @@ from build_fmus import SCAFFOLD
 from fmus import build as own
 from hypothesis import settings
 
-from cluster_est.preflight import repeatability
 from cluster_est.running.resources import one_blas_thread
+from cluster_est.running.trials import reset_policy
 from workers.kernels.fmi import compiling
 
 settings.register_profile("project", deadline=None, derandomize=True)
@@ -59,8 +59,8 @@ def faults_are_raised() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def nobody_waits_for_the_next_second() -> None:
-    """In a check, but for the test of an FMU that tells the time."""
-    repeatability.LATER_SECONDS = 0.0
+    """But for the test of an FMU that tells the time."""
+    reset_policy.LATER_SECONDS = 0.0
 
 
 @pytest.fixture(scope="session", autouse=True)

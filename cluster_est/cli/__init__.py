@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
+import os
 import sys
 from collections.abc import Sequence
 
-from cluster_est.cli.parent_process import end, run_in_child
+from cluster_est.cli.parent_process import address_space, end, run_in_child
 
 __all__ = ["main", "run"]
+
+LEAST_MEMORY = 2.2
+"""GB, below which libraries fail in ways that nobody can foresee."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -23,15 +28,17 @@ def run() -> None:
     What takes memory is loaded only where somebody can say why that failed.
     """
     run_in_child()
+    if address_space() < LEAST_MEMORY:
+        sys.stderr.write(
+            f"cluster-est: it must have {LEAST_MEMORY:g} GB of memory to address, or its libraries "
+            f"cannot be loaded, but it has {address_space():.3g} GB; let it have more (ulimit -v)\n"
+        )
+        end(2)
+    if address_space() < math.inf:  # where OpenBLAS cannot start threads, it interrupts the process
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
-        try:
-            from cluster_est.cli import entry_point
-        except (ImportError, MemoryError, OSError) as error:
-            sys.stderr.write(
-                f"cluster-est: this installation cannot be loaded ({error or 'no memory left'}); "
-                "install it again, or let it have more memory if that is limited (ulimit -v)\n"
-            )
-            end(2)
+        from cluster_est.cli import entry_point
+
         entry_point.run()
     except KeyboardInterrupt:  # while that is loaded, or another one while the first is being said
         end(130, in_order=False)

@@ -14,7 +14,7 @@ from cluster_est.cli.commands import run_command
 from cluster_est.cli.display.terminal_text import readable
 from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.output_streams import LenientStreams
-from cluster_est.cli.parent_process import end, tell_of_fmu
+from cluster_est.cli.parent_process import address_space, end, tell_of_fmu
 from cluster_est.cli.parser import parse
 from cluster_est.config.text.key_lines import with_lines
 from cluster_est.errors import ClusterEstError
@@ -45,7 +45,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         errors.print("cluster-est: interrupted")
         return ExitCode.INTERRUPTED
-    except MemoryError as error:
+    except Exception as error:
+        if not isinstance(error, MemoryError) and address_space() == np.inf:
+            raise
         errors.print(f"cluster-est: {_short_of_memory(error)}")
         return ExitCode.NO_SOLUTION
     finally:
@@ -62,13 +64,19 @@ def _refused(error: OSError) -> str:
     )
 
 
-def _short_of_memory(error: MemoryError) -> str:
-    """Say what was asked for, and what may be done."""
-    said = f" ({error})" if str(error) else ""
+def _short_of_memory(error: Exception) -> str:
+    """Say what happened, and what may be done. Libraries without memory fail in many ways."""
+    said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    limit = address_space()
+    if limit < np.inf:
+        return (
+            f"it failed ({said}) with {limit:.3g} GB of memory that it may address, which are too "
+            "few for many libraries; let it have more (ulimit -v), and go on with --resume if a "
+            "run was begun"
+        )
     return (
-        f"there is not enough memory{said}; let this process have more if that is limited "
-        "(ulimit -v), or give it fewer samples, workers or starts; --resume continues a run that "
-        "was begun"
+        f"there is not enough memory ({said}); give it more, or fewer samples, workers or starts, "
+        "and go on with --resume if a run was begun"
     )
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import ctypes
+import math
 import os
 import signal
 import sys
@@ -28,6 +29,8 @@ OF_FMU = (
     "begun"
 )
 PASSED_ON = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP} if sys.platform != "win32" else set()
+INSISTED = 4
+"""Interrupts after which the child is killed: it may hang in an FMU, where none comes through."""
 FAREWELL, LOADED = b"farewell\n", b"loaded\n"
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36  # linux/prctl.h
 
@@ -46,6 +49,7 @@ def run_in_child() -> None:
         return
     reading, writing = os.pipe()
     watched = PASSED_ON | {signal.SIGCHLD, signal.SIGTSTP}
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # before the fork: one that waits would be lost
     before = signal.pthread_sigmask(signal.SIG_BLOCK, watched)
     parent, child = os.getpid(), os.fork()
     if child:
@@ -69,6 +73,16 @@ def _open_standard_streams() -> None:
         except OSError:
             os.open(os.devnull, os.O_RDWR)
             setattr(sys, name, os.fdopen(descriptor, "w" if descriptor else "r", closefd=False))
+
+
+def address_space() -> float:
+    """Return the GB of memory that this process may address (ulimit -v)."""
+    if sys.platform == "win32":
+        return math.inf
+    import resource
+
+    most, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return math.inf if most == resource.RLIM_INFINITY else most / 1e9
 
 
 def tell_of_fmu() -> None:
@@ -110,7 +124,6 @@ def _ignored(signals: set[signal.Signals]) -> set[signal.Signals]:
 def _give_exit_code(child: int, reading: int, watched: set[signal.Signals]) -> NoReturn:
     """End this process as its child ends."""
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     status = _wait(child, watched | {signal.SIGCHLD})
     _end_descendants()
     os.set_blocking(reading, False)  # what the child has left behind may hold the other end
@@ -129,10 +142,12 @@ def _give_exit_code(child: int, reading: int, watched: set[signal.Signals]) -> N
 
 def _wait(child: int, watched: set[signal.Signals]) -> int:
     """Return the status of a child once it has ended; until then pass signals on to it."""
+    interrupts = 0
     while True:
         received = signal.sigwait(watched)
         if received in PASSED_ON:
-            os.kill(child, received)
+            interrupts += 1
+            os.kill(child, received if interrupts < INSISTED else signal.SIGKILL)
         elif received == signal.SIGTSTP:
             os.killpg(child, signal.SIGSTOP)
             os.kill(os.getpid(), signal.SIGSTOP)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import queue
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 from typing import ClassVar, Protocol, Self, final
 
 from typing_extensions import override
@@ -35,13 +37,17 @@ class _EvaluatorProtocol(Protocol):
 
 @final
 class _EvaluatorHere:
-    """An evaluator in this process, where an instance that had a fatal error stays for good.
+    """An evaluator in this process, which is not the FMU's alone.
 
-    Another one in its place would be one too many where their number is limited.
+    It gets its working folder back after each batch. An instance that had a fatal error stays for
+    good: another one in its place would be one too many where their number is limited.
     """
 
     def __init__(self, evaluator: Evaluator) -> None:
         self._evaluator = evaluator
+        self._folder = ""
+        with suppress(OSError):  # it is gone
+            self._folder = os.getcwd()
         self.free_instance, self.close = evaluator.free_instance, evaluator.close
 
     def evaluate(self, batch: TaskBatch) -> list[Outcome]:
@@ -53,6 +59,8 @@ class _EvaluatorHere:
             If there can be no instance for this worker any more.
         """
         outcomes = self._evaluator.evaluate(batch)
+        with suppress(OSError):
+            os.chdir(self._folder)
         if self._evaluator.has_lost_seat:
             raise ExecutorError(
                 f"executor.instances: {self._evaluator.model.name} had a fatal error, after which "

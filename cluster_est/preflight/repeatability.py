@@ -8,6 +8,7 @@ import numpy as np
 
 from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
 from cluster_est.preflight.subject import CheckSubject, unanswered
+from cluster_est.running.trials import reset_policy
 from cluster_est.running.trials.side_by_side import DISTURBED, two_simulations
 from workers.messages import FloatArray, ResetPolicy
 from workers.probes.probes import (
@@ -21,8 +22,6 @@ from workers.probes.probes import (
 from workers.process.forked import CAN_FORK
 from workers.process.trial import NoAnswer
 
-LATER_SECONDS = 1.1
-"""After which a clock that counts whole seconds shows another number."""
 FACTOR = 1.37
 """Of every value, to see whether it survives a reset: no round number."""
 FRESH = "processes" if CAN_FORK else "instances"
@@ -70,7 +69,7 @@ def later(subject: CheckSubject, earlier: Earlier) -> list[CheckFinding]:
     if earlier is None:
         return []
     begun, first = earlier
-    wait = max(begun + LATER_SECONDS - time.monotonic(), 0.0)
+    wait = max(begun + reset_policy.LATER_SECONDS - time.monotonic(), 0.0)
     if wait > subject.budget.left:
         said = "not tried a second later: there was no time left for it"
         return [CheckFinding(CheckVerdict.NOT_DONE, "later", said, "more time with --seconds")]

@@ -49,7 +49,8 @@ def serve_forks(orders: Connection, evaluator: Evaluator | ModelError) -> None:
                 if child == 0:
                     orders.close()
                     draw_anew()
-                    serve(Connection(handle), evaluator)
+                    connection = Connection(handle)  # kept: an FMU may have closed it
+                    serve(connection, evaluator)
                     os._exit(0)
                 os.close(handle)
                 running.add(child)

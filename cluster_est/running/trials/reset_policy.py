@@ -10,6 +10,7 @@ two or three simulations beside hundreds; `model.reset` in the config saves them
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -28,6 +29,10 @@ from workers.process.forked import CAN_FORK
 WAYS: tuple[ResetPolicy, ...] = ("reset", "instance", "process")
 NO_ANSWER = (Status.LOST_WORKER, Status.TIMEOUT, Status.OUT_OF_MEMORY)
 """Ends of a simulation that say nothing of what it would have given."""
+LATER_SECONDS = 1.1
+"""After which a clock that counts seconds has moved."""
+LONG_SECONDS = 60.0
+"""Of a simulation that is not done once more only to be compared."""
 NO_LIMITS = Limits(*[float("inf")] * 4)
 BEGINS = {
     "reset": "a reset of the instance",
@@ -77,11 +82,17 @@ class RepeatabilityAnswer:
         Whether the process crashed: in the first simulation if `same` is None, else in a later one.
     message
         What went wrong, as a verb with its object, or as the first simulation's own message.
+    first
+        The outcome that came out again.
+    at
+        When that was, in seconds of `time.monotonic`.
     """
 
     same: bool | None
     crashed: bool = False
     message: str = ""
+    first: Outcome | None = None
+    at: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -121,7 +132,7 @@ class RepeatabilityTest:
             return RepeatabilityAnswer(None, message=rest[-1].message if rest else "")
         last = rest[-1]
         if last.ok and _bits(last) == _bits(first):
-            return RepeatabilityAnswer(True)
+            return RepeatabilityAnswer(True, first=first, at=time.monotonic())
         if last.ok:
             return RepeatabilityAnswer(False, message="keeps something through a reset")
         crashed = last.status is Status.CRASH
@@ -235,13 +246,13 @@ def _find_policy(
 ) -> tuple[WorkerPool, ResetDecision]:
     """Find the least policy with which the test has one answer; a reset if there is none.
 
-    For an executor in this process, an FMU that this machine does not know with these values is
-    tried in a process of its own: it may crash.
+    An FMU that this machine does not know with these values is tried in a process of its own: it
+    may crash, or depend on its process.
     """
     file, here = problem.model.name, executor_class(resources.executor).in_process
     question = RepeatabilityTest.of(problem)
     trial = Trial("survived", problem.model, problem.experiments, question.tasks)
-    apart = here and CAN_FORK and not trial.passed
+    apart = (here or resources.executor == "processes") and CAN_FORK and not trial.passed
     answers: dict[ResetPolicy, RepeatabilityAnswer] = {}
     for policy in WAYS if CAN_FORK or not here else WAYS[:-1]:
         elsewhere = apart or (here and policy == "process")
@@ -262,12 +273,32 @@ def _find_policy(
             return pool, decision
         pool.close()
         if decision is not None:
-            _refuse_here(file, resources.executor, policy, answers[policy])
-            if policy == "reset" and answers[policy].same:
-                trial.remember()
-            return start(resources.executor, decision.policy, resources.workers), decision
+            if here:
+                _refuse_here(file, resources.executor, policy, answers[policy])
+            pool = start(resources.executor, decision.policy, resources.workers)
+            return pool, _compared(decision, answers[policy], trial, pool)
     decision = _never_the_same(file, answers)
     return start(resources.executor, decision.policy, resources.workers), decision
+
+
+def _compared(
+    decision: ResetDecision, answer: RepeatabilityAnswer, trial: Trial, other: WorkerPool
+) -> ResetDecision:
+    """Ask another process once more, a second later; return what that makes of a decision."""
+    if trial.passed or answer.first is None or answer.first.seconds > LONG_SECONDS:
+        return decision
+    time.sleep(max(0.0, answer.at + LATER_SECONDS - time.monotonic()))
+    again = other.first_worker(trial.tasks[:1])
+    if any(outcome.ok and _bits(outcome) != _bits(answer.first) for outcome in again):
+        return ResetDecision(
+            decision.policy,
+            f"{trial.model.name} does not repeat itself: the same simulation gives another result "
+            "in another process, or a second later, and so may this run; check it with "
+            "cluster-est check",
+        )
+    if decision.policy == "reset":
+        trial.remember()
+    return decision
 
 
 def _decide(file: str, answers: Mapping[ResetPolicy, RepeatabilityAnswer]) -> ResetDecision | None:

@@ -23,7 +23,6 @@ from cluster_est.preflight import (
     CheckPage,
     CheckVerdict,
     bare_problem,
-    repeatability,
     run_checks,
 )
 from cluster_est.preflight.measured_data import data_findings
@@ -31,6 +30,7 @@ from cluster_est.preflight.simulation_costs import costs
 from cluster_est.preflight.subject import CheckSubject, TimeBudget
 from cluster_est.problem.parameter import Parameter
 from cluster_est.running.resources import Resources
+from cluster_est.running.trials import reset_policy
 from workers.messages import Effect, Solver
 from workers.probes.directional import DirectionalProbe
 from workers.probes.probes import CostProbe, LeftoverProbe, MovementProbe, SimulationCost
@@ -120,7 +120,7 @@ def test_what_is_wrong_is_named(examined, name, fmi, check, verdict, found, do):
 
 
 def test_an_fmu_with_a_clock_is_named(examined, monkeypatch):
-    monkeypatch.setattr(repeatability, "LATER_SECONDS", 1.1)
+    monkeypatch.setattr(reset_policy, "LATER_SECONDS", 1.1)
     page = examined("tells_the_time")
     assert not page.good
     found = [each for each in page.findings if each.verdict == "problem"]

@@ -289,24 +289,6 @@ def test_what_was_found_is_written_before_the_fmu_is_let_go(built_fmu, tmp_path)
     assert estimate(tmp_path, "rate") == pytest.approx(RATE, rel=1e-5)
 
 
-@pytest.mark.parametrize(("fmi", "workers"), [(2, 1), pytest.param(3, 2, marks=pytest.mark.slow)])
-def test_an_fmu_that_ends_the_process_in_order_does_not_look_like_success(
-    fitted, tmp_path, fmi, workers
-):
-    """It calls exit(0) at rates above 2.5."""
-    fitted("exits_when_fast", fmi, "executor.name=processes")
-    fast = "parameters.k.start=3.0", f"executor.workers={workers}"
-    ended = fit_apart(tmp_path, "dies", "model.reset=reset", *fast)
-    assert ended.returncode == 1
-    assert DIED in ended.stderr.strip().splitlines()[-1]
-
-
-@SLOW_IN_3
-def test_a_copy_of_the_process_that_an_fmu_makes_answers_nothing(fitted, tmp_path, fmi):
-    assert fitted("copies_its_process", fmi, "executor.name=processes", "model.reset=reset") == 0
-    assert estimate(tmp_path) == pytest.approx(RATE, rel=1e-5)
-
-
 def test_a_result_that_does_not_come_out_again_is_noted(fitted, capsys, monkeypatch):
     fitted("random_output", 2, "executor.name=local", "model.reset=reset")
     assert "depends on more than its inputs" in " ".join(capsys.readouterr().out.split())

@@ -53,7 +53,7 @@ static void at_most(int resource, rlim_t limit)
 /* What is done at a point that is hit, each time. */
 static int do_at_a_point(int kind, double *rate_of_change)
 {
-    char *memory;
+    char *volatile memory;
     switch (kind) {
     case 1: *rate_of_change = NAN; break;
     case 2: *rate_of_change = INFINITY; break;
