@@ -87,6 +87,8 @@ class TemplateClient:
     def close(self) -> None:
         """End it; fork servers that came from it go on. Again does nothing."""
         with self._lock:
+            if self._orders is not None:
+                _hang_up(self._orders)
             self._close()
 
     def forget(self) -> None:
@@ -140,6 +142,12 @@ class TemplateClient:
         if self._process is not None:
             self._process.wait()  # a shared one has left it, and goes on for the others
         self._orders = self._process = None
+
+
+def _hang_up(connection: Connection) -> None:
+    """End a connection for the other side too where a copy that an FMU has forked holds it open."""
+    with contextlib.suppress(OSError), socket.socket(fileno=os.dup(connection.fileno())) as held:
+        held.shutdown(socket.SHUT_RDWR)
 
 
 def shared_address(group: str, read_at_start: dict[str, str]) -> Path:
