@@ -27,6 +27,18 @@ def stack(*lengths: int, outputs: int = 1) -> StackedRecords:
     )
 
 
+def coloured(generator: np.random.Generator, count: int, *slopes: float) -> FloatArray:
+    """An autoregression, without its start."""
+    white = generator.standard_normal(count + 600)
+    return np.asarray(lfilter([1.0], [1.0, *(-each for each in slopes)], white)[600:])
+
+
+def late(signal: FloatArray, lag: float) -> FloatArray:
+    """Through a lag of first order, in samples."""
+    keep = np.exp(-1.0 / lag)
+    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], signal))
+
+
 def autoregressive(
     records: StackedRecords, coefficients: FloatArray, generator: np.random.Generator
 ) -> FloatArray:

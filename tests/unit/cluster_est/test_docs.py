@@ -1,5 +1,3 @@
-"""The pages for users name files and tests that exist."""
-
 import re
 
 import pytest

@@ -1,5 +1,3 @@
-"""Misuse of the Python interface ends in a sentence of this project, as that of a config does."""
-
 import os
 import re
 import subprocess
@@ -25,8 +23,6 @@ DRIVEN, MEASURED = ce.Input("F", T, T), ce.Output("y", T, T)
 RUN = ce.Experiment("a", 0.0, 1.0, [DRIVEN], [MEASURED])
 CONFIG = ROOT / "configs" / "mass_spring_damper.toml"
 MASS = ce.Parameter("m", 1.0, 0.1, 10.0)
-HUBER = COSTS["huber"]
-HUGE = 10**400
 SPRINGS = spring_problem(experiments=2, samples=40).problem
 MODEL = ce.read_model(FMU, ["m"])
 USUAL = {
@@ -78,7 +74,7 @@ def of_residuals(at=None, **given):
 REFUSED = [
     (ce.Parameter, {"start": np.nan}, "m.start: must be a finite number.*nan"),
     (ce.Parameter, {"start": "1"}, "m.start: must be a number.*'1'"),
-    (ce.Parameter, {"start": HUGE}, "m.start: must be a finite number of a usual size.*1000"),
+    (ce.Parameter, {"start": 10**400}, "m.start: must be a finite number of a usual size.*1000"),
     (ce.Parameter, {"start": -1.0, "scale": "log"}, "m.scale: a log scale needs a positive start"),
     (ce.Parameter, {"lower": 2.0, "upper": 0.5}, "m.bounds: the lower bound must be below"),
     (ce.Parameter, {"lower": None}, "m.lower: must be a number, or infinite.*None"),
@@ -97,7 +93,7 @@ REFUSED = [
     (ce.Problem, {"parameters": {"m": 1.0}}, r"parameters\[0\]: must be a Parameter.*'m'"),
     (ce.Problem, {"parameters": []}, "parameters: must be those of the model"),
     (ce.Problem, {"cost": "huber"}, "problem.cost: must be a Cost.*'huber'.*import"),
-    (ce.Problem, {"cost": HUBER}, r"problem.cost: must be a Cost.*class.*HuberCost\("),
+    (ce.Problem, {"cost": COSTS["huber"]}, r"problem.cost: must be a Cost.*class.*HuberCost\("),
     (ce.fit, {"method": "leastsquares"}, "method.name.*'leastsquares'.*did you mean 'least_sq"),
     (ce.fit, {"method": ce.LeastSquares}, "method: must be a Method.*class.*call it"),
     (ce.fit, {"method": 3}, "method: must be a Method.*3; give a method or its name"),
@@ -278,13 +274,8 @@ def test_a_module_of_that_name_in_the_way_of_the_workers_is_named(tmp_path, name
     (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_text("", encoding="utf-8")
     (tmp_path / "script.py").write_text("import cluster_est\n", encoding="utf-8")
-    ended = subprocess.run(
-        [sys.executable, str(tmp_path / "script.py")],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command, env = [sys.executable, tmp_path / "script.py"], os.environ | {"PYTHONPATH": str(ROOT)}
+    ended = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
     if name.endswith(".txt"):  # a folder without modules stands in nobody's way
         assert ended.returncode == 0, ended.stderr
         return

@@ -1,5 +1,3 @@
-"""What `import cluster_est as ce` offers: its names, results, tables, notebooks and residuals."""
-
 import importlib
 import json
 import re
@@ -121,7 +119,6 @@ def test_it_saves_and_reports_and_exports_itself(found, tmp_path):
 
 
 def html(shown):
-    """What a notebook shows."""
     return shown._repr_html_()
 
 

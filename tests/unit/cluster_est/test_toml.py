@@ -1,5 +1,3 @@
-"""What is written as TOML is read back as it was."""
-
 import tomllib
 from pathlib import Path
 

@@ -1,5 +1,3 @@
-"""What is said beside the output of a command, while it runs too, and what a command imports."""
-
 import io
 import math
 import subprocess
@@ -83,10 +81,8 @@ print("as before")
 @pytest.mark.slow
 def test_no_command_imports_pandas_and_python_users_lose_nothing(tmp_path):
     config = ROOT / "configs" / "mass_spring_damper.toml"
-    done = subprocess.run(
-        [sys.executable, "-c", STARTED, str(tmp_path), str(config)],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    command = [sys.executable, "-c", STARTED, str(tmp_path), str(config)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.stdout.splitlines()[-1:] == ["as before"], done.stderr
 
 

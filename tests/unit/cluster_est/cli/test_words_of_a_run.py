@@ -1,5 +1,3 @@
-"""What a terminal and a report say of a run, from what stands in its folder."""
-
 import json
 import re
 from math import nan

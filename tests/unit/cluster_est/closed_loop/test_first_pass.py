@@ -1,9 +1,8 @@
-"""Outliers are set aside before a search, and what is odd about the noise is said."""
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.problems.seen_springs import with_outputs
 from support.truth.systems_with_missing_effects import measured, missing_effect_problem
 
 from cluster_est import LoopResult, LoopSettings, Problem, close_loop, detect
@@ -81,11 +80,8 @@ def test_too_many_are_kept_and_said(clean: Problem) -> None:
 
 def test_the_same_is_set_aside_each_time(clean: Problem) -> None:
     spoiled = changed(clean, spikes(6, 1), spikes(3, 2))
-    keys = []
-    for _ in range(2):
-        found = closed(spoiled)
-        keys.append([run.key for run in found.before.problem.experiments])
-    assert keys[0] == keys[1]
+    one, other = (closed(spoiled).before.problem.experiments for _ in range(2))
+    assert [run.key for run in one] == [run.key for run in other]
 
 
 def test_noise_that_grows_weights_each_sample_unless_a_sigma_is_given(clean: Problem) -> None:
@@ -93,10 +89,7 @@ def test_noise_that_grows_weights_each_sample_unless_a_sigma_is_given(clean: Pro
     louder = [
         0.2 * run.outputs[0].values * generator.standard_normal(601) for run in clean.experiments
     ]
-    undeclared = tuple(
-        replace(run, outputs=(replace(run.outputs[0], sigma=1.0),)) for run in clean.experiments
-    )
-    spoiled = changed(replace(clean, experiments=undeclared), *louder)
+    spoiled = changed(with_outputs(clean, lambda o: replace(o, sigma=1.0)), *louder)
     found = closed(spoiled)
     (note,) = (each for each in found.notes if "grows" in each)
     outputs = [run.outputs[0] for run in found.before.problem.experiments]
@@ -110,10 +103,7 @@ def test_noise_that_grows_weights_each_sample_unless_a_sigma_is_given(clean: Pro
             f"sigma.y = {output.sigma:.3g} and relative_sigma.y = {output.relative_sigma:.3g}"
             in note
         )
-    declared = tuple(
-        replace(run, outputs=(replace(run.outputs[0], sigma=0.01),)) for run in spoiled.experiments
-    )
-    found = closed(replace(spoiled, experiments=declared))
+    found = closed(with_outputs(spoiled, lambda o: replace(o, sigma=0.01)))
     (note,) = (each for each in found.notes if "grows" in each)
     assert [run.outputs[0].relative_sigma for run in found.before.problem.experiments] == [0.0] * 2
     assert "relative_sigma.y = " in note
@@ -126,11 +116,8 @@ def test_noise_that_is_declared_to_grow_is_as_declared(clean: Problem) -> None:
         np.hypot(2e-3, 0.05 * run.outputs[0].values) * generator.standard_normal(601)
         for run in clean.experiments
     ]
-    runs = tuple(
-        replace(run, outputs=(replace(run.outputs[0], sigma=2e-3, relative_sigma=0.05),))
-        for run in changed(clean, *noise).experiments
-    )
-    found = closed(replace(clean, experiments=runs))
+    declared = {"sigma": 2e-3, "relative_sigma": 0.05}
+    found = closed(with_outputs(changed(clean, *noise), lambda o: replace(o, **declared)))
     assert not [each for each in found.notes if "grows" in each]
 
 

@@ -1,5 +1,3 @@
-"""The stages of a closed loop, in the log and for people, and where its thresholds come from."""
-
 import dataclasses
 import re
 

@@ -1,5 +1,3 @@
-"""Costs against the loss functions that SciPy documents, and against a likelihood maximised."""
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,5 +1,3 @@
-"""The evidence that an experiment is expected to give, against dense Gaussians and draws."""
-
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal

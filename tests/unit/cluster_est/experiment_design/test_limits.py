@@ -1,5 +1,3 @@
-"""Limits of the next experiment: what is read, and what is refused in a sentence."""
-
 import math
 
 import pytest

@@ -1,10 +1,9 @@
-"""Fits with priors, against the posterior of linear Gaussian problems, which is known exactly."""
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.problems.curves import Curves
+from support.problems.seen_springs import with_outputs
 
 from cluster_est.costs import COSTS
 from cluster_est.errors import ProblemError
@@ -149,10 +148,6 @@ def test_the_jacobian_of_the_priors_is_that_of_their_residuals():
             assert jacobian[:, j] == pytest.approx(change / (2.0 * step), rel=1e-6, abs=1e-9)
 
 
-def declared(experiment):
-    return replace(experiment, outputs=tuple(replace(o, sigma=1.5) for o in experiment.outputs))
-
-
 def test_a_front_of_several_outputs_is_refused():
     space = Curves(line, PRIORS, TIMES, measured(2)).space()
     with pytest.raises(ProblemError, match="a prior belongs to none of them"):
@@ -162,9 +157,9 @@ def test_a_front_of_several_outputs_is_refused():
 def test_what_a_prior_cannot_be_weighed_against_is_refused():
     """A held-out record without a sigma too: values that only it has are fitted to it."""
     problem = Curves(line, PRIORS, TIMES, measured(6)).problem()
-    first, *others = problem.experiments
-    runs = (declared(first), *(replace(e, role="test") for e in others))
-    whole = replace(problem, experiments=tuple(declared(e) for e in problem.experiments))
+    whole = with_outputs(problem, lambda output: replace(output, sigma=1.5))
+    held_out = (replace(e, role="test") for e in problem.experiments[1:])
+    runs = (whole.experiments[0], *held_out)
     bootstrap = FitPlan(uncertainty=UncertaintySettings(bootstrap=10))
     for given, plan, pattern in (
         (replace(whole, cost=COSTS["huber"]()), FitPlan(), 'a.prior: .*the cost "sse".*huber'),

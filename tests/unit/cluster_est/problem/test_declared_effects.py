@@ -1,8 +1,3 @@
-"""What a declared coefficient gets where little is said of it, what is refused, and tables.
-
-What the expressions of smooth tables make of the unknowns, point by point.
-"""
-
 import math
 
 import numpy as np

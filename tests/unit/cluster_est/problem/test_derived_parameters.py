@@ -1,5 +1,3 @@
-"""Parameters that follow from others, and those that the FMU does not have."""
-
 import math
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Formulas say what Python's own arithmetic says, and whatever else is refused with a sentence."""
-
 import math
 import pickle
 import re
@@ -60,21 +58,16 @@ def test_a_formula_gives_what_python_gives(text):
 
 
 _LEAVES = st.sampled_from(["a", "b", "motor.k", "1", "3", "0.5", "2.25"])
+_SIGNS = st.sampled_from(["<", ">"])
 _FORMULAS = st.recursive(
     _LEAVES,
     lambda inner: st.one_of(
-        st.tuples(inner, st.sampled_from("+-*"), inner).map(lambda t: f"({t[0]} {t[1]} {t[2]})"),
-        st.tuples(st.sampled_from(["tanh", "atan", "abs", "sign"]), inner).map(
-            lambda t: f"{t[0]}({t[1]})"
-        ),
-        st.tuples(st.sampled_from(["min", "max"]), inner, inner).map(
-            lambda t: f"{t[0]}({t[1]}, {t[2]})"
-        ),
-        st.tuples(inner, st.sampled_from(["<", ">"]), inner, inner, inner).map(
-            lambda t: f"where({t[0]} {t[1]} {t[2]}, {t[3]}, {t[4]})"
-        ),
-        inner.map(lambda t: f"-({t})"),
-        inner.map(lambda t: f"({t})/4"),
+        st.builds("({} {} {})".format, inner, st.sampled_from("+-*"), inner),
+        st.builds("{}({})".format, st.sampled_from(["tanh", "atan", "abs", "sign"]), inner),
+        st.builds("{}({}, {})".format, st.sampled_from(["min", "max"]), inner, inner),
+        st.builds("where({} {} {}, {}, {})".format, inner, _SIGNS, inner, inner, inner),
+        st.builds("-({})".format, inner),
+        st.builds("({})/4".format, inner),
     ),
     max_leaves=6,
 )

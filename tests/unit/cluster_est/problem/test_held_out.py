@@ -1,5 +1,3 @@
-"""Windows of a record that are held out."""
-
 from dataclasses import replace
 
 import numpy as np

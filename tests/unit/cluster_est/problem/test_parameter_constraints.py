@@ -1,5 +1,3 @@
-"""Constraints on parameters: in which experiments they hold, their values and their slopes."""
-
 import math
 
 import numpy as np

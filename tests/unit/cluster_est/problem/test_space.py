@@ -1,5 +1,3 @@
-"""Parameters become unknowns, unknowns become values of experiments, and colours share work."""
-
 import math
 from dataclasses import replace
 

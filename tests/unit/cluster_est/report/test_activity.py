@@ -1,5 +1,3 @@
-"""What a log says of workers and failures, also while it is written."""
-
 import numpy as np
 import pyarrow as pa
 import pytest

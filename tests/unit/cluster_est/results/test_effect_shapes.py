@@ -1,5 +1,3 @@
-"""The shapes that are drawn of effects are those of their equations."""
-
 import re
 
 import numpy as np

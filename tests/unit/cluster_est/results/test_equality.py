@@ -1,5 +1,3 @@
-"""What holds arrays is equal to its copies, and to nothing that differs in one bit."""
-
 import copy
 import pickle
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""What is said of residuals, errors and starts, and as which facts."""
-
 import json
 import math
 import re
@@ -19,19 +17,10 @@ from cluster_est.statistics.residual_findings import (
 )
 
 FINE = OutputDiagnostics(
-    output="y",
-    samples=500,
-    declared=True,
-    rms_over_sigma=1.0,
-    noise_over_sigma=1.0,
-    largest_over_rms=3.0,
-    lag1=0.01,
-    widening=1.0,
-    p=0.5,
-    length=6.0,
-    structure=ResidualStructure.WHITE,
-    sigma=SigmaDoubt.NONE,
-)
+    output="y", samples=500, declared=True, rms_over_sigma=1.0, noise_over_sigma=1.0,
+    largest_over_rms=3.0, lag1=0.01, widening=1.0, p=0.5, length=6.0,
+    structure=ResidualStructure.WHITE, sigma=SigmaDoubt.NONE,
+)  # fmt: skip
 MISSING = replace(FINE, rms_over_sigma=3.0, lag1=0.9, p=1e-9, structure=ResidualStructure.MISSING)
 RELATED = replace(FINE, lag1=0.8, widening=3.0, structure=ResidualStructure.AUTOCORRELATED)
 
@@ -57,50 +46,28 @@ def noted(result):
 @pytest.mark.parametrize(
     ("output", "said", "not_said"),
     [
-        (
-            MISSING,
-            "y: error is 3 x sigma.*autocorrelated at lag 1 with 0.9.*intervals are too narrow, "
-            "something is missing.*close-loop CONFIG --out FOLDER.*close_loop.problem",
-            "coloured",
-        ),
-        (
-            RELATED,
-            "autocorrelated at lag 1 with 0.8.*hardly larger than sigma .1 x.*coloured, which the "
-            "intervals allow for, or something small is missing",
-            "from the model",
-        ),
-        (
-            replace(RELATED, declared=False, rms_over_sigma=0.06, noise_over_sigma=0.02),
-            "error is 3 x its noise.*0.02; no sigma is declared.*or the sensor's noise is coloured",
-            "x sigma",
-        ),
-        (
-            replace(RELATED, lag1=0.02, length=60.0),
-            "autocorrelated over about 60 samples .lag 1: 0.02",
-            "at lag 1 with",
-        ),
-        (
-            replace(FINE, rms_over_sigma=10.0, noise_over_sigma=10.0, sigma=SigmaDoubt.TOO_SMALL),
-            "10 x sigma but white.*sigma is probably 10 times too small",
-            "close-loop",
-        ),
-        (
-            replace(FINE, rms_over_sigma=0.1, noise_over_sigma=0.1, sigma=SigmaDoubt.TOO_LARGE),
-            "error is 0.1 x sigma.*sigma is probably 10 times too large",
-            "close-loop",
-        ),
-        (
-            replace(FINE, largest_over_rms=9.0, sigma=SigmaDoubt.OUTLIERS),
-            "the largest is 9 times.*outliers.*huber",
-            "intervals",
-        ),
-        (
-            replace(RELATED, rms_over_sigma=12.0, noise_over_sigma=9.0, sigma=SigmaDoubt.TOO_SMALL),
-            "1.3 x its noise.*alone is 9 x sigma.*sigma is probably 9 times too small",
-            "error is 12 x sigma",
-        ),
+        (MISSING,
+         "y: error is 3 x sigma.*autocorrelated at lag 1 with 0.9.*intervals are too narrow, "
+         "something is missing.*close-loop CONFIG --out FOLDER.*close_loop.problem", "coloured"),
+        (RELATED,
+         "autocorrelated at lag 1 with 0.8.*hardly larger than sigma .1 x.*coloured, which the "
+         "intervals allow for, or something small is missing", "from the model"),
+        (replace(RELATED, declared=False, rms_over_sigma=0.06, noise_over_sigma=0.02),
+         "error is 3 x its noise.*0.02; no sigma is declared.*or the sensor's noise is coloured",
+         "x sigma"),
+        (replace(RELATED, lag1=0.02, length=60.0),
+         "autocorrelated over about 60 samples .lag 1: 0.02", "at lag 1 with"),
+        (replace(FINE, rms_over_sigma=10.0, noise_over_sigma=10.0, sigma=SigmaDoubt.TOO_SMALL),
+         "10 x sigma but white.*sigma is probably 10 times too small", "close-loop"),
+        (replace(FINE, rms_over_sigma=0.1, noise_over_sigma=0.1, sigma=SigmaDoubt.TOO_LARGE),
+         "error is 0.1 x sigma.*sigma is probably 10 times too large", "close-loop"),
+        (replace(FINE, largest_over_rms=9.0, sigma=SigmaDoubt.OUTLIERS),
+         "the largest is 9 times.*outliers.*huber", "intervals"),
+        (replace(RELATED, rms_over_sigma=12.0, noise_over_sigma=9.0, sigma=SigmaDoubt.TOO_SMALL),
+         "1.3 x its noise.*alone is 9 x sigma.*sigma is probably 9 times too small",
+         "error is 12 x sigma"),
     ],
-)
+)  # fmt: skip
 def test_each_finding_has_its_words(noted, output, said, not_said):
     text = " ".join(noted(output))
     assert re.search(said, text)

@@ -1,7 +1,4 @@
-"""A fit with too long a step says so, and what to set so that its error falls.
-
-The data of the fits are exact, from the matrix exponential.
-"""
+"""The data of the fits are exact, from the matrix exponential."""
 
 import re
 from dataclasses import replace

@@ -1,5 +1,3 @@
-"""Who may work in a folder, one process at a time, and what is said of a run that was left."""
-
 import errno
 import json
 import os

@@ -1,5 +1,3 @@
-"""The file that says how far a run is, written and followed."""
-
 import math
 
 import pytest

@@ -1,5 +1,3 @@
-"""Indices and orders of functions where they are known, as problems without an FMU."""
-
 from dataclasses import replace
 
 import numpy as np
@@ -60,11 +58,7 @@ def test_sobol_indices_are_the_analytic_ones():
 def test_the_unknowns_that_matter_are_ranked_first():
     weights = np.zeros(60)
     weights[[3, 17, 40, 55]] = [2.0, 5.0, 3.0, 4.0]
-
-    def few_matter(x):
-        return 10.0 + weights @ x + 0.5 * x[17] * x[40]
-
-    found = between(few_matter, 60)
+    found = between(lambda x: 10.0 + weights @ x + 0.5 * x[17] * x[40], 60)
     assert [u.label for u in found.ranking[:4]] == ["x17", "x55", "x40", "x3"]
     assert found.ranking[4].value == 0.0
     effects = dict(zip([f"x{i}" for i in range(60)], of_output(found, "mu*"), strict=True))
@@ -121,8 +115,7 @@ def test_the_logarithm_of_a_cost_is_taken_once(cost, ranked):
 
 
 @pytest.mark.parametrize(
-    "changed",
-    [{"method": "oat"}, {"groups": -1}, {"groups": 3}, {"collinearity": 0.5}],
+    "changed", [{"method": "oat"}, {"groups": -1}, {"groups": 3}, {"collinearity": 0.5}]
 )
 def test_bad_settings_are_refused(changed):
     with pytest.raises(ProblemError, match=r"sensitivity\."):

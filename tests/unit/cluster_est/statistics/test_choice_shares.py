@@ -1,5 +1,3 @@
-"""Shares of models under resampling are those of models that are really refitted."""
-
 import numpy as np
 import pytest
 

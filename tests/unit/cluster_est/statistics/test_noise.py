@@ -1,8 +1,3 @@
-"""The noise of signals: how large it is, whether it grows, and what in it is an outlier.
-
-The truth is in how the data were made.
-"""
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter

@@ -1,5 +1,3 @@
-"""Score tests and their family-wise p-value keep the promises of theory."""
-
 import numpy as np
 import pytest
 from scipy.special import erfcx, gamma

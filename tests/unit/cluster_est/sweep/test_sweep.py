@@ -1,5 +1,3 @@
-"""Which runs a sweep file asks for, what is wrong in it, and who may work in a folder."""
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Bootstrap over experiments, where the answer is known in closed form."""
-
 from dataclasses import replace
 
 import numpy as np

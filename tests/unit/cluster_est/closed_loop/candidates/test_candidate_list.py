@@ -1,14 +1,16 @@
-"""Which effects could be missing: sites, variables, names, equations, bounds."""
-
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from support.problems.seen_springs import with_outputs
 from support.truth.systems_with_missing_effects import missing_effect_problem, opened, unfitted
 
 from cluster_est import Effect, Input, LoopSettings, Output, Parameter, Solver
+from cluster_est.closed_loop.candidates.finer_curves import finer_form, in_finer_form, refined
 from cluster_est.closed_loop.candidates.make import EffectCandidate, make_candidates
+from cluster_est.closed_loop.candidates.trajectory import pooled
 from workers.effects.forms import FORMS
 from workers.effects.site import parse_site
 from workers.messages import MatrixSeries
@@ -111,7 +113,10 @@ def test_without_units_nothing_is_known_to_be_around_a_state():
     assert not any(" - " in v for c in rates for v in c.effect.variables)
 
 
-@pytest.mark.parametrize(("first", "named"), [(0.0, False), (2.0, True)])
+FROM_REST = {"lag_from_rest", "mode_from_rest"}
+
+
+@pytest.mark.parametrize(("first", "named"), [(0.0, set()), (2.0, FROM_REST)])
 def test_a_lag_may_begin_at_zero_only_where_its_signal_does_not(first, named):
     runs = []
     for run in PLAIN.experiments:
@@ -119,9 +124,7 @@ def test_a_lag_may_begin_at_zero_only_where_its_signal_does_not(first, named):
         values = force.values - force.values[0] + first
         runs.append(replace(run, inputs=(replace(force, values=values),)))
     own = {c.form.name for c in listed(replace(PLAIN, experiments=tuple(runs)))}
-    assert own & {"lag_from_rest", "mode_from_rest", "lag"} == (
-        {"lag_from_rest", "mode_from_rest", "lag"} if named else {"lag"}
-    )
+    assert own & {"lag", *FROM_REST} == {"lag", *named}
 
 
 def test_sites_are_what_moves_is_driven_measured_or_estimated():
@@ -134,11 +137,8 @@ def test_sites_are_what_moves_is_driven_measured_or_estimated():
 @pytest.mark.parametrize("interface", ["model_exchange", "co_simulation"])
 def test_what_is_measured_is_a_site_whatever_its_causality(interface):
     problem = missing_effect_problem("mass_spring_damper", interface=interface)
-    runs = []
-    for run in problem.experiments:
-        (output,) = run.outputs
-        runs.append(replace(run, outputs=(replace(output, variable="x"),)))
-    found = sites(listed(replace(problem, experiments=tuple(runs)), forms=("bias",)))
+    problem = with_outputs(problem, lambda output: replace(output, variable="x"))
+    found = sites(listed(problem, forms=("bias",)))
     assert "output x" in found
     assert "output y" not in found
 
@@ -297,3 +297,245 @@ def test_a_state_that_stops_itself_does_so_no_faster_than_can_be_told():
     other = found["der(h2)", "hinge", ("h1",)]
     assert (other.lowest[0], other.highest[0]) == (-np.inf, np.inf)
     assert found["der(h1)", "linear", ("h2",)].highest[0] == np.inf
+
+
+@pytest.fixture(scope="module")
+def uneven():
+    """Two outputs of different sampling, the second measured at a few times only."""
+    problem = missing_effect_problem("two_mass_drive")
+    few = {"times": np.array([0.1234, 0.5, 2.71]), "values": np.zeros(3)}
+    changes = {"motor_speed": {}, "load_speed": few}
+    problem = with_outputs(problem, lambda o: replace(o, **changes[o.variable]))
+    return problem, simulated(problem)[1]
+
+
+def test_residuals_are_measured_less_simulated_over_sigma(uneven):
+    problem, (course, _) = uneven
+    change = np.zeros((*course.outputs.shape, 1))
+    change[:, 0, 0] = course.times
+    change[:, 1, 0] = 100.0 + course.times
+    first, second = problem.experiments[0].outputs
+    expected = [-first.times / first.sigma, -(100.0 + second.times) / second.sigma]
+    found = course.residual_change(change)
+    np.testing.assert_allclose(found[:, 0], np.concatenate(expected), rtol=1e-14)
+
+
+def test_states_inputs_measured_signals_and_outputs_have_names(uneven):
+    problem, (course, other) = uneven
+    names = {"twist", "w_motor", "w_load", "torque", "extra", "motor_speed", "load_speed"}
+    assert set(course.signals) == names
+    given = problem.experiments[0].inputs[0]
+    at = np.searchsorted(course.times, given.times)
+    np.testing.assert_allclose(course.signal("torque")[at], given.values, rtol=1e-13)
+    gap = course.signal("w_motor") - course.signal("w_load")
+    np.testing.assert_array_equal(course.signal("w_motor - w_load"), gap)
+    assert course.has("w_motor - w_load")
+    assert not course.has("w_motor - speed")
+    both = pooled([course, other], "extra")
+    np.testing.assert_array_equal(both, [*course.signal("extra"), *other.signal("extra")])
+
+
+def test_states_that_effects_bring_are_nothing_to_depend_on():
+    problem = missing_effect_problem("mass_spring_damper")
+    with opened(problem) as bench:
+        start = unfitted(bench).start
+        lagged = Effect("lag", "input F", "lag")
+        tau = Parameter("lag.tau", 0.1, 0.01, 1.0)
+        grown = replace(problem, effects=(lagged,), parameters=(*problem.parameters, tau))
+        courses = bench.trajectories(unfitted(bench, replace(start, problem=grown)))
+    assert set(courses[0].signals) == {"x", "v", "F", "extra", "y"}
+    assert np.abs(courses[0].signal("F") - problem.experiments[0].inputs[0].values).max() > 0.1
+
+
+@pytest.mark.parametrize("interface", ["model_exchange", "co_simulation"])
+def test_what_is_held_keeps_its_value_until_the_next_sample(interface):
+    problem = missing_effect_problem("battery", interface=interface)
+    steps = np.array([0.0, 600.0, 1300.0])
+    held = Input("current", steps, np.array([1.0, 2.0, -1.0]), "hold")
+    warm = Input("extra", steps, np.array([20.0, 30.0, 40.0]), "hold")
+    run = replace(problem.experiments[0], inputs=(held,), signals=(warm,))
+    _, (course,) = simulated(replace(problem, experiments=(run,)))
+    expected = np.where(course.times < 600.0, 1.0, np.where(course.times < 1300.0, 2.0, -1.0))
+    np.testing.assert_array_equal(course.signal("current"), expected)
+    np.testing.assert_array_equal(course.signal("extra"), 10.0 * np.digitize(course.times, steps)
+                                  + 10.0)  # fmt: skip
+
+
+RATE = 2.0 * np.pi
+"""Of six turns in a record, of 6 s with 0.01 s between two samples."""
+SIZE = 3.0
+RMS = SIZE / np.sqrt(2.0)
+
+
+@pytest.fixture(scope="module")
+def spring():
+    return simulated(PLAIN)
+
+
+@pytest.fixture
+def candidates(spring):
+    """Those of a spring whose signals are given, as functions of time."""
+
+    def made(problem=PLAIN, **signals):
+        description, runs = spring
+        given = [
+            replace(
+                run,
+                signals=dict(run.signals)
+                | {n: np.broadcast_to(f(run.times), len(run.times)) for n, f in signals.items()},
+            )
+            for run in runs
+        ]
+        found = make_candidates(problem, description, given, (2.5, 7.0), LoopSettings())
+        return {(str(c.site), c.form.name, *c.effect.variables): c for c in found}
+
+    return made
+
+
+def sine(t):
+    return SIZE * np.sin(RATE * t)
+
+
+def axis(candidate, name):
+    """The values of a coefficient that are looked at, ascending."""
+    place = [c.name for c in candidate.form.coefficients].index(name)
+    return sorted({values[place] for values in candidate.grid})
+
+
+V = ("der(v)", "v")
+SCALES = [
+    (*V, "coulomb", "width", lambda g: g * RMS),
+    (*V, "gap", "at", lambda g: g * SIZE),
+    (*V, "hinge", "at", lambda g: SIZE * np.sin(np.pi * (g - 0.5))),
+    (*V, "dahl", "x0", lambda g: g * RMS / RATE),
+    (*V, "table", "low", lambda g: -SIZE * np.cos(0.01 * np.pi)),
+    (*V, "table", "high", lambda g: SIZE * np.cos(0.01 * np.pi)),
+    ("der(v)", "x", "periodic", "n", lambda g: 2.0 * np.pi * g / 0.2),
+    ("parameter k", "v", "linear", "at", lambda g: 0.0),
+    ("parameter k", "v", "magnitude", "at", lambda g: 2.0 * SIZE / np.pi),
+    ("parameter k", "v", "square", "at", lambda g: RMS**2),
+    ("parameter k", "", "drift", "at", lambda g: 3.0),
+    ("output y", "", "lag", "tau", lambda g: g * 0.01),
+    ("output y", "", "mode", "f", lambda g: g / 0.01),
+    ("output y", "", "saturation", "limit", lambda g: g * (SIZE + 1.0)),
+    ("output y", "", "clip_above", "limit", lambda g: 1.0 - SIZE + g * 2.0 * SIZE),
+    ("input F", "", "rate_limit", "rate", lambda g: g * SIZE * RATE),
+]
+
+
+@pytest.mark.parametrize(("site", "variable", "form", "coefficient", "expected"), SCALES)
+def test_a_grid_is_in_proportion_to_the_signals(
+    candidates, site, variable, form, coefficient, expected
+):
+    found = candidates(v=sine, F=sine, y=lambda t: sine(t) + 1.0, x=lambda t: 0.1 * np.sin(9.0 * t))
+    shares = {c.name: c.grid for c in FORMS[parse_site(site, "").kind, form].coefficients}
+    key = (site, form, variable) if variable else (site, form)
+    truth = sorted({expected(g) for g in shares[coefficient] or (1.0,)})
+    assert axis(found[key], coefficient) == pytest.approx(truth, rel=1e-2, abs=2e-2)
+
+
+def test_waves_begin_at_the_peaks_of_a_spectrum(candidates):
+    assert axis(candidates()["der(v)", "sine"], "f") == [2.5, 7.0]
+
+
+@pytest.mark.parametrize(("span", "whole"), [(1.0, []), (200.0, list(range(1, 16)))])
+def test_waves_of_an_angle_of_many_turns_are_whole_numbers_too(candidates, span, whole):
+    found = axis(candidates(x=lambda t: span * t / t[-1])["der(v)", "periodic", "x"], "n")
+    repeats = 2.0 * np.pi * np.arange(3, 33) / 2.0 / span
+    assert found == pytest.approx(sorted([*repeats, *(n for n in whole if n > repeats[-1])]))
+
+
+@pytest.mark.parametrize(("solver", "moved"), [("rk4", 1.0), ("dormand_prince", 0.0)])
+def test_a_switch_is_no_narrower_than_what_a_fixed_step_goes_across(candidates, solver, moved):
+    """|v'| = 3 RATE |cos| has the median 3 RATE / sqrt(2); a step is one from sample to sample."""
+    problem = replace(PLAIN, model=replace(PLAIN.model, solver=Solver(solver)))
+    found = axis(candidates(problem, v=sine)["der(v)", "coulomb", "v"], "width")
+    crossed = moved * 0.01 * SIZE * RATE / np.sqrt(2.0)
+    shares = FORMS["derivative", "coulomb"].coefficients[-1].grid
+    assert found == pytest.approx(sorted({max(g * RMS, crossed) for g in shares}), rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("form", "signal", "expected"),
+    [
+        ("linear", sine, True),
+        ("linear", lambda t: 5.0, False),
+        ("linear", lambda t: 0.0, False),
+        ("coulomb", sine, True),
+        ("coulomb", lambda t: sine(t) + 2.9, False),
+        ("coulomb", lambda t: np.abs(sine(t)), False),
+        ("square_root", lambda t: sine(t) + 4.0, True),
+        ("square_root", lambda t: 1e-9 * (sine(t) + 2.0), False),
+        ("square_root", lambda t: 1e-9 * (sine(t) + 3.0), True),
+        ("table", sine, True),
+        ("table", lambda t: np.where(t > 5.97, 1.0, 0.0), False),
+    ],
+)
+def test_forms_that_make_sense_for_a_signal(candidates, form, signal, expected):
+    assert (("der(v)", form, "v") in candidates(v=signal)) is expected
+
+
+def test_a_product_needs_two_signals_that_move(candidates):
+    assert not any("product" in key and "F" in key for key in candidates(F=lambda t: 2.0))
+
+
+def test_an_experiment_without_a_signal_does_not_count():
+    problem = missing_effect_problem("two_mass_drive", signals=())
+    problem = changed(problem, outputs=problem.experiments[1].outputs[:1])
+    description, runs = simulated(problem)
+    settings = LoopSettings(forms=("saturation",), sites=("output load_speed",))
+    (found,) = make_candidates(problem, description, runs, (), settings)
+    largest = np.abs(runs[0].signal("load_speed")).max()
+    assert axis(found, "limit")[-1] == pytest.approx(0.95 * largest)
+
+
+def curve(kind, name, site, variables):
+    ends = {"low": 0.0, "high": 6.0, "back": 2.0}
+    form = FORMS[kind, name]
+    grid = (tuple(ends.get(c.name, 0.0) for c in form.coefficients),)
+    free = (-np.inf,) * len(form.coefficients), (np.inf,) * len(form.coefficients)
+    effect = Effect("e", site, name, variables)
+    return EffectCandidate(effect, form, parse_site(site, "site"), False, grid, *free)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "site", "variables"),
+    [
+        ("derivative", "table", "der(v)", ("x",)),
+        ("pair", "table", "pair v,w", ("v",)),
+        ("input", "characteristic", "input u", ()),
+        ("output", "table", "output y", ("x",)),
+        ("parameter", "table", "parameter k", ("x",)),
+    ],
+)
+def test_a_finer_curve_says_the_same_where_the_coarse_one_was(kind, name, site, variables):
+    coarse = curve(kind, name, site, variables)
+    heights = dict(zip(coarse.strengths, np.sin(np.arange(len(coarse.strengths))), strict=True))
+    values = [heights.get(c.name, v) for c, v in zip(coarse.form.coefficients, coarse.grid[0],
+                                                     strict=True)]  # fmt: skip
+    form = finer_form(coarse)
+    course = np.linspace(1.0, 5.0, 100)
+    goes = SimpleNamespace(has=lambda name: True, signal=lambda name: course)
+    finer, found = refined(coarse, values, [goes], form)
+    known = dict(zip([c.name for c in form.coefficients], found, strict=True))
+    assert form.values == 13
+    if len(coarse.strengths) == 7:  # all are free: it goes to where its argument does
+        assert (known["low"], known["high"]) == pytest.approx((1.0, 5.0), abs=0.03)
+    else:
+        assert (known["low"], known["high"]) == (0.0, 6.0)
+    at = np.linspace(known["low"], known["high"], 13)
+    expected = np.interp(at, np.arange(7), [heights.get(f"k{i}", 0.0) for i in range(1, 8)])
+    np.testing.assert_allclose([known.get(f"k{i}", 0.0) for i in range(1, 14)], expected)
+    for parameter in finer.parameters(found):
+        assert parameter.lower <= parameter.start <= parameter.upper
+    assert known.get("back", 2.0) == 2.0
+
+
+def test_there_are_three_resolutions_and_none_finer():
+    coarse = curve("derivative", "table", "der(v)", ("x",))
+    sizes = [coarse.form.values]
+    while (form := finer_form(coarse)) is not None:
+        coarse = in_finer_form(coarse, form)
+        sizes.append(coarse.form.values)
+    assert sizes == [7, 13, 25]
+    assert coarse.effect.form == "table_25"

@@ -1,5 +1,3 @@
-"""What is said of searches made by hand."""
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,22 +8,29 @@ from support.loop_objects import (
     made_candidate,
     made_fit,
     made_problem,
+    made_result,
     made_round,
     made_screening,
     made_selection,
 )
 
 from cluster_est import LoopSettings
+from cluster_est.closed_loop.account import LastFits, account
 from cluster_est.closed_loop.findings.confirmation import confirmed
 from cluster_est.closed_loop.findings.effects import ErrorChange, Verdict
+from cluster_est.closed_loop.findings.simulation_cost import dear_structures
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
-from cluster_est.closed_loop.selection.rounds import RejectionReason, SelectionResult
+from cluster_est.closed_loop.selection.rounds import (
+    ComparedStructure,
+    RejectionReason,
+    SelectionResult,
+)
+from cluster_est.methods.base import Ending
 from cluster_est.statistics.omnibus import OmnibusTest
 
 PROBLEM = made_problem(100, 100, 100, 100)
 FLOOR = 400.0
 QUIET, STRUCTURED = OmnibusTest(0.5, 0.1), OmnibusTest(0.0025, 30.0)
-FRICTION = ("friction",)
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,7 @@ class Case:
     now: float
     why: RejectionReason
     omnibus: OmnibusTest = QUIET
-    families: tuple[str, ...] = FRICTION
+    families: tuple[str, ...] = ("friction",)
     left_out: float = np.nan
     white: OmnibusTest | None = None
     worse: int = 0
@@ -357,3 +362,54 @@ def test_what_is_left_of_one_output_does_not_drown_in_the_noise_of_many(excess, 
     search = made_selection(fit, fit, made_round(CLEAN, screening), squares=np.full(1, 1200.0))
     judgement = judge(made_bench(problem), replace(search, noise=np.ones(12)))
     assert judgement.verdict is expected
+
+
+DONE = made_result(PROBLEM, ())
+
+
+def notes(verdict, before=DONE, after=DONE):
+    """The notes of a search that has ended with this verdict, and with these fits."""
+    base = fit_with_squares(PROBLEM, 80.0)
+    last = made_round(None, made_screening(base.jacobian, base.residuals, [], []))
+    found = made_selection(base, base, last)
+    fits = LastFits(before, after, (), ())
+    return account(made_bench(PROBLEM), found, ReasonedVerdict(verdict, ""), fits).notes
+
+
+def ended(ending: Ending):
+    return replace(DONE, solution=replace(DONE.solution, ending=ending))
+
+
+def test_fits_that_converge_need_no_word():
+    assert not any("converge" in note for note in notes(Verdict.NONE, ended(Ending.PERFECT)))
+
+
+@pytest.mark.parametrize("ending", [Ending.MAX_ITERATIONS, Ending.STALLED, Ending.START_FAILED])
+def test_a_last_fit_that_did_not_converge_is_said_to_be_that(ending):
+    (note,) = (n for n in notes(Verdict.NONE, ended(ending)) if "converge" in n)
+    assert note.startswith("the last fit of the declared model did not converge (")
+    assert "method.options" not in note  # nothing that a user of a closed loop can set
+
+
+@pytest.mark.parametrize("verdict", [Verdict.NONE, Verdict.COLOURED, Verdict.UNEXPLAINED])
+def test_intervals_that_do_not_allow_for_what_is_left_are_said_to_be_too_narrow(verdict):
+    narrow = any("they are too narrow" in note for note in notes(verdict))
+    assert narrow is (verdict is Verdict.UNEXPLAINED)
+
+
+def structure(name: str, times: float, *, accepted: bool = False) -> ComparedStructure:
+    return ComparedStructure(1, (f"{name} at der(v)",), -10.0, 0.5, True, accepted, times)
+
+
+def test_nothing_is_said_where_all_cost_about_the_same():
+    assert dear_structures([structure("a", 1.2), structure("b", 5.0), structure("c", np.nan)]) == ()
+
+
+def test_the_dearest_is_named_with_its_figure_and_so_is_what_was_added():
+    others = [structure("b", 31.4), structure("c", 7.0)]
+    (said,) = dear_structures([structure("a", 1.2), *others])
+    assert said.startswith("2 structures of the 3 that were tried")
+    assert "most of all b at der(v) (31.4 times)" in said
+    assert "what was added" not in said
+    (said,) = dear_structures([structure("a", 9.0, accepted=True), *others])
+    assert said.endswith("with what was added a simulation takes 9 times the steps")

@@ -1,5 +1,4 @@
-"""What was found, in words and numbers."""
-
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -16,8 +15,10 @@ from support.loop_objects import (
     made_screening,
     made_selection,
 )
+from support.problems.springs import spring_problem
 
-from cluster_est import Parameter
+from cluster_est import LoopResult, Parameter
+from cluster_est.closed_loop.findings.effects import ErrorChange, Verdict
 from cluster_est.closed_loop.findings.wording import (
     describe_effects,
     error_changes,
@@ -154,3 +155,38 @@ def test_functions_of_one_argument_at_one_site_are_said_to_be_seen_as_their_sum_
     assert shared_arguments([dry]) == ()
     elsewhere = replace(curve, effect=replace(curve.effect, variables=("x",)))
     assert shared_arguments([dry, elsewhere]) == ()
+
+
+def result(*errors: ErrorChange) -> LoopResult:
+    """A loop that ended with these errors."""
+    fitted = made_result(spring_problem(experiments=1, samples=20).problem, ())
+    return LoopResult(
+        Verdict.PARTIAL, "", (), fitted, fitted, errors, (), (), {}, (), (), 0.0, 0, 0, 0, 0.0
+    )
+
+
+def of_experiment(experiment: str, before: float, after: float, samples: int = 100) -> ErrorChange:
+    return ErrorChange(experiment, "train", "y", "m", samples, before, after, before, after)
+
+
+def of_output(*errors: ErrorChange) -> dict[str, float]:
+    return dict(result(*errors).facts()["errors_by_output"]["y"]["train"])
+
+
+def test_errors_before_and_after_are_of_the_same_experiments() -> None:
+    lost, won = of_experiment("lost", 9.0, math.nan), of_experiment("won", math.nan, 5.0)
+    found = result(of_experiment("both", 3.0, 1.0), lost, won)
+    assert found.rms("train", "before") == 3.0
+    assert found.rms("train", "after") == 1.0
+
+
+def test_an_experiment_without_samples_hides_no_error() -> None:
+    empty = of_experiment("b", math.nan, math.nan, samples=0)
+    assert of_output(of_experiment("a", 2.0, 1.0), empty) == {"before": 2.0, "after": 1.0}
+    assert math.isnan(of_output(empty)["after"])
+
+
+def test_an_output_has_no_error_where_an_experiment_fails() -> None:
+    found = of_output(of_experiment("a", 2.0, 1.0), of_experiment("b", 2.0, math.nan))
+    assert found["before"] == pytest.approx(2.0)
+    assert math.isnan(found["after"])

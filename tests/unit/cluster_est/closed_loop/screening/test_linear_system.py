@@ -1,5 +1,3 @@
-"""Linear systems of few and of many states: exact responses, and each the adjoint of itself."""
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

@@ -1,5 +1,3 @@
-"""Many experiments with unknowns of their own: the same minimum, whatever holds the Jacobian."""
-
 import numpy as np
 import pytest
 from support.problems.curves import Curves

@@ -1,5 +1,3 @@
-"""Steps from Jacobians in blocks, against the same in one array."""
-
 import pickle
 from functools import partial
 

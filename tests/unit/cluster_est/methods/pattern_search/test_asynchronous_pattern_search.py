@@ -1,13 +1,6 @@
-"""Asynchronous pattern search: what it finds in whatever order simulations end, and how soon."""
-
 import numpy as np
 import pytest
-from support.problems.functions import (
-    PROBLEMS,
-    ROSENBROCK,
-    FunctionProblem,
-    named,
-)
+from support.problems.functions import PROBLEMS, ROSENBROCK, FunctionProblem, named
 from support.problems.method_entries import CASES, REGRESSION, ROUGHNESS, SMOOTH
 from support.shuffling_executor import ShufflingExecutor
 from support.thinning import thinned

@@ -1,18 +1,10 @@
-"""Pattern search: its polls, its memory of them, and what it finds where others do not look."""
-
 from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.problems.constrained import CONSTRAINED, held
-from support.problems.functions import (
-    PROBLEMS,
-    FunctionExecutor,
-    FunctionProblem,
-    followed,
-    named,
-)
+from support.problems.functions import PROBLEMS, FunctionExecutor, FunctionProblem, followed, named
 from support.problems.unloaded import unloaded_problem
 
 from cluster_est import Parameter

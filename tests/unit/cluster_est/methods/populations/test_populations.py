@@ -1,5 +1,3 @@
-"""pymoo's populations: minima and fronts that are known in closed form, chance, failures."""
-
 import hashlib
 import os
 import random
@@ -20,23 +18,26 @@ from support.problems.functions import (
 )
 from support.thinning import thinned
 
-from cluster_est import Experiment, Model, Output, Parameter, Problem, Solver
+from cluster_est import Budget, Experiment, Model, Output, Parameter, Problem, Solver
+from cluster_est.costs.robust import SoftL1
 from cluster_est.costs.sum_absolute import SumAbsolute
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.methods import (
+    METHODS,
     Cmaes,
     DifferentialEvolution,
     GeneticAlgorithm,
     Isres,
+    Method,
     Nsga2,
     ParticleSwarm,
 )
-from cluster_est.methods.base import Ending
+from cluster_est.methods.base import Ending, Solution
 from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
-from workers.messages import UserFunction
+from workers.messages import Outcome, Status, Task, UserFunction
 
 SHIFT = np.array([0.3, -0.7, 0.11])
 
@@ -80,7 +81,6 @@ SMALL = [
     ),
     Isres(population=14, max_generations=15),
 ]
-names = pytest.mark.parametrize("method", SMALL, ids=lambda m: m.name)
 
 
 def two_outputs(x):
@@ -120,7 +120,7 @@ def test_finds_the_minimum(method, problem, tolerance):
     assert solution.at.cost == solution.cost
 
 
-@names
+@pytest.mark.parametrize("method", SMALL, ids=lambda m: m.name)
 class TestPopulation:
     def test_a_generation_is_one_request_and_the_start_is_in_the_first(self, method):
         found = followed(ROSENBROCK, method)
@@ -173,10 +173,8 @@ class TestPopulation:
 
     def test_says_by_how_much_constraints_are_violated_at_best(self, method):
         # x0 <= 1 and x0 >= 2 contradict each other; the least of the larger violation is 0.5
-        def limits(x):
-            return np.array([x[0] - 1.0, 2.0 - x[0]])
-
-        contradiction = replace(ROSENBROCK, constraints=limits, equality=(False, False))
+        held = replace(ROSENBROCK, equality=(False, False))
+        contradiction = replace(held, constraints=lambda x: np.array([x[0] - 1.0, 2.0 - x[0]]))
         solution = contradiction.solve(replace(method, max_generations=40))
         assert solution.ending is Ending.INFEASIBLE
         assert "violates them by 0.5" in solution.message
@@ -247,16 +245,10 @@ def fingerprints():
 @pytest.mark.slow
 def test_a_new_process_gets_the_same_bits():
     code = "import test_populations; print(*test_populations.fingerprints())"
-    paths = os.pathsep.join(sys.path)
-    found = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code],
-        env={**os.environ, "PYTHONPATH": paths, "PYTHONHASHSEED": "5"},
-        cwd=Path(__file__).parent,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert found.stdout.split() == fingerprints()
+    command = [sys.executable, "-W", "error", "-c", code]
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "PYTHONHASHSEED": "5"}
+    found = subprocess.check_output(command, env=env, cwd=Path(__file__).parent, text=True)
+    assert found.split() == fingerprints()
 
 
 def test_importing_the_methods_does_not_import_pymoo():
@@ -344,10 +336,8 @@ class TestNsga2:
         assert max(o.x[1] for o in first.others) < 0.6
 
     def test_objectives_that_agree_make_a_single_point(self):
-        def agreeing(x):
-            return np.concatenate([x - A, 2.0 * (x - A)])
-
-        solution = solve(two_objectives(), Nsga2(population=40, max_generations=60), agreeing)
+        method = Nsga2(population=40, max_generations=60)
+        solution = solve(two_objectives(), method, lambda x: np.kron([1.0, 2.0], x - A))
         assert len(solution.others) == 1
         assert solution.others[0].x == pytest.approx(A, abs=0.05)
 
@@ -366,3 +356,57 @@ class TestNsga2:
         with pytest.raises(ProblemError, match='must be "experiments" where'):
             Nsga2().check(space)
         Nsga2(objectives="experiments").check(space)
+
+
+BEALE = replace(named("beale"), lower=(-4.5, -4.5), upper=(4.5, 4.5))
+DENNIS = replace(named("brown dennis"), lower=(-30.0,) * 4, upper=(30.0,) * 4)
+
+
+class EarlyExecutor(FunctionExecutor):
+    """Ends whatever is above its bound, and counts."""
+
+    ended = 0
+
+    def _answer(self, task: Task) -> Outcome:
+        outcome = super()._answer(task)
+        if outcome.residuals is None or not float(np.sum(outcome.residuals**2)) > task.bound:
+            return outcome
+        self.ended += 1
+        return Outcome(task.id, Status.ENDED_EARLY, message="its sum was above the bound")
+
+
+def solved(problem: FunctionProblem, method: Method) -> tuple[Solution, Runner, int]:
+    """The solution, who ran it and how many simulations ended early."""
+    executor = EarlyExecutor(problem.residuals, problem.constraints)
+    runner = Runner(executor, Budget(evaluations=600))
+    (solution,) = runner.run([SearchRequest("test", method, problem.space(), 3)])
+    return solution, runner, executor.ended
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "problem"),
+    [
+        ("de", {}, BEALE),
+        ("pso", {"population": 12}, DENNIS),
+        ("pso", {"adaptive": True}, DENNIS),
+        ("ga", {"population": 12}, BEALE),
+    ],
+)
+def test_the_result_is_the_same(name, options, problem):
+    whole, all_of_it, _ = solved(problem, METHODS[name](**options))
+    early, runner, ended = solved(problem, METHODS[name](**options, early_end=True))
+    assert ended > 100
+    assert early.x.tobytes() == whole.x.tobytes()
+    assert (early.cost, early.ending, early.message) == (whole.cost, whole.ending, whole.message)
+    assert early.iterations == whole.iterations
+    assert runner.evaluations == all_of_it.evaluations
+    assert runner.failures == 0
+
+
+@pytest.mark.parametrize("name", ["de", "pso", "ga"])
+def test_no_bound_without_the_option_or_with_another_cost_or_constraints(name):
+    robust = replace(BEALE, cost=SoftL1())
+    held = replace(BEALE, constraints=lambda x: np.array([x[0] - 4.0]), equality=(False,))
+    on = METHODS[name](early_end=True)
+    for problem, method in ((BEALE, METHODS[name]()), (robust, on), (held, on)):
+        assert solved(problem, method)[2] == 0

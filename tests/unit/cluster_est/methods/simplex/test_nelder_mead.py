@@ -1,8 +1,4 @@
-"""Simplex search: SciPy's as a yardstick, batches, bounds, one unknown.
-
-That it finds the minima of classical and rough problems is said by the product of methods and
-problems.
-"""
+"""That it finds the minima of known problems is said by the product of methods and problems."""
 
 from dataclasses import replace
 

@@ -1,5 +1,3 @@
-"""The penalised quadratic program, against SciPy on random convex problems."""
-
 from dataclasses import replace
 
 import numpy as np

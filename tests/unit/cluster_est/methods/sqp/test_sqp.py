@@ -1,7 +1,4 @@
-"""Sequential quadratic programming: ours, and SciPy's two.
-
-That they find the minima of classical problems is said by the product of methods and problems.
-"""
+"""That they find the minima of known problems is said by the product of methods and problems."""
 
 from dataclasses import replace
 
@@ -107,12 +104,8 @@ class TestSolution:
 
 def test_follows_the_crease_of_a_constraint_that_is_the_largest_of_several():
     """The best point lies where the first two of its three faces meet."""
-    problem = held(
-        "crease",
-        lambda x: x - np.array([3.0, 1.0]),
-        (0.0, 3.0),
-        least=[lambda x: max(x[0] ** 2 - x[1], x[0] + x[1] - 1.5, -x[0] - x[1] ** 2)],
-    )
+    faces = [lambda x: max(x[0] ** 2 - x[1], x[0] + x[1] - 1.5, -x[0] - x[1] ** 2)]
+    problem = held("crease", lambda x: x - np.array([3.0, 1.0]), (0.0, 3.0), least=faces)
     found = followed(problem, Sqp())
     meeting = (7.0**0.5 - 1.0) / 2.0  # where x0^2 = x1 and x0 + x1 = 1.5
     assert found.solution.ending.success
@@ -177,10 +170,11 @@ class TestFailures:
         np.testing.assert_allclose(solution.x, [1.0, 2.0], atol=1e-7)
 
     def test_no_derivative_at_all(self):
-        problem = FunctionProblem(
-            "needle", lambda x: x if (x == 1.0).all() else np.full(2, np.nan), (1.0, 1.0), 0.0
-        )
-        assert problem.solve(Sqp()).ending is Ending.DERIVATIVES_FAILED
+        def residuals(x):
+            return x if (x == 1.0).all() else np.full(2, np.nan)
+
+        needle = FunctionProblem("needle", residuals, (1.0, 1.0), 0.0)
+        assert needle.solve(Sqp()).ending is Ending.DERIVATIVES_FAILED
 
     @BY_ALGORITHM
     def test_a_start_without_constraints_says_why(self, method):
@@ -189,23 +183,14 @@ class TestFailures:
         assert solution.message
 
     def test_a_constraint_without_value_next_to_the_point_freezes_the_unknown(self):
-        problem = held(
-            "edge",
-            lambda x: x - np.array([3.0, 5.0]),
-            (0.5, 1.0),
-            17.0,
-            least=[lambda x: x[0] - 2.0 if x[1] == 1.0 else np.nan],
-        )
+        edge = [lambda x: x[0] - 2.0 if x[1] == 1.0 else np.nan]
+        problem = held("edge", lambda x: x - np.array([3.0, 5.0]), (0.5, 1.0), 17.0, least=edge)
         np.testing.assert_allclose(problem.solve(Sqp()).x, [2.0, 1.0], atol=1e-6)
 
     @BY_ALGORITHM
     def test_a_constraint_that_jumps_does_no_harm(self, method):
-        problem = held(
-            "step",
-            lambda x: x - np.array([3.0, 1.0]),
-            (0.0, 0.0),
-            least=[lambda x: 1.0 if x[0] > 2.0 else -1.0],
-        )
+        step = [lambda x: 1.0 if x[0] > 2.0 else -1.0]
+        problem = held("step", lambda x: x - np.array([3.0, 1.0]), (0.0, 0.0), least=step)
         solution = problem.solve(method)
         assert solution.at.feasible
         assert solution.cost < 10.0

@@ -1,5 +1,3 @@
-"""Measured tables: what must work, and what is refused with its place and a sentence."""
-
 import io
 import random
 import re

@@ -1,8 +1,3 @@
-"""Experiments from tables in memory: the same signals, and the same sentences, as from a file.
-
-And the units of columns, against numbers from tables of physics.
-"""
-
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -57,21 +52,12 @@ def test_every_kind_of_table_makes_what_a_file_makes(name, tmp_path):
 
 def test_its_options_are_those_of_a_config():
     found = ce.Experiment.from_table(
-        COLUMNS,
-        id="a",
-        sample_time=0.1,
-        rows=(1, 4),
+        COLUMNS, id="a", sample_time=0.1, rows=(1, 4), start=0.05, role="test",
         inputs={"F": {"column": "force", "interpolation": "hold"}},
-        outputs=["position"],
-        signals={"sun": "force"},
-        sigma={"position": 0.1},
-        relative_sigma=0.05,
+        outputs=["position"], sigma={"position": 0.1}, relative_sigma=0.05,
         columns={"force": {"factor": 10.0, "offset": 1.0, "demean": True}},
-        start=0.05,
-        values={"m": 2.0},
-        role="test",
-        groups={"size": "big"},
-    )
+        signals={"sun": "force"}, values={"m": 2.0}, groups={"size": "big"},
+    )  # fmt: skip
     assert found.inputs[0].interpolation == "hold"
     assert found.inputs[0].values.tolist() == [-9.0, 1.0, 11.0]
     assert (found.outputs[0].sigma, found.outputs[0].relative_sigma) == (0.1, 0.05)

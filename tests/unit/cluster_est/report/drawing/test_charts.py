@@ -1,9 +1,3 @@
-"""Charts are HTML with inline SVG that shows what it is given, and escapes what it is told.
-
-Curves with fewer points keep every peak of every column; scales hold their values, and the numbers
-beside them can be read.
-"""
-
 from math import inf, nan
 
 import numpy as np

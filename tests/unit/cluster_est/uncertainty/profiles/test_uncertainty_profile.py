@@ -1,5 +1,3 @@
-"""Profiles against exact intervals and against refits by SciPy."""
-
 import re
 from dataclasses import replace
 
@@ -56,17 +54,12 @@ def puromycin(lower=0.0, upper=10.0):
     return Curves(michaelis_menten, parameters, np.arange(1.0, 13.0), [VELOCITY])
 
 
-def proportional(times, values, experiment):
-    return values[0] * times
-
-
 def one_slope():
     measured = [2.0 * TIMES + 0.1 * np.sin(50.0 * TIMES)]
-    return Curves(proportional, (Parameter("slope", 1.0),), TIMES, measured)
+    return Curves(lambda t, values, e: values[0] * t, (Parameter("slope", 1.0),), TIMES, measured)
 
 
 def profiled(curves, *names, **settings):
-    """The profiles of some unknowns after a fit."""
     return profiles(*curves.solve(), METHOD, UncertaintySettings(names, **settings))
 
 
@@ -253,13 +246,10 @@ def test_a_better_minimum_is_reported():
 
 def test_a_profile_with_a_kink_is_closed_in_on():
     """b makes up for a until it meets its bound; from there on the cost rises steeply."""
-
-    def kinked(times, values, experiment):
-        return 100.0 * (values[0] - values[1]) + times
-
     parameters = (Parameter("a", 1.0, 0.0, 100.0), Parameter("b", 1.0, 0.0, 5.0))
     measured = [TIMES + 0.1 * np.sin(50.0 * TIMES)]
-    (found,) = profiled(Curves(kinked, parameters, TIMES, measured), "a")
+    kinked = Curves(lambda t, v, e: 100.0 * (v[0] - v[1]) + t, parameters, TIMES, measured)
+    (found,) = profiled(kinked, "a")
     # beyond it one unknown is left: the rise is 20 (100 d)^2
     shift = float(np.mean(0.1 * np.sin(50.0 * TIMES)))
     expected = 5.0 + (np.sqrt(found.rise / 20.0) + shift) / 100.0

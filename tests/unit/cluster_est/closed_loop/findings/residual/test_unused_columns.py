@@ -1,13 +1,11 @@
-"""Columns that a config does not use: named where they vary with what is left, else not."""
-
 from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pacsv
 import pytest
-from scipy.signal import lfilter
 from support.loop_objects import made_bench, made_problem
+from support.truth.stacked_noise import coloured, late
 
 from cluster_est.closed_loop.findings.residual.unused_columns import varying_columns
 from cluster_est.problem.tables.unused import TableSource
@@ -15,18 +13,9 @@ from cluster_est.problem.tables.unused import TableSource
 SAMPLES, RUNS = 600, 2
 
 
-def coloured(rng, a):
-    return lfilter([1.0], [1.0, -a], rng.standard_normal(SAMPLES + 400))[400:]
-
-
 def drawn(rng, a=0.98):
     """A series for each experiment."""
-    return [coloured(rng, a) for _ in range(RUNS)]
-
-
-def late(x, lag):
-    keep = np.exp(-1.0 / lag)
-    return lfilter([1.0 - keep], [1.0, -keep], x)
+    return [coloured(rng, SAMPLES, a) for _ in range(RUNS)]
 
 
 def bench(folder, **columns):
@@ -53,9 +42,8 @@ def test_a_disturbance_that_was_logged_is_named(tmp_path):
     assert (found.column, found.output) == ("Sonne_Wm2", "y0")
     assert found.p < 1e-4
     assert found.share > 0.7
-    assert found.sentence.startswith(
-        "column 'Sonne_Wm2' is not used and varies with it (it carries"
-    )
+    said = "column 'Sonne_Wm2' is not used and varies with it (it carries"
+    assert found.sentence.startswith(said)
 
 
 @pytest.mark.slow

@@ -1,5 +1,3 @@
-"""Numbers that stand for no measurement, and those that only look so."""
-
 import tomllib
 
 import numpy as np
@@ -7,11 +5,75 @@ import pytest
 
 import cluster_est as ce
 from cluster_est.errors import DataError
+from cluster_est.problem.tables.jumps import count_jumps, jump_findings, jump_times
 from cluster_est.problem.tables.stand_ins import stand_ins, written
 
+TIMES = 0.01 * np.arange(400)
+STEPS = np.repeat(np.random.default_rng(3).uniform(-1.0, 1.0, 8), 50)
+BINARY = np.repeat(np.sign(np.random.default_rng(7).standard_normal(200)), 2)
+HOURS = np.linspace(0.0, 24.0, 300)
+ROOM = 21.0 + 1.2 * np.sin(2.0 * np.pi * HOURS / 24.0)
+POINTS = np.sort(np.concatenate([np.arange(12.0), [2.99, 6.99]]))
+SIGNALS = {
+    "steps": (TIMES, STEPS, 7),
+    "small, shifted steps": (1e3 * TIMES, 1e-9 * (STEPS + 5.0), 7),
+    "large, falling steps": (1e3 * TIMES, -1e9 * STEPS, 7),
+    "a binary sequence with the clock of the record": (TIMES, BINARY, (np.diff(BINARY) != 0).sum()),
+    "a staircase": (TIMES[:300], np.repeat([0.0, 1.0, 2.0, 3.0, 2.0, 1.0], 50), 5),
+    "smooth": (TIMES, np.sin(TIMES), 0),
+    "constant": (TIMES, np.ones(400), 0),
+    "the steps of a converter": (TIMES, np.round(np.sin(TIMES) / 0.02) * 0.02, 0),
+    "a ramp between two values that it keeps": (TIMES, np.clip(TIMES, 1.0, 2.0), 0),
+    "with a gap": (TIMES, np.where(np.arange(400) == 9, np.nan, STEPS), 0),
+    "noise": (TIMES, np.random.default_rng(4).standard_normal(400), 0),
+    "a room's temperature on a display": (HOURS, np.round(ROOM / 0.5) * 0.5, 0),
+    "the same on a finer one": (HOURS, np.round(ROOM / 0.3) * 0.3, 0),
+    # straight lines are meant: the two points of a ramp are closer than the others
+    "a ramp with points of its own": (
+        POINTS,
+        1.0 + 3.0 * (POINTS >= 3.0) - 2.0 * (POINTS >= 7.0),
+        0,
+    ),
+}
+
+
+@pytest.mark.parametrize("signal", SIGNALS)
+def test_the_jumps_of_steps_are_counted_and_others_have_none(signal):
+    times, values, count = SIGNALS[signal]
+    assert count_jumps(times, values) == count
+
+
+def test_what_is_held_already_needs_no_note():
+    outputs = (ce.Output("y", TIMES, TIMES, 1.0),)
+
+    def notes(how, holds=(), columns=()):
+        given = (ce.Input("u", TIMES, STEPS, how),)
+        runs = [ce.Experiment(f"run {i}", 0.0, 4.0, given, outputs) for i in range(2)]
+        return jump_findings(runs, holds.__contains__, dict(columns))
+
+    assert notes("hold") == ()
+    assert notes("linear", holds="u") == ()
+    ((said, do),) = notes("linear")
+    assert said.startswith("input u keeps its value and jumps 14 times; straight lines")
+    assert 'inputs.u = { column = "COLUMN", interpolation = "hold" }' in do
+    ((_, do),) = notes("linear", columns=[("inputs.u", 'set "point"')])
+    assert tomllib.loads(do.partition(", if")[0])["inputs"]["u"]["column"] == 'set "point"'
+
+
+@pytest.mark.parametrize(("interpolation", "early"), [("linear", 0.01), ("hold", 0.0)])
+def test_a_jump_begins_where_the_signal_begins_to_change(interpolation, early):
+    """Between two samples it is a ramp, unless it is held."""
+    at = jump_times(ce.Input("u", TIMES, STEPS, interpolation))
+    np.testing.assert_allclose(at, 0.5 * np.arange(1, 8) - early)
+
+
+def test_what_keeps_no_value_has_no_jumps():
+    assert not len(jump_times(ce.Input("u", TIMES, np.sin(TIMES))))
+
+
 RNG = np.random.default_rng(5)
-TIMES = 0.02 * np.arange(500)
-WAVE = 0.3 * np.sin(3.0 * TIMES) + 0.001 * RNG.standard_normal(500)
+SAMPLED = 0.02 * np.arange(500)
+WAVE = 0.3 * np.sin(3.0 * SAMPLED) + 0.001 * RNG.standard_normal(500)
 NOISE = RNG.standard_normal(500)
 
 
@@ -35,13 +97,10 @@ MISSING = {
     "beside an outlier": (with_values(WAVE, (HOLES, -9999.0), (80, 2e4)), [-9999.0]),
     "in a constant": (with_values(0.0 * WAVE + 5.0, (HOLES, -999.0)), [-999.0]),
     "at the start": (with_values(WAVE, (slice(0, 200), -9999.0)), [-9999.0]),
-    "any number, now and then": (
-        with_values(20.0 + WAVE, (HOLES, 0.0), ([90, 200], 0.0)),
-        [0.0],
-    ),
+    "any number, now and then": (with_values(20.0 + WAVE, (HOLES, 0.0), ([90, 200], 0.0)), [0.0]),
     "beside empty cells": (with_values(WAVE, (HOLES, -9999.0), (30, np.nan)), [-9999.0]),
 }
-PEAK = 1.0 / np.sqrt((1.0 - (TIMES / 5.0) ** 2) ** 2 + (0.002 * TIMES) ** 2)
+PEAK = 1.0 / np.sqrt((1.0 - (SAMPLED / 5.0) ** 2) ** 2 + (0.002 * SAMPLED) ** 2)
 HIT = np.where(np.arange(500) % 100 == 50, 5.0, 0.0) + 0.01 * NOISE
 MEASURED = {
     "a wave": WAVE,
@@ -54,8 +113,8 @@ MEASURED = {
     "a switch": 1.0 * (NOISE > 1.5),
     "a switch of full scale": 32767.0 * (NOISE > 1.5),
     "steps": np.repeat([0.0, 1.0, 2.0, 40.0, 1.0], 100),
-    "a supply that is switched on": np.where(TIMES < 1.0, 0.0, 12.0 + 0.01 * NOISE),
-    "one that is off for a while": np.where(abs(TIMES - 5.0) < 0.3, 0.0, 12.0 + 0.01 * NOISE),
+    "a supply that is switched on": np.where(SAMPLED < 1.0, 0.0, 12.0 + 0.01 * NOISE),
+    "one that is off for a while": np.where(abs(SAMPLED - 5.0) < 0.3, 0.0, 12.0 + 0.01 * NOISE),
     "a resonance": PEAK,
     "impacts": HIT,
     "one impact": with_values(WAVE, (100, 30.0)),
@@ -87,7 +146,7 @@ def test_it_is_counted_and_compared():
 @pytest.mark.parametrize("value", [-9999.0, 65535.0, 2147483647.0, 9.9e37, SINGLE, -999.25, 1e38])
 def test_a_number_is_written_so_that_it_leaves_itself_out(value):
     (given,) = tomllib.loads(f"missing = [{written(value)}]")["missing"]
-    columns = {"t": TIMES, "y": with_values(WAVE, (HOLES, value))}
+    columns = {"t": SAMPLED, "y": with_values(WAVE, (HOLES, value))}
     run = ce.Experiment.from_table(columns, id="a", time="t", outputs=["y"], missing=[given])
     np.testing.assert_array_equal(run.outputs[0].values, np.delete(WAVE, np.r_[HOLES]))
 
@@ -96,15 +155,8 @@ def test_missing_numbers_are_those_of_the_file_and_no_times():
     """They are left out before a column is changed, and its mean is that of the others."""
     times = np.array([0.0, 9999.0, 2e4, 3e4])
     columns = {"t": times, "u": [1.0, 9999.0, 2.0, 3.0], "y": [4.0, 8.0, 9999.0, 6.0]}
-    run = ce.Experiment.from_table(
-        columns,
-        id="a",
-        time="t",
-        inputs=["u"],
-        outputs=["y"],
-        columns={"y": {"factor": 2.0, "demean": True}},
-        missing=9999.0,
-    )
+    given = {"inputs": ["u"], "outputs": ["y"], "columns": {"y": {"factor": 2.0, "demean": True}}}
+    run = ce.Experiment.from_table(columns, id="a", time="t", missing=9999.0, **given)
     assert run.inputs[0].times.tolist() == [0.0, 2e4, 3e4]
     assert run.outputs[0].times.tolist() == [0.0, 9999.0, 3e4]
     assert run.outputs[0].values.tolist() == [-4.0, 4.0, 0.0]
@@ -112,13 +164,13 @@ def test_missing_numbers_are_those_of_the_file_and_no_times():
 
 @pytest.mark.parametrize("given", ["x", [float("nan")], [None], {1: 2}])
 def test_what_is_no_list_of_numbers_is_refused(given):
-    columns = {"t": TIMES, "y": WAVE}
+    columns = {"t": SAMPLED, "y": WAVE}
     with pytest.raises(DataError, match=r"experiment 'a'\.missing"):
         ce.Experiment.from_table(columns, id="a", time="t", outputs=["y"], missing=given)
 
 
 def test_words_in_an_order_are_no_numbers():
-    columns = {"t": TIMES[:12], "y": ["low", "mid", "high"] * 4}
+    columns = {"t": SAMPLED[:12], "y": ["low", "mid", "high"] * 4}
     given = {"y": {"column": "y", "ordinal": ["low", "mid", "high"]}}
     run = ce.Experiment.from_table(columns, id="a", time="t", outputs=given, missing=[2])
     assert len(run.outputs[0].values) == 12
