@@ -1,5 +1,3 @@
-"""Every form of the catalogue as C in an exported FMU, against the simulation of a run."""
-
 import numpy as np
 import pytest
 from support.exported import (

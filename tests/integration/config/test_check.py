@@ -1,7 +1,4 @@
-"""`cluster-est check` names each misbehaving FMU for what it is, and good ones have no problem.
-
-And what is looked at without a config, and said of probes without an answer.
-"""
+"""`cluster-est check` names each misbehaving FMU for what it is, and good ones have no problem."""
 
 import re
 from dataclasses import replace
@@ -18,13 +15,7 @@ import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.cli.display.preflight import print_page
 from cluster_est.errors import ModelError
-from cluster_est.preflight import (
-    CheckFinding,
-    CheckPage,
-    CheckVerdict,
-    bare_problem,
-    run_checks,
-)
+from cluster_est.preflight import CheckFinding, CheckPage, CheckVerdict, bare_problem, run_checks
 from cluster_est.preflight.measured_data import data_findings
 from cluster_est.preflight.simulation_costs import costs
 from cluster_est.preflight.subject import CheckSubject, TimeBudget

@@ -1,5 +1,3 @@
-"""`cluster-est check` finds what users get wrong in their data, and says the likely mistake."""
-
 import re
 from dataclasses import replace
 from pathlib import Path

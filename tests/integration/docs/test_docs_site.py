@@ -1,5 +1,3 @@
-"""The documentation as a site: it builds, asks no other host, and describes all of the code."""
-
 import re
 import warnings
 from collections.abc import Callable

@@ -1,5 +1,3 @@
-"""Repaired FMUs: events, state, reset, other interfaces, and what a fit makes of them."""
-
 import sys
 from dataclasses import replace
 from importlib.machinery import ModuleSpec
@@ -164,7 +162,7 @@ def test_an_original_for_co_simulation_stays_one(tmp_path):
         *(
             pytest.param(*each, marks=pytest.mark.slow)
             for each in product((Solver("rk4", step=0.01), Solver("dormand_prince")), (3, 2))
-        ),
+        )
     ],
 )
 def test_state_events_happen_when_they_did(own_fmu, tmp_path, fmpy_prints, solver, fmi):

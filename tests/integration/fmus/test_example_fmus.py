@@ -1,7 +1,4 @@
-"""The committed FMUs are valid; the examples can be built again, and are numerically right.
-
-What the scaffold does that all of them share is shown with two of them by default.
-"""
+"""What the scaffold does that all of them share is shown with two of them by default."""
 
 import shutil
 from typing import Any

@@ -1,5 +1,3 @@
-"""The FMUs of the league are right where a formula is known."""
-
 import fmpy
 import numpy as np
 import pytest

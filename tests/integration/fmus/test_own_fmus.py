@@ -1,5 +1,3 @@
-"""The test FMUs show what their equations say, in fmpy's hands, and are valid descriptions."""
-
 from itertools import product
 
 import numpy as np
@@ -22,7 +20,6 @@ def test_the_description_is_valid(tmp_path, name, fmi):
     described = tmp_path / "described.fmu"
     write_archive(described, {"modelDescription.xml": model_description(read_model(name, fmi))})
     problems = validate_fmu(str(described))
-
     assert bool(problems) == (name == "invalid_xml"), problems
 
 

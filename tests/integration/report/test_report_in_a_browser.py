@@ -1,5 +1,3 @@
-"""The report of a run in a headless Chromium: it draws, zooms, switches, and asks nobody."""
-
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path

@@ -1,5 +1,3 @@
-"""The report of a sweep sets its runs beside each other."""
-
 from pathlib import Path
 
 import pyarrow as pa

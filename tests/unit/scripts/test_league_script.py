@@ -1,5 +1,3 @@
-"""The league: configs that fit together, conversions, figures, judgements, the page."""
-
 import math
 import tomllib
 

@@ -1,5 +1,3 @@
-"""Signals, experiments, models and solvers refuse what is none, in a sentence."""
-
 from pathlib import Path
 
 import numpy as np

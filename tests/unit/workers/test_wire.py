@@ -1,5 +1,3 @@
-"""What is packed for the way between machines comes out as it went in."""
-
 import pickle
 from dataclasses import fields, is_dataclass
 from typing import Any

@@ -1,5 +1,3 @@
-"""Equations keep their functions, and are in machine code what Python computes."""
-
 import ctypes
 import gc
 import math

@@ -1,5 +1,3 @@
-"""Archives that are damaged or hostile leave nothing behind but a sentence."""
-
 import hashlib
 import os
 import random

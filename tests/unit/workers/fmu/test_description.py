@@ -1,5 +1,3 @@
-"""Model descriptions: what is refused, what can be set, units and platforms."""
-
 import pytest
 from support.described import fmi2
 from support.problems.springs import FMU

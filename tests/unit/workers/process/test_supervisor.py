@@ -11,16 +11,7 @@ import pytest
 from support.processes_of_fmus import has_ended, kill, living, parent, wait_until, worker_since
 
 from workers.evaluate import Evaluator
-from workers.messages import (
-    USUAL,
-    Experiment,
-    Input,
-    Limits,
-    Outcome,
-    Output,
-    Status,
-    Task,
-)
+from workers.messages import USUAL, Experiment, Input, Limits, Outcome, Output, Status, Task
 from workers.process.supervisor import SupervisedEvaluator
 from workers.wire import TaskBatch
 

@@ -23,11 +23,7 @@ from workers.wire import TaskBatch
 
 TIMES = np.linspace(0.0, 2.0, 9)
 EXPERIMENT = Experiment(
-    "a",
-    0.0,
-    2.0,
-    (Input("u", TIMES, np.sin(TIMES)),),
-    (Output("y", TIMES, np.zeros(9)),),
+    "a", 0.0, 2.0, (Input("u", TIMES, np.sin(TIMES)),), (Output("y", TIMES, np.zeros(9)),)
 )
 CHECK = 'exec "$0" -c "from cluster_est.cli import run; run()" check "$1" 2>&-'
 

@@ -1,5 +1,3 @@
-"""Bounds, curves and functions of the user's: what a worker makes of simulated signals."""
-
 import pickle
 import re
 import subprocess
