@@ -101,7 +101,6 @@ def test_rebuilds_to_the_same_bytes_and_simulates_the_same(archive, tmp_path):
 
 @pytest.fixture
 def messages():
-    """Collect what the instance logs."""
     return []
 
 
@@ -196,7 +195,6 @@ def test_refuses_what_must_not_be_set(reference, slave):
 
 
 def tunable(slave: Any) -> list[str]:
-    """Return the parameters that may change while the model runs."""
     description = fmpy.read_model_description(slave.unzipDirectory)
     return [v.name for v in description.modelVariables if v.variability == "tunable"]
 

@@ -5,26 +5,20 @@ from functools import cache
 
 import numpy as np
 import pytest
+from support.problems.driven_spring import model_of
 from support.simulated import answer
 from support.thinning import thinned
 from support.truth.example_models import MODELS, REFERENCES, sampled_experiment, solve
 
-from workers.messages import Experiment, Interface, Model, Output, Solver, Status
+from workers.messages import Experiment, Output, Solver, Status
 
 STEPS = {name: reference.step for name, reference in REFERENCES.items() if reference.step}
-INTERFACES: dict[str, Interface] = {
-    "dormand_prince": "model_exchange",
-    "rk4": "model_exchange",
-    "cvode": "model_exchange",
-    "fmu": "co_simulation",
-}
+LOOPS = ("dormand_prince", "rk4", "cvode", "fmu")
 
 
 def simulate(name, experiment, solver):
-    archive = (MODELS / f"{name}.fmu").read_bytes()
-    return answer(
-        Model(name, archive, INTERFACES[solver.name], solver, ()), experiment, (), "trajectory"
-    )
+    model = model_of(solver, (), MODELS / f"{name}.fmu")
+    return answer(model, experiment, (), "trajectory")
 
 
 @cache
@@ -53,7 +47,7 @@ def on_grid(solver, name):
 
 
 HOWS = [
-    *((solver, None, 1e-8) for solver in INTERFACES),
+    *((solver, None, 1e-8) for solver in LOOPS),
     ("dormand_prince", Solver("dormand_prince"), 1e-6),  # with the default tolerance
     ("fmu", Solver("fmu"), 5e-8),  # with the FMU's own steps
 ]
@@ -88,7 +82,7 @@ def free_run(times, stop):
     return experiment, at, solve(still, experiment, at)
 
 
-@pytest.mark.parametrize("solver", list(INTERFACES))
+@pytest.mark.parametrize("solver", LOOPS)
 @pytest.mark.parametrize(
     ("times", "stop"), [([1.0, 1.01, 5.0, 5.003, 9.0], 9.0), ([9.0], 9.0), ([1.0], 6.0)]
 )
@@ -117,7 +111,7 @@ def test_fixed_steps_divide_an_interval_and_are_counted(solver):
         assert "model.max_steps, was reached at t = 1 s" in outcome.message
 
 
-@pytest.mark.parametrize("solver", list(INTERFACES))
+@pytest.mark.parametrize("solver", LOOPS)
 def test_the_limit_of_steps_counts_anew_at_each_time_in_the_data(solver):
     experiment, at, expected = free_run(np.linspace(1.1, 9.0, 80), 9.0)
     chosen = Solver(solver, 0.01, rtol=1e-6, max_steps=40)
