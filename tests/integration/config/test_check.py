@@ -337,14 +337,13 @@ def test_only_bounds_that_were_tried_are_said_to_be_good(spring, answer, expecte
     assert all(said in each.found for each, (_, said) in zip(found, expected, strict=True))
 
 
-def jacobian(error):
-    return SimpleNamespace(error=error, zero=False)
+NO_JACOBIAN = SimpleNamespace(error=np.nan, zero=False)
 
 
 @pytest.mark.parametrize(
     ("kind", "answer", "check", "verdict", "said"),
     [
-        (DirectionalProbe, jacobian(np.nan), "derivatives", "note", "differ"),
+        (DirectionalProbe, NO_JACOBIAN, "derivatives", "note", "differ"),
         (CostProbe, SimulationCost(1e-3, None, 64), "memory", "not done", "64 simulations are too"),
         (CostProbe, SimulationCost(1e-3, 0.0, 64), "memory", "not done", "64 simulations are too"),
         (CostProbe, SimulationCost(1.1, 0.0, 300), "few simulations", "ok", "takes long"),
