@@ -20,13 +20,9 @@ TARGETS = tuple(
 def model(weight=0.5):
     """A model of two unknowns, known to 1 and 2."""
     information = np.diag([1.0, 0.25])
-    return SimpleNamespace(
-        model=SimpleNamespace(weight=weight),
-        labels=LABELS,
-        information=information,
-        covariance=np.linalg.inv(information),
-        targets=TARGETS,
-    )
+    known = {"labels": LABELS, "information": information, "targets": TARGETS}
+    known |= {"covariance": np.linalg.inv(information)}
+    return SimpleNamespace(model=SimpleNamespace(weight=weight), **known)
 
 
 def predicted(scale, offset, seed=1, samples=40):

@@ -6,12 +6,13 @@ import signal
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from support.truth.example_models import MODELS, REFERENCES, sampled_experiment
+from support.problems.driven_spring import model_of
+from support.truth.example_models import REFERENCES, sampled_experiment
 
 from cluster_est import Parameter, Problem
 from cluster_est.errors import ExecutorError
@@ -20,7 +21,7 @@ from cluster_est.running.resources import Resources
 from cluster_est.running.trials.reset_policy import open_with_reset
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
-from workers.messages import Experiment, Input, Model, Outcome, Output, Solver, Status, Task, Want
+from workers.messages import Experiment, Input, Model, Outcome, Output, Solver, Status, Task
 from workers.wire import TaskBatch
 
 OPENERS = {
@@ -32,13 +33,7 @@ OPENERS = {
 }
 SLOW = pytest.mark.slow
 
-SPRING = Model(
-    "mass.fmu",
-    (MODELS / "mass_spring_damper.fmu").read_bytes(),
-    "model_exchange",
-    Solver("dormand_prince"),
-    ("m", "k"),
-)
+SPRING = model_of(Solver("dormand_prince"), ("m", "k"))
 EXPERIMENTS: tuple[Experiment, ...] = tuple(
     sampled_experiment(REFERENCES["mass_spring_damper"], "linear", seed) for seed in range(4)
 )
@@ -53,7 +48,7 @@ class Setup:
 
 
 @pytest.fixture(scope="module")
-def ray_started(cache_folder: object) -> Iterator[None]:
+def ray_started(cache_folder):
     """One Ray for all tests, with processors enough for two pools at the same time."""
     leave = executor_class("ray").join(4, "local")
     yield
@@ -61,19 +56,19 @@ def ray_started(cache_folder: object) -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def setup(request: pytest.FixtureRequest) -> Iterator[Setup]:
+def setup(request):
     name, workers = OPENERS[request.param]
     if name == "ray":
         request.getfixturevalue("ray_started")
 
-    def open_one(model: Model, experiments: tuple[Experiment, ...]) -> Executor:
+    def open_one(model, experiments):
         return executor_class(name).open(model, experiments, workers, None)
 
     with open_one(SPRING, EXPERIMENTS) as executor:
         yield Setup(executor, open_one)
 
 
-def on_executors(*seldom: str) -> pytest.MarkDecorator:
+def on_executors(*seldom):
     """Each executor, some of them not by default: a pool of Ray takes seconds to open."""
     cases = [pytest.param(key, marks=SLOW if key in seldom else ()) for key in OPENERS]
     return pytest.mark.parametrize("setup", cases, indirect=True, scope="module")
@@ -83,7 +78,7 @@ EACH = on_executors("processes-1")
 SELDOM_ON_RAY = on_executors("processes-1", "ray-2")
 
 
-def make_tasks(count: int, want: Want = "residuals", first: int = 0) -> list[Task]:
+def make_tasks(count, want="residuals", first=0):
     """Tasks on all experiments in no order, some of which fail."""
     generator = np.random.default_rng(count)
     masses, stiffnesses = generator.uniform([[-0.2], [10.0]], [[3.0], [80.0]], (2, count))
@@ -94,7 +89,7 @@ def make_tasks(count: int, want: Want = "residuals", first: int = 0) -> list[Tas
     ]
 
 
-def long_tasks(count: int) -> tuple[Experiment, list[Task]]:
+def long_tasks(count):
     """An experiment that takes some hundredths of a second, after the others, and many tasks."""
     times = np.linspace(0.0, 4_000.0, 40_001)
     inputs = (Input("F", times, np.sin(times)),)
@@ -104,7 +99,7 @@ def long_tasks(count: int) -> tuple[Experiment, list[Task]]:
     return made, [Task(1000 + i, len(EXPERIMENTS), values) for i in range(count)]
 
 
-def gather(executor: Executor, tasks: Sequence[Task]) -> dict[int, Outcome]:
+def gather(executor, tasks):
     """Submit tasks and wait for an outcome of each; refuse any that comes twice."""
     executor.submit(tasks)
     outcomes: list[Outcome] = []
@@ -118,13 +113,13 @@ def gather(executor: Executor, tasks: Sequence[Task]) -> dict[int, Outcome]:
     return {outcome.task: outcome for outcome in outcomes}
 
 
-def drain(executor: Executor, found: list[Outcome]) -> None:
+def drain(executor, found):
     """Add all outcomes that are still to come."""
     while some := executor.completed():
         found += some
 
 
-def check_nothing_is_left(executor: Executor) -> None:
+def check_nothing_is_left(executor):
     """What was asked twice may still be on its way, but it answers nothing any more."""
     deadline = time.monotonic() + 60.0
     while executor.busy and time.monotonic() < deadline:
@@ -134,7 +129,7 @@ def check_nothing_is_left(executor: Executor) -> None:
     assert executor.busy == 0, "no worker is busy any more once everything is answered"
 
 
-def same(outcome: Outcome, expected: Outcome) -> bool:
+def same(outcome, expected):
     """Whether two outcomes agree in every bit that must not depend on where they come from."""
     facts = [
         (o.task, o.status, o.message, o.trajectory is None, *map(_bits, _arrays(o)))
@@ -143,16 +138,16 @@ def same(outcome: Outcome, expected: Outcome) -> bool:
     return facts[0] == facts[1]
 
 
-def _arrays(outcome: Outcome) -> tuple[object, ...]:
+def _arrays(outcome):
     path = outcome.trajectory
     return outcome.residuals, path and path.times, path and path.values
 
 
-def _bits(array: object) -> bytes:
+def _bits(array):
     return array.tobytes() if isinstance(array, np.ndarray) else b""
 
 
-def check(outcomes: dict[int, Outcome], tasks: Sequence[Task]) -> None:
+def check(outcomes, tasks):
     """Compare with an evaluator's answers to the tasks, one at a time."""
     evaluator = Evaluator(SPRING, EXPERIMENTS, "reference")
     for task in tasks:
@@ -161,18 +156,18 @@ def check(outcomes: dict[int, Outcome], tasks: Sequence[Task]) -> None:
     evaluator.close()
 
 
-def test_every_executor_is_tested() -> None:
+def test_every_executor_is_tested():
     assert {name for name, _ in OPENERS.values()} == set(EXECUTORS), (
         "add two lines to OPENERS, for one worker and for several"
     )
 
 
 @pytest.mark.parametrize("name", EXECUTORS)
-def test_an_executor_is_called_what_the_config_calls_it(name: str) -> None:
+def test_an_executor_is_called_what_the_config_calls_it(name):
     assert executor_class(name).name == name, "EXECUTORS and the class name it differently"
 
 
-def test_a_process_for_each_simulation_is_refused_where_there_is_but_this_one() -> None:
+def test_a_process_for_each_simulation_is_refused_where_there_is_but_this_one():
     parameters = tuple(Parameter(p, 1.0, 0.1, 100.0) for p in SPRING.parameters)
     problem = Problem(replace(SPRING, reset="process"), parameters, EXPERIMENTS[:1])
     here = [name for name in EXECUTORS if executor_class(name).in_process]
@@ -184,7 +179,7 @@ def test_a_process_for_each_simulation_is_refused_where_there_is_but_this_one() 
 
 class TestContract:
     @EACH
-    def test_many_tasks_are_answered_once_each_and_bit_for_bit(self, setup: Setup) -> None:
+    def test_many_tasks_are_answered_once_each_and_bit_for_bit(self, setup):
         tasks = make_tasks(600)
         outcomes = gather(setup.executor, tasks)
         check(outcomes, tasks)
@@ -193,7 +188,7 @@ class TestContract:
         assert all(o.status is Status.SOLVER_FAILURE and "mass" in o.message for o in failed)
 
     @EACH
-    def test_mixed_wants_are_answered_as_wanted(self, setup: Setup) -> None:
+    def test_mixed_wants_are_answered_as_wanted(self, setup):
         tasks = make_tasks(30) + make_tasks(30, "trajectory", first=50)
         tasks = [tasks[i] for i in np.random.default_rng(0).permutation(len(tasks))]
         outcomes = gather(setup.executor, tasks)
@@ -203,7 +198,7 @@ class TestContract:
             assert (outcome.trajectory is not None) == (outcome.ok and task.want == "trajectory")
 
     @EACH
-    def test_tasks_may_be_submitted_while_others_run(self, setup: Setup) -> None:
+    def test_tasks_may_be_submitted_while_others_run(self, setup):
         tasks, found = make_tasks(90), []
         for some in (tasks[:30], tasks[30:60], tasks[60:]):
             setup.executor.submit(some)
@@ -212,9 +207,7 @@ class TestContract:
         check({outcome.task: outcome for outcome in found}, tasks)
 
     @EACH
-    def test_busy_counts_workers_and_nothing_submitted_is_nothing_completed(
-        self, setup: Setup
-    ) -> None:
+    def test_busy_counts_workers_and_nothing_submitted_is_nothing_completed(self, setup):
         setup.executor.submit([])
         check_nothing_is_left(setup.executor)
         tasks, found = make_tasks(20), []
@@ -227,7 +220,7 @@ class TestContract:
         check_nothing_is_left(setup.executor)
 
     @SELDOM_ON_RAY
-    def test_what_has_not_begun_can_be_taken_back(self, setup: Setup) -> None:
+    def test_what_has_not_begun_can_be_taken_back(self, setup):
         experiment, long = long_tasks(500)
         with setup.open(SPRING, (*EXPERIMENTS, experiment)) as executor:
             short = make_tasks(20)
@@ -249,7 +242,7 @@ class TestContract:
             assert executor.cancel([short[0].id]) == []
 
     @EACH
-    def test_one_worker_answers_what_it_is_asked_in_turn(self, setup: Setup) -> None:
+    def test_one_worker_answers_what_it_is_asked_in_turn(self, setup):
         tasks = make_tasks(6)
         assert isinstance(setup.executor, WorkerPool)
         outcomes = setup.executor.first_worker(tasks)
@@ -262,7 +255,7 @@ class TestContract:
         assert setup.executor.completed() == [], "`first_worker` alone returns these outcomes"
 
     @EACH
-    def test_a_worker_that_let_its_instance_go_answers_the_same(self, setup: Setup) -> None:
+    def test_a_worker_that_let_its_instance_go_answers_the_same(self, setup):
         tasks = make_tasks(24)
         check(gather(setup.executor, tasks), tasks)
         for workers in (1, setup.executor.workers):
@@ -270,7 +263,7 @@ class TestContract:
             check(gather(setup.executor, tasks), tasks)
 
     @SELDOM_ON_RAY
-    def test_all_that_are_done_come_together(self, setup: Setup) -> None:
+    def test_all_that_are_done_come_together(self, setup):
         for seconds in (0.1, 1.0, 10.0):  # until each has answered its own, however busy all is
             with setup.open(SPRING, EXPERIMENTS) as executor:  # which knows of no quick ones yet
                 executor.submit(make_tasks(executor.workers))
@@ -280,7 +273,7 @@ class TestContract:
         pytest.fail("`completed` must return all outcomes that are there, not one at a time")
 
     @EACH
-    def test_an_interrupt_comes_through_while_it_waits(self, setup: Setup) -> None:
+    def test_an_interrupt_comes_through_while_it_waits(self, setup):
         experiment, long = long_tasks(500)
         with setup.open(SPRING, (*EXPERIMENTS, experiment)) as executor:
             executor.submit(long)
@@ -296,7 +289,7 @@ class TestContract:
             assert executor.busy == 0, "after `close` no worker is busy"
 
     @SELDOM_ON_RAY
-    def test_close_forgets_what_is_queued_and_may_be_called_twice(self, setup: Setup) -> None:
+    def test_close_forgets_what_is_queued_and_may_be_called_twice(self, setup):
         with setup.open(SPRING, EXPERIMENTS[:1]) as executor:
             executor.submit([Task(i, 0, np.array([1.0, 30.0])) for i in range(50)])
             executor.close()
@@ -310,9 +303,7 @@ class TestContract:
         ("name", "parameters", "said"),
         [("no_fmu", ("m", "k"), "must be an FMU"), ("mass", ("m", "kk"), "no variable 'kk'")],
     )
-    def test_model_that_cannot_be_loaded_is_a_model_error(
-        self, setup: Setup, name: str, parameters: tuple[str, ...], said: str
-    ) -> None:
+    def test_model_that_cannot_be_loaded_is_a_model_error(self, setup, name, parameters, said):
         archive = b"not a zip file" if name == "no_fmu" else SPRING.archive
         model = Model(f"{name}.fmu", archive, SPRING.interface, SPRING.solver, parameters)
         with pytest.raises(ModelError, match=said) as caught:
@@ -329,9 +320,7 @@ ELSEWHERE = [
 
 
 @pytest.mark.parametrize("setup", ELSEWHERE, indirect=True)
-def test_task_that_aborts_its_process_is_a_crash_and_spares_all_others(
-    setup: Setup, built_fmu: Callable[[str], bytes]
-) -> None:
+def test_task_that_aborts_its_process_is_a_crash_and_spares_all_others(setup, built_fmu):
     times = np.linspace(0.0, 2.0, 9)
     inputs = (Input("u", times, np.sin(times)),)
     experiment = Experiment("e", 0.0, 2.0, inputs, (Output("y", times, np.zeros(9)),))

@@ -1,5 +1,3 @@
-"""Every form of the catalogue as C in an exported FMU, against the simulation of a run."""
-
 import numpy as np
 import pytest
 from support.exported import (
@@ -10,13 +8,13 @@ from support.exported import (
     repair_of,
     unpacked,
 )
-from support.problems.springs import FMU
+from support.problems.driven_spring import driven, model_of
 from support.simulated import simulated
 from support.thinning import thinned
-from support.truth.springs_with_effects import FORCE, SITES, START, TIMES, C, K, M
+from support.truth.springs_with_effects import FORCE, SITES, TIMES, C, K, M
 
 from workers.effects.forms import FORMS, FormCondition
-from workers.messages import Effect, Experiment, Input, Model, Output, Solver
+from workers.messages import Effect, Solver
 
 SOLVERS = {
     "dormand_prince": Solver("dormand_prince"),
@@ -47,17 +45,6 @@ CASES = thinned(
     lambda kind, group, solver: group.rstrip("_0123456789"),
     lambda kind, group, solver: solver,
 )
-
-
-def model(solver):
-    interface = "co_simulation" if solver.name == "fmu" else "model_exchange"
-    return Model(FMU.name, FMU.read_bytes(), interface, solver, ("m", "k", "c"))
-
-
-def experiment():
-    output = Output("y", TIMES, np.zeros(len(TIMES)))
-    inputs = (Input("F", TIMES, FORCE),)
-    return Experiment("e", 0.0, float(TIMES[-1]), inputs, (output,), (("x", START[0]),))
 
 
 def group_of(form):
@@ -100,11 +87,11 @@ def test_every_form_is_the_same_in_c(kind, group, name, tmp_path):
     """All forms of a kind at one site, one after the other."""
     solver = SOLVERS[name]
     effects, values = effects_of(kind, group)
-    repair = repair_of(model(solver), experiment(), (M, K, C), effects, values)
+    repair = repair_of(model_of(solver), driven(), (M, K, C), effects, values)
     exported = Exported(unpacked(repair, tmp_path))
     exported.begin({"F": FORCE[0]})
     follow, bar = (finely_co_simulated, 3e-5) if kind == "output" else (co_simulated, 1e-6)
     found = follow(exported, TIMES, {"F": FORCE}, "y")
     exported.close()
-    expected = simulated(model(solver), experiment(), (M, K, C, *values), effects)
+    expected = simulated(model_of(solver), driven(), (M, K, C, *values), effects)
     np.testing.assert_allclose(found, expected[:, 0], rtol=0.0, atol=bar)

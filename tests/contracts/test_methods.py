@@ -7,12 +7,7 @@ from dataclasses import MISSING, fields, replace
 
 import numpy as np
 import pytest
-from support.problems.functions import (
-    ROSENBROCK,
-    WALLED,
-    FunctionProblem,
-    rosenbrock,
-)
+from support.problems.functions import ROSENBROCK, WALLED, FunctionProblem, rosenbrock
 from support.problems.method_entries import CASES, ENTRIES, EQUALITY, INEQUALITY, boxed, excuse
 from support.problems.nist import MODELS, read
 from support.thinning import thinned

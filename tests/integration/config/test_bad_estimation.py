@@ -1,5 +1,3 @@
-"""Mistakes in what is estimated and how: costs, constraints, curves, methods, starts, own code."""
-
 import pytest
 from support.spoiled import REMOVED, write_input
 
@@ -136,10 +134,7 @@ CURVES = [
     (curve({"y": "position"}, tolerance={"y": -1}), "curve.tolerance.y: .*at least 0.*-1"),
     (curve({"y": "position"}, samples=1), "curve.samples: .*greater than 1.*1"),
     (curve({"y": "position"}, samples=2**62), r"curve.samples: .*at most 1e\+07.*46"),
-    (
-        UNMEASURED | on_y(upper=1.0),
-        r"experiments\['a'\]: .*start and stop in seconds.*add both",
-    ),
+    (UNMEASURED | on_y(upper=1.0), r"experiments\['a'\]: .*start and stop in seconds.*add both"),
 ]
 STARTS = [
     ({"multistart.points": [{"q": 1.0}]}, "no unknown 'q'.*'m', 'k'"),

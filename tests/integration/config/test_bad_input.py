@@ -1,5 +1,3 @@
-"""Files, commands and FMUs that are wrong: exit code 2, a line that says what, nothing written."""
-
 import random
 import subprocess
 import sys

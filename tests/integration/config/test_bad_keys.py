@@ -1,7 +1,4 @@
-"""Keys of a config that are wrong, or do not fit the FMU, the data or other keys; bad tables.
-
-Where it is, what it must be, what it is, what to do.
-"""
+"""Refusals of keys and tables say where it is, what it must be, what it is, what to do."""
 
 import re
 

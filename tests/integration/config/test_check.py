@@ -1,7 +1,4 @@
-"""`cluster-est check` names each misbehaving FMU for what it is, and good ones have no problem.
-
-And what is looked at without a config, and said of probes without an answer.
-"""
+"""`cluster-est check` names each misbehaving FMU for what it is, and good ones have no problem."""
 
 import re
 from dataclasses import replace
@@ -18,13 +15,7 @@ import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.cli.display.preflight import print_page
 from cluster_est.errors import ModelError
-from cluster_est.preflight import (
-    CheckFinding,
-    CheckPage,
-    CheckVerdict,
-    bare_problem,
-    run_checks,
-)
+from cluster_est.preflight import CheckFinding, CheckPage, CheckVerdict, bare_problem, run_checks
 from cluster_est.preflight.measured_data import data_findings
 from cluster_est.preflight.simulation_costs import costs
 from cluster_est.preflight.subject import CheckSubject, TimeBudget
@@ -346,14 +337,13 @@ def test_only_bounds_that_were_tried_are_said_to_be_good(spring, answer, expecte
     assert all(said in each.found for each, (_, said) in zip(found, expected, strict=True))
 
 
-def jacobian(error):
-    return SimpleNamespace(error=error, zero=False)
+NO_JACOBIAN = SimpleNamespace(error=np.nan, zero=False)
 
 
 @pytest.mark.parametrize(
     ("kind", "answer", "check", "verdict", "said"),
     [
-        (DirectionalProbe, jacobian(np.nan), "derivatives", "note", "differ"),
+        (DirectionalProbe, NO_JACOBIAN, "derivatives", "note", "differ"),
         (CostProbe, SimulationCost(1e-3, None, 64), "memory", "not done", "64 simulations are too"),
         (CostProbe, SimulationCost(1e-3, 0.0, 64), "memory", "not done", "64 simulations are too"),
         (CostProbe, SimulationCost(1.1, 0.0, 300), "few simulations", "ok", "takes long"),

@@ -1,5 +1,3 @@
-"""`cluster-est check` finds what users get wrong in their data, and says the likely mistake."""
-
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -42,12 +40,8 @@ HELD = {"V": {"column": "V", "interpolation": "hold"}}
 
 
 def run(columns, **changes):
-    given = {
-        "id": "run",
-        "time": "t",
-        "inputs": {"V": "V"},
-        "outputs": {"current": "i", "speed": "w"},
-    }
+    given = {"id": "run", "time": "t", "inputs": {"V": "V"}}
+    given |= {"outputs": {"current": "i", "speed": "w"}}
     return ce.Experiment.from_table(dict(columns), **(given | changes))  # type: ignore[arg-type]
 
 
@@ -269,6 +263,25 @@ def test_one_whose_start_is_estimated_may_begin_at_rest():
     assert findings(replace(given, model=model, parameters=parameters), "start") == []
 
 
+@pytest.fixture
+def checked(tmp_path, capsys):
+    """What check says, without a simulation, of a config of the motor and its table."""
+
+    def call(columns, defaults, experiments, *overrides):
+        rows = np.column_stack([*columns.values()])
+        np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=",".join(columns), comments="")
+        text = (
+            f'[model]\nfmu = "{MODELS / "dc_motor.fmu"}"\n[parameters]\nK.start = 0.05\n'
+            f'[experiment_defaults]\ntime = "t"\ndata = "a.csv"\ninputs.V = "V"\n{defaults}\n'
+        )
+        path = tmp_path / "c.toml"
+        path.write_text(text + experiments, encoding="utf-8")
+        assert main(["check", str(path), "--seconds", "0", *overrides]) == 0
+        return " ".join(capsys.readouterr().out.split())
+
+    return call
+
+
 @pytest.mark.parametrize(
     ("defaults", "experiments", "found"),
     [
@@ -286,18 +299,9 @@ def test_one_whose_start_is_estimated_may_begin_at_rest():
         ("sigma = { speed = 0.5, current = 0.1 }", ['id = "a"'], ""),
     ],
 )
-def test_a_sigma_for_some_is_named(tmp_path, capsys, defaults, experiments, found):
-    rows = np.column_stack([TRUTH[name] for name in ("t", "V", "i", "w")])
-    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="t,V,i,w", comments="")
-    text = (
-        f'[model]\nfmu = "{MODELS / "dc_motor.fmu"}"\n[parameters]\nK.start = 0.05\n'
-        '[experiment_defaults]\ntime = "t"\ndata = "a.csv"\ninputs.V = "V"\n'
-        f'outputs = {{ current = "i", speed = "w" }}\n{defaults}\n'
-    )
-    text += "".join(f"[[experiments]]\n{each}\n" for each in experiments)
-    (tmp_path / "c.toml").write_text(text, encoding="utf-8")
-    assert main(["check", str(tmp_path / "c.toml"), "--seconds", "0"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
+def test_a_sigma_for_some_is_named(checked, defaults, experiments, found):
+    defaults = f'outputs = {{ current = "i", speed = "w" }}\n{defaults}'
+    said = checked(TRUTH, defaults, "".join(f"[[experiments]]\n{each}\n" for each in experiments))
     assert re.search(found, said) if found else "sigma" not in said
 
 
@@ -305,29 +309,21 @@ def test_a_sigma_for_some_is_named(tmp_path, capsys, defaults, experiments, foun
     ("missing", "advised"), [("", "[-9999, 65535]"), ("missing = [-9999]", "[-9999, 65535]")]
 )
 def test_numbers_that_are_no_measurements_are_named_with_the_key(
-    tmp_path, capsys, missing, advised
+    tmp_path, checked, missing, advised
 ):
     """As they are in the file, whatever its columns are changed to; with the key they are gone."""
     volts = np.where(abs(TIMES - 1.5) < 0.008, 65535.0, VOLTS + 0.1 * np.sin(40.0 * TIMES))
     speed = np.where(abs(TIMES - 1.0) < 0.008, -9999.0, TRUTH["w"])
-    rows = np.column_stack([TIMES, volts, speed])
-    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="t,V,w", comments="")
-    text = (
-        f'[model]\nfmu = "{MODELS / "dc_motor.fmu"}"\n[parameters]\nK.start = 0.05\n'
-        '[experiment_defaults]\ntime = "t"\ndata = "a.csv"\ninputs.V = "V"\noutputs.speed = "w"\n'
-        f"columns.w.factor = {1 / RPM}\n{missing}\n[[experiments]]\nid = 'a'\n"
-    )
-    (tmp_path / "c.toml").write_text(text, encoding="utf-8")
-    command = ["check", str(tmp_path / "c.toml"), "--seconds", "0"]
-    assert main(command) == 0
-    said = " ".join(capsys.readouterr().out.split())
+    given = f'outputs.speed = "w"\ncolumns.w.factor = {1 / RPM}\n{missing}'
+    given = {"t": TIMES, "V": volts, "w": speed}, given, "[[experiments]]\nid = 'a'\n"
+    said = checked(*given)
     assert "input V is 65535 in 3 of 401 samples of column 'V' in experiment a" in said
     named = "output speed is -9999 in 3 of 401 samples of column 'w' in experiment a"
     assert (named in said) is not bool(missing)
     assert f"missing = {advised} in [experiment_defaults], or in the experiment" in said
-    assert main([*command, f"experiment_defaults.missing={advised}"]) == 0
-    assert "65535" not in capsys.readouterr().out
-    given = ce.read_config(tmp_path / "c.toml", [f"experiment_defaults.missing={advised}"])
+    override = f"experiment_defaults.missing={advised}"
+    assert "65535" not in checked(*given, override)
+    given = ce.read_config(tmp_path / "c.toml", [override])
     (run,) = ce.build_problem(given, tmp_path).experiments
     assert len(run.outputs[0].values) == len(run.inputs[0].values) == 398
 

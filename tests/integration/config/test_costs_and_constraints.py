@@ -64,6 +64,18 @@ def written(folder, y, v=None, **keys):
     return {"model": model, "parameters": PARAMETERS, "experiments": [experiment], **keys}
 
 
+@pytest.fixture
+def command(tmp_path):
+    """The exit code of a fit of a config beside the functions of the user's."""
+
+    def call(tree, out="out", *more):
+        (tmp_path / "mine.py").write_text(SOURCE)
+        (tmp_path / "c.toml").write_text(to_toml(tree))
+        return main(["fit", str(tmp_path / "c.toml"), "--out", str(tmp_path / out), *more])
+
+    return call
+
+
 def scipy_fit(residuals, **options):
     """The minimum that SciPy finds from the truth, and twice its cost: the sum of rho."""
     found = least_squares(
@@ -266,12 +278,10 @@ def test_pure_feasibility_needs_no_data(tmp_path, method, c):
     assert (y[TIMES >= 0.6] <= 0.2 + 1e-5).all()
 
 
-def test_pure_feasibility_by_the_command_line(tmp_path, capsys):
-    (tmp_path / "c.toml").write_text(to_toml(feasible({"lower": -0.1}, ONLY_C)))
-    out = tmp_path / "out"
-    assert main(["fit", str(tmp_path / "c.toml"), "--out", str(out), "--no-report"]) == 0
+def test_pure_feasibility_by_the_command_line(tmp_path, command, capsys):
+    assert command(feasible({"lower": -0.1}, ONLY_C), "out", "--no-report") == 0
     assert "y lower [run]" in capsys.readouterr().out
-    (row,) = rows(out, "constraints")
+    (row,) = rows(tmp_path / "out", "constraints")
     assert row["before"] > 0.0
     assert row["satisfied"]
 
@@ -292,18 +302,15 @@ def overshoot(run):
 """
 
 
-def test_a_cost_function_by_the_command_line(tmp_path, capsys):
-    (tmp_path / "mine.py").write_text(SOURCE)
-    path = tmp_path / "c.toml"
-    path.write_text(to_toml(written(tmp_path, DATA[0] + SIGMA * NOISE[0])))
-    plain, own, refused = (tmp_path / name for name in ("plain", "own", "refused"))
-    assert main(["fit", str(path), "--out", str(plain)]) == 0
-    ours = ["fit", str(path), "cost.function=mine:residuals"]
-    assert main([*ours, "--out", str(own), "--allow-code"]) == 0
+def test_a_cost_function_by_the_command_line(tmp_path, command, capsys):
+    tree = written(tmp_path, DATA[0] + SIGMA * NOISE[0])
+    assert command(tree, "plain") == 0
+    assert command(tree, "own", "cost.function=mine:residuals", "--allow-code") == 0
     capsys.readouterr()
-    assert main([*ours, "--out", str(refused)]) == 2
+    assert command(tree, "refused", "cost.function=mine:residuals") == 2
     assert "--allow-code" in capsys.readouterr().err
-    assert not refused.exists()
+    assert not (tmp_path / "refused").exists()
+    plain, own = tmp_path / "plain", tmp_path / "own"
     assert [r["value"] for r in rows(own, "parameters")] == [
         r["value"] for r in rows(plain, "parameters")
     ]
@@ -319,15 +326,12 @@ def test_a_cost_function_that_returns_one_number(tmp_path, build):
     assert result.cost == pytest.approx(cost, rel=1e-4)
 
 
-def test_a_constraint_function_by_the_command_line(tmp_path):
-    (tmp_path / "mine.py").write_text(SOURCE)
+def test_a_constraint_function_by_the_command_line(tmp_path, command):
     keys = {"constraints": [{"name": "overshoot", "function": "mine:overshoot"}]}
     keys |= {"parameters": ONLY_C, "values": KNOWN, "experiment": {"inputs": {}}}
-    tree = written(tmp_path, LET_GO[0], **keys)
-    path, out = tmp_path / "c.toml", tmp_path / "out"
-    path.write_text(to_toml(tree))
-    assert main(["fit", str(path), "--out", str(tmp_path / "refused")]) == 2
-    assert main(["fit", str(path), "--out", str(out), "--allow-code"]) == 0
+    tree, out = written(tmp_path, LET_GO[0], **keys), tmp_path / "out"
+    assert command(tree, "refused") == 2
+    assert command(tree, "out", "--allow-code") == 0
     assert rows(out, "parameters")[0]["value"] == pytest.approx(ZETA * CRITICAL, rel=2e-3)
     (row,) = rows(out, "constraints")
     assert (row["constraint"], row["satisfied"]) == ("overshoot [run]", True)
@@ -336,14 +340,13 @@ def test_a_constraint_function_by_the_command_line(tmp_path):
 # --- many starts
 
 
-def test_many_starts_by_the_command_line(tmp_path, capsys):
+def test_many_starts_by_the_command_line(tmp_path, command, capsys):
     """A third of the bounds has negative masses, which cannot be simulated."""
     measured = DATA[0] + SIGMA * NOISE[0]
     expected, _ = scipy_fit(lambda m, k, c: measured - motion(m, k, c)[0])
     parameters = PARAMETERS | {"m": {"start": 1.0, "bounds": [-2.5, 5.0]}}
-    path, out = tmp_path / "c.toml", tmp_path / "out"
-    path.write_text(to_toml(written(tmp_path, measured, parameters=parameters)))
-    assert main(["fit", str(path), "--out", str(out), "multistart.n=12"]) == 0
+    tree, out = written(tmp_path, measured, parameters=parameters), tmp_path / "out"
+    assert command(tree, "out", "multistart.n=12") == 0
     assert "starts of 12" in capsys.readouterr().out
     starts, minima = rows(out, "starts"), rows(out, "minima")
     assert [row["start"] for row in starts] == list(range(12))

@@ -1,5 +1,3 @@
-"""`cluster-est init` writes a config that `check` accepts, or says what to fill in."""
-
 import re
 import tomllib
 from pathlib import Path

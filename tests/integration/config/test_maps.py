@@ -42,12 +42,8 @@ def config(folder, own_fmu, strength=2.5, **keys):
     noise = NOISE * np.random.default_rng(4).standard_normal(len(TIMES))
     columns = {"time": TIMES, "F": driving(strength), "x": moved(strength) + noise}
     pacsv.write_csv(pa.table(columns), folder / "run.csv")
-    section = {
-        "variables": [f"f{i}" for i in range(1, 10)],
-        "points": POINTS.tolist(),
-        "start": (5.0 * POINTS).tolist(),
-        "bounds": [-20.0, 20.0],
-    }
+    section = {"variables": [f"f{i}" for i in range(1, 10)], "points": POINTS.tolist()}
+    section |= {"start": (5.0 * POINTS).tolist(), "bounds": [-20.0, 20.0]}
     run = {"id": "run", "data": str(folder / "run.csv"), "time": "time", "sigma": {"y": NOISE}}
     return {
         "model": {"fmu": str(own_fmu("spring_table", 2))},
@@ -152,13 +148,8 @@ def read(tmp_path):
 def test_more_points_make_a_map_no_rougher(read, count, rel):
     """The prior's scatter of the value at the end does not depend on how many points there are."""
     points = np.linspace(0.0, 2.0, count)
-    section = {
-        "variables": [f"p{i}" for i in range(count)],
-        "points": points.tolist(),
-        "start": 0.0,
-        "bounds": [-9.0, 9.0],
-        "slope_change": 0.5,
-    }
+    section = {"variables": [f"p{i}" for i in range(count)], "points": points.tolist()}
+    section |= {"start": 0.0, "bounds": [-9.0, 9.0], "slope_change": 0.5}
     priors = {p.name: p.prior for p in read(section).parameters}
     sds = [priors[f"map_bend_{i}"].sd for i in range(2, count)]
     scatter = np.sqrt(sum((sd * (2.0 - x)) ** 2 for sd, x in zip(sds, points[1:-1], strict=True)))
@@ -185,27 +176,26 @@ def test_a_map_that_contradicts_itself_is_refused(read, change, pattern):
         read(section)
 
 
+TAKEN, STARTED = {"map_2": {"start": 1.0}}, SECTION | {"start": 1.0}
+
+
 @pytest.mark.parametrize(
-    ("given", "pattern"),
+    ("section", "given", "pattern"),
     [
-        ({"name": "my-map"}, r"maps\.my-map: must have a name of letters"),
-        ({"parameters": {"map_2": {"start": 1.0}}}, "its value map_2 must have a name of its own"),
-        ({"values": "a,1\nb,high\nc,1\n"}, "found.csv: b .*a number.*estimated"),
-        ({"values": "a,1\nb,99\nc,1\n"}, r"maps.map.start: .*bounds \[-9.0, 9.0\].*99"),
+        (STARTED, {"name": "my-map"}, r"maps\.my-map: must have a name of letters"),
+        (STARTED, {"parameters": TAKEN}, "its value map_2 must have a name of its own"),
+        (STARTED, {"values": "a,1\nb,high\nc,1\n"}, "found.csv: b .*a number.*estimated"),
+        (STARTED, {"values": "a,1\nb,99\nc,1\n"}, r"maps.map.start: .*bounds \[-9.0, 9.0\].*99"),
+        (SECTION, {"values": "b,3\n"}, r"maps.map.start: .*files of values have not all"),
     ],
 )
-def test_names_and_values_of_files_that_do_not_fit(read, given, pattern):
+def test_names_and_values_of_files_that_do_not_fit(read, section, given, pattern):
     with pytest.raises(ce.ClusterEstError, match=pattern):
-        read(SECTION | {"start": 1.0}, **given)
-
-
-def test_without_a_start_the_files_must_have_all_values(read):
-    with pytest.raises(ce.ClusterEstError, match=r"maps.map.start: .*files of values have not all"):
-        read(SECTION, "b,3\n")
+        read(section, **given)
 
 
 def test_values_of_a_file_take_the_place_of_their_starts_alone(read):
-    made = read(SECTION | {"start": 1.0}, "b,3\nmass,2\n")
+    made = read(STARTED, "b,3\nmass,2\n")
     assert [p.start for p in made.parameters] == [1.0, 3.0, 1.0]
     assert made.experiments[0].values == (("mass", 2),)
 

@@ -1,5 +1,3 @@
-"""Every block of code in the README, the pages and the notebook does what the text says."""
-
 import importlib.util
 import shlex
 import shutil

@@ -1,5 +1,3 @@
-"""The documentation as a site: it builds, asks no other host, and describes all of the code."""
-
 import re
 import warnings
 from collections.abc import Callable
@@ -88,26 +86,15 @@ def test_every_key_is_described(section):
     assert [line for line in lines if line not in page] == []
 
 
+RUN = {"time": "time", "rows": [0, 50], "inputs": {"F": "force"}, "outputs": {"y": "position"}}
+NAMED = [{"id": f"e{i}", "data": str(DATA / f"exp{1 + i % 3}.csv")} for i in range(6)]
+UNKNOWN = {"m": {"start": 1.0, "bounds": [0.1, 10.0]}, "k": {"start": 25.0, "bounds": [1.0, 200.0]}}
 BASE = {
     "model": {"fmu": str(SPRING)},
-    "parameters": {
-        "m": {"start": 1.0, "bounds": [0.1, 10.0]},
-        "k": {"start": 25.0, "bounds": [1.0, 200.0]},
-    },
-    "experiments": [
-        {
-            "id": f"e{i}",
-            "data": str(DATA / f"exp{1 + i % 3}.csv"),
-            "time": "time",
-            "rows": [0, 50],
-            "inputs": {"F": "force"},
-            "outputs": {"y": "position"},
-            "sigma": {"y": 0.002},
-            "role": "test" if i == 5 else "train",
-        }
-        for i in range(6)
-    ],
+    "parameters": UNKNOWN,
+    "experiments": [RUN | named | {"sigma": {"y": 0.002}} for named in NAMED],
 }
+BASE["experiments"][5]["role"] = "test"
 FIRST, SECOND, *_ = BASE["experiments"]
 OBSERVED = [
     FIRST | {"outputs": {"y": {"column": "position", "free_scale": True}}},

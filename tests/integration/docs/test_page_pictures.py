@@ -1,5 +1,3 @@
-"""The pictures of the pages are what the library makes of costs, limits, inputs and forms."""
-
 import re
 from xml.etree import ElementTree
 

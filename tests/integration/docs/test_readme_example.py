@@ -1,5 +1,3 @@
-"""The README shows what the closed loop prints on its example, and the example finds the truth."""
-
 import json
 import re
 from pathlib import Path

@@ -6,62 +6,29 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.problems.springs import FMU
-from support.simulated import Worker, simulated
+from support.problems.driven_spring import driven, model_of
+from support.simulated import Worker, answer, simulated
 from support.thinning import thinned
 from support.truth.form_terms import OWN_TESTS, TRUTHS, forms_with_a_truth
-from support.truth.springs_with_effects import (
-    FORCE,
-    SITES,
-    START,
-    TIMES,
-    C,
-    K,
-    M,
-    plain,
-    pushed,
-    solve,
-)
+from support.truth.springs_with_effects import SITES, C, K, M, plain, pushed, solve
 
-from cluster_est import (
-    Experiment,
-    Input,
-    Model,
-    Output,
-    Parameter,
-    Problem,
-    Solver,
-    add_effect,
-    fit,
-)
+from cluster_est import Parameter, Problem, Solver, add_effect, fit
 from workers.effects.forms import FORMS
 from workers.errors import EffectError
-from workers.evaluate import Evaluator
-from workers.messages import Effect, Task
-from workers.wire import TaskBatch
+from workers.messages import Effect
 
 SOLVERS = {
     "exact": Solver("dormand_prince", rtol=1e-10),
     "rk4": Solver("rk4", step=0.005),
     "co_simulation": Solver("fmu", step=0.002),
 }
-
-
-def experiment(measured=None, shown="y"):
-    output = Output(shown, TIMES, np.zeros(len(TIMES)) if measured is None else measured)
-    inputs = (Input("F", TIMES, FORCE),)
-    return Experiment("e", 0.0, float(TIMES[-1]), inputs, (output,), (("x", START[0]),))
-
-
-def model(solver="exact"):
-    interface = "co_simulation" if solver == "co_simulation" else "model_exchange"
-    return Model(FMU.name, FMU.read_bytes(), interface, SOLVERS[solver], ("m", "k", "c"))
+EXACT = model_of(SOLVERS["exact"])
 
 
 @pytest.fixture(scope="module")
 def shown():
     """What y is with effects, by one worker of each solver."""
-    workers = cache(lambda solver: Worker(model(solver), experiment()))
+    workers = cache(lambda solver: Worker(model_of(SOLVERS[solver]), driven()))
 
     def of(solver, effects, *coefficients):
         points = [(M, K, C, *each) for each in coefficients]
@@ -189,7 +156,7 @@ PARAMETERS = (
 def test_a_declared_effect_is_fitted_together_with_the_parameters():
     measured = solve(pushed(lambda t, x, f: -0.5 * np.tanh(x[1] / 0.01)))[:, 0]
     coefficients = Parameter("friction.k", 0.0, 0.0), Parameter("friction.width", 0.01, fixed=True)
-    problem = Problem(model(), PARAMETERS, (experiment(measured),))
+    problem = Problem(EXACT, PARAMETERS, (driven(measured),))
     declared = replace(
         problem,
         parameters=(*PARAMETERS, *coefficients),
@@ -229,12 +196,12 @@ def test_a_declared_effect_is_fitted_together_with_the_parameters():
 )
 def test_an_effect_that_cannot_be_is_refused_with_a_sentence(effect, said):
     with pytest.raises(EffectError, match=said):
-        Worker(model(), experiment()).outputs((M, K, C), effects=[Effect("e", *effect)])
+        Worker(EXACT, driven()).outputs((M, K, C), effects=[Effect("e", *effect)])
 
 
 @pytest.mark.parametrize(("site", "form"), [("der(v)", "coulomb"), ("pair x,v", "gap")])
 def test_co_simulation_closes_the_sites_at_derivatives(site, form):
-    problem = Problem(model("co_simulation"), PARAMETERS, (experiment(),))
+    problem = Problem(model_of(SOLVERS["co_simulation"]), PARAMETERS, (driven(),))
     with pytest.raises(EffectError, match=r"(der|pair).* is closed.*keeps its states"):
         add_effect(problem, site, form)
 
@@ -243,16 +210,13 @@ def test_co_simulation_closes_the_sites_at_derivatives(site, form):
 def test_a_sensor_at_a_variable_that_is_no_output(shown, solver):
     """The state x is what the output y shows."""
     effect = Effect("sensor", "output x", "gain")
-    found = simulated(model(solver), experiment(shown="x"), (M, K, C, 0.25), [effect])[:, 0]
+    found = simulated(model_of(SOLVERS[solver]), driven(shown="x"), (M, K, C, 0.25), [effect])[:, 0]
     (plain_outputs,) = shown(solver, [], ())
     np.testing.assert_allclose(found, 1.25 * plain_outputs, rtol=1e-12)
 
 
 def test_an_effect_that_divides_by_zero_ends_its_simulation_with_a_reason():
-    evaluator = Evaluator(model(), (experiment(),), "w")
     effect = Effect("e", "der(v)", "coulomb")
-    task = Task(0, 0, np.array([M, K, C, 0.5, 0.0]), "residuals", (effect,))
-    (outcome,) = evaluator.evaluate(TaskBatch.of([task]))
-    evaluator.close()
+    outcome = answer(EXACT, driven(), (M, K, C, 0.5, 0.0), "residuals", (effect,))
     assert not outcome.ok
     assert outcome.message

@@ -28,12 +28,8 @@ def solved(force):
         road = np.interp(t, TIMES, ROAD)
         suspension = SPRING * (z_body - z_wheel) + DAMPER * (v_body - v_wheel)
         body, wheel = force(x)
-        return [
-            v_body,
-            -suspension / M_BODY + body,
-            v_wheel,
-            (suspension - TYRE * (z_wheel - road)) / M_WHEEL + wheel,
-        ]
+        pushed = (suspension - TYRE * (z_wheel - road)) / M_WHEEL
+        return [v_body, -suspension / M_BODY + body, v_wheel, pushed + wheel]
 
     solver = ode(slope).set_integrator("dop853", rtol=1e-9, atol=1e-11, nsteps=10_000)
     solver.set_initial_value(np.zeros(4), 0.0)

@@ -1,5 +1,3 @@
-"""Effects that a config names: from the file to the tables, and what it must not say."""
-
 import json
 import re
 import shutil

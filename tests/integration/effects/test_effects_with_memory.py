@@ -5,14 +5,14 @@ from itertools import pairwise, product
 
 import numpy as np
 import pytest
-from support.problems.springs import FMU
+from support.problems.driven_spring import driven, model_of
 from support.simulated import Worker
 from support.thinning import thinned
 from support.truth.exact_linear import position
 from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M, plain, solve
 
 from workers.effects.memory import SampledSignal, rate_limit
-from workers.messages import Effect, Experiment, Input, Model, Output, Solver
+from workers.messages import Effect, Solver
 
 EXACT = Solver("dormand_prince", rtol=1e-10)
 CO_SIMULATION = Solver("fmu", step=0.002)
@@ -20,13 +20,8 @@ CO_SIMULATION = Solver("fmu", step=0.002)
 
 def simulated(effects, coefficients, solver, force=FORCE, interpolation="linear"):
     """Outputs of simulations of several points, a row of coefficients each."""
-    output = Output("y", TIMES, np.zeros(len(TIMES)))
-    given = Input("F", TIMES, force, interpolation)
-    experiment = Experiment("e", 0.0, float(TIMES[-1]), (given,), (output,), (("x", START[0]),))
-    interface = "co_simulation" if solver.name == "fmu" else "model_exchange"
-    model = Model(FMU.name, FMU.read_bytes(), interface, solver, ("m", "k", "c"))
-    points = [(M, K, C, *row) for row in coefficients]
-    return [y[:, 0] for y in Worker(model, experiment).outputs(*points, effects=effects)]
+    run, points = driven(force=force, how=interpolation), [(M, K, C, *row) for row in coefficients]
+    return [y[:, 0] for y in Worker(model_of(solver), run).outputs(*points, effects=effects)]
 
 
 def behind_a_play(signal, half):

@@ -8,14 +8,14 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from scipy.integrate import solve_ivp
+from support.problems.driven_spring import model_of
 from support.problems.springs import ROOT
+from support.simulated import answers
 from support.simulated import simulated as one_simulation
 
 from cluster_est.cli import main
 from workers.errors import EffectError
-from workers.evaluate import Evaluator
-from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Task
-from workers.wire import TaskBatch
+from workers.messages import Effect, Experiment, Input, Output, Solver, Task
 
 FMU = ROOT / "configs" / "models" / "room.fmu"
 C_ROOM, C_WALL, R_ROOM, R_WALL = 4e6, 3e7, 4e-3, 8e-3
@@ -23,8 +23,9 @@ TIMES = np.arange(241) * 600.0
 HEATING = 1500.0 + 1000.0 * np.sin(TIMES / 9000.0)
 OUTDOORS = 5.0 + 4.0 * np.sin(TIMES / 14000.0)
 SUN = 400.0 * np.maximum(np.sin(TIMES / 13750.0), 0.0)
-GAIN = 3e-7
+GAIN, KNOWN = 3e-7, ("R_room_wall",)
 EXACT = Solver("dormand_prince", rtol=1e-10)
+ROOM = model_of(EXACT, KNOWN, FMU)
 CO_SIMULATION = Solver("fmu", step=20.0)  # in which a parameter is held
 
 
@@ -60,13 +61,9 @@ def experiment(signals=SIGNALS):
     return Experiment("e", 0.0, float(TIMES[-1]), inputs, (output,), values, signals=signals)
 
 
-def model(solver=EXACT):
-    interface = "co_simulation" if solver.name == "fmu" else "model_exchange"
-    return Model(FMU.name, FMU.read_bytes(), interface, solver, ("R_room_wall",))
-
-
 def simulated(effects, coefficients, solver, run=None):
-    found = one_simulation(model(solver), run or experiment(), (R_ROOM, *coefficients), effects)
+    of, run = model_of(solver, KNOWN, FMU), run or experiment()
+    found = one_simulation(of, run, (R_ROOM, *coefficients), effects)
     return found[:, 0]
 
 
@@ -114,16 +111,14 @@ def test_a_difference_with_a_signal_and_an_own_equation():
 
 def test_points_in_a_batch_give_what_each_gives_alone():
     """One parameter and several known values, which NumPy would lay out column by column."""
-    evaluator = Evaluator(model(), (experiment(),), "w")
     effect = Effect("e", "der(T_room)", "linear", ("sun",))
     for effects, size in (((), 1), ((effect,), 2)):
         points = [np.array([r, GAIN])[:size] for r in (0.003, 0.004, 0.005)]
         tasks = [Task(i, 0, p, "residuals", effects) for i, p in enumerate(points)]
-        together = evaluator.evaluate(TaskBatch.of(tasks))
+        together = answers(ROOM, [experiment()], tasks)
         for task, outcome in zip(tasks, together, strict=True):
-            (alone,) = evaluator.evaluate(TaskBatch.of([task]))
+            (alone,) = answers(ROOM, [experiment()], [task])
             assert outcome.residuals.tobytes() == alone.residuals.tobytes()
-    evaluator.close()
 
 
 def test_signals_are_part_of_an_experiments_key_where_there_are_any():
@@ -135,12 +130,10 @@ def test_signals_are_part_of_an_experiments_key_where_there_are_any():
 
 def test_an_experiment_without_the_signal_is_refused():
     dark = replace(experiment(()), id="dark")
-    evaluator = Evaluator(model(), (experiment(), dark), "w")
     effect = Effect("e", "der(T_room)", "linear", ("sun",))
     task = Task(0, 1, np.array([R_ROOM, GAIN]), "trajectory", (effect,))
     with pytest.raises(EffectError, match=r"'dark'.*signal 'sun'"):
-        evaluator.evaluate(TaskBatch.of([task]))
-    evaluator.close()
+        answers(ROOM, [experiment(), dark], [task])
 
 
 CONFIG = """

@@ -129,16 +129,9 @@ def test_the_band_of_a_smooth_curve_is_that_of_its_values_together(tmp_path, own
 def test_a_smooth_force_at_a_state_is_found_where_the_data_were(tmp_path, own_fmu):
     heights = (3.0, 1.5, 1.0, 0.0, -0.5, -1.0, -2.0)
     measured = moved(lambda x: 10.0 * x - curve(x, -0.45, 0.45, heights))
-    effect = {
-        "name": "extra",
-        "site": "der(v)",
-        "form": "table",
-        "variables": ["x"],
-        "slope_change": 20.0,
-        "bounds": [-20.0, 20.0],
-        "monotone": "decreasing",
-        "parameters": ends(0.45),
-    }
+    effect = {"name": "extra", "site": "der(v)", "form": "table", "variables": ["x"]}
+    effect |= {"slope_change": 20.0, "bounds": [-20.0, 20.0], "monotone": "decreasing"}
+    effect |= {"parameters": ends(0.45)}
     tree = config(tmp_path, own_fmu, effect, measured, 0.002)
     found = fitted(tmp_path, tree)
     values = np.array([found[f"extra.k{i}"].value for i in range(1, 8)])
@@ -200,16 +193,9 @@ def test_what_python_gives_is_checked(tmp_path, own_fmu, keys, said):
         ce.add_effect(problem, "output y", "table", variables=["u"], name="other", **keys)
 
 
-BLOCK = {
-    "site": "der(v)",
-    "form": "table",
-    "slope_change": 1.0,
-    "bounds": [-9.0, 9.0],
-    "parameters": ends(1.0),
-}
-
-
-ENDS = BLOCK["parameters"]
+ENDS = ends(1.0)
+BLOCK = {"site": "der(v)", "form": "table", "slope_change": 1.0, "bounds": [-9.0, 9.0]}
+BLOCK |= {"parameters": ENDS}
 LEFT_OUT = "must be left out where there is slope_change"
 
 

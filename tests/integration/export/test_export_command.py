@@ -1,5 +1,3 @@
-"""`cluster-est export` as a user runs it, behind a fit."""
-
 import csv
 import re
 import shutil

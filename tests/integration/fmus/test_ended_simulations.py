@@ -1,5 +1,3 @@
-"""A simulation whose sum of squares is above a bound ends there, and nowhere else."""
-
 import math
 import re
 from dataclasses import replace

@@ -1,7 +1,4 @@
-"""The committed FMUs are valid; the examples can be built again, and are numerically right.
-
-What the scaffold does that all of them share is shown with two of them by default.
-"""
+"""What the scaffold does that all of them share is shown with two of them by default."""
 
 import shutil
 from typing import Any
@@ -104,7 +101,6 @@ def test_rebuilds_to_the_same_bytes_and_simulates_the_same(archive, tmp_path):
 
 @pytest.fixture
 def messages():
-    """Collect what the instance logs."""
     return []
 
 
@@ -199,7 +195,6 @@ def test_refuses_what_must_not_be_set(reference, slave):
 
 
 def tunable(slave: Any) -> list[str]:
-    """Return the parameters that may change while the model runs."""
     description = fmpy.read_model_description(slave.unzipDirectory)
     return [v.name for v in description.modelVariables if v.variability == "tunable"]
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.changed_fmus import with_description
+from support.problems.driven_spring import model_of
 from support.simulated import answer
 
 from cluster_est import Parameter, Problem, fit
@@ -28,9 +29,8 @@ def fmu(own_fmu, fmi):
     return own_fmu("fixed_step", fmi)
 
 
-def model(fmu: Path, step: float | None = None, **options: int) -> Model:
-    solver = Solver("fmu", step, **options)
-    return Model(fmu.name, fmu.read_bytes(), "co_simulation", solver, ("k",))
+def decay(fmu: Path, step: float | None = None) -> Model:
+    return model_of(Solver("fmu", step), ("k",), fmu)
 
 
 def measured(times: np.ndarray, inputs: tuple[Input, ...] = (), name: str = "e") -> Experiment:
@@ -41,7 +41,7 @@ def measured(times: np.ndarray, inputs: tuple[Input, ...] = (), name: str = "e")
 
 def simulated(fmu, k, inputs=(), times=TIMES, effects=(), coefficients=()):
     """y at some times."""
-    outcome = answer(model(fmu), measured(times, inputs), [k, *coefficients], "trajectory", effects)
+    outcome = answer(decay(fmu), measured(times, inputs), [k, *coefficients], "trajectory", effects)
     assert outcome.ok, outcome.message
     found = outcome.trajectory
     return found.values[np.searchsorted(found.times, times), 0]
@@ -120,9 +120,9 @@ def test_a_fit_finds_the_rate_and_says_what_it_did(own_fmu):
     output = Output("y", TIMES, np.exp(-0.8 * TIMES))
     runs = [Experiment(name, 0.0, 1.99, (), (output,)) for name in "ab"]
     rate = (Parameter("k", 1.0, 0.1, 3.0),)
-    (note,) = Problem(model(fmu), rate, (runs[0], measured([0.0, 0.2], name="c"))).notes()
+    (note,) = Problem(decay(fmu), rate, (runs[0], measured([0.0, 0.2], name="c"))).notes()
     assert re.search(r"every 0\.1 s; experiment 'a' has times between", note)
-    problem = Problem(model(fmu), rate, tuple(runs))
+    problem = Problem(decay(fmu), rate, tuple(runs))
     (note,) = problem.notes()
     assert "2 experiments have times between" in note
     result = fit(problem, LeastSquares())
@@ -145,7 +145,7 @@ def fixed(own_fmu, tmp_path):
 
 
 def outcome_of(fmu: Path, times: list[float], step: float | None = None, k: float = 1.0) -> Outcome:
-    outcome = answer(model(fmu, step), measured(np.array(times)), [k])
+    outcome = answer(decay(fmu, step), measured(np.array(times)), [k])
     assert outcome.ok, outcome.message
     return outcome
 
@@ -172,7 +172,7 @@ def test_the_step_is_the_configured_one_or_the_fmus_own_or_one_that_fits_all_tim
     assert outcome.steps == steps
     np.testing.assert_allclose(-outcome.residuals, np.exp(times[0] - np.array(times)), atol=1e-8)
     rate = (Parameter("k", 1.0, 0.1, 3.0),)
-    assert Problem(model(fmu, step), rate, (measured(np.array(times)),)).notes() == ()
+    assert Problem(decay(fmu, step), rate, (measured(np.array(times)),)).notes() == ()
 
 
 @pytest.mark.parametrize(

@@ -5,40 +5,24 @@ from functools import cache
 
 import numpy as np
 import pytest
+from support.problems.driven_spring import model_of
 from support.simulated import answer
 from support.thinning import thinned
 from support.truth.example_models import MODELS, REFERENCES, sampled_experiment, solve
 
-from workers.messages import (
-    Experiment,
-    FloatArray,
-    Interface,
-    Interpolation,
-    Model,
-    Outcome,
-    Output,
-    Solver,
-    Status,
-)
+from workers.messages import Experiment, Output, Solver, Status
 
 STEPS = {name: reference.step for name, reference in REFERENCES.items() if reference.step}
-INTERFACES: dict[str, Interface] = {
-    "dormand_prince": "model_exchange",
-    "rk4": "model_exchange",
-    "cvode": "model_exchange",
-    "fmu": "co_simulation",
-}
+LOOPS = ("dormand_prince", "rk4", "cvode", "fmu")
 
 
-def simulate(name: str, experiment: Experiment, solver: Solver) -> Outcome:
-    archive = (MODELS / f"{name}.fmu").read_bytes()
-    return answer(
-        Model(name, archive, INTERFACES[solver.name], solver, ()), experiment, (), "trajectory"
-    )
+def simulate(name, experiment, solver):
+    model = model_of(solver, (), MODELS / f"{name}.fmu")
+    return answer(model, experiment, (), "trajectory")
 
 
 @cache
-def sampled(name: str, interpolation: Interpolation) -> tuple[Experiment, FloatArray, FloatArray]:
+def sampled(name, interpolation):
     """An experiment, all of its times, and the outputs there."""
     experiment = sampled_experiment(REFERENCES[name], interpolation)
     signals = [*experiment.inputs, *experiment.outputs]
@@ -48,7 +32,7 @@ def sampled(name: str, interpolation: Interpolation) -> tuple[Experiment, FloatA
     return experiment, times, solve(REFERENCES[name], experiment, times)
 
 
-def relative_error(outcome: Outcome, times: FloatArray, expected: FloatArray) -> float:
+def relative_error(outcome, times, expected):
     """The largest error of any output, relative to the output's size."""
     assert outcome.trajectory is not None, outcome.message
     np.testing.assert_array_equal(outcome.trajectory.times, times)
@@ -56,14 +40,14 @@ def relative_error(outcome: Outcome, times: FloatArray, expected: FloatArray) ->
     return float((error / np.abs(expected).max(axis=0)).max())
 
 
-def on_grid(solver: str, name: str) -> Solver:
+def on_grid(solver, name):
     """With a step that is short enough for this model, where the solver's own is not asked for."""
     step = None if solver == "dormand_prince" else STEPS[name]
-    return Solver(solver, step, rtol=1e-10)  # type: ignore[arg-type]
+    return Solver(solver, step, rtol=1e-10)
 
 
 HOWS = [
-    *((solver, None, 1e-8) for solver in INTERFACES),
+    *((solver, None, 1e-8) for solver in LOOPS),
     ("dormand_prince", Solver("dormand_prince"), 1e-6),  # with the default tolerance
     ("fmu", Solver("fmu"), 5e-8),  # with the FMU's own steps
 ]
@@ -87,7 +71,7 @@ def test_every_loop_follows_the_equations(name, interpolation, how):
     assert relative_error(outcome, times, expected) < bar
 
 
-def free_run(times: list[float], stop: float) -> tuple[Experiment, FloatArray, FloatArray]:
+def free_run(times, stop):
     """The mass left to itself from t = 1: nothing but its outputs on the grid."""
     reference = replace(REFERENCES["mass_spring_damper"], inputs={})
     output = Output("y", np.array(times), np.zeros(len(times)))
@@ -98,19 +82,19 @@ def free_run(times: list[float], stop: float) -> tuple[Experiment, FloatArray, F
     return experiment, at, solve(still, experiment, at)
 
 
-@pytest.mark.parametrize("solver", list(INTERFACES))
+@pytest.mark.parametrize("solver", LOOPS)
 @pytest.mark.parametrize(
     ("times", "stop"), [([1.0, 1.01, 5.0, 5.003, 9.0], 9.0), ([9.0], 9.0), ([1.0], 6.0)]
 )
 def test_long_gaps_between_measured_times_are_crossed_in_steps(solver, times, stop):
     experiment, at, expected = free_run(times, stop)
     step = None if solver == "dormand_prince" else 2e-3
-    chosen = Solver(solver, step, rtol=1e-11)  # type: ignore[arg-type]
+    chosen = Solver(solver, step, rtol=1e-11)
     outcome = simulate("mass_spring_damper", experiment, chosen)
     assert relative_error(outcome, at, expected) < 1e-8
 
 
-def ends(solver: Solver) -> Outcome:
+def ends(solver):
     """The mass left to itself over one interval of a second, in at most some steps."""
     return simulate("mass_spring_damper", free_run([2.0], 2.0)[0], solver)
 
@@ -118,19 +102,19 @@ def ends(solver: Solver) -> Outcome:
 @pytest.mark.parametrize("solver", ["rk4", "fmu"])
 def test_fixed_steps_divide_an_interval_and_are_counted(solver):
     for step, enough in ((0.1, 10), (0.3, 4), (None, 1)):
-        outcome = ends(Solver(solver, step, max_steps=enough))  # type: ignore[arg-type]
+        outcome = ends(Solver(solver, step, max_steps=enough))
         assert outcome.ok, outcome.message
         assert outcome.steps == enough
     for step, most in ((0.1, 9), (0.3, 3), (1e-12, 10**6), (1e-320, 10**6)):
-        outcome = ends(Solver(solver, step, max_steps=most))  # type: ignore[arg-type]
+        outcome = ends(Solver(solver, step, max_steps=most))
         assert outcome.status is Status.SOLVER_FAILURE
         assert "model.max_steps, was reached at t = 1 s" in outcome.message
 
 
-@pytest.mark.parametrize("solver", list(INTERFACES))
+@pytest.mark.parametrize("solver", LOOPS)
 def test_the_limit_of_steps_counts_anew_at_each_time_in_the_data(solver):
     experiment, at, expected = free_run(np.linspace(1.1, 9.0, 80), 9.0)
-    chosen = Solver(solver, 0.01, rtol=1e-6, max_steps=40)  # type: ignore[arg-type]
+    chosen = Solver(solver, 0.01, rtol=1e-6, max_steps=40)
     outcome = simulate("mass_spring_damper", experiment, chosen)
     assert relative_error(outcome, at, expected) < 2e-2
     assert outcome.steps >= 800

@@ -1,5 +1,3 @@
-"""The FMUs of the league are right where a formula is known."""
-
 import fmpy
 import numpy as np
 import pytest
@@ -65,14 +63,9 @@ TRUTHS = [
 
 def simulated(model: str, values: dict[str, float], outputs: list[str], stop: float):
     """Without inputs, in co-simulation, at 21 times."""
-    return fmpy.simulate_fmu(
-        str(LEAGUE / f"{model}.fmu"),
-        fmi_type="CoSimulation",
-        start_values=values,
-        output=outputs,
-        stop_time=stop,
-        output_interval=stop / 20.0,
-    )
+    how = {"start_values": values, "output": outputs, "stop_time": stop}
+    how |= {"output_interval": stop / 20.0, "fmi_type": "CoSimulation"}
+    return fmpy.simulate_fmu(str(LEAGUE / f"{model}.fmu"), **how)
 
 
 @pytest.mark.parametrize(("model", "values", "output", "stop", "truth"), TRUTHS)

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.problems.springs import FMU, ROOT
+from support.problems.driven_spring import driven, model_of
+from support.problems.springs import ROOT
 from support.simulated import Worker, answer, answers
 from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M, plain, solve
 
@@ -21,17 +22,6 @@ STIFF = Solver("cvode", rtol=1e-10)
 SOLVERS = [ADAPTIVE, FIXED, STIFF]
 SPRING = (M, K, C)
 EXACT = {"rtol": 1e-8, "atol": 1e-8}
-
-
-def spring_experiment(values=(("x", START[0]),)):
-    output = Output("y", TIMES, 0.05 * np.sin(TIMES), 0.5)
-    inputs = (Input("F", TIMES, FORCE),)
-    return Experiment("e", 0.0, float(TIMES[-1]), inputs, (output,), values)
-
-
-def spring(solver=ADAPTIVE, parameters=("m", "k", "c")):
-    interface = "co_simulation" if solver.name == "fmu" else "model_exchange"
-    return Model(FMU.name, FMU.read_bytes(), interface, solver, parameters)
 
 
 def asked(model, experiment, values, wants, effects=()):
@@ -60,17 +50,18 @@ def linearised(model, experiment, values, effects=()):
 @pytest.mark.parametrize("reset", ["reset", "instance"])
 def test_the_first_thing_that_an_instance_is_asked_for(solver, reset):
     """A linearisation with CVODE simulates twice, each time from a beginning of its own."""
-    model = replace(spring(solver), reset=reset)
+    model = replace(model_of(solver), reset=reset)
     wants = ("linearisation", "linearisation", "trajectory")
-    first, again, _ = asked(model, spring_experiment(), SPRING, wants)
+    first, again, _ = asked(model, driven(), SPRING, wants)
     assert first.linearisation.A.values.tobytes() == again.linearisation.A.values.tobytes()
 
 
-def each(times, rows):
-    """A matrix for each time, of entries that are numbers or a number for each time."""
-    return np.moveaxis(
-        np.array([[np.broadcast_to(e, len(times)) for e in row] for row in rows], float), -1, 0
-    )
+def agrees(found, **matrices):
+    """Each matrix has these rows, of entries that are numbers or a number for each time."""
+    for name, rows in matrices.items():
+        whole = [[np.broadcast_to(entry, len(found.times)) for entry in row] for row in rows]
+        expected = np.moveaxis(np.array(whole, float), -1, 0)
+        np.testing.assert_allclose(getattr(found, name), expected, **EXACT)
 
 
 def spring_by_parameters(x, v, force, m=M):
@@ -81,7 +72,7 @@ def spring_by_parameters(x, v, force, m=M):
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_the_spring_has_the_textbook_matrices(solver):
-    found = linearised(spring(solver), spring_experiment(), SPRING)
+    found = linearised(model_of(solver), driven(), SPRING)
     states = solve(plain)
     np.testing.assert_allclose(found.states, states, atol=1e-7)
     x, v = found.states.T
@@ -91,36 +82,30 @@ def test_the_spring_has_the_textbook_matrices(solver):
     np.testing.assert_array_equal(found.effective_inputs[:, 0], FORCE)
     np.testing.assert_array_equal(found.outputs[:, 0], x)
     np.testing.assert_array_equal(found.plain_outputs, found.outputs)
-    np.testing.assert_allclose(found.A, each(TIMES, [[0, 1], [-K / M, -C / M]]), **EXACT)
-    np.testing.assert_allclose(found.B, each(TIMES, [[0], [1 / M]]), **EXACT)
-    np.testing.assert_allclose(found.C, each(TIMES, [[1, 0]]), **EXACT)
-    assert found.D.shape == (len(TIMES), 1, 1)
-    assert found.Q.shape == (len(TIMES), 1, 3)
-    assert not found.D.any()
-    assert not found.Q.any()
-    np.testing.assert_allclose(found.P, each(TIMES, spring_by_parameters(x, v, FORCE)), **EXACT)
-    assert found.state_names == ("x", "v")
-    assert found.input_names == ("F",)
-    assert found.output_names == ("y",)
-    assert found.parameter_names == ("m", "k", "c")
+    agrees(found, A=[[0, 1], [-K / M, -C / M]], B=[[0], [1 / M]], C=[[1, 0]])
+    np.testing.assert_array_equal(found.D, np.zeros((len(TIMES), 1, 1)), strict=True)
+    np.testing.assert_array_equal(found.Q, np.zeros((len(TIMES), 1, 3)), strict=True)
+    agrees(found, P=spring_by_parameters(x, v, FORCE))
+    assert (found.state_names, found.input_names) == (("x", "v"), ("F",))
+    assert (found.output_names, found.parameter_names) == (("y",), ("m", "k", "c"))
 
 
 def test_only_tunable_parameters_have_derivatives_and_a_bound_is_not_crossed():
     """A damping of 0, its lower bound, and an initial position that is no parameter of the ODE."""
-    model = spring(parameters=("x", "c", "k"))
-    experiment = spring_experiment((("m", M),))
+    model = model_of(ADAPTIVE, ("x", "c", "k"))
+    experiment = replace(driven(), values=(("m", M),))
     found = linearised(model, experiment, (START[0], 0.0, K))
     assert found.parameter_names == ("c", "k")
     x, v = found.states.T
     np.testing.assert_allclose(found.P[:, 1], np.column_stack([-v / M, -x / M]), **EXACT)
 
 
-def model_of(name, parameters):
+def example(name, parameters):
     archive = (ROOT / "configs/models" / f"{name}.fmu").read_bytes()
     return Model(name, archive, "model_exchange", ADAPTIVE, parameters)
 
 
-def driven(name, drive, outputs=("y",), values=()):
+def fed(name, drive, outputs=("y",), values=()):
     times = np.linspace(0.0, 10.0, 60)
     measured = tuple(Output(output, times[1:], np.zeros(59)) for output in outputs)
     return Experiment("e", 0.0, 10.0, (Input(name, times, drive(times)),), measured, values)
@@ -128,24 +113,23 @@ def driven(name, drive, outputs=("y",), values=()):
 
 def test_a_pendulum_far_from_hanging():
     inertia, gravity, friction = 0.12, 2.3, 0.05
-    experiment = driven("torque", lambda t: 0.6 * np.sin(2 * t), values=(("angle", 1.5),))
-    model = model_of("pendulum", ("J", "G", "b"))
+    experiment = fed("torque", lambda t: 0.6 * np.sin(2 * t), values=(("angle", 1.5),))
+    model = example("pendulum", ("J", "G", "b"))
     found = linearised(model, experiment, (inertia, gravity, friction))
     angle, speed = found.states.T
     torque = found.inputs[:, 0]
     assert np.ptp(angle) > 2.0
     rows = [[0, 1], [-gravity * np.cos(angle) / inertia, -friction / inertia]]
-    np.testing.assert_allclose(found.A, each(angle, rows), **EXACT)
-    np.testing.assert_allclose(found.B, each(angle, [[0], [1 / inertia]]), **EXACT)
+    agrees(found, A=rows, B=[[0], [1 / inertia]])
     moment = torque - gravity * np.sin(angle) - friction * speed
     rows = [[0, 0, 0], [-moment / inertia**2, -np.sin(angle) / inertia, -speed / inertia]]
-    np.testing.assert_allclose(found.P, each(angle, rows), **EXACT)
+    agrees(found, P=rows)
 
 
 def test_inputs_that_nothing_drives_have_derivatives_too():
     """A motor whose data know no load torque: it is held at its start value."""
-    model = model_of("dc_motor_belt", ("J_load",))
-    experiment = driven("V", lambda t: np.sin(t), ("load_speed", "current"))
+    model = example("dc_motor_belt", ("J_load",))
+    experiment = fed("V", lambda t: np.sin(t), ("load_speed", "current"))
     experiment = replace(experiment, values=(("T_load", 0.01),))
     found = linearised(model, experiment, (6e-4,))
     assert found.input_names == ("V", "T_load")
@@ -164,7 +148,7 @@ def test_a_term_at_a_derivative_a_lagged_input_and_an_effect_at_an_output():
         Effect("drag", "der(v)", "cubic"),
         Effect("sensor", "output y", "gain"),
     )
-    found = linearised(spring(), spring_experiment(), (*SPRING, tau, drag, gain), effects)
+    found = linearised(model_of(ADAPTIVE), driven(), (*SPRING, tau, drag, gain), effects)
 
     def slope(t, x, force):
         v, dv = plain(t, x, x[2])
@@ -176,11 +160,8 @@ def test_a_term_at_a_derivative_a_lagged_input_and_an_effect_at_an_output():
     np.testing.assert_array_equal(found.inputs[:, 0], FORCE)
     np.testing.assert_array_equal(found.effective_inputs[:, 0], z)
     rows = [[0, 1, 0], [-K / M, -C / M - 3 * drag * v**2, 1 / M], [0, 0, -1 / tau]]
-    np.testing.assert_allclose(found.A, each(TIMES, rows), **EXACT)
-    np.testing.assert_allclose(found.B, each(TIMES, [[0], [1 / M], [0]]), **EXACT)
-    rows = [*spring_by_parameters(x, v, z), [0, 0, 0]]
-    np.testing.assert_allclose(found.P, each(TIMES, rows), **EXACT)
-    np.testing.assert_allclose(found.C, each(TIMES, [[1, 0, 0]]), **EXACT)
+    agrees(found, A=rows, B=[[0], [1 / M], [0]], C=[[1, 0, 0]])
+    agrees(found, P=[*spring_by_parameters(x, v, z), [0, 0, 0]])
     np.testing.assert_array_equal(found.plain_outputs[:, 0], x)
     np.testing.assert_allclose(found.outputs[:, 0], (1 + gain) * x, rtol=1e-14)
 
@@ -190,7 +171,7 @@ def test_a_parameter_that_heats_up(solver):
     """Its derivative is by the value that holds at that time."""
     k, at, tau = 0.4, 0.1, 0.5
     effects = (Effect("hot", "parameter c", "heating", ("v",)),)
-    found = linearised(spring(solver), spring_experiment(), (*SPRING, k, at, tau), effects)
+    found = linearised(model_of(solver), driven(), (*SPRING, k, at, tau), effects)
     assert found.state_names == ("x", "v", "hot:z")
     x, v, z = found.states.T
     damping = C * (1 + k * (z - at))
@@ -199,10 +180,8 @@ def test_a_parameter_that_heats_up(solver):
         found.derivatives, np.column_stack([v, acceleration, (v**2 - z) / tau]), atol=1e-12
     )
     rows = [[0, 1, 0], [-K / M, -damping / M, -C * k * v / M], [0, 2 * v / tau, -1 / tau]]
-    np.testing.assert_allclose(found.A, each(TIMES, rows), **EXACT)
-    np.testing.assert_allclose(found.B, each(TIMES, [[0], [1 / M], [0]]), **EXACT)
-    rows = [[0, 0, 0], [-acceleration / M, -x / M, -v / M], [0, 0, 0]]
-    np.testing.assert_allclose(found.P, each(TIMES, rows), **EXACT)
+    agrees(found, A=rows, B=[[0], [1 / M], [0]])
+    agrees(found, P=[[0, 0, 0], [-acceleration / M, -x / M, -v / M], [0, 0, 0]])
 
 
 def test_an_effect_at_a_derivative_sees_a_changed_input_behind_the_effects_at_it():
@@ -212,42 +191,40 @@ def test_an_effect_at_a_derivative_sees_a_changed_input_behind_the_effects_at_it
         Effect("bias", "input F", "bias"),
         Effect("gain", "input F", "gain"),
     )
-    found = linearised(spring(), spring_experiment(), (*SPRING, coupling, bias, gain), effects)
+    found = linearised(model_of(ADAPTIVE), driven(), (*SPRING, coupling, bias, gain), effects)
     x, _ = found.states.T
     edited = (FORCE + bias) * (1 + gain)
     np.testing.assert_allclose(found.effective_inputs[:, 0], edited, rtol=1e-14)
     rows = [[0, 1], [-K / M + coupling * edited, -C / M]]
-    np.testing.assert_allclose(found.A, each(TIMES, rows), **EXACT)
-    np.testing.assert_allclose(found.B, each(TIMES, [[0], [1 / M + coupling * x]]), **EXACT)
+    agrees(found, A=rows, B=[[0], [1 / M + coupling * x]])
 
 
 def test_a_delayed_input_is_reported_on_the_grid_of_the_experiment():
     effects = (Effect("late", "input F", "delay"), Effect("drag", "der(v)", "viscous"))
-    found = linearised(spring(), spring_experiment(), (*SPRING, 0.013, 0.4), effects)
+    found = linearised(model_of(ADAPTIVE), driven(), (*SPRING, 0.013, 0.4), effects)
     np.testing.assert_array_equal(found.times, TIMES)
     late = np.interp(TIMES - 0.013, TIMES, FORCE)
     np.testing.assert_allclose(found.effective_inputs[:, 0], late, atol=1e-12)
-    np.testing.assert_allclose(found.A, each(TIMES, [[0, 1], [-K / M, -C / M - 0.4]]), **EXACT)
+    agrees(found, A=[[0, 1], [-K / M, -C / M - 0.4]])
 
 
 def test_a_measured_signal_is_no_input():
     wind = np.cos(5.0 * TIMES)
-    experiment = replace(spring_experiment(), signals=(Input("wind", TIMES + 0.001, wind),))
+    experiment = replace(driven(), signals=(Input("wind", TIMES + 0.001, wind),))
     effects = (Effect("wind", "der(v)", "linear", ("wind",)), Effect("bias", "input F", "bias"))
-    found = linearised(spring(), experiment, (*SPRING, 0.8, 0.5), effects)
+    found = linearised(model_of(ADAPTIVE), experiment, (*SPRING, 0.8, 0.5), effects)
     assert found.input_names == ("F",)
     x, v = found.states.T
     now = np.interp(TIMES, TIMES + 0.001, wind)
     acceleration = (FORCE + 0.5 - K * x - C * v) / M + 0.8 * now
     np.testing.assert_allclose(found.derivatives, np.column_stack([v, acceleration]), atol=1e-12)
-    np.testing.assert_allclose(found.B, each(TIMES, [[0], [1 / M]]), **EXACT)
-    np.testing.assert_allclose(found.A, each(TIMES, [[0, 1], [-K / M, -C / M]]), **EXACT)
+    agrees(found, A=[[0, 1], [-K / M, -C / M]], B=[[0], [1 / M]])
 
 
 def test_failures_are_outcomes_and_leave_their_neighbours_alone():
     points = [SPRING, (-1.0, K, C), (2.0, K, C), (np.nan, K, C), SPRING]
     tasks = [Task(i, 0, np.array(p), "linearisation") for i, p in enumerate(points)]
-    outcomes = answers(spring(), [spring_experiment()], tasks)
+    outcomes = answers(model_of(ADAPTIVE), [driven()], tasks)
     assert [o.ok for o in outcomes] == [True, False, True, False, True]
     assert "mass must be positive, got -1" in outcomes[1].message
     assert outcomes[1].linearisation is None
@@ -259,14 +236,15 @@ def test_failures_are_outcomes_and_leave_their_neighbours_alone():
 def test_a_derivative_that_is_not_finite_is_said():
     """The root of a position has no derivative where the mass starts, at 0 and pushed upwards."""
     experiment = replace(
-        spring_experiment(()),
+        driven(),
+        values=(),
         stop=0.02,
         inputs=(Input("F", np.array([0.0]), np.array([5.0])),),
         outputs=(Output("y", np.array([0.02]), np.zeros(1)),),
     )
     effect = Effect("e", "der(v)", equation="k * sqrt(x)", coefficients=(("k", 0.0),))
     plain, outcome = (
-        answer(spring(FIXED), experiment, (*SPRING, 1.0), want, (effect,))
+        answer(model_of(FIXED), experiment, (*SPRING, 1.0), want, (effect,))
         for want in ("residuals", "linearisation")
     )
     assert plain.ok
@@ -276,11 +254,11 @@ def test_a_derivative_that_is_not_finite_is_said():
 
 def test_co_simulation_is_refused():
     with pytest.raises(ModelError, match=r"gives in model exchange only.*co_simulation"):
-        answer(spring(Solver("fmu")), spring_experiment(), SPRING, "linearisation")
+        answer(model_of(Solver("fmu")), driven(), SPRING, "linearisation")
 
 
 def test_the_runner_passes_it_on_and_the_log_leaves_it_out(tmp_path):
-    model, experiment = spring(), spring_experiment()
+    model, experiment = model_of(ADAPTIVE), driven()
     log = EvaluationLog(tmp_path / "log", model.key, [(experiment.id, experiment.key)], {})
     with LocalExecutor.open(model, (experiment,), 2, None) as executor:
         runner = Runner(executor, record=log.record)

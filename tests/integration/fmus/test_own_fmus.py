@@ -1,5 +1,3 @@
-"""The test FMUs show what their equations say, in fmpy's hands, and are valid descriptions."""
-
 from itertools import product
 
 import numpy as np
@@ -22,7 +20,6 @@ def test_the_description_is_valid(tmp_path, name, fmi):
     described = tmp_path / "described.fmu"
     write_archive(described, {"modelDescription.xml": model_description(read_model(name, fmi))})
     problems = validate_fmu(str(described))
-
     assert bool(problems) == (name == "invalid_xml"), problems
 
 
@@ -60,17 +57,9 @@ def jumps(found, times):
     ],
 )  # fmt: skip
 def test_it_is_what_its_equations_say(own_fmu, fmi, kind, name, stop, step, starts, check):
-    found = simulate_fmu(
-        str(own_fmu(name, fmi)),
-        fmi_type=kind,
-        stop_time=stop,
-        output_interval=step,
-        step_size=step,
-        relative_tolerance=1e-9,
-        record_events=False,
-        timeout=60,
-        start_values=starts,
-    )
+    given = {"stop_time": stop, "output_interval": step, "step_size": step, "start_values": starts}
+    given |= {"relative_tolerance": 1e-9, "record_events": False, "timeout": 60}
+    found = simulate_fmu(str(own_fmu(name, fmi)), fmi_type=kind, **given)
     check(found, found["time"])
 
 

@@ -9,10 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.problems.driven_spring import model_of
 from support.simulated import answers
 from support.thinning import COMPILED, thinned
 
-from workers.messages import Experiment, Model, Outcome, Output, Solver, Status, Task
+from workers.messages import Experiment, Outcome, Output, Solver, Status, Task
 
 Simulate = Callable[..., list[Outcome]]
 
@@ -51,9 +52,7 @@ def simulate(own_fmu):
         usual |= dict.fromkeys(("after", "endless", "ends", "stops", "since"), 1e9)
         points = [usual | script for script in scripts]
         points = [point | {"function": PLACES.index(point["function"])} for point in points]
-        interface = "co_simulation" if solver == "fmu" else "model_exchange"
-        model = Model(fmu.name, fmu.read_bytes(), interface, SOLVERS[solver], SCRIPT)
-        model = replace(model, logging_on=logging_on)
+        model = replace(model_of(SOLVERS[solver], SCRIPT, fmu), logging_on=logging_on)
         outputs = tuple(Output(name, TIMES, 0.0 * TIMES) for name in OUTPUTS)
         tasks = [
             Task(i, 0, np.array([float(point[name]) for name in SCRIPT]), "trajectory")

@@ -122,7 +122,6 @@ CASES = {
 def test_against_complex_steps(ask, name, fmi, solver):
     parameters, point, outputs, truth = CASES[name]
     found = ask(name, fmi, measured(outputs), parameters, np.array(point), solver)
-
     expected = -by_complex_steps(truth, np.array(point)) / 0.5
     assert found.message == ""
     scale = np.abs(expected).max(axis=0)
@@ -136,10 +135,8 @@ def test_against_complex_steps(ask, name, fmi, solver):
 )
 def test_the_trajectory_keeps_its_bits(ask, fmi, solver):
     given = "states_directional", fmi, measured(("y",)), ("k", "c", "x"), np.array([1.2, 0.7, 1.5])
-
     plain = ask(*given, solver, "residuals")
     again = [ask(*given, solver) for _ in range(2)]
-
     assert np.array_equal(again[0].residuals, plain.residuals)
     assert np.array_equal(again[0].sensitivities, again[1].sensitivities)
 
@@ -178,9 +175,7 @@ def test_curves_and_bounds_are_differentiated_too(ask):
 def test_it_says_why_there_are_none(ask, given, options, why):
     name, output, parameter = given
     asked = name, 2, replace(measured((output,)), inputs=()), (parameter,), np.array([0.8])
-
     found = ask(*asked, **options)
-
     assert found.ok
     assert found.sensitivities is None
     assert why in found.message
@@ -214,9 +209,7 @@ def test_ten_parameters_reach_the_same_minimum_in_fewer_simulations(own_fmu, ask
         for name, value, factor, scale in zip(RATES, truth, factors, scales, strict=True)
     )
     problem = problem_of(own_fmu, ask, "chain", parameters, truth, ("x1", "x2", "x3", "x4", "x5"))
-
     usual, carried = fitted(problem, method)
-
     assert carried.solution.message == ""
     assert carried.solution.cost == pytest.approx(usual.solution.cost, rel=1e-9)
     np.testing.assert_allclose(carried.solution.x, usual.solution.x, rtol=1e-5)
@@ -230,9 +223,7 @@ def test_local_tied_and_logarithmic_parameters(own_fmu, ask):
         Parameter("x1", 0.0, expression="0.2 * x0 * mu"),
     )
     problem = problem_of(own_fmu, ask, "van_der_pol", parameters, [1.3, 2.0, 0.52], ("y",))
-
     usual, carried = fitted(problem)
-
     assert carried.solution.message == ""
     np.testing.assert_allclose(carried.solution.x, usual.solution.x, rtol=1e-6)
     np.testing.assert_allclose(
@@ -245,9 +236,7 @@ def test_local_tied_and_logarithmic_parameters(own_fmu, ask):
 def test_derivatives_that_disagree_give_way_to_differences(own_fmu, ask, name):
     parameters = (Parameter("k", 0.8), Parameter("x", 1.4))
     problem = problem_of(own_fmu, ask, name, parameters, [1.2, 1.1], ("y",))
-
     usual, carried = fitted(problem)
-
     assert "directional derivatives disagree with differences" in carried.solution.message
     assert np.array_equal(carried.solution.x, usual.solution.x)
 
@@ -297,7 +286,6 @@ def test_a_run_that_a_clock_had_chosen_them_for_is_refused(own_fmu, tmp_path, ca
     (tmp_path / "run" / "parameters.parquet").unlink()
     resumed = tmp_path, fmu, "--no-report", "--resume"
     assert fit_decay(*resumed, "budget.evaluations=3") in (0, 1)
-
     (tmp_path / "run" / "parameters.parquet").unlink()
     change_facts(tmp_path / "run", sensitivities={"carry": True, "sentence": "quicker"})
     assert fit_decay(*resumed, "budget.evaluations=4") == 2

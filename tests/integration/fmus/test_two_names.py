@@ -57,6 +57,5 @@ def test_a_parameter_with_two_names_is_proposed_once(own_fmu, fmi):
     path = own_fmu("two_names", fmi)
     assert bare_problem(path).model.parameters == ("k",)
     bare_problem(path).describe()
-
     active = [c for c in candidates(describe(path.name, path.read_bytes())) if not c.why_not]
     assert [c.variable.name for c in active] == ["k"]

@@ -28,17 +28,14 @@ EXACT = Solver("dormand_prince", rtol=1e-9)
 
 def test_a_binary_with_other_event_indicators_than_described_is_refused(own_fmu, tmp_path):
     ball = own_fmu("bouncing_ball", 3)
-    (indicator,) = re.findall(r"<EventIndicator [^>]*/>", description_of(ball))
+    with zipfile.ZipFile(ball) as archive:
+        described = archive.read("modelDescription.xml").decode()
+    (indicator,) = re.findall(r"<EventIndicator [^>]*/>", described)
     fmu = with_description(ball, tmp_path / "ball.fmu", {indicator: ""})
     model = Model(fmu.name, fmu.read_bytes(), "model_exchange", EXACT, ())
     run = Experiment("e", 0.0, 1.0, (), (Output("height", TIMES, 0.0 * TIMES),))
     with pytest.raises(ModelError, match=r"must have the 0 event indicators .* but has 1; export"):
         Evaluator(model, [run], "w")
-
-
-def description_of(fmu: Path) -> str:
-    with zipfile.ZipFile(fmu) as archive:
-        return archive.read("modelDescription.xml").decode()
 
 
 PRINTING = """

@@ -1,5 +1,3 @@
-"""One fit whose report several tests look at."""
-
 import shutil
 from pathlib import Path
 

@@ -1,5 +1,3 @@
-"""The report of a run: what stands in it, that nothing in it can act, and that runs keep going."""
-
 import base64
 import hashlib
 import re

@@ -1,5 +1,3 @@
-"""The charts of a report show what the tables of its run hold, small and with every peak."""
-
 import json
 import math
 from pathlib import Path

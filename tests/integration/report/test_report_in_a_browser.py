@@ -1,9 +1,4 @@
-"""The report of a run in a headless Chromium: it draws, zooms, switches, and asks nobody."""
-
-from collections.abc import Callable, Iterator
 from itertools import pairwise
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -19,7 +14,7 @@ FLAGS = [
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
+def browser():
     path = chromium()
     if path is None:
         pytest.skip("needs a Chromium, or its path in CLUSTER_EST_CHROMIUM")
@@ -31,13 +26,13 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture
-def opened(browser: Any, run: Path) -> Iterator[Callable[..., Any]]:
+def opened(browser, run):
     """Opens the report, which says nothing in the console and asks nobody for anything."""
     address, pages = write_report(run).as_uri(), []
     said: list[str] = []
     asked: list[str] = []
 
-    def call(**options: Any) -> Any:
+    def call(**options):
         page = browser.new_page(**options)
         page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
         page.on("pageerror", lambda error: said.append(str(error)))
@@ -54,19 +49,19 @@ def opened(browser: Any, run: Path) -> Iterator[Callable[..., Any]]:
 
 
 @pytest.fixture
-def page(opened) -> Any:
+def page(opened):
     found = opened(viewport={"width": 1440, "height": 900})
     found.locator(".panel.wide").scroll_into_view_if_needed()
     return found
 
 
-def view(page: Any) -> list[float]:
+def view(page):
     """The times between which the large chart shows its curves; none where it shows all."""
     text = page.locator(".panel.wide .chart").get_attribute("data-view")
     return [float(number) for number in (text or "").split()]
 
 
-def visible(page: Any, ink: str) -> int:
+def visible(page, ink):
     """How many curves of one kind are seen."""
     return sum(path.is_visible() for path in page.locator(f".panel path.{ink}").all())
 

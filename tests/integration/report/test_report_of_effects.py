@@ -1,5 +1,3 @@
-"""The report of a loop and of a fit with effects: their shapes, and the path of the search."""
-
 import json
 from pathlib import Path
 

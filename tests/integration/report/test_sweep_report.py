@@ -1,7 +1,3 @@
-"""The report of a sweep sets its runs beside each other."""
-
-from pathlib import Path
-
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -14,37 +10,31 @@ RUNS = (("a", 3.0, 2.5, 1.0), ("b", 1.1, 1.4, 2.0), ("c", 1.0, 9.0, 2.5))
 """Method, training error, held-out error and estimate of k."""
 
 
-def row(method: str, train: float, test: float, k: float) -> dict[str, object]:
-    run = {"run": f"spring-{method}", "config": "spring", "method": method, "status": "done"}
-    numbers = {"cost_before": 9.0, "cost": 1.0, "rmse_train": train, "rmse_test": test}
-    counts = {"iterations": 5, "evaluations": 20, "simulations": 60, "failures": 0}
-    return (
-        run
-        | {"message": "converged", "doubts": ""}
-        | numbers
-        | counts
-        | {"seconds": 75.0, "parameter k": k}
-    )
+def row(method, train, test, k):
+    found = {"run": f"spring-{method}", "config": "spring", "method": method, "status": "done"}
+    found |= {"message": "converged", "doubts": "", "cost_before": 9.0, "cost": 1.0}
+    found |= {"rmse_train": train, "rmse_test": test, "iterations": 5, "evaluations": 20}
+    return found | {"simulations": 60, "failures": 0, "seconds": 75.0, "parameter k": k}
 
 
-def failed(method: str, why: str) -> dict[str, object]:
+def failed(method, why):
     whole = dict.fromkeys(row("", 0.0, 0.0, 0.0))
     return whole | {"run": f"spring-{method}", "config": "spring", "method": method,
                     "status": "failed", "message": why}  # fmt: skip
 
 
-def written(folder: Path, rows: list[dict[str, object]]) -> Path:
+def written(folder, rows):
     folder.mkdir()
     pq.write_table(pa.Table.from_pylist(rows), folder / "summary.parquet")
     return folder
 
 
 @pytest.fixture
-def sweep(tmp_path) -> Path:
+def sweep(tmp_path):
     return written(tmp_path / "results", [*(row(*each) for each in RUNS), failed("d", HOSTILE)])
 
 
-def page_of(sweep: Path) -> Path:
+def page_of(sweep):
     assert main(["report", str(sweep)]) == 0
     return sweep / "report.html"
 

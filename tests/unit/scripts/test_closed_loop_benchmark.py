@@ -1,5 +1,3 @@
-"""The benchmark's truth is that of the FMUs plus the effect, and its cases are what they say."""
-
 from collections import Counter
 from dataclasses import replace
 from functools import cache, partial

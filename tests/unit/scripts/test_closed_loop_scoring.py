@@ -1,5 +1,3 @@
-"""What a closed loop says of a case is compared with the truth, and with nothing but the truth."""
-
 from dataclasses import replace
 from functools import cache
 from math import comb, nan

@@ -1,5 +1,3 @@
-"""The scripts for clusters: their syntax, what they call, and that no token or tag is left out."""
-
 import os
 import re
 import shlex

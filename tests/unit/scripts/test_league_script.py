@@ -1,5 +1,3 @@
-"""The league: configs that fit together, conversions, figures, judgements, the page."""
-
 import math
 import tomllib
 
@@ -81,13 +79,9 @@ def test_errors_are_pooled_over_samples_not_over_records():
 
 
 def test_the_first_pattern_counts_and_the_best_name_decides():
-    known = CaseJudgements(
-        "",
-        (
-            Judgement("coulomb at der(v) of *", Rightness.RIGHT, "rubs"),
-            Judgement("* at der(v) of *", Rightness.WRONG, "does not"),
-        ),
-    )
+    right = Judgement("coulomb at der(v) of *", Rightness.RIGHT, "rubs")
+    wrong = Judgement("* at der(v) of *", Rightness.WRONG, "does not")
+    known = CaseJudgements("", (right, wrong))
     rubs = effect_name("coulomb", "der(v)", ["v"])
     assert known.of(rubs).why == "rubs"
     assert known.of(effect_name("cubic", "der(v)", ["v"])).rightness is Rightness.WRONG

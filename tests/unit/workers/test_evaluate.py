@@ -1,5 +1,3 @@
-"""Every task has one outcome, whatever happens, and no outcome depends on its neighbours."""
-
 import re
 from dataclasses import replace
 from functools import cache
@@ -13,19 +11,7 @@ from support.truth.example_models import MODELS, REFERENCES, sampled_experiment
 
 from workers import evaluate
 from workers.evaluate import Evaluator
-from workers.messages import (
-    Experiment,
-    FloatArray,
-    Input,
-    Interface,
-    Model,
-    Outcome,
-    Output,
-    Solver,
-    Status,
-    Task,
-    Want,
-)
+from workers.messages import Experiment, Input, Interface, Model, Output, Solver, Status, Task
 from workers.wire import TaskBatch
 
 SOLVERS: dict[str, tuple[Interface, Solver]] = {
@@ -35,7 +21,7 @@ SOLVERS: dict[str, tuple[Interface, Solver]] = {
     "fmu": ("co_simulation", Solver("fmu")),
 }
 EXPERIMENTS = tuple(
-    sampled_experiment(REFERENCES["mass_spring_damper"], interpolation, seed)  # type: ignore[arg-type]
+    sampled_experiment(REFERENCES["mass_spring_damper"], interpolation, seed)
     for seed, interpolation in enumerate(["linear", "hold", "linear"])
 )
 POINTS = np.array(
@@ -47,7 +33,7 @@ ARCHIVE = (MODELS / "mass_spring_damper.fmu").read_bytes()
 
 
 @cache
-def evaluator(solver: str) -> Evaluator:
+def evaluator(solver):
     return fresh(solver)
 
 
@@ -57,7 +43,7 @@ def fresh(name, experiments=EXPERIMENTS, **options):
     return Evaluator(model, experiments, "test")
 
 
-def ask(to: Evaluator, tasks: list[tuple[int, FloatArray]], want: Want = "residuals") -> list:
+def ask(to, tasks, want="residuals"):
     """Outcomes of (experiment, values), with ids that are not places."""
     packed = [Task(100 + 7 * i, e, values, want) for i, (e, values) in enumerate(tasks)]
     outcomes = to.evaluate(TaskBatch.of(packed))
@@ -65,7 +51,7 @@ def ask(to: Evaluator, tasks: list[tuple[int, FloatArray]], want: Want = "residu
     return outcomes
 
 
-def bits(outcome: Outcome) -> tuple[Status, str, bytes, bytes]:
+def bits(outcome):
     """All of an outcome but what may differ: its id, its seconds and its worker."""
     residuals, trajectory = outcome.residuals, outcome.trajectory
     return (
@@ -77,7 +63,7 @@ def bits(outcome: Outcome) -> tuple[Status, str, bytes, bytes]:
 
 
 @cache
-def alone(solver: str, experiment: int, point: int) -> tuple[Status, str, bytes, bytes]:
+def alone(solver, experiment, point):
     return bits(ask(evaluator(solver), [(experiment, POINTS[point])])[0])
 
 
@@ -146,7 +132,7 @@ class TestEverySolver:
         assert together[1].ok or together[1].steps == 0
 
 
-def with_sigmas(sigma: float, relative: float = 0.0) -> tuple[Output, Outcome]:
+def with_sigmas(sigma, relative=0.0):
     """The output of the first experiment with other sigmas, and the outcome of a point."""
     (output,) = EXPERIMENTS[0].outputs
     output = replace(output, sigma=sigma, relative_sigma=relative)
@@ -193,8 +179,7 @@ def test_a_tolerance_that_vanishes_is_no_division_by_zero(solver):
 
 
 @pytest.mark.parametrize(
-    ("rtol", "reason"),
-    [(1e-30, "model.max_steps"), (1e-300, "no step was short enough")],
+    ("rtol", "reason"), [(1e-30, "model.max_steps"), (1e-300, "no step was short enough")]
 )
 def test_tolerance_out_of_reach_is_an_outcome(rtol, reason):
     asked = fresh("dormand_prince", rtol=rtol, max_steps=10_000)

@@ -1,5 +1,3 @@
-"""The grid of an experiment holds every time that matters, and every signal as it was measured."""
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -1,5 +1,3 @@
-"""Signals, experiments, models and solvers refuse what is none, in a sentence."""
-
 from pathlib import Path
 
 import numpy as np
@@ -93,15 +91,16 @@ class TestSamples:
             Input("F", [], [])
         assert len(Output("y", [], []).times) == 0
 
-    @pytest.mark.parametrize("sigma", [0, -1.0, np.nan, np.inf, "1", None, T, True])
-    def test_sigma_is_a_positive_number(self, sigma):
-        with pytest.raises(DataError, match=r"output 'y'\.sigma: must be "):
-            Output("y", T, T, sigma)
-
-    @pytest.mark.parametrize("part", [-0.1, np.nan, np.inf, "1", None, True])
-    def test_relative_sigma_is_a_number_from_zero(self, part):
-        with pytest.raises(DataError, match=r"output 'y'\.relative_sigma: must be "):
-            Output("y", T, T, 1.0, part)
+    @pytest.mark.parametrize(
+        ("name", "value"),
+        [
+            *(("sigma", value) for value in (0, -1.0, np.nan, np.inf, "1", None, T, True)),
+            *(("relative_sigma", value) for value in (-0.1, np.nan, np.inf, "1", None, True)),
+        ],
+    )
+    def test_what_is_no_size_of_noise_is_refused(self, name, value):
+        with pytest.raises(DataError, match=rf"output 'y'\.{name}: must be "):
+            Output("y", T, T, **{"sigma": 1.0, name: value})
 
     def test_noise_that_grows_has_a_sigma_for_each_sample(self):
         output = Output("y", [0.0, 1.0, 2.0], [0.0, -4.0, 30.0], 0.3, 0.1)
@@ -147,13 +146,8 @@ EXPERIMENT = {"id": "a", "start": 0.0, "stop": 1.0, "inputs": [DRIVEN], "outputs
 CURVE = {"variables": ("x", "v"), "points": [[0, 1], [1, 2], [0, 3]], "times": T}
 BOUND = {"name": "b", "variable": "y", "times": [0, 1], "lower": [0, 1], "upper": [2, 2]}
 FUNCTION = {"module": "m", "name": "f"}
-MODEL = {
-    "name": "a.fmu",
-    "archive": b"",
-    "interface": "model_exchange",
-    "solver": Solver("rk4"),
-    "parameters": ("m",),
-}
+MODEL = {"name": "a.fmu", "archive": b"", "interface": "model_exchange"}
+MODEL |= {"solver": Solver("rk4"), "parameters": ("m",)}
 RK4 = {"name": "rk4"}
 EFFECT = {"name": "f", "site": "der(v)"}
 

@@ -1,5 +1,3 @@
-"""Differences of two tables of outputs, over the sizes of the outputs."""
-
 import numpy as np
 
 from workers.probes.probes import difference, differences

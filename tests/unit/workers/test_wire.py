@@ -1,5 +1,3 @@
-"""What is packed for the way between machines comes out as it went in."""
-
 import pickle
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -13,12 +11,8 @@ from hypothesis.extra.numpy import arrays
 from workers.messages import Effect, Linearisation, MatrixSeries, Outcome, Status, Task, Trajectory
 from workers.wire import OutcomeColumns, TaskBatch
 
-NAMES = {
-    "state_names": ("x", "v", "lag:z"),
-    "input_names": ("F",),
-    "output_names": ("y",),
-    "parameter_names": ("m", "k"),
-}
+NAMES = {"state_names": ("x", "v", "lag:z"), "input_names": ("F",)}
+NAMES |= {"output_names": ("y",), "parameter_names": ("m", "k")}
 DEFAULT = Outcome(0, Status.OK)
 
 
@@ -41,6 +35,13 @@ def same(one: Any, other: Any) -> bool:
     if is_dataclass(one):
         return all(same(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))
     return bool(one == other)
+
+
+def check_all_same(sent: list[Any], got: list[Any]) -> None:
+    assert len(got) == len(sent)
+    for before, after in zip(sent, got, strict=True):
+        for field in fields(before):
+            assert same(getattr(before, field.name), getattr(after, field.name)), field.name
 
 
 def outcomes() -> list[Outcome]:
@@ -68,14 +69,7 @@ def test_outcomes_come_back_with_all_they_carry():
     for field in fields(Outcome):
         carried = [getattr(outcome, field.name) for outcome in sent]
         assert not all(same(each, getattr(DEFAULT, field.name)) for each in carried), field.name
-    got = pickle.loads(pickle.dumps(OutcomeColumns.of(sent))).outcomes()
-    assert len(got) == len(sent)
-    for before, after in zip(sent, got, strict=True):
-        for field in fields(Outcome):
-            assert same(getattr(before, field.name), getattr(after, field.name)), field.name
-
-
-def test_no_outcomes_are_none_again():
+    check_all_same(sent, pickle.loads(pickle.dumps(OutcomeColumns.of(sent))).outcomes())
     assert OutcomeColumns.of([]).outcomes() == []
 
 
@@ -86,11 +80,7 @@ def test_tasks_come_back_with_all_they_carry():
         Task(number, experiment, generator.normal(size=3), "sensitivities", effects, bound)
         for number, experiment, bound in ((5, 1, 0.1), (2, 0, np.inf), (9, 1, 3.0))
     ]
-    got = pickle.loads(pickle.dumps(TaskBatch.of(sent))).tasks()
-    assert len(got) == len(sent)
-    for before, after in zip(sent, got, strict=True):
-        for field in fields(Task):
-            assert same(getattr(before, field.name), getattr(after, field.name)), field.name
+    check_all_same(sent, pickle.loads(pickle.dumps(TaskBatch.of(sent))).tasks())
 
 
 def test_a_batch_of_tasks_that_want_different_things_is_refused():

@@ -1,5 +1,3 @@
-"""Recorded outputs between their times, and signals that are changed as a whole."""
-
 import numpy as np
 import pytest
 

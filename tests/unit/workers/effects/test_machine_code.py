@@ -1,11 +1,7 @@
-"""Equations keep their functions, and are in machine code what Python computes."""
-
 import ctypes
 import gc
 import math
 import pickle
-from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +15,7 @@ from workers.effects.forms import FORMS
 from workers.effects.machine_code import MachineCode
 from workers.effects.source import CAssignment, EffectArray, SymbolLocations, compile_function
 from workers.fmu.description import describe_model
-from workers.messages import Effect, FloatArray, Model, Solver
+from workers.messages import Effect, Model, Solver
 
 MODEL = Model("spring", FMU.read_bytes(), "model_exchange", Solver("rk4"), ())
 SITES = {
@@ -35,13 +31,13 @@ LOCATIONS: SymbolLocations = {
 ARRAYS = (EffectArray.STATES, EffectArray.RESULT)
 
 
-def called(compiled: Any, time: float, arrays: Sequence[FloatArray]) -> None:
+def called(compiled, time, arrays):
     kinds = [ctypes.c_double, *[ctypes.c_void_p] * len(arrays)]
     function = ctypes.CFUNCTYPE(ctypes.c_int32, *kinds)(compiled.address)
     assert function(time, *(array.ctypes.data for array in arrays)) == 0
 
 
-def value_of(text: str, x: float, y: float = 0.0) -> float:
+def value_of(text, x, y=0.0):
     result = np.full(2, 7.0)
     assignment = CAssignment(EffectArray.RESULT, 1, parse(text, NAMES | {"t": TIME}, "here"))
     compiled = compile_function(ARRAYS, LOCATIONS, [assignment], TIME)
@@ -91,7 +87,7 @@ def test_a_value_is_added_to_what_is_there():
     assert result.tolist() == [1.0, 17.0]
 
 
-def functions_of(kind: str, name: str) -> list[tuple[tuple[EffectArray, ...], Any, Any]]:
+def functions_of(kind, name):
     """The functions of a form at a site of its kind, as arrays, locations and assignments."""
     variables = ("F", "F") if kind == "input" else ("v", "x")
     effect = Effect("e", SITES[kind], name, variables[: FORMS[kind, name].variables])
@@ -158,7 +154,7 @@ def test_code_lives_as_long_as_its_object():
 X, Y = sp.symbols("x y", real=True)
 
 
-def read(text: str) -> sp.Expr:
+def read(text):
     return parse(text, {"x": X, "y": Y}, "here")
 
 

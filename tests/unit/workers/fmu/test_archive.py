@@ -1,6 +1,5 @@
-"""Archives that are damaged or hostile leave nothing behind but a sentence."""
-
 import hashlib
+import io
 import os
 import random
 import re
@@ -35,8 +34,13 @@ def refusal(content: bytes) -> str:
     return message
 
 
-def with_entry(name: str, content: bytes = b"x") -> bytes:
-    return spoiled_fmu(lambda entries: entries.update({name: content}))
+def with_member(name: str, content: bytes, mode: int = 0o644) -> bytes:
+    """An archive of one entry."""
+    file, entry = io.BytesIO(), zipfile.ZipInfo(name)
+    entry.create_system, entry.external_attr = 3, mode << 16
+    with zipfile.ZipFile(file, "w") as packed, packed.open(entry, "w") as opened:
+        opened.write(content)
+    return file.getvalue()
 
 
 def flagged(content: bytes, offset: int, value: int) -> bytes:
@@ -53,57 +57,37 @@ def test_an_fmu_is_unpacked_once(cache):
     assert os.listdir(folder.parent) == ["some-hash"]
 
 
-@pytest.mark.parametrize(
-    ("content", "sentence"),
-    [
-        (b"", "must be an FMU, which is a zip file, but is not"),
-        (CHANCE.randbytes(5000), "must be an FMU, which is a zip file, but is not"),
-        (FMU[:50_000], "must be an FMU, which is a zip file, but is not"),
-        (FMU[:200] + b"\xff" * 60 + FMU[260:], ["cannot be unpacked (", "; export it again"]),
-        (flagged(FMU, 8, 1), ["cannot be unpacked (", "encrypted"]),
-        (flagged(FMU, 10, 77), "cannot be unpacked (That compression method is not supported"),
-        (flagged(FMU, 10, zipfile.ZIP_LZMA), "cannot be unpacked ("),
-        (spoiled_fmu(lambda e: e.update({"a": b"", "a/b": b""})), "cannot be unpacked into"),
-    ],
-    ids=[
-        *("empty", "random", "truncated", "damaged", "encrypted", "unknown method"),
-        *("other method", "conflict"),
-    ],
-)
-def test_a_damaged_archive_is_refused(cache, content, sentence):
+DAMAGED = FMU[:200] + b"\xff" * 60 + FMU[260:]
+CONFLICT = spoiled_fmu(lambda entries: entries.update({"a": b"", "a/b": b""}))
+LINK = with_member("link", b"/etc/passwd", stat.S_IFLNK | 0o777)
+METHOD = "cannot be unpacked (That compression method is not supported"
+NO_ZIP = "must be an FMU, which is a zip file, but is not"
+REFUSED = {
+    "empty": (b"", NO_ZIP),
+    "random": (CHANCE.randbytes(5000), NO_ZIP),
+    "truncated": (FMU[:50_000], NO_ZIP),
+    "damaged": (DAMAGED, ["cannot be unpacked (", "; export it again"]),
+    "encrypted": (flagged(FMU, 8, 1), ["cannot be unpacked (", "encrypted"]),
+    "unknown method": (flagged(FMU, 10, 77), METHOD),
+    "other method": (flagged(FMU, 10, zipfile.ZIP_LZMA), "cannot be unpacked ("),
+    "conflict": (CONFLICT, "cannot be unpacked into"),
+    "no name": (with_member("", b"x"), "every entry in it must have a name but one has none"),
+    "symbolic link": (LINK, "the path 'link' in it must stay inside"),
+}
+for name in (
+    *("../evil", "a/../../evil", "/evil", "//evil", "C:/evil", "C:evil", "C:\\evil"),
+    *("..\\evil", "a\\..\\..\\evil", "\\evil"),
+):
+    hostile = spoiled_fmu(lambda entries, name=name: entries.update({name: b"x"}))
+    said = f"the path {name!r} in it must stay inside the FMU's folder but leaves it"
+    REFUSED[name] = hostile, said
+
+
+@pytest.mark.parametrize(("content", "sentence"), REFUSED.values(), ids=REFUSED)
+def test_a_damaged_or_hostile_archive_is_refused(cache, content, sentence):
     message = refusal(content)
     for part in [sentence] if isinstance(sentence, str) else sentence:
         assert part in message
-    assert [*cache.glob("fmus/*")] == []
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["../evil", "a/../../evil", "/evil", "//evil", "C:/evil", "C:evil", "C:\\evil", "..\\evil",
-     "a\\..\\..\\evil", "\\evil"],
-)  # fmt: skip
-def test_a_path_that_leaves_the_folder_is_refused(cache, name):
-    message = refusal(with_entry(name))
-    assert f"the path {name!r} in it must stay inside the FMU's folder but leaves it" in message
-    assert [*cache.glob("fmus/*")] == []
-
-
-def test_an_entry_without_a_name_is_refused(cache, tmp_path):
-    path = tmp_path / "x.zip"
-    with zipfile.ZipFile(path, "w") as packed, packed.open(zipfile.ZipInfo(""), "w") as entry:
-        entry.write(b"x")
-    assert "every entry in it must have a name but one has none" in refusal(path.read_bytes())
-    assert [*cache.glob("fmus/*")] == []
-
-
-def test_a_symbolic_link_is_refused(cache, tmp_path):
-    link = zipfile.ZipInfo("link")
-    link.create_system = 3
-    link.external_attr = (stat.S_IFLNK | 0o777) << 16
-    path = tmp_path / "link.zip"
-    with zipfile.ZipFile(path, "w") as packed:
-        packed.writestr(link, "/etc/passwd")
-    assert "the path 'link' in it must stay inside" in refusal(path.read_bytes())
     assert [*cache.glob("fmus/*")] == []
 
 
@@ -117,14 +101,6 @@ def test_a_zip_bomb_is_refused_before_it_is_unpacked(cache):
 def test_an_archive_that_unpacks_to_too_much_is_refused(cache, monkeypatch):
     monkeypatch.setattr(archive, "MAX_UNPACKED_BYTES", 1000)
     assert "which is no ordinary FMU; nothing was unpacked" in refusal(FMU)
-
-
-def cut(file):
-    file.write_bytes(file.read_bytes()[:-1])
-
-
-def swap(file):
-    file.write_bytes(bytes(reversed(file.read_bytes())))
 
 
 def replace_by_folder(file):
@@ -143,11 +119,16 @@ def give_away(file):
     os.chown(file, 54321, 54321)
 
 
-HARM = [lambda file: file.write_bytes(b""), cut, swap, lambda file: file.unlink()]
-HARM += [replace_by_folder, redirect, give_away]
+HARM = {
+    "emptied": lambda file: file.write_bytes(b""),
+    "cut": lambda file: file.write_bytes(file.read_bytes()[:-1]),
+    "reversed": lambda file: file.write_bytes(file.read_bytes()[::-1]),
+    "gone": lambda file: file.unlink(),
+    **{each.__name__: each for each in (replace_by_folder, redirect, give_away)},
+}
 
 
-@pytest.mark.parametrize("harm", HARM)
+@pytest.mark.parametrize("harm", HARM.values(), ids=HARM)
 def test_every_file_that_was_harmed_is_written_anew(cache, harm):
     folder = unpack("x.fmu", FMU, "some-hash")
     with open_archive("x.fmu", FMU) as opened:

@@ -1,5 +1,3 @@
-"""FMI 3.0: types, arrays, structural parameters, aliases, the structure."""
-
 import re
 
 import pytest

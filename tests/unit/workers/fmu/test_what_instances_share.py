@@ -1,5 +1,3 @@
-"""What all instances of a process share: seats, the log and handlers of signals."""
-
 import ctypes
 import signal
 import subprocess

@@ -2,8 +2,6 @@
 
 import os
 import pickle
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,15 +21,15 @@ def test_an_unknown_numba_compiles_as_it_always_does_to_the_same_bits():
     assert one == pytest.approx(float(np.sum(np.sqrt(np.abs(values)) * values)))
 
 
-def summed(options: dict[str, Any], values: np.ndarray) -> float:
+def summed(options, values):
     """A sum whose terms are computed by another function, both compiled."""
 
     @njit(nogil=True, _nrt=False, **options)
-    def term(value: float) -> float:
+    def term(value):
         return float(abs(value) ** 0.5 * value)
 
     @njit(nogil=True, _nrt=False)
-    def total(values: np.ndarray) -> float:
+    def total(values):
         found = 0.0
         for value in values:
             found += term(value)
@@ -53,7 +51,7 @@ def kept(tmp_path, monkeypatch):
     """The files of two loops, and what both give and whether they are read, once called."""
     monkeypatch.setattr(compiling, "_CACHE_FOLDER", str(tmp_path))
 
-    def call() -> tuple[list[float], list[int]]:
+    def call():
         loops = [kernel(each) for each in (doubled, tripled)]
         return [each(1.5) for each in loops], [sum(e.stats.cache_hits.values()) for e in loops]
 
@@ -64,17 +62,17 @@ def kept(tmp_path, monkeypatch):
     return files, call
 
 
-def cut(files: list[Path]) -> None:
-    for each in files:
-        each.write_bytes(each.read_bytes()[:-40])
+def rewritten(change):
+    """Harm that changes what is in each file."""
+
+    def harm(files):
+        for each in files:
+            each.write_bytes(change(each.read_bytes()))
+
+    return harm
 
 
-def empty(files: list[Path]) -> None:
-    for each in files:
-        each.write_bytes(b"")
-
-
-def exchange(files: list[Path]) -> None:
+def exchange(files):
     """Of two loops, the one's for the other's."""
     first, second = ([e for e in files if n in e.name] for n in ("doubled", "tripled"))
     for one, other in zip(first, second, strict=True):
@@ -86,23 +84,22 @@ def exchange(files: list[Path]) -> None:
 class Harm:
     """Says so if it is unpickled."""
 
-    def __reduce__(self) -> Any:
+    def __reduce__(self):
         return pytest.fail, ("unpickled",)
 
 
-def plant(files: list[Path]) -> None:
-    for each in files:
-        each.write_bytes(pickle.dumps(Harm()))
-
-
-def give_away(files: list[Path]) -> None:
+def give_away(files):
     if not hasattr(os, "geteuid") or os.geteuid():
         pytest.skip("only root can give a file to another user")
     for each in files:
         os.chown(each, 54321, 54321)
 
 
-@pytest.mark.parametrize("harm", [cut, empty, exchange, plant, give_away])
+CUT, EMPTY = rewritten(lambda content: content[:-40]), rewritten(lambda content: b"")
+PLANTED = rewritten(lambda content: pickle.dumps(Harm()))
+
+
+@pytest.mark.parametrize("harm", [CUT, EMPTY, exchange, PLANTED, give_away])
 def test_loops_whose_files_were_harmed_are_compiled_anew(kept, harm):
     files, call = kept
     harm(files)

@@ -30,35 +30,22 @@ def let_pass(monkeypatch):
     return then
 
 
-def test_ready_to_run_but_not_let_run(progress, let_pass):
-    """A busy machine gives it 0.2 s in an hour."""
+@pytest.mark.parametrize(
+    ("seconds", "waiting", "active", "still"),
+    [
+        (3600.0, True, [5.2, 5.4, 5.6], 0.6),  # a busy machine gives it 0.2 s in an hour
+        (10.0, True, [14.0], 9.0),
+        (0.5, False, [5.0] * 20, 10.0),
+        (3600.0, False, [5.0], watch.LATE_SECONDS),
+    ],
+    ids=["ready but not let run", "busy without a step", "asleep", "who looks was asleep itself"],
+)
+def test_for_how_long_it_stands_still(progress, let_pass, seconds, waiting, active, still):
     seen = ProgressWatch(1, progress)
-    for hour in range(3):
-        let_pass(3600.0, ProcessActivity(waiting=True, seconds=5.0 + 0.2 * (hour + 1)))
+    for so_far in active:
+        let_pass(seconds, ProcessActivity(waiting=waiting, seconds=so_far))
         seen.look()
-    assert seen.still == pytest.approx(0.6)
-
-
-def test_busy_without_a_step(progress, let_pass):
-    seen = ProgressWatch(1, progress)
-    let_pass(10.0, ProcessActivity(waiting=True, seconds=14.0))
-    seen.look()
-    assert seen.still == pytest.approx(9.0)
-
-
-def test_asleep_of_its_own_accord(progress, let_pass):
-    seen = ProgressWatch(1, progress)
-    for _ in range(20):
-        let_pass(0.5, ProcessActivity(waiting=False, seconds=5.0))
-        seen.look()
-    assert seen.still == pytest.approx(10.0)
-
-
-def test_who_looks_was_asleep_itself(progress, let_pass):
-    seen = ProgressWatch(1, progress)
-    let_pass(3600.0, ProcessActivity(waiting=False, seconds=5.0))
-    seen.look()
-    assert seen.still == watch.LATE_SECONDS
+    assert seen.still == pytest.approx(still, rel=1e-12)
 
 
 @pytest.mark.parametrize("which", [CALLED, SIMULATIONS])

@@ -1,27 +1,27 @@
-"""A simulation that crashes, hangs or leaks costs only itself."""
+"""A simulation that crashes, hangs or leaks costs only itself; and where its process comes from."""
 
 import os
 import signal
+import socket
+import subprocess
+import sys
 import threading
 import time
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
+from multiprocessing import reduction
+from multiprocessing.connection import Connection
 
 import numpy as np
 import pytest
 from support.processes_of_fmus import has_ended, kill, living, parent, wait_until, worker_since
 
 from workers.evaluate import Evaluator
-from workers.messages import (
-    USUAL,
-    Experiment,
-    Input,
-    Limits,
-    Outcome,
-    Output,
-    Status,
-    Task,
-)
+from workers.messages import USUAL, Experiment, Input, Limits, Model, Output, Solver, Status, Task
+from workers.process.orders import END, FORK
 from workers.process.supervisor import SupervisedEvaluator
+from workers.process.template_client import TemplateClient, shared_address
+from workers.process.watch import SharedProgress
 from workers.wire import TaskBatch
 
 CRASHES, ABORTS, EXITS, HANGS, EATS_MEMORY = 1.0, 2.0, 3.0, 4.0, 5.0
@@ -35,10 +35,17 @@ QUICK = Limits(seconds=3.0)
 
 
 @pytest.fixture
-def open_guard(model):
-    guards: list[SupervisedEvaluator] = []
+def model(built_fmu):
+    """An FMU that misbehaves as its parameters say."""
+    names, archive = ("rate", "kind", "share", "leak"), built_fmu("misbehaves")
+    return Model("misbehaves.fmu", archive, "model_exchange", Solver("rk4", 0.02), names)
 
-    def make(limits: Limits) -> SupervisedEvaluator:
+
+@pytest.fixture
+def open_guard(model):
+    guards = []
+
+    def make(limits):
         guards.append(SupervisedEvaluator(model, EXPERIMENTS, "guarded", limits))
         return guards[-1]
 
@@ -47,7 +54,7 @@ def open_guard(model):
         guard.close()
 
 
-def chance(rate: float) -> float:
+def chance(rate):
     """Which part of the rates misbehaves earlier than this one; the FMU's own arithmetic."""
     mask = 2**64 - 1
     bits = int(np.float64(rate).view(np.uint64))
@@ -56,13 +63,13 @@ def chance(rate: float) -> float:
     return ((bits ^ bits >> 33) >> 11) / 2**53
 
 
-def tasks(rates, kind=0.0, share=0.0, leak=0.0) -> list[Task]:
+def tasks(rates, kind=0.0, share=0.0, leak=0.0):
     return [
         Task(i, i % 2, np.array([rate, kind, share, leak])) for i, rate in enumerate(rates.tolist())
     ]
 
 
-def in_batches(guard: SupervisedEvaluator, asked: list[Task], size: int = 10) -> list[Outcome]:
+def in_batches(guard, asked, size=10):
     return [
         outcome
         for first in range(0, len(asked), size)
@@ -70,12 +77,12 @@ def in_batches(guard: SupervisedEvaluator, asked: list[Task], size: int = 10) ->
     ]
 
 
-def bits(outcomes: list[Outcome]) -> list[bytes]:
+def bits(outcomes):
     assert all(outcome.ok for outcome in outcomes)
     return [outcome.residuals.tobytes() for outcome in outcomes]
 
 
-def bad(share: float) -> set[int]:
+def bad(share):
     return {i for i, rate in enumerate(RATES.tolist()) if chance(rate) < share}
 
 
@@ -125,7 +132,7 @@ def simulations(tmp_path, monkeypatch):
     file = tmp_path / "simulations"
     monkeypatch.setenv("SIMULATIONS_COUNTED_IN", str(file))
 
-    def count() -> int:
+    def count():
         found = file.stat().st_size if file.exists() else 0
         file.unlink(missing_ok=True)
         return found
@@ -143,7 +150,7 @@ def test_simulations_go_alone_until_they_are_known_and_after_a_failure(open_guar
     guard, mixed = open_guard(QUICK), TaskBatch.of(tasks(MIXED, CRASHES, 0.2))
     good = tasks(GOOD[:4])
 
-    def ask() -> None:
+    def ask():
         assert [outcome.ok for outcome in guard.evaluate(mixed)] == [True, True, False, True]
 
     ask()
@@ -270,10 +277,143 @@ def test_an_interrupt_leaves_no_answer_for_somebody_else(open_guard):
     guard, asked = open_guard(Limits(seconds=60.0)), tasks(RATES[:4])
     expected = bits(in_batches(guard, asked))
 
-    def interrupted() -> None:
+    def interrupted():
         threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
         guard.evaluate(HANG)
 
     with pytest.raises(KeyboardInterrupt):
         interrupted()
     assert bits(in_batches(guard, asked)) == expected
+
+
+CHECK = 'exec "$0" -c "from cluster_est.cli import run; run()" check "$1" 2>&-'
+
+
+@pytest.mark.parametrize(
+    ("variable", "shared"), [(None, True), ("NEW_FOR_A_TEST", True), ("LD_NEW_FOR_A_TEST", False)]
+)
+def test_it_is_one_for_all_that_do_not_read_other_things_when_they_start(
+    model, monkeypatch, variable, shared
+):
+    found, before = [], living()
+    with ExitStack() as guards:
+        for _ in range(2):
+            guard = SupervisedEvaluator(model, EXPERIMENTS[:1], "guarded", Limits())
+            guards.enter_context(closing(guard))
+            _, server = worker_since(before)
+            found.append((bits(in_batches(guard, tasks(RATES[:1]))), server, parent(server)))
+            before = living()
+            if variable:
+                monkeypatch.setenv(variable, "1")
+    (one, server, template), (other, other_server, other_template) = found
+    assert one == other
+    assert server != other_server
+    assert (template == other_template) is shared
+
+
+@pytest.mark.slow
+def test_a_program_needs_no_standard_error(own_fmu):
+    command = ["sh", "-c", CHECK, sys.executable, str(own_fmu("dahlquist", 2))]
+    ended = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
+    assert "no problem was found" in ended.stdout
+
+
+@contextmanager
+def fork_server(client, model):
+    """A fork server of a client: its process, and the connection that it takes orders from."""
+    mine, theirs = socket.socketpair()
+    progress, installation = SharedProgress(), (model, EXPERIMENTS[:1], "shared")
+    with theirs:
+        server = client.fork_server(installation, theirs.fileno(), progress.descriptor)
+    with Connection(mine.detach()) as orders:
+        yield server, orders
+        orders.send(END)
+    progress.close()
+
+
+@pytest.fixture
+def group(tmp_path, monkeypatch):
+    """Two programs that share a template, as far as it knows."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    clients = [TemplateClient(), TemplateClient()]
+    for client in clients:
+        client.share("group")
+    yield clients
+    for client in clients:
+        client.close()
+
+
+def test_a_group_shares_one_that_is_nobody_s_child(model, group):
+    with fork_server(group[0], model) as (one, _), fork_server(group[1], model) as (other, _):
+        assert one != other
+        assert parent(one) == parent(other) != os.getpid()
+        assert parent(parent(one)) != os.getpid()
+
+
+def test_a_shared_one_goes_on_for_the_others_and_ends_with_the_last(model, group, tmp_path):
+    with fork_server(group[0], model) as (one, _), fork_server(group[1], model):
+        template = parent(one)
+    group[0].close()
+    with fork_server(group[1], model) as (other, _):
+        assert parent(other) == template
+    group[1].close()
+    assert wait_until(lambda: not any(tmp_path.iterdir()))
+
+
+@pytest.mark.slow
+def test_a_shared_one_that_was_killed_is_replaced_for_all(model, group):
+    with fork_server(group[0], model) as (one, _), fork_server(group[1], model) as (_, orders):
+        killed = parent(one)
+        os.kill(killed, signal.SIGKILL)
+        with fork_server(group[0], model) as (third, _), fork_server(group[1], model) as (last, _):
+            assert parent(third) == parent(last) != killed
+        orders.send(FORK)  # the fork server that came from it serves on
+        mine, theirs = socket.socketpair()
+        with mine, theirs:
+            reduction.send_handle(orders, theirs.fileno(), os.getpid())
+        assert orders.poll(30.0)
+        assert orders.recv() > 0
+
+
+@pytest.mark.slow
+def test_where_no_socket_can_be_each_has_its_own(model, group, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / ("long" * 30)))
+    with fork_server(group[0], model) as (one, _), fork_server(group[1], model) as (other, _):
+        assert parent(one) != parent(other)
+
+
+def test_what_is_read_at_start_decides_who_shares():
+    assert shared_address("g", {"OMP_A": "1"}) != shared_address("g", {"OMP_A": "2"})
+    assert shared_address("g", {}) != shared_address("h", {})
+
+
+TWO_FORKS = """
+import os
+import sys
+import numpy as np
+from workers.process.fork_server import draw_anew
+
+for _ in range(2):
+    if os.fork() == 0:
+        if sys.argv[1] == "anew":
+            draw_anew()
+        print(np.random.random(), flush=True)
+        os._exit(0)
+    os.wait()
+"""
+
+
+def drawn(how):
+    done = subprocess.run(
+        [sys.executable, "-c", TWO_FORKS, how], capture_output=True, text=True, check=True
+    )
+    return done.stdout.split()
+
+
+@pytest.mark.slow
+def test_an_fmu_in_python_does_not_draw_the_same_in_each_process():
+    """With the state that forks inherit it would, and seem to repeat."""
+    one, other = drawn("inherited")
+    assert one == other
+    one, other = drawn("anew")
+    assert one != other

@@ -1,6 +1,5 @@
 """Distances from a curve without times: against plain loops, and what must hold for every curve."""
 
-from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -16,9 +15,6 @@ from workers.residuals.nearest_segment import (
 )
 
 Array = NDArray[np.float64]
-Distances = Callable[[Array, Array], Array]
-
-BOTH: list[Distances] = [segment_distances, farthest_components]
 
 
 def plain_vector(point: Array, start: Array, end: Array) -> Array:
@@ -138,7 +134,7 @@ def test_same_bits_in_whatever_parts_of_many_points():
     np.testing.assert_array_equal(farthest_components(points, reference), np.maximum(*farthest))
 
 
-@pytest.mark.parametrize("distances", BOTH)
+@pytest.mark.parametrize("distances", [segment_distances, farthest_components])
 def test_same_bits_in_whatever_memory(distances):
     random = np.random.default_rng(4)
     reference, points = curve(random, 20, 3), curve(random, 50, 3)

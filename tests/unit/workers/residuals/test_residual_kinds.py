@@ -1,5 +1,3 @@
-"""Bounds, curves and functions of the user's: what a worker makes of simulated signals."""
-
 import pickle
 import re
 import subprocess
@@ -19,10 +17,8 @@ from workers.evaluate import Evaluator
 from workers.messages import (
     Curve,
     Experiment,
-    FloatArray,
     Input,
     Model,
-    Outcome,
     Output,
     SignalBound,
     Solver,
@@ -56,17 +52,12 @@ def fails_for_light(run):
 """
 
 
-def function(name: str, source: str = SOURCE) -> UserFunction:
+def function(name, source=SOURCE):
     return UserFunction("mine", name, source)
 
 
-EXPERIMENT = Experiment(
-    "run 1",
-    0.0,
-    2.0,
-    (Input("F", TIMES, np.sin(3.0 * TIMES)),),
-    (Output("y", TIMES[::2], 0.1 * np.cos(TIMES[::2]), 0.5),),
-)
+SHOWN = Output("y", TIMES[::2], 0.1 * np.cos(TIMES[::2]), 0.5)
+EXPERIMENT = Experiment("run 1", 0.0, 2.0, (Input("F", TIMES, np.sin(3.0 * TIMES)),), (SHOWN,))
 BOUND = SignalBound(
     "speed", "v", np.linspace(0.0, 2.0, 33), np.full(33, -0.2), np.full(33, 0.15), 0.1
 )
@@ -77,19 +68,19 @@ EVERYTHING = replace(
 )
 
 
-def ask(experiment: Experiment, points: FloatArray, want: str = "residuals") -> list[Outcome]:
-    tasks = [Task(i, 0, values, want) for i, values in enumerate(points)]  # type: ignore[arg-type]
+def ask(experiment, points, want="residuals"):
+    tasks = [Task(i, 0, values, want) for i, values in enumerate(points)]
     return answers(MODEL, [experiment], tasks)
 
 
-def simulated(signal: FloatArray, times: FloatArray, name: str = "y") -> SimulatedOutputs:
+def simulated(signal, times, name="y"):
     """(points, n) of one variable."""
     return SimulatedOutputs(times, (name,), np.asarray(signal, float)[:, :, None], np.zeros((1, 1)))
 
 
-def bound(lower: object, upper: object, **more: object) -> SignalBound:
+def bound(lower, upper, **more):
     ones = np.ones(len(TIMES))
-    return SignalBound("b", "y", TIMES, lower * ones, upper * ones, **more)  # type: ignore
+    return SignalBound("b", "y", TIMES, lower * ones, upper * ones, **more)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 5))
@@ -106,7 +97,7 @@ def test_the_largest_violation_of_each_side(seed, points):
         assert row.tolist() == [below, above]
 
 
-def violations(bounds: tuple[SignalBound, ...], signal: object) -> list[list[float]]:
+def violations(bounds, signal):
     """What points violate whose signal is that; (points, n)."""
     rows = np.atleast_2d(np.asarray(signal, float) * np.ones(len(TIMES)))
     return SignalBounds(bounds).compare(simulated(rows, TIMES)).values.tolist()
@@ -172,7 +163,7 @@ def test_what_an_experiment_has_comes_in_the_order_of_its_names(order):
     trajectory = outcome.trajectory
     signal = dict(zip(trajectory.variables, trajectory.values.T, strict=True))
 
-    def at(name: str, times: FloatArray) -> FloatArray:
+    def at(name, times):
         return signal[name][np.searchsorted(trajectory.times, times)]
 
     measured = EXPERIMENT.outputs[0]
@@ -189,7 +180,7 @@ def test_what_an_experiment_has_comes_in_the_order_of_its_names(order):
     assert outcome.constraints[4] == np.max(0.5 * 1.0 * signal["v"] ** 2) - 0.02
 
 
-def bits(outcome: Outcome) -> tuple[Status, str, bytes, bytes]:
+def bits(outcome):
     residuals = b"" if outcome.residuals is None else outcome.residuals.tobytes()
     return outcome.status, outcome.message, residuals, outcome.constraints.tobytes()
 
@@ -241,7 +232,7 @@ def test_the_key_of_an_experiment_knows_all_of_it():
     assert label.constraint_names[-1] == "E"
 
 
-def user(body: str) -> UserFunction:
+def user(body):
     return UserFunction(
         "mine", "f", "import numpy as np\ndef f(run):\n" + textwrap.indent(body, "    ")
     )
@@ -270,14 +261,10 @@ def user(body: str) -> UserFunction:
         ("run.times[0] = 1.0\nreturn 0.0", "read-only"),
     ],
 )
-@pytest.mark.parametrize("place", ["cost", "constraint"])
+@pytest.mark.parametrize("place", ["cost_function", "constraint_functions"])
 def test_a_function_that_misbehaves_is_a_failed_evaluation_that_says_why(body, phrase, place):
     each = user(body)
-    experiment = (
-        replace(EXPERIMENT, cost_function=each)
-        if place == "cost"
-        else replace(EXPERIMENT, constraint_functions=(each,))
-    )
+    experiment = replace(EXPERIMENT, **{place: each if place == "cost_function" else (each,)})
     for outcome in ask(experiment, POINTS[:2]):
         assert outcome.status is Status.NOT_FINITE
         assert outcome.message.startswith("mine:f failed (")
