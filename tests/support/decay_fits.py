@@ -3,8 +3,6 @@
 The truth is the solution of x' = -k x, x(0) = 1, by hand, times a gain: exp(-k t).
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

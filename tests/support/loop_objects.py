@@ -4,8 +4,6 @@ Their only parameter is "k", and nothing can be simulated: the tests that use th
 residuals, directions and what is said of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 from types import SimpleNamespace

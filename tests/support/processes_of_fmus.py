@@ -1,7 +1,5 @@
 """The processes in which FMUs are simulated, as Linux knows them."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

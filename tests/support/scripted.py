@@ -1,7 +1,5 @@
 """Searches that are written down step by step, for tests of what runs them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar

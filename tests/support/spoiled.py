@@ -1,7 +1,5 @@
 """A small valid input, and the means to spoil it."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from collections.abc import Callable
@@ -72,8 +70,7 @@ def write_input(
 
 
 def spoiled_fmu(
-    change: Callable[[dict[str, bytes]], object] | None = None,
-    xml: dict[str, str] | None = None,
+    change: Callable[[dict[str, bytes]], object] | None = None, xml: dict[str, str] | None = None
 ) -> bytes:
     """The mass-spring-damper with other entries, or with texts in its description replaced."""
     with zipfile.ZipFile(FMU) as archive:

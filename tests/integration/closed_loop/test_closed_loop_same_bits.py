@@ -19,7 +19,7 @@ WORKERS = {
     "2 of Ray": ["executor.name=ray", "executor.workers=2"],
 }
 PROCESSES = {
-    "another hash, 2 threads in BLAS": {"PYTHONHASHSEED": "2", "OPENBLAS_NUM_THREADS": "2"},
+    "another hash, 2 threads in BLAS": {"PYTHONHASHSEED": "2", "OPENBLAS_NUM_THREADS": "2"}
 }
 TIMED = ("checksum", "seconds", "started")
 """What of run.json may differ."""

@@ -51,10 +51,7 @@ def force_norm(file: str) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("effects", "training", "pulses"),
-    [
-        ([], (0.165, 0.180), (0.160, 0.175)),
-        ([COULOMB], (0.035, 0.050), (0.045, 0.065)),
-    ],
+    [([], (0.165, 0.180), (0.160, 0.175)), ([COULOMB], (0.035, 0.050), (0.045, 0.065))],
 )
 def test_relative_error_of_the_force_of_emps(effects, training, pulses):
     norms = {experiment: force_norm(file) for experiment, file in PULSES.items()}

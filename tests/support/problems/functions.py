@@ -1,7 +1,5 @@
 """Classical test functions as problems: an executor computes residuals instead of simulating."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 

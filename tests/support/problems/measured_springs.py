@@ -1,7 +1,5 @@
 """Springs with an effect that the FMU lacks, driven by random ramps and measured in noise."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -6,8 +6,6 @@ government of the United States they are in the public domain. The models are wr
 formulas.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

@@ -1,7 +1,5 @@
 """Springs as sensors see them: outputs that are changed, on known starts and of a known mass."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

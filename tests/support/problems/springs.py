@@ -1,7 +1,5 @@
 """Problems with known truth for the tests: mass-spring-dampers with exactly simulated data."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Problems whose FMU is never loaded: for tests of what happens before and after simulations."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 Nothing of the project is used but its data classes. At an event the values are those after it.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

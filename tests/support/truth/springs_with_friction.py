@@ -1,7 +1,5 @@
 """A config whose spring has dry friction that its model lacks: a Runge-Kutta of its own."""
 
-from __future__ import annotations
-
 import json
 import math
 from itertools import pairwise

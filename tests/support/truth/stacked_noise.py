@@ -1,7 +1,5 @@
 """Records and noise for the tests of the statistics."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.signal import lfilter
 

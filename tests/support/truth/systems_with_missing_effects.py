@@ -1,7 +1,5 @@
 """Example FMUs in experiments that a closed loop looks at; what is measured is given or zero."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
