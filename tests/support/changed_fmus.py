@@ -1,5 +1,3 @@
-"""FMUs whose model description says something else than what they were built with."""
-
 import zipfile
 from pathlib import Path
 

@@ -1,5 +1,3 @@
-"""Logs as a killed process leaves them."""
-
 from pathlib import Path
 
 import pyarrow as pa

@@ -1,5 +1,3 @@
-"""Files as disks and networks damage them, by seed."""
-
 import random
 
 KINDS = ("cut", "empty", "page of zeros", "bit", "random bytes")

@@ -1,5 +1,3 @@
-"""Where measured data is: in $CLUSTER_EST_DATA, else beside the project."""
-
 import os
 from pathlib import Path
 

@@ -1,5 +1,3 @@
-"""An executor that ends tasks in any order, and remembers what was asked of it."""
-
 from collections.abc import Callable, Collection, Sequence
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Simulations as a worker does them, by an evaluator that is closed again."""
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,5 +1,3 @@
-"""Sensors with one scale in all experiments, and records whose parts have one."""
-
 import re
 from dataclasses import replace
 

@@ -1,5 +1,3 @@
-"""What a disk or a network does to the files of a run is never shown as a result."""
-
 import re
 import shutil
 from itertools import product

@@ -1,5 +1,3 @@
-"""A fit that is interrupted writes what it has and says so."""
-
 import os
 import signal
 import subprocess

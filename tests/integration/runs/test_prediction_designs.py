@@ -8,7 +8,7 @@ import pyarrow.csv as pacsv
 import pytest
 from scipy.optimize import approx_fprime
 from scipy.signal import lsim
-from support.designs import design_of, designed, limits_text, read_text, spring_fit
+from support.designs import design_of, designed, limits_text, read_text
 from support.run_folders import SPRING, facts, rows, tables
 
 import cluster_est as ce
@@ -146,7 +146,7 @@ def design(folder, tmp_path):
 
 @pytest.fixture(scope="module")
 def spring():
-    return spring_fit()
+    return ce.fit(ce.read_problem(SPRING))
 
 
 def test_the_command_says_what_becomes_certain(folder, capsys):

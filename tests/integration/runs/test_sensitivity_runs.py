@@ -1,5 +1,3 @@
-"""Runs of `cluster-est sensitivity`: what is printed and written, and what is refused."""
-
 from pathlib import Path
 
 import pytest

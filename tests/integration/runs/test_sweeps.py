@@ -1,5 +1,3 @@
-"""Sweeps from the command line: what is run, what is skipped, and what is said."""
-
 import json
 import re
 import shutil

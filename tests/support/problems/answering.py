@@ -1,5 +1,3 @@
-"""Executors that compute answers instead of simulating."""
-
 from abc import abstractmethod
 from collections.abc import Sequence
 

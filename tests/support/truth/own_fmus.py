@@ -34,12 +34,6 @@ def bouncing_ball(
             return height, velocity, bounces
 
 
-def bounce_times(count: int, h: float = 1.0, g: float = 9.81, e: float = 0.7) -> Array:
-    """Times of the first bounces: each flight takes e times as long as the one before."""
-    first = np.sqrt(2.0 * h / g)
-    return first * np.cumsum([1.0, *(2.0 * e**k for k in range(1, count))])
-
-
 def stair(times: Array, height: float = 1.0) -> Array:
     """The counter times the height of a stair: 1 at time 0, one more each second."""
     return np.asarray(height * (1.0 + np.floor(times)))
