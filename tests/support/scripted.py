@@ -36,7 +36,6 @@ def at(space: SearchSpace, values: Sequence[float]) -> np.ndarray:
 
 
 def ask(space: SearchSpace, values: Sequence[float], purpose: str = "ask", *more, **how) -> Points:
-    """Ask for such points."""
     return Points(at(space, values), purpose, *more, **how)
 
 

@@ -22,6 +22,7 @@ MASS = '<Real unit="kg" min="0.0" start="1.0" />'
 
 def valid_tree() -> dict[str, Any]:
     """The config that goes with ROWS."""
+    record = {"id": "a", "data": "a.csv", "time": "time"}
     return {
         "model": {"fmu": str(FMU)},
         "parameters": {
@@ -29,15 +30,7 @@ def valid_tree() -> dict[str, Any]:
             "k": {"start": 25.0, "bounds": [1.0, 200.0], "scale": "log"},
         },
         "values": {"c": 0.6},
-        "experiments": [
-            {
-                "id": "a",
-                "data": "a.csv",
-                "time": "time",
-                "inputs": {"F": "force"},
-                "outputs": {"y": "position"},
-            }
-        ],
+        "experiments": [record | {"inputs": {"F": "force"}, "outputs": {"y": "position"}}],
         "method": {"options": {"max_iterations": 1}},
     }
 
