@@ -24,9 +24,9 @@ METHODS = {
 DRAWN = "uncertainty.posterior=40"
 
 
-def fitted(folder: Path, *arguments: str, code: int = 0) -> Path:
+def fitted(folder: Path, *arguments: str) -> Path:
     """The run of a fit in a folder."""
-    assert main(["fit", SPRING, "--out", str(folder / "run"), SIGMA, *arguments]) == code
+    assert main(["fit", SPRING, "--out", str(folder / "run"), SIGMA, *arguments]) == 0
     return folder / "run"
 
 
@@ -155,7 +155,7 @@ def test_a_posterior_predicts_bands_that_the_report_draws(tmp_path):
 
 
 def test_a_budget_that_ends_it_leaves_no_draws_and_says_so(tmp_path):
-    folder = fitted(tmp_path, DRAWN, "budget.evaluations=300", "--no-report", code=1)
+    folder = fitted(tmp_path, DRAWN, "budget.evaluations=300", "--no-report")
     assert not (folder / "posterior.parquet").exists()
     (said,) = [note for note in facts(folder)["notes"] if note.startswith("posterior:")]
     assert said.startswith("posterior: there are no draws, because it was cut short after ")
