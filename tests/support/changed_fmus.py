@@ -1,7 +1,3 @@
-"""FMUs whose model description says something else than what they were built with."""
-
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 

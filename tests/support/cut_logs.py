@@ -1,7 +1,3 @@
-"""Logs as a killed process leaves them."""
-
-from __future__ import annotations
-
 from pathlib import Path
 
 import pyarrow as pa

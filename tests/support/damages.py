@@ -1,7 +1,3 @@
-"""Files as disks and networks damage them, by seed."""
-
-from __future__ import annotations
-
 import random
 
 KINDS = ("cut", "empty", "page of zeros", "bit", "random bytes")

@@ -3,13 +3,11 @@
 The truth is the solution of x' = -k x, x(0) = 1, by hand, times a gain: exp(-k t).
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
+from support.run_folders import rows
 
 from cluster_est.cli import main
 
@@ -19,8 +17,8 @@ K = "parameters.k = { start = 0.7, bounds = [0.01, 10.0] }\n"
 
 def decay_table(rate: float = RATE, gain: float = 1.0) -> str:
     times = np.linspace(0.0, 2.0, 21)
-    rows = [f"{t!r},{gain * math.exp(-rate * t)!r}" for t in times.tolist()]
-    return "time,y\n" + "\n".join(rows) + "\n"
+    lines = [f"{t!r},{gain * math.exp(-rate * t)!r}" for t in times.tolist()]
+    return "time,y\n" + "\n".join(lines) + "\n"
 
 
 def run_of(name: str) -> str:
@@ -48,5 +46,5 @@ def fit_decay(
 
 
 def estimate(folder: Path, name: str = "k") -> float:
-    rows = pq.read_table(folder / "run" / "parameters.parquet").to_pylist()
-    return next(float(row["value"]) for row in rows if row["parameter"] == name)
+    found = rows(folder / "run", "parameters")
+    return next(float(row["value"]) for row in found if row["parameter"] == name)

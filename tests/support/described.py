@@ -1,7 +1,5 @@
 """Model descriptions written by hand, packed as FMUs without any code."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 import zlib

@@ -1,9 +1,5 @@
-"""Designs of the next experiment for tests, by the command and from Python."""
-
 import tempfile
 from pathlib import Path
-
-from support.run_folders import SPRING
 
 import cluster_est as ce
 from cluster_est.cli import main
@@ -40,8 +36,3 @@ def designed(run: Path, out: Path, text: str, *arguments: str) -> int:
     limits = run.parent / "limits.toml"
     limits.write_text(text, encoding="utf-8")
     return main(["design", str(run), "--limits", str(limits), "--out", str(out), *arguments])
-
-
-def spring_fit() -> ce.Result:
-    """A fit of the example."""
-    return ce.fit(ce.read_problem(SPRING))

@@ -1,5 +1,3 @@
-"""The blocks of the pages for users: fenced code, and lines that call the command line."""
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

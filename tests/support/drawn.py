@@ -1,7 +1,5 @@
 """Charts of a report, read back from the page: scales, paths and the values that they show."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 from html.parser import HTMLParser

@@ -1,7 +1,5 @@
 """What an FMU of `scripts/build_fmus.py` holds beside its binaries."""
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 

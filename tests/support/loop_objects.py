@@ -4,11 +4,10 @@ Their only parameter is "k", and nothing can be simulated: the tests that use th
 residuals, directions and what is said of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from support.problems.functions import FunctionExecutor
@@ -39,33 +38,30 @@ from cluster_est.statistics.score import score
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite
 from workers.fmu.description import ModelDescription, describe_model
-from workers.messages import Effect, FloatArray
+from workers.messages import Effect, FloatArray, Role
 
 FORM_OF_FAMILY = {"friction": "coulomb", "table": "table", "load": "drift"}
 """A form of the library for a family, at a state derivative."""
 NO_STRUCTURE = OmnibusTest(0.5, 0.1)
 
 
-def made_problem(
-    *lengths: int, outputs: int = 1, sigma: float = 1.0, roles: Sequence[str] = ()
-) -> Problem:
+def made_experiments(
+    *lengths: int, outputs: int = 1, sigma: float = 1.0, roles: Sequence[Role] = ()
+) -> tuple[Experiment, ...]:
     """An experiment "run 0", "run 1" ... for each length, with outputs "y0", "y1" ... over 1 s."""
-    runs = tuple(
-        Experiment(
-            f"run {e}",
-            0.0,
-            1.0,
-            (),
-            tuple(
-                Output(f"y{i}", np.linspace(0.0, 1.0, n), np.zeros(n), sigma)
-                for i in range(outputs)
-            ),
-            role=roles[e] if roles else "train",  # type: ignore[arg-type]
-        )
-        for e, n in enumerate(lengths)
-    )
+    runs = []
+    for e, n in enumerate(lengths):
+        times, zeros = np.linspace(0.0, 1.0, n), np.zeros(n)
+        seen = tuple(Output(f"y{i}", times, zeros, sigma) for i in range(outputs))
+        role = roles[e] if roles else "train"
+        runs.append(Experiment(f"run {e}", 0.0, 1.0, (), seen, role=role))
+    return tuple(runs)
+
+
+def made_problem(*lengths: int, **more: Any) -> Problem:
+    """A problem of such experiments."""
     model = Model("none", b"", "model_exchange", Solver("rk4"), ("k",))
-    return Problem(model, (Parameter("k", 1.0, 0.0, 10.0),), runs)
+    return Problem(model, (Parameter("k", 1.0, 0.0, 10.0),), made_experiments(*lengths, **more))
 
 
 def made_bench(problem: Problem) -> LoopWorkbench:

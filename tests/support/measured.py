@@ -1,7 +1,3 @@
-"""Where measured data is: in $CLUSTER_EST_DATA, else beside the project."""
-
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Effects as a closed loop describes them, made of units, numbers and curves alone."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 

@@ -1,5 +1,3 @@
-"""The local executor with an observer: counts what is simulated, and can be disturbed."""
-
 from collections.abc import Callable
 from typing import ClassVar
 

@@ -1,7 +1,3 @@
-"""The processes in which FMUs are simulated, as Linux knows them."""
-
-from __future__ import annotations
-
 import os
 import signal
 import time
@@ -33,12 +29,13 @@ def living() -> dict[int, int]:
 def worker_since(before: dict[int, int]) -> tuple[int, int]:
     """The only process in which an FMU was loaded since then, and the fork server above it."""
     now = living()
-    new = {p for p in now.keys() - before.keys() if _is_below(p, os.getpid(), now)}
+    new = {p for p in now.keys() - before.keys() if is_below(p, os.getpid(), now)}
     (worker,) = (p for p in new if p not in now.values() and now[now[p]] != os.getpid())
     return worker, now[worker]
 
 
-def _is_below(process: int, above: int, parents: dict[int, int]) -> bool:
+def is_below(process: int, above: int, parents: dict[int, int]) -> bool:
+    """Whether a process is another one, or descends from it."""
     while process in parents and process != above:
         process = parents[process]
     return process == above

@@ -1,5 +1,3 @@
-"""Run folders for tests of reports, and a browser to look at them."""
-
 import os
 import shutil
 from dataclasses import replace

@@ -8,6 +8,8 @@ from typing import Any
 import pyarrow.parquet as pq
 from support.problems.springs import ROOT
 
+from cluster_est.run_folder.evaluation_log import read_log
+
 SPRING = str(ROOT / "configs" / "mass_spring_damper.toml")
 CLOCKS = {"seconds", "busy_seconds", "started", "ended", "worker", "workers"}
 """Columns and keys that tell of clocks and of who has simulated."""
@@ -45,6 +47,16 @@ def rows(run: Path, table: str) -> list[dict[str, Any]]:
     """The rows of a table."""
     found: list[dict[str, Any]] = pq.read_table(run / f"{table}.parquet").to_pylist()
     return found
+
+
+def evaluations(run: Path) -> list[str]:
+    """What was simulated and came out, as text, in an order that does not depend on arrival."""
+    columns = ["search", "evaluation", "experiment", "purpose", "key", "values", "effects"]
+    table = read_log(run / "evaluations")
+    table = table.select([*columns, "residuals_hash", "status", "message", "bound", "cost"])
+    found = table.sort_by([(name, "ascending") for name in columns[:5]]).to_pylist()
+    assert all(row["residuals_hash"] or row["status"] != "ok" for row in found)
+    return [repr(row) for row in found]  # in which NaN is the same as NaN
 
 
 def tables(run: Path) -> dict[str, str]:

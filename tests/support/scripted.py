@@ -1,7 +1,5 @@
 """Searches that are written down step by step, for tests of what runs them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
@@ -38,7 +36,6 @@ def at(space: SearchSpace, values: Sequence[float]) -> np.ndarray:
 
 
 def ask(space: SearchSpace, values: Sequence[float], purpose: str = "ask", *more, **how) -> Points:
-    """Ask for such points."""
     return Points(at(space, values), purpose, *more, **how)
 
 

@@ -1,7 +1,3 @@
-"""An executor that ends tasks in any order, and remembers what was asked of it."""
-
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Sequence
 
 import numpy as np

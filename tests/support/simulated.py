@@ -1,7 +1,3 @@
-"""Simulations as a worker does them, by an evaluator that is closed again."""
-
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

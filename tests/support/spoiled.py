@@ -1,7 +1,5 @@
 """A small valid input, and the means to spoil it."""
 
-from __future__ import annotations
-
 import io
 import zipfile
 from collections.abc import Callable
@@ -24,6 +22,7 @@ MASS = '<Real unit="kg" min="0.0" start="1.0" />'
 
 def valid_tree() -> dict[str, Any]:
     """The config that goes with ROWS."""
+    record = {"id": "a", "data": "a.csv", "time": "time"}
     return {
         "model": {"fmu": str(FMU)},
         "parameters": {
@@ -31,15 +30,7 @@ def valid_tree() -> dict[str, Any]:
             "k": {"start": 25.0, "bounds": [1.0, 200.0], "scale": "log"},
         },
         "values": {"c": 0.6},
-        "experiments": [
-            {
-                "id": "a",
-                "data": "a.csv",
-                "time": "time",
-                "inputs": {"F": "force"},
-                "outputs": {"y": "position"},
-            }
-        ],
+        "experiments": [record | {"inputs": {"F": "force"}, "outputs": {"y": "position"}}],
         "method": {"options": {"max_iterations": 1}},
     }
 
@@ -72,8 +63,7 @@ def write_input(
 
 
 def spoiled_fmu(
-    change: Callable[[dict[str, bytes]], object] | None = None,
-    xml: dict[str, str] | None = None,
+    change: Callable[[dict[str, bytes]], object] | None = None, xml: dict[str, str] | None = None
 ) -> bytes:
     """The mass-spring-damper with other entries, or with texts in its description replaced."""
     with zipfile.ZipFile(FMU) as archive:

@@ -1,7 +1,5 @@
 """Products of many cases: the default run takes a few that stand for all, the full run each."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 

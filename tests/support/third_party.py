@@ -3,8 +3,6 @@
 $CLUSTER_EST_FMUS may name a folder that holds them instead.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -19,8 +19,6 @@ FREQUENCIES = (3.0, 9.0, 17.0)
 SIGMAS = {"velocity": 4e-3, "travel": 4e-4}
 ROLES = ("train", "test", "train", "train")
 
-pytestmark = pytest.mark.slow
-
 
 def damper(speed):
     return FORCE * (speed / SUMMIT) * np.exp(0.5 - 0.5 * (speed / SUMMIT) ** 2)
@@ -62,29 +60,21 @@ def experiment(number):
     )
 
 
-@pytest.fixture(scope="module")
-def found():
-    names = ("k_spring", "c_damper")
-    solver = ce.Solver("dormand_prince")
-    model = ce.Model(FMU.name, FMU.read_bytes(), "model_exchange", solver, names)
+@pytest.mark.slow
+def test_the_curve_is_found_between_the_masses_and_held_out_errors_fall_close_to_the_noise():
+    model = ce.read_model(FMU, ["k_spring", "c_damper"], solver="dormand_prince")
     parameters = (
         ce.Parameter("k_spring", 1.2 * SPRING, 0.1 * SPRING, 10.0 * SPRING),
         ce.Parameter("c_damper", 1.2 * DAMPER, 0.1 * DAMPER, 10.0 * DAMPER),
     )
     runs = tuple(experiment(number) for number in range(len(ROLES)))
     only = ce.LoopSettings(forms=("table",))
-    return ce.close_loop(ce.Problem(model, parameters, runs), settings=only)
-
-
-def test_the_curve_is_found_between_the_masses(found):
+    found = ce.close_loop(ce.Problem(model, parameters, runs), settings=only)
     assert found.verdict == Verdict.FOUND
     (effect,) = found.effects
     assert effect.site == "pair v_body,v_wheel"
     assert effect.form.startswith("table")
     (ratio,) = [each.value for each in effect.coefficients if each.label.endswith("back")]
     assert ratio == pytest.approx(M_BODY / M_WHEEL, rel=0.05)
-
-
-def test_held_out_errors_fall_close_to_the_noise(found):
     assert found.rms("test", "before") > 3.0
     assert found.rms("test", "after") < 1.2

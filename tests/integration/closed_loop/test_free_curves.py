@@ -54,12 +54,6 @@ def amplifier(request):
     return closed(lambda t, x, f: plain(t, x, f + bent(f)), 6.0, 5e-3, 11, 4, *request.param)
 
 
-@pytest.fixture(scope="module")
-def rail():
-    slope = pushed(lambda t, x, force: detents(x[0]))
-    return closed(slope, 3.0, 2e-3, 3, 7, ("der(v)", "output y"), ())
-
-
 def test_a_curve_is_found_at_its_place(amplifier):
     """The mass is known and the force acts on it alone, so two places say the same."""
     assert amplifier.verdict == Verdict.FOUND
@@ -88,8 +82,15 @@ def test_it_is_drawn_beside_what_the_residuals_ask_for(amplifier):
     assert np.all(curve.free_error > 0.0)
 
 
+def straightened(x, y):
+    """A curve without the straight line that the spring's stiffness may have as well."""
+    return y - np.polyval(np.polyfit(x, y, 1), x)
+
+
 @pytest.mark.slow
-def test_it_is_one_fine_curve_of_the_right_argument_at_the_right_site(rail):
+def test_narrow_notches_are_one_fine_curve_that_is_drawn_and_stands_in_the_findings():
+    slope = pushed(lambda t, x, force: detents(x[0]))
+    rail = closed(slope, 3.0, 2e-3, 3, 7, ("der(v)", "output y"), ())
     assert rail.verdict == Verdict.FOUND
     (effect,) = rail.effects
     assert (effect.site, effect.variables) == ("der(v)", ("x",))
@@ -97,24 +98,10 @@ def test_it_is_one_fine_curve_of_the_right_argument_at_the_right_site(rail):
     assert " ..., k" in effect.equation
     assert rail.rms("test", "before") > 5.0
     assert rail.rms("test", "after") < 1.5
-
-
-@pytest.mark.slow
-def test_a_fine_curve_is_drawn(rail):
     (curve,) = rail.curves
     inside = (curve.x > -0.2) & (curve.x < 0.2)
     found, truth = (straightened(curve.x[inside], y[inside]) for y in (curve.y, detents(curve.x)))
     assert np.corrcoef(found, truth)[0, 1] > 0.97
-
-
-def straightened(x, y):
-    """A curve without the straight line that the spring's stiffness may have as well."""
-    return y - np.polyval(np.polyfit(x, y, 1), x)
-
-
-@pytest.mark.slow
-def test_the_candidates_say_how_far_it_came(rail):
     rows = rail.table("findings").to_pylist()
     accepted = [(row["site"], row["form"]) for row in rows if row["stage"] == "accepted"]
-    (effect,) = rail.effects
     assert (effect.site, effect.form) in accepted

@@ -13,6 +13,7 @@ from support.problems.springs import ROOT
 
 import cluster_est as ce
 from cluster_est.closed_loop.findings.result import Verdict
+from cluster_est.config.settings import build_settings
 
 pytestmark = pytest.mark.slow
 
@@ -25,8 +26,6 @@ def closed(name: str, file: str, monkeypatch: pytest.MonkeyPatch):
     config = ce.read_config(ROOT / "configs" / f"{name}.toml")
     assert not config.effects
     problem = ce.build_problem(config, ROOT / "configs")
-    from cluster_est.config.settings import build_settings
-
     result = ce.close_loop(problem, ce.Resources(workers=2), build_settings(config))
     return problem, result
 

@@ -32,8 +32,7 @@ def measured(law, interface="model_exchange") -> ce.Problem:
         outputs = (ce.Output("i", TIMES, current, sigma=NOISE),)
         runs.append(ce.Experiment(name, 0.0, float(TIMES[-1]), inputs, outputs, role=role))
     parameters = tuple(ce.Parameter(name, 0.1, 0.0, 5.0) for name in ("J", "Fv"))
-    solver = ce.Solver("fmu" if interface == "co_simulation" else "dormand_prince")
-    model = ce.Model(FMU.name, FMU.read_bytes(), interface, solver, ("J", "Fv"))
+    model = ce.read_model(FMU, ["J", "Fv"], interface=interface)
     return ce.Problem(model, parameters, tuple(runs))
 
 

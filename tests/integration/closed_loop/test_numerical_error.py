@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.loop_objects import made_candidate
+from support.problems.seen_springs import with_outputs
 from support.spoiled import spoiled_fmu
 from support.truth.systems_with_missing_effects import (
     measured,
@@ -28,14 +29,7 @@ from cluster_est.errors import ProblemError
 
 NOISE = 0.004
 TIGHT = missing_effect_problem("mass_spring_damper", signals=())
-WITHOUT_SIGMA = measured(TIGHT, NOISE)
-DATA = replace(
-    WITHOUT_SIGMA,
-    experiments=tuple(
-        replace(e, outputs=tuple(replace(o, sigma=NOISE) for o in e.outputs))
-        for e in WITHOUT_SIGMA.experiments
-    ),
-)
+DATA = with_outputs(measured(TIGHT, NOISE), lambda output: replace(output, sigma=NOISE))
 ADDED = made_candidate("clip")
 COMMUNICATION = 0.1
 INTERVAL = 0.05

@@ -1,13 +1,10 @@
-"""A closed loop on data with outliers: the friction is found, the note counts, resuming agrees."""
-
 import shutil
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from support.cut_logs import cut
-from support.run_folders import facts, facts_without_clocks, leave_as_killed, tables
+from support.run_folders import facts, facts_without_clocks, leave_as_killed, rows, tables
 from support.truth.springs_with_friction import FRICTION, NOISE, write_config
 
 from cluster_est.cli import main
@@ -23,10 +20,10 @@ KEPT = ["log.keep_residuals=true"]
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("outliers")
     config = write_config(folder)
-    for name, rows in SPOILED.items():
+    for name, off in SPOILED.items():
         path = folder / f"{name}.csv"
         lines = path.read_text().splitlines()
-        for row in rows:
+        for row in off:
             *rest, value = lines[1 + row].split(",")
             lines[1 + row] = ",".join([*rest, repr(float(value) + 20.0 * NOISE)])
         path.write_text("\n".join(lines))
@@ -46,14 +43,13 @@ def test_the_friction_is_found_and_the_outliers_are_counted(run: Path) -> None:
 
 
 def test_tables_are_without_them(run: Path) -> None:
-    table = pq.read_table(run / "residuals.parquet").to_pydict()
-    for name, rows in SPOILED.items():
-        own = [t for t, e in zip(table["time"], table["experiment"], strict=True) if e == name]
-        kept = np.delete(np.arange(120) * 0.02, rows)
+    for name, off in SPOILED.items():
+        own = [row["time"] for row in rows(run, "residuals") if row["experiment"] == name]
+        kept = np.delete(np.arange(120) * 0.02, off)
         assert own == pytest.approx(kept.tolist())
-    errors = pq.read_table(run / "errors.parquet").to_pydict()
-    assert errors["samples"] == [118, 118, 119]
-    assert errors["rmse_after"] == pytest.approx([NOISE] * 3, rel=0.3)
+    errors = rows(run, "errors")
+    assert [row["samples"] for row in errors] == [118, 118, 119]
+    assert [row["rmse_after"] for row in errors] == pytest.approx([NOISE] * 3, rel=0.3)
 
 
 @pytest.mark.parametrize(
@@ -71,5 +67,4 @@ def test_a_resumed_run_is_the_same(run: Path, tmp_path: Path, shares: tuple[floa
         assert main([*command, str(config), *KEPT]) == 0
         assert facts_without_clocks(again) == facts_without_clocks(run)
         assert tables(again) == tables(run)
-    steps = pq.read_table(run / "structures.parquet")["relative_steps"].to_pylist()
-    assert np.isfinite(steps[0])
+    assert np.isfinite(rows(run, "structures")[0]["relative_steps"])

@@ -4,7 +4,6 @@ The truth is integrated here: an exact Ornstein-Uhlenbeck process, and Runge-Kut
 """
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -31,7 +30,7 @@ def record(seed: int, dry: float, role: str, samples: int = 300) -> ce.Experimen
     kept = np.exp(-step / LASTING)
     push = PUSH * generator.normal()
     state, places = np.array([0.1, 0.0]), []
-    for known, _ in pairwise([*force, 0.0]):
+    for known in force:
         places.append(state[0])
         for _ in range(FINE):
 

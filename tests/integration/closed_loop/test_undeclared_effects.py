@@ -4,6 +4,7 @@ The truth is `tests/fmus/lenient_models/spring_with_more/model.c`. What is fitte
 mass-spring-damper from parameters that are wrong by a fifth, and no problem mentions the effect.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -89,19 +90,22 @@ def forces() -> dict[str, np.ndarray]:
     }
 
 
+def driven(
+    curves: dict[str, np.ndarray], sigma: float, values: Callable[[float], dict[str, float]]
+) -> tuple[ce.Experiment, ...]:
+    """All experiments, with what is measured and the values that follow from a start."""
+    runs = []
+    for name, force in forces().items():
+        given, seen = ce.Input("F", TIMES, force), ce.Output("y", TIMES, curves[name], sigma)
+        known, role = values(STARTS[name]), "test" if name in HELD_OUT else "train"
+        runs.append(ce.Experiment(name, 0.0, TIMES[-1], (given,), (seen,), known, role=role))
+    return tuple(runs)
+
+
 def measure(archive: bytes, effect: dict[str, float]) -> dict[str, np.ndarray]:
     """What the spring with the effect in its C source does, to ten digits."""
-    runs = tuple(
-        ce.Experiment(
-            name,
-            0.0,
-            float(TIMES[-1]),
-            (ce.Input("F", TIMES, force),),
-            (ce.Output("y", TIMES, np.zeros_like(TIMES)),),
-            tuple({"x": STARTS[name], "shown": STARTS[name], **effect}.items()),
-        )
-        for name, force in forces().items()
-    )
+    nothing = dict.fromkeys(STARTS, np.zeros_like(TIMES))
+    runs = driven(nothing, 1.0, lambda start: {"x": start, "shown": start, **effect})
     solver = ce.Solver("dormand_prince", rtol=1e-9, atol=1e-10)
     model = ce.Model("spring_with_more", archive, "model_exchange", solver, ())
     # Measured are zeros, so the residuals are the outputs, with the sign turned.
@@ -137,18 +141,7 @@ class Measured:
 
 def declared(curves: dict[str, np.ndarray], sigma: float) -> ce.Problem:
     """What a user would have, who knows of the plain model only."""
-    runs = tuple(
-        ce.Experiment(
-            name,
-            0.0,
-            float(TIMES[-1]),
-            (ce.Input("F", TIMES, force),),
-            (ce.Output("y", TIMES, curves[name], sigma),),
-            (("x", STARTS[name]),),
-            role="test" if name in HELD_OUT else "train",
-        )
-        for name, force in forces().items()
-    )
+    runs = driven(curves, sigma, lambda start: {"x": start})
     bounds = {"m": (0.2, 5.0), "k": (5.0, 150.0), "c": (0.0, 5.0)}
     parameters = tuple(ce.Parameter(n, WRONG[n], *bounds[n]) for n in TRUE)
     return ce.Problem(ce.read_model(FMU, list(TRUE)), parameters, runs)

@@ -7,13 +7,14 @@ the cascaded tanks with SciPy from the shell's entry point to the tables.
 import tomllib
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from measured_league.cases import all_cases, textbook_config
 from scipy.integrate import solve_ivp
 from scipy.io import loadmat
 from support.measured import PLACES, measured
+from support.problems.seen_springs import values_of
 from support.problems.springs import ROOT
+from support.run_folders import rows
 
 import cluster_est as ce
 from cluster_est.cli import main
@@ -51,10 +52,7 @@ def force_norm(file: str) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("effects", "training", "pulses"),
-    [
-        ([], (0.165, 0.180), (0.160, 0.175)),
-        ([COULOMB], (0.035, 0.050), (0.045, 0.065)),
-    ],
+    [([], (0.165, 0.180), (0.160, 0.175)), ([COULOMB], (0.035, 0.050), (0.045, 0.065))],
 )
 def test_relative_error_of_the_force_of_emps(effects, training, pulses):
     norms = {experiment: force_norm(file) for experiment, file in PULSES.items()}
@@ -138,24 +136,20 @@ def run(tmp_path_factory):
     return folder
 
 
-def test_base_model_reaches_its_error_on_the_test_record(run):
-    errors = {row["experiment"]: row for row in pq.read_table(run / "errors.parquet").to_pylist()}
+def test_base_model_reaches_its_error_on_the_test_record_which_took_no_part(run):
+    errors = {row["experiment"]: row for row in rows(run, "errors")}
     assert errors["Val"]["role"] == "test"
     assert errors["Est"]["rmse_after"] < 0.61
     assert errors["Val"]["rmse_after"] < 0.70
     assert errors["Est"]["rmse_before"] > 2.0
-
-
-def test_test_record_took_no_part(run):
-    rows = pq.read_table(run / "parameters.parquet").to_pylist()
-    assert {row["estimated_on"] for row in rows} == {"train"}
+    assert {row["estimated_on"] for row in rows(run, "parameters")} == {"train"}
 
 
 def test_simulated_levels_are_those_of_scipy(run):
     """The reported curve, on equations written down again, for the first 100 samples."""
-    values = {r["label"]: r["value"] for r in pq.read_table(run / "parameters.parquet").to_pylist()}
-    rows = pq.read_table(run / "residuals.parquet").to_pylist()
-    simulated = [row["simulated"] for row in rows if row["experiment"] == "Est"][:100]
+    values = values_of(run)
+    found = rows(run, "residuals")
+    simulated = [row["simulated"] for row in found if row["experiment"] == "Est"][:100]
     pump = np.genfromtxt(measured(FILE), delimiter=",", skip_header=1, usecols=0)
     levels, lower = np.array([values["h1"], values["h2"]]), [values["h2"]]
     for k in range(99):

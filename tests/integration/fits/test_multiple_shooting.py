@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from support.cut_logs import cut
-from support.problems.seen_springs import break_off, values_of, with_outputs
+from support.problems.seen_springs import values_of, with_outputs
 from support.problems.springs import ROOT, spring_problem
+from support.run_folders import SPRING, change_facts
 
 import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.costs import COSTS
 from cluster_est.errors import ProblemError
 
-CONFIG = str(ROOT / "configs" / "mass_spring_damper.toml")
 MODELS = ROOT / "configs" / "models"
 NOISE = 0.01
 
@@ -242,12 +242,12 @@ def test_segments_that_are_too_long_are_cut_in_halves_and_that_is_said():
 
 
 def test_a_config_asks_for_it_and_a_run_that_was_cut_is_taken_up(tmp_path, capsys):
-    given = ["fit", CONFIG, "--out", str(tmp_path), "--no-report", "method.shooting.segments=6"]
+    given = ["fit", SPRING, "--out", str(tmp_path), "--no-report", "method.shooting.segments=6"]
     assert main(given) == 0
     assert "multiple shooting found on 24 segments" in " ".join(capsys.readouterr().out.split())
     whole = values_of(tmp_path)
     cut(tmp_path / "evaluations", 60)
-    break_off(tmp_path)
+    change_facts(tmp_path, status="running", verdict=None)
     assert main([*given, "--resume"]) == 0
     assert values_of(tmp_path) == whole
     assert (tmp_path / "segments.parquet").exists()
@@ -261,7 +261,7 @@ def test_a_config_asks_for_it_and_a_run_that_was_cut_is_taken_up(tmp_path, capsy
     ],
 )
 def test_what_a_config_cannot_ask_for_is_one_sentence(tmp_path, capsys, override, sentence):
-    given = ["fit", CONFIG, "--out", str(tmp_path / "run"), "method.shooting.segments=6"]
+    given = ["fit", SPRING, "--out", str(tmp_path / "run"), "method.shooting.segments=6"]
     assert main([*given, override]) == 2
     printed = " ".join(capsys.readouterr().err.split())
     assert sentence in printed

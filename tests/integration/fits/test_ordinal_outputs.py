@@ -1,10 +1,7 @@
-"""Fits to outputs of which only the order of the measured values is known."""
-
 import re
 from dataclasses import replace
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from scipy.stats import kendalltau
 from support.problems.seen_springs import (
@@ -15,6 +12,7 @@ from support.problems.seen_springs import (
     with_outputs,
 )
 from support.problems.springs import ROOT, TRUE, spring_problem
+from support.run_folders import rows
 
 import cluster_est as ce
 from cluster_est.cli import main
@@ -204,7 +202,7 @@ def test_a_config_gives_words(words):
     config, run = str(words / "words.toml"), words / "run"
     assert main(["fit", config, "--out", str(run), WORDS, *MASS_IS_KNOWN]) == 0
     assert values_of(run)["k"] == pytest.approx(TRUE["k"], rel=0.03)
-    categories = pq.read_table(run / "categories.parquet").to_pylist()
+    categories = rows(run, "categories")
     assert {row["category"] for row in categories} == {1.0, 2.0, 3.0}
     assert sum(row["samples"] for row in categories if row["experiment"] == "exp1") == 499
 

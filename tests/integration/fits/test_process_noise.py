@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from support.problems.seen_springs import with_outputs
 from support.problems.springs import ROOT, TRUE
+from support.run_folders import SPRING
 from support.thinning import thinned
 from support.truth.kalman_filter import Filter, discrete, pushed, runge_kutta
 
@@ -265,10 +266,9 @@ def test_a_simulation_refuses_the_same_noise_twice_too():
 
 
 def test_a_config_names_it_like_any_effect(tmp_path, capsys):
-    config = str(ROOT / "configs" / "mass_spring_damper.toml")
     effect = "{name='noise', site='der(v)', form='diffusion', parameters={q={start=0.2}}}"
     given = [f"effects=[{effect}]", "experiment_defaults.sigma.y=0.002"]
-    assert main(["fit", config, "--out", str(tmp_path / "run"), *given]) == 0
+    assert main(["fit", SPRING, "--out", str(tmp_path / "run"), *given]) == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert "noise.q" in printed
     assert "m/s^2 s^0.5" in printed

@@ -1,12 +1,10 @@
-"""A fit says where its residuals deny its intervals: in Python, terminal, run.json and report."""
-
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.problems.seen_springs import with_outputs
 from support.problems.springs import spring_problem
+from support.run_folders import facts
 from support.truth.springs_with_friction import NOISE, write_config
 
 import cluster_est as ce
@@ -88,12 +86,12 @@ def test_command_run_json_and_report_say_it(tmp_path, capsys):
     config = write_config(tmp_path)
     assert main(["fit", str(config), "--out", str(tmp_path / "run")]) == 0
     printed = capsys.readouterr().out
-    facts = json.loads((tmp_path / "run" / "run.json").read_text())
-    assert facts["residuals"]["too_narrow"] is True
-    (sentence,) = facts["residuals"]["sentences"]
+    said = facts(tmp_path / "run")
+    assert said["residuals"]["too_narrow"] is True
+    (sentence,) = said["residuals"]["sentences"]
     assert "no sigma is declared" in sentence
     assert "cluster-est close-loop CONFIG --out FOLDER" in sentence
-    assert sentence in facts["notes"]
+    assert sentence in said["notes"]
     assert f"note: {sentence}" in printed
     assert HEADER in printed
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")

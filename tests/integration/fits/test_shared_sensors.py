@@ -1,5 +1,3 @@
-"""Sensors with one scale in all experiments, and records whose parts have one."""
-
 import re
 from dataclasses import replace
 
@@ -118,10 +116,11 @@ def test_a_held_out_part_has_the_scale_of_its_record(shared):
     result = ce.fit(with_sensor(problem) if shared else problem)
     first, second = result.simulations[:2]
     plain = ce.simulate(problem, values={name: result.x[name] for name in ("k", "c")})
-    tall = [
-        np.column_stack([s.outcome.trajectory.at("y", e.outputs[0].times), ones(e)])
-        for s, e in zip(plain, problem.experiments[:2], strict=False)
-    ]
+    tall = []
+    for simulation, experiment in zip(plain, problem.experiments[:2], strict=False):
+        times = experiment.outputs[0].times
+        seen = simulation.outcome.trajectory.at("y", times)
+        tall.append(np.column_stack([seen, np.ones(len(times))]))
     best = np.linalg.lstsq(tall[0], train.outputs[0].values)[0]
     expected = held_out.outputs[0].values - tall[1] @ best
     rows = result.residuals.to_pylist()
@@ -133,10 +132,6 @@ def test_a_held_out_part_has_the_scale_of_its_record(shared):
     residuals = second.outcome.residuals
     assert first.outcome.ok
     np.testing.assert_allclose(residuals, expected / held_out.outputs[0].sigma, atol=1e-4)
-
-
-def ones(experiment):
-    return np.ones(len(experiment.outputs[0].times))
 
 
 @pytest.fixture

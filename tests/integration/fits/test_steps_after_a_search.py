@@ -7,7 +7,9 @@ from itertools import product
 
 import numpy as np
 import pytest
+from support.problems.seen_springs import with_outputs
 from support.problems.springs import FMU, spring_problem
+from support.run_folders import facts
 from support.thinning import thinned
 from support.truth.exact_linear import position
 
@@ -38,17 +40,9 @@ def test_a_step_that_fails_is_a_note(step, monkeypatch, faults_are_noted):
 
 def two_samples(problem: ce.Problem) -> ce.Problem:
     """With the first and the last sample of each record alone."""
-    runs = []
-    for run in problem.experiments:
-        (output,) = run.outputs
-        ends = [0, -1]
-        runs.append(
-            replace(
-                run,
-                outputs=(replace(output, times=output.times[ends], values=output.values[ends]),),
-            )
-        )
-    return replace(problem, experiments=tuple(runs))
+    return with_outputs(
+        problem, lambda o: replace(o, times=o.times[[0, -1]], values=o.values[[0, -1]])
+    )
 
 
 def in_one(problem: ce.Problem, **changed: object) -> ce.Problem:
@@ -142,6 +136,6 @@ def test_a_closed_loop_on_poor_records_has_a_result(tmp_path, changed):
     (tmp_path / "loop.toml").write_text(text, encoding="utf-8")
     out = tmp_path / "run"
     assert main(["close-loop", str(tmp_path / "loop.toml"), "--out", str(out), "--no-report"]) == 0
-    facts = json.loads((out / "run.json").read_text(encoding="utf-8"))
-    assert facts["verdict"] in ("unexplained", "partial")
-    assert not [note for note in facts["notes"] if "could not be computed" in note]
+    found = facts(out)
+    assert found["verdict"] in ("unexplained", "partial")
+    assert not [note for note in found["notes"] if "could not be computed" in note]

@@ -1,5 +1,3 @@
-"""Uncertainty through an FMU: what is named, how often intervals hold the truth, same bits."""
-
 from itertools import product
 
 import bench_coverage
@@ -9,25 +7,14 @@ from support.problems.springs import FMU, TRUE, spring_problem
 from support.thinning import thinned
 from support.truth.exact_linear import position
 
-from cluster_est import (
-    Experiment,
-    LeastSquares,
-    Model,
-    Output,
-    Parameter,
-    Problem,
-    Resources,
-    Solver,
-    fit,
-)
-from cluster_est.uncertainty import UncertaintySettings
+import cluster_est as ce
 
 TIMES = np.arange(150) * 0.02
 SOLVERS = [
-    Solver("rk4", step=0.002),
-    Solver("dormand_prince", rtol=1e-10),
-    Solver("dormand_prince"),
-    Solver("dormand_prince", rtol=1e-5),
+    ce.Solver("rk4", step=0.002),
+    ce.Solver("dormand_prince", rtol=1e-10),
+    ce.Solver("dormand_prince"),
+    ce.Solver("dormand_prince", rtol=1e-5),
 ]
 
 
@@ -38,17 +25,19 @@ def free_springs(solver, scale="log"):
     for e in range(3):
         measured = position(TIMES, 0.0 * TIMES, **TRUE, x0=0.1 + 0.05 * e)
         measured = measured + 1e-3 * generator.normal(size=len(TIMES))
-        runs.append(Experiment(f"e{e}", 0.0, float(TIMES[-1]), (), (Output("y", TIMES, measured),)))
+        runs.append(
+            ce.Experiment(f"e{e}", 0.0, float(TIMES[-1]), (), (ce.Output("y", TIMES, measured),))
+        )
     parameters = (
-        Parameter("m", 1.0, 0.1, 10.0),
-        Parameter("k", 24.0, 1.0, 200.0, scale=scale),
-        Parameter("c", 0.5, 0.0, 10.0),
-        Parameter("x0", 0.1, -1.0, 1.0, variable="x", per="experiment"),
-        Parameter("rate", 1.0, expression="k / m", auxiliary=True),
+        ce.Parameter("m", 1.0, 0.1, 10.0),
+        ce.Parameter("k", 24.0, 1.0, 200.0, scale=scale),
+        ce.Parameter("c", 0.5, 0.0, 10.0),
+        ce.Parameter("x0", 0.1, -1.0, 1.0, variable="x", per="experiment"),
+        ce.Parameter("rate", 1.0, expression="k / m", auxiliary=True),
     )
     names = tuple(p.target for p in parameters if not p.auxiliary)
-    model = Model(FMU.name, FMU.read_bytes(), "model_exchange", solver, names)
-    return Problem(model, parameters, tuple(runs))
+    model = ce.Model(FMU.name, FMU.read_bytes(), "model_exchange", solver, names)
+    return ce.Problem(model, parameters, tuple(runs))
 
 
 EACH = pytest.mark.parametrize(
@@ -64,7 +53,7 @@ EACH = pytest.mark.parametrize(
 
 @EACH
 def test_a_redundant_parametrisation_is_named(solver, differences):
-    result = fit(free_springs(solver), LeastSquares(differences=differences))
+    result = ce.fit(free_springs(solver), ce.LeastSquares(differences=differences))
     (direction,) = result.uncertainty.directions
     said = "m, k and c only together: all of them can grow by the same factor"
     assert said in direction.sentence
@@ -82,16 +71,16 @@ def test_a_redundant_parametrisation_is_named(solver, differences):
 @EACH
 def test_nothing_is_named_where_all_is_determined(solver, differences):
     problem = spring_problem(experiments=3, noise=1e-3, solver=solver).problem
-    found = fit(problem, LeastSquares(differences=differences)).uncertainty
+    found = ce.fit(problem, ce.LeastSquares(differences=differences)).uncertainty
     assert found.directions == ()
     assert np.isfinite([i.std_error for i in found.intervals]).all()
 
 
 def test_what_refits_found_is_in_tables_and_does_not_depend_on_the_workers():
     problem = spring_problem(experiments=5, samples=40, noise=1e-3, solver=SOLVERS[0]).problem
-    settings = UncertaintySettings(profiles=("k",), bootstrap=6)
+    settings = ce.UncertaintySettings(profiles=("k",), bootstrap=6)
     one, two = (
-        fit(problem, resources=Resources(*where), uncertainty=settings, seed=5)
+        ce.fit(problem, resources=ce.Resources(*where), uncertainty=settings, seed=5)
         for where in (("local",), ("processes", 2))
     )
     (profile,), draws = one.profiles, one.bootstrap.draws

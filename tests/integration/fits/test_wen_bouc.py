@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from scipy.integrate import solve_ivp
+from support.problems.seen_springs import values_of
 from support.problems.springs import ROOT
+from support.run_folders import rows
 
 from cluster_est.cli import main
 
@@ -24,8 +25,6 @@ MEASURED = np.loadtxt(CONFIGS / "data" / "wen_bouc_spring.csv", delimiter=",", s
 START = {"Amp": 1.0, "k_w": 150.0, "k_x": 280.0, "rho": 1.0, "sigma": 2.0, "W_0": 0.0}
 BOUNDS = {"Amp": (0.94, 1.06), "W_0": (-1.0, 1.0)}
 HEADER = ["iteration", "F-count", "f(x)", "max constraint", "step", "optimality"]
-
-Rows = list[dict[str, Any]]
 
 
 def curve(values: dict[str, float]) -> np.ndarray:
@@ -64,19 +63,14 @@ def farthest(values: dict[str, float]) -> np.ndarray:
     return np.abs(all_offsets[nearest, np.arange(len(points))]).max(axis=0)
 
 
-def table(folder: Path, name: str) -> Rows:
-    return pq.read_table(folder / f"{name}.parquet").to_pylist()
-
-
-def search_of(folder: Path) -> Rows:
-    return [row for row in table(folder, "searches") if row["search"] == "train"]
+def search_of(folder: Path) -> list[dict[str, Any]]:
+    return [row for row in rows(folder, "searches") if row["search"] == "train"]
 
 
 def checked_estimates(folder: Path) -> dict[str, float]:
     """What was found, within its bounds."""
-    rows = table(folder, "parameters")
-    assert {row["label"]: row["start"] for row in rows} == START
-    values = {row["label"]: row["value"] for row in rows}
+    assert {row["label"]: row["start"] for row in rows(folder, "parameters")} == START
+    values = values_of(folder)
     for name, value in values.items():
         low, high = BOUNDS.get(name, (0.0, np.inf))
         assert low <= value <= high
@@ -90,8 +84,8 @@ def check_printed(folder: Path, capsys: pytest.CaptureFixture[str], *, bounded: 
     header, *lines = [line for line in capsys.readouterr().out.splitlines() if line]
     columns = [header.index(title) for title in HEADER]
     assert header.split() == " ".join(HEADER).split()
-    rows = search_of(folder)
-    for line, row in zip(lines, rows, strict=True):
+    search = search_of(folder)
+    for line, row in zip(lines, search, strict=True):
         ends = [*columns[1:], None]
         cells = [line[a:b].strip() for a, b in zip(columns, ends, strict=True)]
         assert cells[0] == (row["ending"] or str(row["iteration"]))
@@ -101,20 +95,20 @@ def check_printed(folder: Path, capsys: pytest.CaptureFixture[str], *, bounded: 
         assert bool(cells[3]) == bounded
     assert lines[0].split()[0] == "0"
     assert lines[-1].split()[0] == "converged"
-    counts = [row["evaluations"] for row in rows]
+    counts = [row["evaluations"] for row in search]
     assert counts == sorted(counts)
 
 
 @pytest.mark.slow
 def test_without_constraints_the_cost_falls_as_far_in_no_more_evaluations(tmp_path, capsys):
     assert main(["fit", str(FREE), "--out", str(tmp_path), "--no-report"]) == 0
-    rows = search_of(tmp_path)
-    start = rows[0]["cost"]
+    search = search_of(tmp_path)
+    start = search[0]["cost"]
     assert start == pytest.approx(cost(START), rel=1e-6)
-    reached = [row["evaluations"] for row in rows if row["cost"] <= DROP * start]
+    reached = [row["evaluations"] for row in search if row["cost"] <= DROP * start]
     assert reached[0] <= COUNTS
-    assert rows[-1]["cost"] == pytest.approx(cost(checked_estimates(tmp_path)), rel=1e-4)
-    falling = [row["cost"] for row in rows]
+    assert search[-1]["cost"] == pytest.approx(cost(checked_estimates(tmp_path)), rel=1e-4)
+    falling = [row["cost"] for row in search]
     assert falling == sorted(falling, reverse=True)
     check_printed(tmp_path, capsys, bounded=False)
 
@@ -132,14 +126,14 @@ def test_without_constraints_the_cost_falls_as_far_in_no_more_evaluations(tmp_pa
 def test_with_tolerances_both_are_satisfied_in_no_more_evaluations(changes, tmp_path, capsys):
     assert main(["fit", str(TOLERANCES), "--out", str(tmp_path), "--no-report", *changes]) == 0
     assert "violated" not in capsys.readouterr().out
-    rows = search_of(tmp_path)
-    satisfied = [row["evaluations"] for row in rows if row["violation"] == 0.0]
+    search = search_of(tmp_path)
+    satisfied = [row["evaluations"] for row in search if row["violation"] == 0.0]
     # of SQP to its end, not to the first point that satisfies them
-    assert (satisfied[0] if changes else rows[-1]["evaluations"]) <= COUNTS_WITH_TOLERANCES
-    assert rows[-1]["violation"] == 0.0
-    assert rows[-1]["cost"] <= DROP * rows[0]["cost"]
+    assert (satisfied[0] if changes else search[-1]["evaluations"]) <= COUNTS_WITH_TOLERANCES
+    assert search[-1]["violation"] == 0.0
+    assert search[-1]["cost"] <= DROP * search[0]["cost"]
     values, tolerances = checked_estimates(tmp_path), np.array([0.06, 20.0])
-    known = table(tmp_path, "constraints")
+    known = rows(tmp_path, "constraints")
     names = [row["constraint"] for row in known]
     assert names == ["tolerance of Displacement [loops]", "tolerance of Force [loops]"]
     before, after = (np.array([row[key] for row in known]) for key in ("before", "after"))

@@ -75,12 +75,9 @@ class Recorder:
 
 
 def fitted(_: Path, resources: ce.Resources, record: Recorder) -> ce.Result:
-    problem, starts = (
-        spring_problem(experiments=3, samples=60, noise=0.01).problem,
-        ce.Multistart(20),
-    )
+    problem = spring_problem(experiments=3, samples=60, noise=0.01).problem
     method = ce.LeastSquares(differences="auto")
-    return ce.fit(problem, method, resources, record=record, multistart=starts)
+    return ce.fit(problem, method, resources, record=record, multistart=ce.Multistart(20))
 
 
 def closed(folder: Path, resources: ce.Resources, record: Recorder) -> ce.LoopResult:

@@ -1,5 +1,3 @@
-"""What a disk or a network does to the files of a run is never shown as a result."""
-
 import re
 import shutil
 from itertools import product
@@ -36,11 +34,6 @@ def spoil(path: Path, kind: str, seed: int) -> None:
     path.write_bytes(damaged(path.read_bytes(), kind, seed))
 
 
-def shown(run: Path, *command: str) -> list[str]:
-    name, *more = command
-    return [name, str(run), *more]
-
-
 COMMANDS = [
     ("parameters.parquet", ("show",)),
     ("searches.parquet", ("show", "--iterations")),
@@ -60,12 +53,12 @@ def test_who_reads_what_is_damaged_says_so_and_shows_nothing(
     file: str, command: tuple[str, ...], seeds: range, copy: Path, capsys: pytest.CaptureFixture
 ) -> None:
     """But where a damage has hit the text by which a checksum is known, and nothing else."""
-    content = (copy / file).read_bytes()
-    assert main(shown(copy, *command)) == 0
+    content, (name, *more) = (copy / file).read_bytes(), command
+    assert main([name, str(copy), *more]) == 0
     good = capsys.readouterr().out
     for kind, seed in product(KINDS, seeds):
         (copy / file).write_bytes(damaged(content, kind, seed))
-        code = main(shown(copy, *command))
+        code = main([name, str(copy), *more])
         said = capsys.readouterr()
         if code == 0:
             assert CLOCK.sub("", said.out) == CLOCK.sub("", good)

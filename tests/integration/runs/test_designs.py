@@ -1,5 +1,3 @@
-"""Runs of `cluster-est design`: what is printed and written, resumed and refused."""
-
 import csv
 import shutil
 import tomllib
@@ -10,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.designs import design_of, designed, limits_text, read_text, spring_fit
+from support.designs import design_of, designed, limits_text, read_text
 from support.problems.springs import ROOT
 from support.run_folders import SPRING, change_facts, facts, rows, tables
 
@@ -46,7 +44,7 @@ def design(folder, tmp_path) -> Callable[..., int]:
 
 @pytest.fixture(scope="module")
 def spring() -> ce.Result:
-    return spring_fit()
+    return ce.fit(ce.read_problem(SPRING))
 
 
 def table_of(path: Path) -> list[list[str]]:

@@ -1,12 +1,10 @@
-"""Where a fit runs, and whether it ends simulations early, changes no bit of what it finds."""
-
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-from support.run_folders import SPRING, rows, tables
+from support.run_folders import SPRING, evaluations, rows, tables
 
 from cluster_est.cli import main
 from cluster_est.run_folder.evaluation_log import read_log
@@ -28,16 +26,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
         return folder
 
     return give
-
-
-def evaluations(run: Path) -> list[str]:
-    """What was simulated and came out, as text, in an order that does not depend on arrival."""
-    columns = ["search", "evaluation", "experiment", "purpose", "key", "values"]
-    table = read_log(run / "evaluations")
-    table = table.select([*columns, "residuals_hash", "status", "message", "bound", "cost"])
-    rows = table.sort_by([(name, "ascending") for name in columns[:5]]).to_pylist()
-    assert all(row["residuals_hash"] or row["status"] != "ok" for row in rows)
-    return [repr(row) for row in rows]  # in which NaN is the same as NaN
 
 
 @pytest.mark.parametrize(

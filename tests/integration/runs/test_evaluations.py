@@ -1,5 +1,3 @@
-"""What a fit simulates, seen in its evaluation log."""
-
 from collections import Counter
 from dataclasses import replace
 
@@ -51,13 +49,6 @@ def test_a_start_that_cannot_be_simulated_is_a_result_and_no_exception():
     assert not result.success
     assert result.solution.ending is Ending.START_FAILED
     assert "mass must be positive" in result.solution.message
-
-
-@pytest.mark.parametrize("trials", [1, 2, pytest.param(7, marks=pytest.mark.slow)])
-def test_the_number_of_trials_changes_the_way_but_not_the_minimum(trials):
-    truth = spring_problem(noise=0.01)
-    few = fit(truth.problem, LeastSquares(trials=trials))
-    assert few.cost == pytest.approx(fit(truth.problem).cost, rel=1e-9)
 
 
 def test_test_records_move_no_shared_parameter_but_get_their_own_initial_state():

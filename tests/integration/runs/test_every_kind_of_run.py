@@ -1,5 +1,3 @@
-"""What holds for every kind of run: interrupts, budgets, executors and resuming change no bit."""
-
 from collections.abc import Callable
 from itertools import product
 

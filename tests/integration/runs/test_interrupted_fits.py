@@ -1,5 +1,3 @@
-"""A fit that is interrupted writes what it has and says so."""
-
 import os
 import signal
 import subprocess
@@ -23,15 +21,6 @@ HOW: dict[str, Callable[[int, Path], None]] = {
 }
 STARTS = "multistart.n=10", "parameters.c.bounds=[0.0, 2.0]"
 SLOW = "model.interface=model_exchange", "model.solver=rk4", "model.step=2e-4", *STARTS
-
-
-def check_best_so_far(run: Path) -> None:
-    found = facts(run)
-    assert found["status"] == "interrupted"
-    assert found["cost"] < found["cost_before"]
-    assert not (run / "stop").exists()
-    assert rows(run, "parameters")
-    assert "interrupted" in {row["ending"] for row in rows(run, "searches")}
 
 
 @pytest.mark.parametrize(
@@ -58,7 +47,12 @@ def test_a_program_that_is_interrupted_writes_the_best_so_far(tmp_path, how, exe
         _, said = process.communicate(timeout=120)
     assert process.returncode == 130
     assert "Traceback" not in said
-    check_best_so_far(run)
+    found = facts(run)
+    assert found["status"] == "interrupted"
+    assert found["cost"] < found["cost_before"]
+    assert not (run / "stop").exists()
+    assert rows(run, "parameters")
+    assert "interrupted" in {row["ending"] for row in rows(run, "searches")}
 
 
 def test_an_interrupt_before_the_first_simulation_leaves_the_run_that_is_there(

@@ -8,7 +8,7 @@ import pyarrow.csv as pacsv
 import pytest
 from scipy.optimize import approx_fprime
 from scipy.signal import lsim
-from support.designs import design_of, designed, limits_text, read_text, spring_fit
+from support.designs import design_of, designed, limits_text, read_text
 from support.run_folders import SPRING, facts, rows, tables
 
 import cluster_est as ce
@@ -146,7 +146,7 @@ def design(folder, tmp_path):
 
 @pytest.fixture(scope="module")
 def spring():
-    return spring_fit()
+    return ce.fit(ce.read_problem(SPRING))
 
 
 def test_the_command_says_what_becomes_certain(folder, capsys):
@@ -235,11 +235,7 @@ FROM_TABLE = 'data = "{folder}/wrong.csv"'
         (FROM_TABLE, "time\n0\n1\n", "must have a column for an input, and two rows at least"),
         (FROM_TABLE, "time,F\n0,1\n0,2\n", "times must increase but 0 repeats 0"),
         (FROM_TABLE, "time,F\n0,1\n1,high\n", r"predictions\[0\]\.inputs\.F"),
-        (
-            FROM_TABLE,
-            "time,F\n0,1\n1,\n2,3\n",
-            r"'F'\.values, index 1: must be a finite .* is nan",
-        ),
+        (FROM_TABLE, "time,F\n0,1\n1,\n2,3\n", r"'F'\.values, index 1: must be a finite .* is nan"),
     ],
 )
 def test_what_cannot_be_predicted_is_refused_in_a_sentence(
@@ -273,10 +269,7 @@ def test_what_depends_on_nothing_estimated_is_refused(linear):
 
 @pytest.mark.parametrize(
     ("plans", "name"),
-    [
-        ([planned(name="run")], "run"),
-        ([planned(PLANNED), planned(0.5 * PLANNED)], "planned"),
-    ],
+    [([planned(name="run")], "run"), ([planned(PLANNED), planned(0.5 * PLANNED)], "planned")],
 )
 def test_an_experiment_of_its_own_needs_a_name_of_its_own(linear, plans, name):
     with pytest.raises(ProblemError, match=f"must have a name of its own but '{name}' is one of"):

@@ -1,5 +1,3 @@
-"""`replay` runs one logged simulation again, whatever the FMU does; `show --failures` finds it."""
-
 import math
 import re
 import shutil

@@ -1,5 +1,3 @@
-"""Runs of `cluster-est sensitivity`: what is printed and written, and what is refused."""
-
 from pathlib import Path
 
 import pytest
@@ -48,10 +46,7 @@ def test_its_report_shows_the_ranking_and_the_outputs(run):
 
 @pytest.mark.parametrize(
     "command",
-    [
-        ["export", "RUN", "--text"],
-        ["simulate", CONFIG, "--run", "RUN", "--out", "values.csv"],
-    ],
+    [["export", "RUN", "--text"], ["simulate", CONFIG, "--run", "RUN", "--out", "values.csv"]],
 )
 def test_it_has_no_estimates_to_go_on_with(run, command, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

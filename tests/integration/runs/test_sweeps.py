@@ -1,5 +1,3 @@
-"""Sweeps from the command line: what is run, what is skipped, and what is said."""
-
 import json
 import re
 import shutil
@@ -24,10 +22,7 @@ from cluster_est.run_folder.lock import locked_by_sweep
 from cluster_est.toml import to_toml
 
 STARTS = {"name": "start", "key": "parameters.m.start", "values": [1.0, 3.0]}
-DATA = {
-    "name": "data",
-    "values": {"all": {}, "some": {"only_experiments": ["exp1", "exp4"]}},
-}
+DATA = {"name": "data", "values": {"all": {}, "some": {"only_experiments": ["exp1", "exp4"]}}}
 HASTY = {"name": "hasty", "overrides": {"method.options.max_iterations": 1}}
 NAMES = ["spring-start_1.0-all", "spring-start_1.0-some", "spring-start_3.0-all",
          "spring-start_3.0-some"]  # fmt: skip
@@ -158,10 +153,7 @@ def test_what_is_done_is_skipped_until_it_changes(sweep, done):
 def test_what_other_versions_did_and_what_was_killed_is_done_again(sweep, done):
     run = OUT / "spring"
     assert sweep(axes=[])[0] == 0
-    for change in (
-        {"versions": facts(run)["versions"] | {"numpy": "1.0"}},
-        {"status": "running"},
-    ):
+    for change in ({"versions": facts(run)["versions"] | {"numpy": "1.0"}}, {"status": "running"}):
         change_facts(run, **change)
         done()
         assert sweep(axes=[])[0] == 0

@@ -1,5 +1,3 @@
-"""A run that cannot be written ends with one sentence, and goes on when there is room."""
-
 import os
 import shutil
 import subprocess

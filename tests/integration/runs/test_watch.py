@@ -1,5 +1,3 @@
-"""A run followed by its folder, while it is written."""
-
 import io
 import os
 import shutil

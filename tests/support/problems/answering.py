@@ -1,7 +1,3 @@
-"""Executors that compute answers instead of simulating."""
-
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Problems of the collection of Hock and Schittkowski, numbered as there, with their minima."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Problems whose outputs are formulas, over any experiments, and an executor for them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Classical test functions as problems: an executor computes residuals instead of simulating."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -203,5 +201,4 @@ software, ACM TOMS 7 (1981) 17-41, doi:10.1145/355934.355936, to more digits whe
 
 
 def named(name: str, problems: list[FunctionProblem] = PROBLEMS) -> FunctionProblem:
-    """Give the problem of this name."""
     return next(problem for problem in problems if problem.name == name)

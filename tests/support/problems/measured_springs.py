@@ -1,7 +1,5 @@
 """Springs with an effect that the FMU lacks, driven by random ramps and measured in noise."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -31,17 +29,10 @@ def measured_springs(
         force = np.interp(times, turns, random.uniform(-swing, swing, len(turns)))
         truth = solve(slope, (0.1, 0.0), force=force)[:, 0]
         measured = truth + noise * random.normal(size=len(times))
-        runs.append(
-            ce.Experiment(
-                f"run{number}", 0.0, float(times[-1]),
-                (ce.Input("F", times, force),),
-                (ce.Output("y", times, measured, sigma=noise),),
-                (("x", 0.1),),
-                role=role,
-            )
-        )  # fmt: skip
-    solver = ce.Solver("dormand_prince")
-    model = ce.Model(FMU.name, FMU.read_bytes(), "model_exchange", solver, ("m", "k", "c"))
+        given, seen = ce.Input("F", times, force), ce.Output("y", times, measured, sigma=noise)
+        name, last, start = f"run{number}", float(times[-1]), (("x", 0.1),)
+        runs.append(ce.Experiment(name, 0.0, last, (given,), (seen,), start, role=role))
     stiffness = ce.Parameter("k", 0.9 * K, 1.0, 100.0)
     damping = ce.Parameter("c", 1.1 * C, 0.0, 10.0)
+    model = ce.read_model(FMU, ["m", "k", "c"])
     return ce.Problem(model, (mass, stiffness, damping), tuple(runs))

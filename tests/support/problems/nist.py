@@ -6,8 +6,6 @@ government of the United States they are in the public domain. The models are wr
 formulas.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -46,7 +44,6 @@ class Regression:
 
 
 def read(name: str) -> Regression:
-    """Read one data set."""
     lines = [line.split() for line in (FOLDER / f"{name}.txt").read_text().splitlines()]
     named = {words[0]: words[1:] for words in lines if words[0][0].isalpha()}
     table = np.array([named[key] for key in named if key.startswith("b")], np.float64)

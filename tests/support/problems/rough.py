@@ -3,8 +3,6 @@
 Residuals are such that the sum of their squares is the function meant.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from support.problems.functions import FunctionProblem
 

@@ -1,14 +1,11 @@
 """Springs as sensors see them: outputs that are changed, on known starts and of a known mass."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import pyarrow.parquet as pq
 from support.problems.springs import ROOT, TRUE, spring_problem
-from support.run_folders import change_facts
+from support.run_folders import rows
 
 from cluster_est import Output, Problem
 
@@ -48,10 +45,4 @@ def example_without_outputs(data: str = "") -> str:
 
 def values_of(run: Path) -> dict[str, float]:
     """What a run has found."""
-    rows = pq.read_table(run / "parameters.parquet").to_pylist()
-    return {row["label"]: row["value"] for row in rows}
-
-
-def break_off(run: Path) -> None:
-    """Leave a run as if it had been killed before it was written down."""
-    change_facts(run, status="running", verdict=None)
+    return {row["label"]: row["value"] for row in rows(run, "parameters")}

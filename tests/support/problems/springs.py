@@ -1,7 +1,5 @@
 """Problems with known truth for the tests: mass-spring-dampers with exactly simulated data."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,15 +42,8 @@ def spring_problem(
         values |= {f"x0[e{e}]": x0} | ({f"v0[e{e}]": v0} if "v0" in local else {})
         measured = position(times, force, **TRUE, x0=x0, v0=v0)
         measured = measured + noise * generator.normal(size=samples)
-        runs.append(
-            Experiment(
-                f"e{e}",
-                0.0,
-                float(times[-1]),
-                (Input("F", times, force),),
-                (Output("y", times, measured),),
-            )
-        )
+        given, seen = Input("F", times, force), Output("y", times, measured)
+        runs.append(Experiment(f"e{e}", 0.0, float(times[-1]), (given,), (seen,)))
     parameters = [
         Parameter("m", 1.0, 0.1, 10.0),
         Parameter("k", 20.0, 1.0, 200.0, scale="log"),

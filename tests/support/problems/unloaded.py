@@ -1,7 +1,5 @@
 """Problems whose FMU is never loaded: for tests of what happens before and after simulations."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -25,19 +23,11 @@ def unloaded_problem(
 
     `known` are values by number of the experiment, `changes` of all experiments.
     """
-    times = np.array([0.0, 1.0, 2.0])
-    runs = [
-        Experiment(
-            f"e{i}",
-            0.0,
-            2.0,
-            (),
-            (Output("y", times, np.zeros(3)),),
-            values=tuple((known or {}).get(i, {}).items()),
-            groups=(("rig", "AB"[i % 2]), ("day", f"d{i // 3}")),
-        )
-        for i in range(experiments)
-    ]
+    seen, runs = Output("y", np.array([0.0, 1.0, 2.0]), np.zeros(3)), []
+    for i in range(experiments):
+        values = tuple((known or {}).get(i, {}).items())
+        groups = ("rig", "AB"[i % 2]), ("day", f"d{i // 3}")
+        runs.append(Experiment(f"e{i}", 0.0, 2.0, (), (seen,), values=values, groups=groups))
     targets = tuple(p.target for p in parameters if not p.auxiliary)
     names = tuple(p.name for p in parameters)
     found = [c for text in constraints for c in parse_constraint(text, names, "here", scale=scale)]

@@ -4,8 +4,6 @@ For a linear system whose input is linear between its samples, first-order-hold 
 approximation.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import expm
 

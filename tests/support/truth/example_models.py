@@ -3,8 +3,6 @@
 Nothing of the project is used but its data classes, and the names in the models' descriptions.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -266,10 +264,7 @@ def hydraulic_cylinder(x: FloatArray, u: Values, p: Values) -> list[float]:
 def chemostat(x: FloatArray, u: Values, p: Values) -> list[float]:
     (biomass, substrate), (dilution, feed, _), (fastest, half, gained) = x, u, p
     rate = fastest / (half / substrate + 1.0)
-    return [
-        biomass * (rate - dilution),
-        dilution * (feed - substrate) - biomass * rate / gained,
-    ]
+    return [biomass * (rate - dilution), dilution * (feed - substrate) - biomass * rate / gained]
 
 
 @example([1.0, 3.0], [(2.0, 8.0)], [0, 1], 0.012)

@@ -4,8 +4,6 @@ Without an effect |x| stays below 0.19 and |v| below 0.97; the coefficients keep
 A form that is not in one of the tables has a test of its own, which `OWN_TESTS` names.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property, partial

@@ -3,8 +3,6 @@
 Nothing of the project is used.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 Nothing of the project is used but its data classes. At an event the values are those after it.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
@@ -34,12 +32,6 @@ def bouncing_ball(
         if v0 < v_min:
             bounces[times >= begin] = count
             return height, velocity, bounces
-
-
-def bounce_times(count: int, h: float = 1.0, g: float = 9.81, e: float = 0.7) -> Array:
-    """Times of the first bounces: each flight takes e times as long as the one before."""
-    first = np.sqrt(2.0 * h / g)
-    return first * np.cumsum([1.0, *(2.0 * e**k for k in range(1, count))])
 
 
 def stair(times: Array, height: float = 1.0) -> Array:

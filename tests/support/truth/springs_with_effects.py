@@ -1,7 +1,5 @@
 """The mass-spring-damper with an effect in it: SciPy on equations written down again."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

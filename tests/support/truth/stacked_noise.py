@@ -1,30 +1,14 @@
-"""Records and noise for the tests of the statistics."""
-
-from __future__ import annotations
-
 import numpy as np
 from scipy.signal import lfilter
+from support.loop_objects import made_experiments
 
 from cluster_est.statistics.records import StackedRecords, make_records
-from workers.messages import Experiment, FloatArray, Output
+from workers.messages import FloatArray
 
 
 def stack(*lengths: int, outputs: int = 1) -> StackedRecords:
     """An experiment for each length, all of its outputs that long."""
-    return make_records(
-        [
-            Experiment(
-                f"e{e}",
-                0.0,
-                1.0,
-                (),
-                tuple(
-                    Output(f"y{i}", np.linspace(0.0, 1.0, n), np.zeros(n)) for i in range(outputs)
-                ),
-            )
-            for e, n in enumerate(lengths)
-        ]
-    )
+    return make_records(made_experiments(*lengths, outputs=outputs))
 
 
 def coloured(generator: np.random.Generator, count: int, *slopes: float) -> FloatArray:

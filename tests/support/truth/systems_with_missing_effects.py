@@ -1,7 +1,5 @@
 """Example FMUs in experiments that a closed loop looks at; what is measured is given or zero."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -90,28 +88,18 @@ def missing_effect_problem(
     times = np.arange(0.0, system.stop + 0.5 * system.step, system.step)
     runs = []
     for e in range(experiments):
+        swing = system.swing * (1.0 + 0.4 * e)
         given = tuple(
-            Input(
-                name,
-                times,
-                system.offset + system.swing * (1.0 + 0.4 * e) * waves(times, e + 1.7 * i),
-            )
+            Input(name, times, system.offset + swing * waves(times, e + 1.7 * i))
             for i, name in enumerate((system.drive, *system.beside))
         )
-        runs.append(
-            Experiment(
-                f"e{e}",
-                0.0,
-                float(times[-1]),
-                given,
-                tuple(
-                    Output(o, times, np.zeros(len(times)), 0.5 + 0.2 * i)
-                    for i, o in enumerate(system.outputs)
-                ),
-                system.values,
-                signals=tuple(Input(s, times, waves(times, 0.5 - e)) for s in signals),
-            )
+        seen = tuple(
+            Output(name, times, np.zeros(len(times)), 0.5 + 0.2 * i)
+            for i, name in enumerate(system.outputs)
         )
+        more = tuple(Input(s, times, waves(times, 0.5 - e)) for s in signals)
+        last = float(times[-1])
+        runs.append(Experiment(f"e{e}", 0.0, last, given, seen, system.values, signals=more))
     parameters = tuple(
         Parameter(n, v, v / 10.0, v * 10.0, per="experiment" if n in local else None)
         for n, v in system.parameters.items()
