@@ -141,12 +141,22 @@ class WorkerPool(Executor):
             If there are no workers to be had.
         """
 
+    first: Outcome | None = None
+    """What a worker answered before the first simulation that counts, if it was asked."""
+
     @abstractmethod
-    def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
+    def one_worker(self, tasks: Sequence[Task], *, last: bool = False) -> list[Outcome]:
         """Have one worker answer tasks in turn, always the same one, while nothing else is asked.
 
         Each is asked once, even if it crashes. Their ids may be used again. Empty if that worker
         was lost.
+
+        Parameters
+        ----------
+        tasks
+            What to ask.
+        last
+            Whether to ask the last worker, not the first.
         """
 
 

@@ -119,8 +119,9 @@ class LocalExecutor(WorkerPool):
             raise
         return cls(evaluators)
 
-    def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
-        return self.in_turn(tasks, lambda task: self._evaluators[0].evaluate(TaskBatch.of([task])))
+    def one_worker(self, tasks: Sequence[Task], *, last: bool = False) -> list[Outcome]:
+        evaluator = self._evaluators[-1 if last else 0]
+        return self.in_turn(tasks, lambda task: evaluator.evaluate(TaskBatch.of([task])))
 
     def in_turn(
         self, tasks: Sequence[Task], answer: Callable[[Task], list[Outcome]]

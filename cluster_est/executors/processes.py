@@ -56,8 +56,9 @@ class ProcessExecutor(WorkerPool):
             raise failed[0]
         return cls(guards)
 
-    def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
-        return self._threads.in_turn(tasks, lambda task: [self._guards[0].once(task)])
+    def one_worker(self, tasks: Sequence[Task], *, last: bool = False) -> list[Outcome]:
+        guard = self._guards[-1 if last else 0]
+        return self._threads.in_turn(tasks, lambda task: [guard.once(task)])
 
     def submit(self, tasks: Sequence[Task]) -> None:
         self._threads.submit(tasks)

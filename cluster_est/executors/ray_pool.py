@@ -128,9 +128,9 @@ class RayPool(WorkerPool):
         """As many as wanted, or as there are cores at the moment; as many as may have the FMU."""
         return self._model.at_most(self._fixed or cores())
 
-    def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
+    def one_worker(self, tasks: Sequence[Task], *, last: bool = False) -> list[Outcome]:
         for _ in range(ALONE):
-            name, actor = next(iter(self._actors.items()))
+            name, actor = list(self._actors.items())[-1 if last else 0]
             asked = [actor.once.remote(TaskBatch.of([task])) for task in tasks]
             try:
                 return [outcome for answers in ray.get(asked) for outcome in answers.outcomes()]

@@ -177,8 +177,10 @@ class RunFolder:
         return status
 
     def _write_searches(self) -> None:
-        rows = sorted(self._iterations.values(), key=lambda row: _natural(row["search"]))
-        self._table("searches", rows)
+        def place(row: Mapping[str, Any]) -> tuple[Any, int, str]:
+            return _natural(row["search"]), row["iteration"], row["ending"]
+
+        self._table("searches", sorted(self._iterations.values(), key=place))
 
     def _write_workers(self, seconds: float) -> None:
         rows = [{"worker": name, **numbers} for name, numbers in sorted(self._workers.items())]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 
+from cluster_est.errors import ClusterEstError
 from cluster_est.executors import Executor, WorkerPool
 from cluster_est.executors.base import OutcomeSource
 from cluster_est.executors.log_replay import LogReplayExecutor
@@ -15,7 +16,11 @@ from cluster_est.problem.problem import Problem
 from cluster_est.running.records import Budget, Note, Record, Show, TaskOrigin
 from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Runner
-from cluster_est.running.trials.reset_policy import ResetDecision, open_with_reset
+from cluster_est.running.trials.reset_policy import (
+    ResetDecision,
+    compared_at_the_end,
+    open_with_reset,
+)
 from workers.messages import Outcome
 
 
@@ -122,13 +127,17 @@ class RunEnvironment:
         check_process_noise(problem)
         known = None if self.earlier is None else self.earlier.reset
         with self.source.lease(problem, self.resources, known) as (pool, decision):
-            if self.monitor.reset is not None:
-                self.monitor.reset(decision)
+            told = self.monitor.reset or (lambda _: None)
+            told(decision)
             if self.earlier is None:
                 yield pool
-                return
-            log = self.earlier.outcomes
-            yield LogReplayExecutor(pool, problem.model, problem.experiments, log)
+            else:
+                log = self.earlier.outcomes
+                yield LogReplayExecutor(pool, problem.model, problem.experiments, log)
+            with suppress(ClusterEstError, KeyboardInterrupt):  # the run has its result
+                after = compared_at_the_end(problem, pool, decision)
+                if after != decision:
+                    told(after)
 
     def left(self, evaluations: int, seconds: float) -> RunEnvironment:
         """Return the environment with what a step before has left of the budget.

@@ -245,14 +245,14 @@ class TestContract:
     def test_one_worker_answers_what_it_is_asked_in_turn(self, setup):
         tasks = make_tasks(6)
         assert isinstance(setup.executor, WorkerPool)
-        outcomes = setup.executor.first_worker(tasks)
+        outcomes = setup.executor.one_worker(tasks)
         assert [outcome.task for outcome in outcomes] == [task.id for task in tasks], (
-            "`first_worker` answers in the order of the tasks"
+            "`one_worker` answers in the order of the tasks"
         )
         check({outcome.task: outcome for outcome in outcomes}, tasks)
-        again = setup.executor.first_worker(tasks)
+        again = setup.executor.one_worker(tasks, last=True)
         assert all(same(one, other) for one, other in zip(outcomes, again, strict=True))
-        assert setup.executor.completed() == [], "`first_worker` alone returns these outcomes"
+        assert setup.executor.completed() == [], "`one_worker` alone returns these outcomes"
 
     @EACH
     def test_a_worker_that_let_its_instance_go_answers_the_same(self, setup):

@@ -31,7 +31,7 @@ NO_ANSWER = (Status.LOST_WORKER, Status.TIMEOUT, Status.OUT_OF_MEMORY)
 """Ends of a simulation that say nothing of what it would have given."""
 LATER_SECONDS = 1.1
 """After which a clock that counts seconds has moved."""
-LONG_SECONDS = 60.0
+LONG_SECONDS, LONG_AT_THE_END = 60.0, 5.0
 """Of a simulation that is not done once more only to be compared."""
 NO_LIMITS = Limits(*[float("inf")] * 4)
 BEGINS = {
@@ -120,14 +120,14 @@ class RepeatabilityTest:
 
     def ask(self, executor: WorkerPool) -> RepeatabilityAnswer:
         """Ask the first worker, each task once."""
-        (first,) = executor.first_worker(self.tasks[:1]) or (None,)
+        (first,) = executor.one_worker(self.tasks[:1]) or (None,)
         if first is None or not first.ok:
             crashed = first is not None and first.status is Status.CRASH
             return RepeatabilityAnswer(None, crashed, first.message if first is not None else "")
-        rest = executor.first_worker(self.tasks[1:])
+        rest = executor.one_worker(self.tasks[1:])
         if not all(outcome.ok for outcome in rest[:-1]):
             # the last one may have begun with a new instance or in a new process: no reset yet
-            rest = executor.first_worker(self.tasks[:1])
+            rest = executor.one_worker(self.tasks[:1])
         if not rest or rest[-1].status in NO_ANSWER:
             return RepeatabilityAnswer(None, message=rest[-1].message if rest else "")
         last = rest[-1]
@@ -270,35 +270,61 @@ def _find_policy(
             pool.close()
             raise
         if decision is not None and not elsewhere:
+            pool.first = answers[policy].first
+            if pool.on_cluster:
+                decision = _compared(problem, pool, decision, last=True)
             return pool, decision
         pool.close()
         if decision is not None:
             if here:
                 _refuse_here(file, resources.executor, policy, answers[policy])
             pool = start(resources.executor, decision.policy, resources.workers)
-            return pool, _compared(decision, answers[policy], trial, pool)
+            pool.first = answers[policy].first
+            return pool, _compared_later(problem, pool, decision, trial, answers[policy].at)
     decision = _never_the_same(file, answers)
     return start(resources.executor, decision.policy, resources.workers), decision
 
 
-def _compared(
-    decision: ResetDecision, answer: RepeatabilityAnswer, trial: Trial, other: WorkerPool
+def _compared_later(
+    problem: Problem, pool: WorkerPool, decision: ResetDecision, trial: Trial, at: float
 ) -> ResetDecision:
-    """Ask another process once more, a second later; return what that makes of a decision."""
-    if trial.passed or answer.first is None or answer.first.seconds > LONG_SECONDS:
-        return decision
-    time.sleep(max(0.0, answer.at + LATER_SECONDS - time.monotonic()))
-    again = other.first_worker(trial.tasks[:1])
-    if any(outcome.ok and _bits(outcome) != _bits(answer.first) for outcome in again):
-        return ResetDecision(
-            decision.policy,
-            f"{trial.model.name} does not repeat itself: the same simulation gives another result "
-            "in another process, or a second later, and so may this run; check it with "
-            "cluster-est check",
-        )
-    if decision.policy == "reset":
-        trial.remember()
+    """Compare a second after a time, and remember a trial that has shown nothing."""
+    if not trial.passed:
+        time.sleep(max(0.0, at + LATER_SECONDS - time.monotonic()))
+        decision = _compared(problem, pool, decision)
+        if decision.plain:
+            trial.remember()
     return decision
+
+
+def compared_at_the_end(
+    problem: Problem, pool: WorkerPool, decision: ResetDecision
+) -> ResetDecision:
+    """Ask the first worker of a run once more what it answered before; the decision after that.
+
+    It is not asked while workers are busy, as after an interrupt, nor for long.
+    """
+    if pool.busy or pool.first is None or pool.first.seconds > LONG_AT_THE_END:
+        return decision
+    return _compared(problem, pool, decision)
+
+
+def _compared(
+    problem: Problem, pool: WorkerPool, decision: ResetDecision, *, last: bool = False
+) -> ResetDecision:
+    """Ask a worker what was answered before the run; what its answer makes of a decision."""
+    first, task = pool.first, RepeatabilityTest.of(problem).tasks[:1]
+    if first is None or first.seconds > LONG_SECONDS:
+        return decision
+    again = pool.one_worker(task, last=last)
+    if all(not outcome.ok or _bits(outcome) == _bits(first) for outcome in again):
+        return decision
+    return ResetDecision(
+        decision.policy,
+        f"{problem.model.name} does not repeat itself: the same simulation gives another result in "
+        "another process, later, or after others, and so may this run; check it with "
+        "cluster-est check",
+    )
 
 
 def _decide(file: str, answers: Mapping[ResetPolicy, RepeatabilityAnswer]) -> ResetDecision | None:

@@ -148,7 +148,7 @@ class Worker:
     def __init__(self, *answers: float | Status) -> None:
         self.answers = iter(answers)
 
-    def first_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
+    def one_worker(self, tasks: Sequence[Task]) -> list[Outcome]:
         return [
             Outcome(task.id, answer, message="it ended")
             if isinstance(answer, Status)

@@ -3,10 +3,16 @@ from itertools import product
 
 import pytest
 from support.observed_executor import observe
-from support.run_folders import SPRING, tables
+from support.problems.springs import spring_problem
+from support.run_folders import SPRING, rows, tables
 from support.thinning import thinned
 
+import cluster_est as ce
 from cluster_est.cli import main
+from cluster_est.methods.base import Progress
+from cluster_est.run_folder.folder import RunFolder
+from cluster_est.run_folder.run_identity import RunIdentity, RunKind
+from cluster_est.running.records import SearchIteration
 
 KNOWN_MASS = "parameters.m.fixed=true"
 SIGMA = "experiment_defaults.sigma.y=0.02"
@@ -100,3 +106,24 @@ def test_whatever_disturbs_a_run_it_comes_to_the_same_bits(
     assert "Traceback" not in said.err
     assert found != usual
     assert run(disturbance, "--resume") == (0, usual)
+
+
+def test_the_table_of_searches_does_not_depend_on_which_was_quicker(tmp_path):
+    """Also where searches share a name, as the refits of a design do."""
+    result = ce.fit(spring_problem(experiments=2, noise=0.01).problem)
+    lines = [
+        SearchIteration("refits", Progress(1, 7.0), 6),
+        SearchIteration("refits", Progress(1, 6.0, ending="converged"), 6),
+        SearchIteration("refits", Progress(1, 8.0), 9),
+        SearchIteration("refits", Progress(2, 5.0), 9),
+        SearchIteration("models", Progress(0, 9.0), 1),
+    ]
+    found = set()
+    for number, order in enumerate([lines, lines[::-1], lines[2:] + lines[:2]]):
+        path = tmp_path / str(number)
+        folder = RunFolder(path, RunIdentity(RunKind.FIT, result.problem, "", "hash", 0))
+        for line in order:
+            folder.note(line)
+        folder.write(result)
+        found.add(repr(rows(path, "searches")))
+    assert len(found) == 1
