@@ -158,6 +158,7 @@ class RunFolder:
     def write(self, result: RunResult) -> RunStatus:
         """Write all tables at the end of a run, and return how it stands."""
         self._log.close()
+        self._progress.end()
         for name in result.tables:
             self._write_table(name, result.table(name))
         self._write_searches()
@@ -190,6 +191,7 @@ class RunFolder:
         """Close the log of a run that ended without a result, and say so as far as that goes."""
         with suppress(UnwritableError):  # what could not be written is simulated again
             self._log.close()
+        self._progress.end()
         with suppress(UnwritableError):
             self._write_status(status, {"message": reason})
         self._lock.release()

@@ -59,6 +59,10 @@ class ProgressFile:
         names = [field.name for field in fields(RunState) if field.name != "search"]
         self._write(_line({"now": snapshot.search} | {n: getattr(snapshot, n) for n in names}))
 
+    def end(self) -> None:
+        """Nothing follows: whatever reads less than this of a run that has ended lacks lines."""
+        self._write(_line({"end": True}))
+
     def _write(self, line: str) -> None:
         text = line.encode()
         if self._size > MOST_BYTES:
@@ -124,13 +128,15 @@ class ProgressTail:
         The last one; None before the first.
     damaged
         How many lines are not as they were written; they are left out.
+    ended
+        Whether its last line was read.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._offset = 0
         self._torn = b""
-        self.damaged = 0
+        self.damaged, self.ended = 0, False
         self.state: RunState | None = None
 
     def new(self) -> list[IterationLine]:
@@ -138,7 +144,7 @@ class ProgressTail:
         try:
             with self._path.open("rb") as file:
                 if file.seek(0, 2) < self._offset:  # it has begun anew
-                    self._offset, self._torn, self.damaged = 0, b"", 0
+                    self._offset, self._torn, self.damaged, self.ended = 0, b"", 0, False
                 file.seek(self._offset)
                 found = file.read()
                 self._offset = file.tell()
@@ -154,12 +160,14 @@ class ProgressTail:
         Raises
         ------
         RunFolderError
-            If a line is not as it was written.
+            If a line is not as it was written, or the last one is missing.
         """
         lost = self.damaged + bool(self._torn)
         if lost:
             what = f"{lost} of its lines {'is' if lost == 1 else 'are'}"
             raise RunFolderError(f"{self._path}: is damaged, {what} not as written; {MEND}")
+        if not self.ended and self._path.is_file():
+            raise RunFolderError(f"{self._path}: is damaged, its end is missing; {MEND}")
 
     def _read(self, text: bytes) -> IterationLine | None:
         if is_damaged(text) or not is_sealed(text):
@@ -168,6 +176,9 @@ class ProgressTail:
         try:
             row = json.loads(text)
             row.pop("checksum", None)
+            if "end" in row:
+                self.ended = True
+                return None
             if "now" in row:
                 for name in ("left", "pace"):
                     row[name] = math.nan if row.get(name) is None else float(row[name])

@@ -2,6 +2,7 @@ import math
 
 import pytest
 
+from cluster_est.errors import RunFolderError
 from cluster_est.methods.base import Progress
 from cluster_est.run_folder.progress_file import MOST_BYTES, ProgressFile, ProgressTail
 from cluster_est.running.records import RunSnapshot, SearchIteration
@@ -66,3 +67,21 @@ def test_lines_of_other_versions_are_left_out(tmp_path, text):
     tail = ProgressTail(path)
     assert tail.new() == []
     assert tail.state is None
+
+
+def test_wherever_the_file_of_an_ended_run_was_cut_it_is_damaged(tmp_path):
+    path = tmp_path / "progress.jsonl"
+    file = ProgressFile(path)
+    file.iteration(line("a", 0, 1.0))
+    file.end()
+    whole = path.read_bytes()
+    for length in range(len(whole)):
+        path.write_bytes(whole[:length])
+        tail = ProgressTail(path)
+        tail.new()
+        with pytest.raises(RunFolderError, match="damaged"):
+            tail.check()
+    path.write_bytes(whole)
+    tail = ProgressTail(path)
+    assert [each.search for each in tail.new()] == ["a"]
+    tail.check()
