@@ -20,7 +20,8 @@ from typing import NoReturn
 
 SENTENCE = (
     "cluster-est: the process of this command has died ({}): something in it has crashed or ended "
-    "it, or it was killed from outside; --resume continues a run that was begun"
+    "it (Ray does when its raylet on this machine dies, as for lack of memory), or it was killed "
+    "from outside; --resume continues a run that was begun"
 )
 OF_FMU = (
     "cluster-est: the process of this command has died ({}): an FMU that runs in it has crashed or "
