@@ -18,6 +18,7 @@ from cluster_est.results.tables import rows
 from cluster_est.running.evaluation import assemble_evaluation, with_priors
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest, suited
+from cluster_est.running.sizes import with_sizes
 from cluster_est.uncertainty import Uncertainty, assess
 from workers.messages import FloatArray
 
@@ -121,6 +122,7 @@ def _fit_test_records(
     """Estimate what belongs to test records alone. None if there is nothing to estimate."""
     if space.size == 0 or runner.interrupted:
         return None
+    space = with_sizes(runner, space)
     (solution,) = runner.run([SearchRequest("test", method, space, seed)])
     return solution
 

@@ -24,8 +24,10 @@ ROUNDS = 8
 """Of trial steps, at most."""
 CLEAR = 100.0
 """A change of the residuals within this factor of what is left of them shows the size."""
-LEAP = 1e-4
-"""Factor of a trial step whose simulation fails; its inverse where nothing changes."""
+FIRST = 2.0**-50
+"""First trial step, of the size as it is: one that is far too long may take hours to simulate."""
+SHORTER, LONGER = 1e-4, 1e8
+"""Factors of a trial step whose simulation fails, and of one that changes no bit."""
 FARTHEST = 1e16
 """Largest factor of one trial step."""
 LEAST_SHARE = 1e-3
@@ -78,7 +80,7 @@ class _Sizes(Method):
         (at,) = yield Points(x[None, :], "start")
         targets = _targets(space, at) if at.ok else np.zeros(space.size)
         open_ &= targets > 0.0
-        steps = np.where(space.upper > x, 1.0, -1.0) * space.typical
+        steps = np.where(space.upper > x, FIRST, -FIRST) * space.typical
         for _ in range(ROUNDS):
             groups = [members[open_[members]] for members in space.colours]
             groups = [members for members in groups if len(members)]
@@ -125,8 +127,8 @@ def _change(space: SearchSpace, at: Evaluation, found: Evaluation, i: int) -> fl
 def _factor(ratio: float) -> float:
     """Return the factor of the next trial step, after a change of the residuals over its target."""
     if not np.isfinite(ratio):
-        return LEAP
-    return float(np.clip(1.0 / ratio, 1.0 / FARTHEST, FARTHEST)) if ratio > 0.0 else 1.0 / LEAP
+        return SHORTER
+    return float(np.clip(1.0 / ratio, 1.0 / FARTHEST, FARTHEST)) if ratio > 0.0 else LONGER
 
 
 def _power_of_two(value: float) -> float:

@@ -14,6 +14,7 @@ from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.segments import SURPRISING, SegmentState, ShootingSummary
 from cluster_est.running.environment import RunEnvironment
+from cluster_est.running.sizes import with_sizes
 from cluster_est.shooting.first_states import FirstStates, first_states
 from cluster_est.shooting.joined import joined_simulations, joined_solution
 from cluster_est.shooting.search import JOINED, SegmentSearch, search_segments
@@ -149,6 +150,7 @@ def _shoot(
         runner.display.phase = "states at the starts of segments"
         first = first_states(runner, segmented, train)
         space = make_segment_space(segmented, train, first.starts, first.spread)
+        space = with_sizes(runner, space)
         search = search_segments(runner, segmented, space, first, *how, last=last)
         found = search.found
         goes_on = found.works and not search.too_long

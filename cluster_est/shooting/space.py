@@ -150,7 +150,8 @@ def _of_fit(
     """The unknowns of the fit: parameters act on all segments, states on the first ones."""
     position = {record: i for i, record in enumerate(train.experiments)}
     found = []
-    for unknown, size in zip(train.unknowns, train.typical.tolist(), strict=True):
+    for unknown, typical in zip(train.unknowns, train.typical.tolist(), strict=True):
+        size = typical if unknown.start else unknown.size  # where it is 0 too, it is measured
         is_state = unknown.parameter.target in segmented.states.owner
         inside = tuple(
             row
