@@ -99,6 +99,14 @@ def test_a_named_effect_is_fitted_and_written_down(folder, capsys, effect, equat
     assert equation in " ".join(capsys.readouterr().out.split())
 
 
+def test_an_equation_that_does_nothing_is_left_out_of_an_export(folder, capsys):
+    code, out = fitted(folder, OWN.replace("start = 0.1", "start = 0.0, fixed = true"))
+    assert code == 0
+    assert main(["export", str(out), "--text"]) == 0
+    shown = "".join(capsys.readouterr())
+    assert "'friction' does nothing at its values and is left out" in shown
+
+
 def test_an_effect_may_have_coefficients_of_each_experiment(folder):
     own = FRICTION.replace("start = 0.1,", 'start = 0.1, per = "experiment",')
     code, out = fitted(folder, own)

@@ -17,7 +17,7 @@ from cluster_est.errors import BudgetError
 from cluster_est.methods import Method
 from cluster_est.methods.base import Ending, Evaluation, Progress, Search
 from cluster_est.problem.search_space.space import SearchSpace, make_space
-from cluster_est.running.records import RunSnapshot
+from cluster_est.running.records import RunSnapshot, SearchIteration
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from workers.messages import Outcome, Status, Task
@@ -101,6 +101,14 @@ def test_failures_reach_the_method_with_a_reason_and_no_cost() -> None:
     assert good.ok
     assert good.cost == pytest.approx(np.sum(good.residuals**2))
     assert (runner.evaluations, runner.simulations, runner.failures) == (2, 8, 4)
+
+
+def test_lines_of_a_search_are_noted_while_it_runs() -> None:
+    lines: list[SearchIteration] = []
+    counts: list[int] = []
+    executor = executor_of(before=lambda _: counts.append(len(lines)))
+    Runner(executor, note=lines.append).run([whole(Script([[1.0], [2.0], [3.0]]))])
+    assert sorted(set(counts)) == [0, 1, 2]
 
 
 def test_searches_run_at_the_same_time() -> None:
