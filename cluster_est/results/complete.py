@@ -68,7 +68,10 @@ def complete(
     problem = train.problem
     units = units | rows.coefficient_units(problem)
     test = make_space(problem, problem.indices("test"), train.estimates(solution.x))
-    test_solution = _fit_test_records(runner, method, test, seed)
+    test_solution = None
+    if test.size and not runner.interrupted:  # it has what no training record has
+        test = with_sizes(runner, test)
+        (test_solution,) = runner.run([SearchRequest("test", method, test, seed)])
     known = train.estimates(solution.x)
     if test_solution is not None:
         known |= test.estimates(test_solution.x)
@@ -114,17 +117,6 @@ def _kept(simulations: list[Simulation]) -> tuple[Simulation, ...]:
     if sum(path.values.nbytes for path in paths if path is not None) > BEFORE_BYTES:
         return ()
     return tuple(replace(s, outcome=replace(s.outcome, residuals=None)) for s in simulations)
-
-
-def _fit_test_records(
-    runner: Runner, method: Method, space: SearchSpace, seed: int
-) -> Solution | None:
-    """Estimate what belongs to test records alone. None if there is nothing to estimate."""
-    if space.size == 0 or runner.interrupted:
-        return None
-    space = with_sizes(runner, space)
-    (solution,) = runner.run([SearchRequest("test", method, space, seed)])
-    return solution
 
 
 def simulate_all(
