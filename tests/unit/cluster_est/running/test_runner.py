@@ -103,12 +103,14 @@ def test_failures_reach_the_method_with_a_reason_and_no_cost() -> None:
     assert (runner.evaluations, runner.simulations, runner.failures) == (2, 8, 4)
 
 
-def test_lines_of_a_search_are_noted_while_it_runs() -> None:
+def test_lines_of_all_searches_are_noted_while_they_run() -> None:
     lines: list[SearchIteration] = []
-    counts: list[int] = []
-    executor = executor_of(before=lambda _: counts.append(len(lines)))
-    Runner(executor, note=lines.append).run([whole(Script([[1.0], [2.0], [3.0]]))])
-    assert sorted(set(counts)) == [0, 1, 2]
+    seen: list[set[str]] = []
+    executor = executor_of(before=lambda _: seen.append({line.search for line in lines}))
+    requests = [whole(Script([[1.0], [2.0], [3.0]]), name) for name in ("one", "other")]
+    Runner(executor, note=lines.append).run(requests)
+    assert seen[0] == set()
+    assert seen[-1] == {"one", "other"}
 
 
 def test_searches_run_at_the_same_time() -> None:
