@@ -26,7 +26,6 @@ from cluster_est.experiment_design.request import (
 )
 from cluster_est.experiment_design.targets import PredictionTarget
 from cluster_est.problem.problem import Problem
-from cluster_est.run_folder.evaluation_log import LogSettings
 from cluster_est.run_folder.reading import (
     check_has_estimates,
     read_config_text,
@@ -106,7 +105,6 @@ def read_design(
     parts += [json.dumps({k: float(v) for k, v in m.values.items()}) for m in models]
     parts += [json.dumps(list(predict))] if predict else []
     parts += [part for target in settings.predictions for part in _planned(target)]
-    log = resolved.log
     identity = RunIdentity(
         RunKind.DESIGN,
         request.problem,
@@ -114,7 +112,7 @@ def read_design(
         content_hash(list(parts)),
         wanted.seed,
         base,
-        LogSettings(log.residuals, log.keep_residuals, log.max_megabytes),
+        resolved.log,
     )
     return ConfiguredDesign(identity, resolved, request)
 

@@ -14,17 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cluster_est.config.build import build_problem
-from cluster_est.config.former_keys import former_keys
-from cluster_est.config.options import build_method
+from cluster_est.config.options import build_method, build_resources
 from cluster_est.config.reader import Config, read_config
-from cluster_est.config.settings import (
-    build_multistart,
-    build_resources,
-    build_sensitivity,
-    build_settings,
-    build_shooting,
-    build_uncertainty,
-)
 from cluster_est.errors import BudgetError, ProblemError, UnwritableError
 from cluster_est.fit import FitPlan, check_search, fit_in
 from cluster_est.problem.search_space.space import make_space
@@ -40,7 +31,6 @@ from cluster_est.running.resources import Resources
 from cluster_est.running.shared_pools import SharedPools
 from cluster_est.sensitivity.analysis import analyse_sensitivity, check_bounds
 from cluster_est.sensitivity.result import SensitivityResult
-from cluster_est.sensitivity.settings import SensitivitySettings
 
 if TYPE_CHECKING:
     from cluster_est.closed_loop.findings.result import LoopResult
@@ -95,20 +85,18 @@ class ConfiguredLoop(ConfiguredRun):
         from cluster_est.closed_loop.loop import run_loop  # needs SymPy, which is slow
         from cluster_est.closed_loop.prepare import LoopRequest
 
-        settings, identity = build_settings(self.config), self.identity
-        return run_loop(LoopRequest(identity.problem, environment, settings, identity.seed))
+        problem, settings = self.identity.problem, self.config.closed_loop
+        return run_loop(LoopRequest(problem, environment, settings, self.identity.seed))
 
 
 @dataclass(frozen=True)
 class ConfiguredSensitivity(ConfiguredRun):
     """A sensitivity analysis."""
 
-    settings: SensitivitySettings
-
     def compute(self, environment: RunEnvironment) -> SensitivityResult:
         """Sample the bounds, and rank the unknowns."""
-        identity = self.identity
-        return analyse_sensitivity(environment, identity.problem, self.settings, identity.seed)
+        identity, settings = self.identity, self.config.sensitivity
+        return analyse_sensitivity(environment, identity.problem, settings, identity.seed)
 
 
 @dataclass(frozen=True)
@@ -187,18 +175,17 @@ def configure(config: Config, base: Path, kind: RunKind, *, allow_code: bool) ->
     problem = build_problem(config, base, allow_code=allow_code)
     identity = RunIdentity.of(kind, config, base, problem)
     if kind is RunKind.CLOSED_LOOP:
-        build_settings(config)
         make_space(problem, problem.indices("test"))
         return ConfiguredLoop(identity, config)
     if kind is RunKind.SENSITIVITY:
         check_bounds(problem)
-        return ConfiguredSensitivity(identity, config, build_sensitivity(config))
+        return ConfiguredSensitivity(identity, config)
     plan = FitPlan(
         build_method(config),
         identity.seed,
-        build_multistart(config),
-        build_uncertainty(config),
-        build_shooting(config),
+        config.multistart,
+        config.uncertainty,
+        config.method.shooting,
     )
     plan.check()
     check_search(problem, plan)
@@ -235,7 +222,7 @@ def do_run(
         If it is interrupted before anything was simulated.
     """
     resources = build_resources(run.config)
-    said = (*former_keys(run.config), *resources.notes(), *run.identity.problem.data_notes())
+    said = (*resources.notes(), *run.identity.problem.data_notes())
     for sentence in said:
         listener.say(sentence)
     to = replace(to, out=to.out.absolute())  # an FMU may leave this process in another folder

@@ -226,9 +226,9 @@ def with_starts(fmu: Path, starts: int, budget: int) -> None:
         problem, _ = made_problem(fmu, seed)
         resources = ce.Resources(workers=1, budget=ce.Budget(evaluations=budget))
         share = ce.Resources(workers=1, budget=ce.Budget(evaluations=budget // STARTS))
-        planned = ce.fit(problem, ce.LeastSquares(), resources, multistart=Multistart(STARTS))
+        planned = ce.fit(problem, ce.LeastSquares(), resources, multistart=Multistart(n=STARTS))
         space, alone = make_space(problem, (0,)), []
-        for x in (space.start, *sample(space, STARTS - 1, Multistart(STARTS))):
+        for x in (space.start, *sample(space, STARTS - 1, Multistart(n=STARTS))):
             values = space.estimates(x)
             begun = tuple(replace(p, start=values[p.name]) for p in problem.parameters)
             found = ce.fit(replace(problem, parameters=begun), ce.LeastSquares(), share)

@@ -26,7 +26,6 @@ from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.loop import close_loop
 from cluster_est.config.build import build_problem
 from cluster_est.config.reader import read_config
-from cluster_est.config.settings import build_settings
 
 
 def main() -> None:
@@ -43,7 +42,7 @@ def main() -> None:
     else:
         config = read_config(options.config, options.overrides)
         problem = build_problem(config, options.config.parent)
-        settings = build_settings(config)
+        settings = config.closed_loop
     seconds: dict[int, list[float]] = {1: [], 2: []}
     for _ in range(options.runs):
         for workers in seconds:

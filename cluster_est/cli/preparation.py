@@ -11,9 +11,8 @@ from cluster_est.cli.display.preflight import print_page
 from cluster_est.cli.display.start import print_check, print_model
 from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.terminal import complain, say_if_compiled_first
-from cluster_est.config.former_keys import former_keys
+from cluster_est.config.options import build_resources
 from cluster_est.config.reader import Config
-from cluster_est.config.settings import build_resources
 from cluster_est.configured_run import read_run
 from cluster_est.drafting.mismatches import unit_mismatches
 from cluster_est.errors import ModelError
@@ -46,7 +45,7 @@ def check(options: Namespace) -> int:
     run = read_run(path, options.overrides, RunKind.FIT, allow_code=options.allow_code)
     config, problem = run.config, run.identity.problem
     resources = build_resources(config)
-    for sentence in (*former_keys(config), *resources.notes()):
+    for sentence in resources.notes():
         complain(sentence)
     print_model(console, problem, f"method {config.method.name}")
     say_if_compiled_first()

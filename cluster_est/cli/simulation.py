@@ -15,9 +15,8 @@ from rich.console import Console
 from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.terminal import complain
 from cluster_est.config.build import build_problem
-from cluster_est.config.former_keys import former_keys
+from cluster_est.config.options import build_resources
 from cluster_est.config.reader import read_config
-from cluster_est.config.settings import build_resources
 from cluster_est.errors import RunFolderError
 from cluster_est.fit import simulate as run_simulate
 from cluster_est.problem.problem import Problem
@@ -30,7 +29,7 @@ def simulate(options: Namespace) -> int:
     """Simulate every experiment and write one table of trajectories."""
     config, out = read_config(options.config, options.overrides), options.out
     resources = build_resources(config)
-    for sentence in (*former_keys(config), *resources.notes()):
+    for sentence in resources.notes():
         complain(sentence)
     writer = _table_writer(out)
     if out.is_dir():

@@ -9,7 +9,6 @@ import numpy as np
 from cluster_est.config.constraints import constraint_functions, signal_bounds
 from cluster_est.config.reader import Config, ExperimentSection
 from cluster_est.config.reading import ExperimentReader, find_file
-from cluster_est.config.sections.types import MOST_TIMES
 from cluster_est.config.signal_limits import snapped_bound
 from cluster_est.config.time_base import compared_at, counted, weighted
 from cluster_est.config.user_code import UserCode
@@ -19,6 +18,7 @@ from cluster_est.problem.tables.files import MeasuredTable, read_table
 from cluster_est.problem.tables.measured import MeasuredColumns, interval
 from cluster_est.problem.tables.stand_ins import by_column
 from cluster_est.problem.tables.unused import TableSource
+from cluster_est.settings import MOST_TIMES
 from cluster_est.toml import dotted
 from workers.fmu.description import nearest
 from workers.messages import Curve, Experiment, FloatArray, Input, Output

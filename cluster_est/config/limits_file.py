@@ -10,10 +10,10 @@ from pydantic import ValidationError
 
 from cluster_est.config.predictions import prediction_targets
 from cluster_est.config.sections.design import LimitsSections
-from cluster_est.config.text.messages import error_messages
 from cluster_est.errors import ConfigError, ProblemError
 from cluster_est.experiment_design.limits import ExperimentLimits, InputLimits, SignalLimits
 from cluster_est.experiment_design.settings import DesignSettings
+from cluster_est.settings import error_messages
 from workers.messages.checks import as_path
 
 

@@ -1,4 +1,4 @@
-"""Method and cost of a config, with their options."""
+"""Method, cost and resources of a config."""
 
 from __future__ import annotations
 
@@ -13,8 +13,24 @@ from cluster_est.errors import ConfigError, ProblemError
 from cluster_est.methods import ALIASES, METHODS, Method
 from cluster_est.priors import PRIORS, Prior
 from cluster_est.problem.options import check_option
+from cluster_est.running.resources import Resources
 from workers.fmu.description import nearest
+from workers.messages import Limits
 from workers.messages.checks import shown
+
+
+def build_resources(config: Config) -> Resources:
+    """Executor, limits and budget."""
+    section = config.executor
+    memory = float("inf") if section.memory is None else section.memory * 2.0**20
+    return Resources(
+        executor=section.name,
+        workers=section.workers,
+        address=section.address,
+        budget=config.budget,
+        limits=Limits(section.timeout, section.stall, memory, section.growth * 2.0**20),
+        instances=section.instances,
+    )
 
 
 def build_method(config: Config) -> Method:

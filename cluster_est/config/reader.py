@@ -27,24 +27,19 @@ from cluster_est.config.sections.search import (
     ConstraintSection,
     CostSection,
     MethodSection,
-    MultistartSection,
     StepSection,
     TrackingSection,
-    UncertaintySection,
 )
 from cluster_est.config.sections.sections import (
-    BudgetSection,
     ClosedLoopSection,
     CoefficientSection,
     Config,
     EffectSection,
     ExecutorSection,
-    LogSection,
     ModelSection,
     ParameterSection,
 )
 from cluster_est.config.sections.value_files import VALUE_FILES, with_values_of_files
-from cluster_est.config.text.messages import error_messages
 from cluster_est.config.text.overrides import override
 from cluster_est.config.text.unfilled import unfilled
 from cluster_est.costs import ALIASES as COST_ALIASES
@@ -57,12 +52,12 @@ from cluster_est.problem.tables.measured import (
     relative_without_sigma,
     sigma_without_output,
 )
+from cluster_est.settings import error_messages
 from cluster_est.toml import dotted
 from workers.fmu.description import nearest
 from workers.messages.checks import as_path, as_tuple
 
 __all__ = [
-    "BudgetSection",
     "ClosedLoopSection",
     "CoefficientSection",
     "ColumnSection",
@@ -75,16 +70,13 @@ __all__ = [
     "ExperimentDefaultsSection",
     "ExperimentSection",
     "InputSection",
-    "LogSection",
     "MapSection",
     "MethodSection",
     "ModelSection",
-    "MultistartSection",
     "OutputSection",
     "ParameterSection",
     "StepSection",
     "TrackingSection",
-    "UncertaintySection",
     "parse_config",
     "read_config",
 ]

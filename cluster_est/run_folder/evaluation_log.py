@@ -12,7 +12,6 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -22,38 +21,16 @@ from cluster_est.errors import UnwritableError
 from cluster_est.run_folder.log_format import SCHEMA
 from cluster_est.run_folder.log_rows import LogRow, batch_of, size_of
 from cluster_est.run_folder.log_segment import SegmentWriter, read_log, segments, slim
-from cluster_est.running.records import TaskOrigin
+from cluster_est.running.records import LogSettings, TaskOrigin
 from cluster_est.whole_files import AGAIN, writing
 from workers.messages import Outcome
 
-__all__ = ["SCHEMA", "EvaluationLog", "LogSettings", "read_log"]
+__all__ = ["SCHEMA", "EvaluationLog", "read_log"]
 
 ROWS_PER_WRITE, SECONDS_PER_WRITE, SECONDS_PER_SYNC = 2000, 0.25, 1.0
 BYTES_PER_WRITE, BYTES_PER_SEGMENT = 16 * 2**20, 256 * 2**20
 SEGMENTS_AT_LEAST = 8
 """Into how many the room of a bounded log is cut, because whole segments lose their residuals."""
-
-
-@dataclass(frozen=True)
-class LogSettings:
-    """The share of each simulation that is kept.
-
-    What is left out is simulated again when the run is resumed, and changes no bit of it.
-
-    Attributes
-    ----------
-    residuals
-        Whether residuals and trajectories are written.
-    keep_residuals
-        Whether they stay when the run has reached its end and nothing asks for them any more.
-    megabytes
-        When all segments together are larger, the oldest lose theirs; 0 for never. About 270 bytes
-        of each simulation always stay.
-    """
-
-    residuals: bool = True
-    keep_residuals: bool = False
-    megabytes: float = 1024.0
 
 
 class EvaluationLog:
@@ -197,7 +174,7 @@ class EvaluationLog:
     @property
     def _limit(self) -> float:
         """Bytes of all segments together."""
-        return self._settings.megabytes * 2**20 or np.inf
+        return self._settings.max_megabytes * 2**20 or np.inf
 
     @property
     def _segment_bytes(self) -> float:
@@ -239,9 +216,9 @@ class EvaluationLog:
                 if not self._is_full:
                     self._is_full = True
                     self._say(
-                        f"the log has reached {self._settings.megabytes:g} MB (log.max_megabytes): "
-                        "residuals and trajectories leave it from now on, the oldest first; a run "
-                        "that is resumed simulates those again"
+                        f"the log has reached {self._settings.max_megabytes:g} MB "
+                        "(log.max_megabytes): residuals and trajectories leave it from now on, "
+                        "the oldest first; a run that is resumed simulates those again"
                     )
                 total -= path.stat().st_size
                 if not self._slim_one(path):

@@ -11,8 +11,8 @@ from typing import Any, cast
 import numpy as np
 
 from cluster_est.config.build import build_problem
+from cluster_est.config.options import build_resources
 from cluster_est.config.reader import read_config
-from cluster_est.config.settings import build_resources
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.executors.simulation_key import simulation_key
 from cluster_est.problem.names import coefficient_names

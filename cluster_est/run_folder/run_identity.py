@@ -14,7 +14,7 @@ from typing import Any, Self
 
 from cluster_est.config.reader import Config
 from cluster_est.problem.problem import Problem
-from cluster_est.run_folder.evaluation_log import LogSettings
+from cluster_est.running.records import LogSettings
 from cluster_est.toml import to_toml
 from workers.messages import content_hash
 
@@ -87,7 +87,7 @@ class RunIdentity:
             hash_config(tree, kind.unused_sections),
             _seeds(config)[kind],
             base,
-            LogSettings(config.log.residuals, config.log.keep_residuals, config.log.max_megabytes),
+            config.log,
         )
 
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from os import PathLike
-from typing import Any, get_args
 
 from cluster_est.errors import ProblemError
 from cluster_est.executors import EXECUTORS
@@ -14,13 +13,13 @@ from cluster_est.methods import ALIASES, METHODS, Method
 from cluster_est.problem.options import check_options
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import make_space
-from cluster_est.running.multistart import Multistart, Sampler
+from cluster_est.running.multistart import Multistart
 from cluster_est.running.records import Budget
 from cluster_est.running.resources import Resources
 from cluster_est.toml import dotted
 from workers.fmu.description import nearest
 from workers.messages import Limits
-from workers.messages.checks import check_choice, check_kind, check_name, check_number, shown
+from workers.messages.checks import check_kind, check_number, shown
 
 
 def check_problem(problem: object) -> None:
@@ -65,11 +64,6 @@ def check_resources(resources: Resources) -> None:
     for key, limit in asdict(resources.limits).items():
         if not (isinstance(limit, float) and limit == math.inf):
             check_number(limit, f"executor.limits.{key}", ProblemError, above=0.0)
-    budget = resources.budget
-    if budget.evaluations is not None:
-        check_number(budget.evaluations, "budget.evaluations", ProblemError, above=0, whole=True)
-    if budget.seconds is not None:
-        check_number(budget.seconds, "budget.seconds", ProblemError, above=0.0)
 
 
 def method_of(method: Method | str) -> Method:
@@ -100,29 +94,6 @@ def check_multistart(multistart: Multistart) -> None:
     """
     advice = f"; write Multistart({multistart!r})" if isinstance(multistart, int) else ""
     check_kind(multistart, Multistart, "multistart", ProblemError, advice)
-    _check_points(multistart.points)
-    for name in ("n", "screen", "at_once"):
-        value = getattr(multistart, name)
-        check_number(value, f"multistart.{name}", ProblemError, above=0, whole=True)
-    for name in ("patience", "seed"):
-        value = getattr(multistart, name)
-        check_number(value, f"multistart.{name}", ProblemError, least=0, whole=True)
-    check_number(multistart.same, "multistart.same", ProblemError, above=0.0)
-    check_choice(multistart.sampler, get_args(Sampler), "multistart.sampler", ProblemError)
-
-
-def _check_points(points: Any) -> None:
-    """Refuse starts of the user's that are no list of dicts with numbers."""
-    listed = isinstance(points, Sequence) and not isinstance(points, str | bytes)
-    if not listed or not all(isinstance(point, Mapping) for point in points):
-        raise ProblemError(
-            f"multistart.points: must be a list of dicts but is {shown(points)}; write "
-            "[{parameter: value}, ...]"
-        )
-    for i, point in enumerate(points):
-        for name, value in point.items():
-            check_name(name, f"multistart.points[{i}]", ProblemError)
-            check_number(value, f"multistart.points[{i}].{name}", ProblemError)
 
 
 def check_values(problem: Problem, values: Mapping[str, float]) -> None:

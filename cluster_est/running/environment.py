@@ -153,7 +153,8 @@ class RunEnvironment:
             points = max(points - evaluations, 0)
         if time is not None:
             time = max(time - seconds, 0.0)
-        rest = replace(self.resources, budget=Budget(points, time))
+        budget = Budget.model_construct(evaluations=points, seconds=time)  # it may be used up
+        rest = replace(self.resources, budget=budget)
         return replace(self, resources=rest)
 
     def record_of(self, problem: Problem) -> Record | None:

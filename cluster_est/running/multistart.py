@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field, Strict
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Method, Solution
@@ -22,6 +23,7 @@ from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest, suited
 from cluster_est.running.sensor_starts import with_best_sensors
+from cluster_est.settings import Count, Finite, Positive, Settings
 from cluster_est.toml import dotted
 from workers.fmu.description import nearest
 from workers.messages import FloatArray
@@ -36,41 +38,41 @@ SCREENED = 0.25
 """Share of a budget that may go into evaluating starts, where it is too short for one search."""
 
 
-@dataclass(frozen=True)
-class Multistart:
-    """From how many points to search, and which.
+class Multistart(Settings):
+    """From how many points to search, and which."""
 
-    Attributes
-    ----------
-    n
-        Starts in all: the parameters' own, then `points`, then samples of the bounds.
-    sampler
-        "sobol" and "latin_hypercube" fill the bounds evenly, "uniform" does not.
-    points
-        Physical values by label, or by name for all labels of a parameter; what is not named keeps
-        its own start.
-    screen
-        For each sampled start so many points are evaluated, all at once, and the best are taken.
-    at_once
-        Searches under way at the same time. A fixed number, so that no machine decides where a
-        budget of evaluations ends them; without one it decides nothing but speed. Fewer where a
-        budget is too short for all (see `plan_for_budget`).
-    patience
-        Stop after so many starts in a row that brought no new minimum; 0 for never.
-    same
-        Minima whose unknowns all differ by less than this part of their range are one.
-    seed
-        Of the sampler.
-    """
+    section: ClassVar[str] = "multistart"
 
-    n: int = 1
-    sampler: Sampler = "sobol"
-    points: tuple[Mapping[str, float], ...] = ()
-    screen: int = 1
-    at_once: int = 16
-    patience: int = 0
-    same: float = 1e-3
-    seed: int = 0
+    n: Positive = Field(
+        1, description="starts: the parameters' own first, then points, then samples of the bounds"
+    )
+    sampler: Sampler = Field(
+        "sobol",
+        description="how the others are spread over the bounds: evenly by sobol and "
+        "latin_hypercube, at random by uniform",
+    )
+    points: Annotated[tuple[dict[str, Finite], ...], Strict(False)] = Field(
+        (),
+        description="starts of your own: [{ parameter = value }, ...]; what is not named keeps its "
+        "own start",
+    )
+    screen: Positive = Field(
+        1, description="points looked at for each start; the best ones are started from"
+    )
+    at_once: Positive = Field(
+        16,
+        description="starts under way at the same time, whatever the number of workers; fewer "
+        "where a budget is too short for all",
+    )
+    patience: Count = Field(
+        0, description="stop after so many starts in a row without a new minimum; 0: never"
+    )
+    same: Finite = Field(
+        1e-3,
+        gt=0.0,
+        description="part of the range of each unknown up to which two minima are the same",
+    )
+    seed: Count = Field(0, description="of the sampler")
 
     @property
     def searches(self) -> int:

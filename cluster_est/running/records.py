@@ -5,17 +5,51 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
+
+from pydantic import Field
 
 from cluster_est.methods.base import Progress
+from cluster_est.settings import Count, Finite, Settings
 from workers.messages import Outcome, Task
 
 
-@dataclass(frozen=True)
-class Budget:
-    """When to stop asking. An evaluation is one point with all its experiments."""
+class Budget(Settings):
+    """When to stop asking."""
 
-    evaluations: int | None = None
-    seconds: float | None = None
+    section: ClassVar[str] = "budget"
+
+    evaluations: Count | None = Field(
+        None,
+        gt=0,
+        description="points to evaluate at most, each with all experiments, of all searches "
+        "together",
+    )
+    seconds: Finite | None = Field(None, gt=0.0, description="after which nothing new is asked")
+
+
+class LogSettings(Settings):
+    """The share of each simulation that is kept.
+
+    What is left out is simulated again when the run is resumed, and changes no bit of it.
+    """
+
+    section: ClassVar[str] = "log"
+
+    residuals: bool = Field(
+        True,
+        description="false: leave residuals and trajectories out; a resumed run computes them anew",
+    )
+    keep_residuals: bool = Field(
+        False,
+        description="true: they stay in the log when the run is done; else only their hashes do",
+    )
+    max_megabytes: Finite = Field(
+        1024.0,
+        ge=0.0,
+        description="size beyond which the oldest simulations lose theirs, all but some 270 bytes "
+        "of each; 0: no limit",
+    )
 
 
 @dataclass(frozen=True)

@@ -2,50 +2,49 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from typing import ClassVar, Self
 
-from cluster_est.errors import ProblemError
-from cluster_est.problem.options import check_options
+from pydantic import Field, model_validator
+
 from cluster_est.sensitivity.designs import DESIGNS
+from cluster_est.settings import Count, Finite, Settings, one_of, sentence
+from workers.fmu.description import nearest
 
 
-@dataclass(frozen=True)
-class SensitivitySettings:
-    """The design of a sensitivity analysis, and what is computed from it.
+class SensitivitySettings(Settings):
+    """The design of a sensitivity analysis, and what is computed from it."""
 
-    Attributes
-    ----------
-    method
-        "morris" for elementary effects, which tell what matters at all among many unknowns, or
-        "sobol" for shares of the variance.
-    groups
-        Trajectories of "morris", each of one point more than there are unknowns; base samples of
-        "sobol", each of two more. 0 for 20 or 512.
-    times
-        Of each output in each experiment at which indices are computed; 0 for those of the cost
-        alone.
-    collinearity
-        Index above which unknowns cannot be estimated together.
+    section: ClassVar[str] = "sensitivity"
 
-    Raises
-    ------
-    ProblemError
-        If one is of the wrong kind or out of its range.
-    """
+    method: str = Field(
+        "morris",
+        description=f"{one_of(DESIGNS)}; morris: which of many unknowns matter, for few "
+        "simulations; sobol: the shares of the variance that each makes",
+    )
+    groups: Count = Field(
+        0,
+        description="trajectories of morris, each of one point more than there are unknowns, or "
+        "base samples of sobol, each of two more; 0: 20 or 512",
+    )
+    times: Count = Field(
+        20,
+        description="of each output in each experiment that indices are computed at; 0: only of "
+        "the cost",
+    )
+    collinearity: Finite = Field(
+        15.0, ge=1.0, description="index above which unknowns cannot be estimated together"
+    )
 
-    method: str = "morris"
-    groups: int = field(default=0, metadata={"least": 0})
-    times: int = field(default=20, metadata={"least": 0})
-    collinearity: float = field(default=15.0, metadata={"least": 1.0})
-
-    def __post_init__(self) -> None:
-        check_options(self, "sensitivity", ProblemError)
+    @model_validator(mode="after")
+    def _check(self) -> Self:
         if self.method not in DESIGNS:
-            known = ", ".join(repr(name) for name in DESIGNS)
-            raise ProblemError(f"sensitivity.method: must be one of {known} but is {self.method!r}")
+            raise sentence(
+                f"sensitivity.method: there is no {self.method!r}{nearest(self.method, DESIGNS)}"
+            )
         fewest = DESIGNS[self.method].fewest
         if 0 < self.groups < fewest:
-            raise ProblemError(
+            raise sentence(
                 f"sensitivity.groups: must be 0 or at least {fewest} for {self.method!r} but is "
                 f"{self.groups}"
             )
+        return self

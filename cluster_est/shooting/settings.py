@@ -3,31 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, Self
+
+from pydantic import Field, model_validator
 
 from cluster_est.errors import ProblemError
 from cluster_est.problem.problem import Problem
-from workers.messages.checks import check_number, shown
+from cluster_est.settings import Finite, Settings, sentence
+from workers.messages.checks import shown
 
 LEAST_SAMPLES = 4
 """Of a segment that is cut in halves."""
 
 
-@dataclass(frozen=True)
-class Shooting:
-    """Into how many segments each training record is cut, or how long one is at most.
+class Shooting(Settings):
+    """The segments that each training record is cut into: their number, or their length."""
 
-    Attributes
-    ----------
-    segments
-        Their number in each record; fewer where a record has fewer measured times.
-    length
-        In seconds, instead of a number.
-    """
+    section: ClassVar[str] = "method.shooting"
 
-    segments: int | None = None
-    length: float | None = None
+    segments: int | None = Field(
+        None,
+        ge=2,
+        description="parts that each training record is cut into; fewer where it has fewer "
+        "measured times",
+    )
+    length: Finite | None = Field(None, gt=0.0, description="seconds of a part at most, instead")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.segments is None) == (self.length is None):
+            given = "neither" if self.segments is None else "both"
+            raise sentence(
+                f"{self.section}: must have segments or length, but has {given}; write "
+                "{ segments = 20 }, or { length = 0.5 } for seconds"
+            )
+        return self
 
     @classmethod
     def of(cls, given: Shooting | Mapping[str, Any] | None) -> Shooting | None:
@@ -40,8 +50,8 @@ class Shooting:
         """
         if given is None or isinstance(given, cls):
             return given
-        if isinstance(given, Mapping) and set(given) <= {"segments", "length"}:
-            return cls(**dict(given))
+        if isinstance(given, Mapping):
+            return cls(**given)
         raise ProblemError(
             f"method.shooting: must have segments or length but is {shown(given)}; write "
             '{"segments": 20}, or {"length": 0.5} for seconds'
@@ -64,23 +74,3 @@ class Shooting:
         if self.segments:
             return Shooting(segments=2 * self.segments)
         return Shooting(length=0.5 * (self.length or 0.0))
-
-    def check(self) -> None:
-        """Refuse what is neither or both.
-
-        Raises
-        ------
-        ProblemError
-            With what to write.
-        """
-        where = "method.shooting"
-        if (self.segments is None) == (self.length is None):
-            given = "neither" if self.segments is None else "both"
-            raise ProblemError(
-                f"{where}: must have segments or length, but has {given}; write "
-                "{ segments = 20 }, or { length = 0.5 } for seconds"
-            )
-        if self.segments is not None:
-            check_number(self.segments, f"{where}.segments", ProblemError, least=2, whole=True)
-        if self.length is not None:
-            check_number(self.length, f"{where}.length", ProblemError, above=0.0)

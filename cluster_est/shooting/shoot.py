@@ -65,7 +65,6 @@ def check_shooting(train: SearchSpace, method: Method, shooting: Shooting) -> Se
     ProblemError
         With what to change.
     """
-    shooting.check()
     if not isinstance(method, LeastSquares):
         raise ProblemError(
             f"method.shooting: needs method.name least_squares but it is {method.name}; change it, "

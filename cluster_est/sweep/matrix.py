@@ -14,8 +14,8 @@ from pydantic import ValidationError
 
 from cluster_est.config.reader import Config, read_config
 from cluster_est.config.sections.sweep import NAME, SweepSections
-from cluster_est.config.text.messages import error_messages
 from cluster_est.errors import ConfigError
+from cluster_est.settings import error_messages
 from cluster_est.toml import inline
 from workers.fmu.description import nearest
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from cluster_est.config.settings import build_resources
+from cluster_est.config.options import build_resources
 from cluster_est.configured_run import (
     ConfiguredRun,
     Destination,

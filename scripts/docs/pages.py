@@ -19,6 +19,7 @@ from cluster_est.config.reader import Config
 from cluster_est.config.sections.design import LimitsSections
 from cluster_est.config.sections.sweep import SweepSections
 from cluster_est.results.tables.table_columns import BEFORE, TABLES, ColumnDescription
+from cluster_est.settings import Settings, keys_of
 from cluster_est.toml import inline
 from workers.effects.forms import FORMS, EffectForm, FormCoefficient, SiteKind
 
@@ -142,14 +143,26 @@ def python_page() -> str:
     for name in sorted(ce.__all__, key=str.casefold):
         found = getattr(ce, name)
         parts.append(f"::: {found.__module__}.{found.__qualname__}")
+        if isinstance(found, type) and issubclass(found, Settings):
+            parts.append(_keys(found)[0])
     return "\n\n".join(parts) + "\n"
 
 
 def _section(path: str, section: type[BaseModel], level: str, title: str = "") -> Iterator[str]:
     """A table of a section's own keys, then the sections inside it."""
     yield f"{level} {title or path}"
+    table, inside = _keys(section, path)
+    yield table
+    for below, nested in inside:
+        yield from _section(below, nested, level)
+
+
+def _keys(
+    section: type[BaseModel], path: str = ""
+) -> tuple[str, list[tuple[str, type[BaseModel]]]]:
+    """A table of a section's keys, and the sections inside it."""
     rows, inside = [], []
-    for name, field in section.model_fields.items():
+    for name, field in keys_of(section):
         key = f"{path}.{name}" if path else name
         nested, many, named = _nested(field.annotation)
         if nested is not None:
@@ -159,9 +172,7 @@ def _section(path: str, section: type[BaseModel], level: str, title: str = "") -
         else:
             kind = _kind(field.annotation)
         rows.append((f"`{name}`", kind, _default(field), field.description or ""))
-    yield _table(("key", "type", "default", "meaning"), rows)
-    for below, nested in inside:
-        yield from _section(below, nested, level)
+    return _table(("key", "type", "default", "meaning"), rows), inside
 
 
 def _nested(annotation: Any) -> tuple[type[BaseModel] | None, bool, bool]:

@@ -7,10 +7,10 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field
 
-from cluster_est.config.sections.types import LARGEST, ConfigSection, Count, Finite, Pair, one_of
 from cluster_est.experiment_design.candidates import RECORDED
 from cluster_est.experiment_design.criteria import CRITERIA
 from cluster_est.experiment_design.waveforms import WAVEFORMS
+from cluster_est.settings import LARGEST, ConfigSection, Count, Finite, Pair, one_of
 from workers.messages import Interpolation
 
 

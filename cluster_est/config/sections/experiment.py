@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, Strict
 
-from cluster_est.config.sections.types import (
+from cluster_est.settings import (
     ConfigSection,
     Count,
     Finite,

@@ -6,8 +6,8 @@ from typing import Annotated
 
 from pydantic import Field, Strict
 
-from cluster_est.config.sections.types import ConfigSection, Finite
 from cluster_est.problem.effects.table_values import Monotone
+from cluster_est.settings import ConfigSection, Finite
 
 
 class MapSection(ConfigSection):

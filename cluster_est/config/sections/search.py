@@ -8,21 +8,17 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, Strict
 from pydantic_core import PydanticCustomError
 
-from cluster_est.config.sections.types import (
-    LARGEST,
+from cluster_est.costs import COSTS
+from cluster_est.sensitivity.settings import SensitivitySettings
+from cluster_est.settings import (
     ConfigSection,
     Count,
     Finite,
     Pair,
-    Positive,
     Samples,
     one_of,
 )
-from cluster_est.costs import COSTS
-from cluster_est.running.multistart import Multistart, Sampler
-from cluster_est.sensitivity.designs import DESIGNS
-from cluster_est.sensitivity.settings import SensitivitySettings
-from cluster_est.uncertainty import UncertaintySettings
+from cluster_est.shooting.settings import Shooting
 
 
 def _level(value: Any) -> Any:
@@ -125,110 +121,20 @@ class ConstraintSection(ConfigSection):
     )
 
 
-class ShootingSection(ConfigSection):
-    """Keys of multiple shooting."""
-
-    segments: int | None = Field(
-        None, ge=2, description="parts that each training record is cut into"
-    )
-    length: Finite | None = Field(None, gt=0.0, description="seconds of a part at most, instead")
-
-
 class MethodSection(ConfigSection):
     """Keys of the method."""
 
     name: str = Field("least_squares", description="see the documentation: which method when")
     options: dict[str, Any] = Field(default_factory=dict, description="of the method")
     seed: Count = Field(0, description="of the method's random generator")
-    shooting: ShootingSection | None = Field(
+    shooting: Shooting | None = Field(
         None,
         description="{ segments = 20 } or { length = 0.5 }: go through parts of the records first, "
         "each from states that are estimated too; for models that are chaotic, unstable or drift",
     )
 
 
-_STARTS, _REFITS = Multistart(), UncertaintySettings()
-
-
-class MultistartSection(ConfigSection):
-    """Keys of several starts."""
-
-    n: Positive = Field(_STARTS.n, description="starts, the parameters' own first")
-    sampler: Sampler = Field(
-        _STARTS.sampler, description="how the others are spread over the bounds"
-    )
-    points: list[dict[str, Finite]] = Field(
-        default_factory=list, description="starts of your own: [{ parameter = value }, ...]"
-    )
-    screen: Positive = Field(
-        _STARTS.screen,
-        description="points looked at for each start; the best ones are started from",
-    )
-    at_once: Positive = Field(_STARTS.at_once, description="starts under way at the same time")
-    patience: Count = Field(
-        _STARTS.patience,
-        description="stop after so many starts in a row without a new minimum; 0: never",
-    )
-    same: Finite = Field(
-        _STARTS.same, gt=0.0, description="relative distance up to which two minima are the same"
-    )
-    seed: Count = Field(_STARTS.seed, description="of the sampler")
-
-
-class UncertaintySection(ConfigSection):
-    """Keys of intervals that take refits."""
-
-    profiles: list[str] = Field(
-        default_factory=list,
-        description='labels or parameters whose likelihood profiles are taken; "shared" or "all"',
-    )
-    bootstrap: Count = Field(
-        _REFITS.bootstrap, description="draws of experiments with a refit each; 0: none"
-    )
-    posterior: Count = Field(
-        _REFITS.posterior,
-        description="steps of each walker that draws from the posterior, some thousands; 0: none",
-    )
-    walkers: Count = Field(
-        _REFITS.walkers, description="their number; 0: four times the unknowns, and 16 at least"
-    )
-    confidence: Finite = Field(
-        _REFITS.confidence, ge=0.5, lt=1.0, description="of profiles, bootstrap and posterior"
-    )
-    steps: Positive = Field(_REFITS.steps, description="refits at least on each side of a profile")
-    max_steps: int = Field(
-        _REFITS.max_steps, ge=2, le=LARGEST, description="refits on a side, then it is called flat"
-    )
-    rise: Finite = Field(
-        _REFITS.rise, ge=0.0, description="of the cost at a profile's ends; 0: from the residuals"
-    )
-    at_once: Positive = Field(_REFITS.at_once, description="refits under way at the same time")
-
-
-_DESIGN = SensitivitySettings()
-
-
-class SensitivitySection(ConfigSection):
+class SensitivitySection(SensitivitySettings):
     """Keys of a sensitivity analysis."""
 
-    method: str = Field(
-        _DESIGN.method,
-        description=f"{one_of(DESIGNS)}; morris: which of many unknowns matter, for few "
-        "simulations; sobol: the shares of the variance that each makes",
-    )
-    groups: Count = Field(
-        _DESIGN.groups,
-        description="trajectories of morris, each of one point more than there are unknowns, or "
-        "base samples of sobol, each of two more; 0: 20 or 512",
-    )
-    times: Count = Field(
-        _DESIGN.times,
-        description="of each output in each experiment that indices are computed at; 0: only of "
-        "the cost",
-    )
-    collinearity: Finite = Field(
-        _DESIGN.collinearity,
-        ge=1.0,
-        description="index above which unknowns cannot be estimated together",
-    )
     seed: Count = Field(0, description="starts the random generators")

@@ -14,14 +14,15 @@ from cluster_est.config.sections.search import (
     ConstraintSection,
     CostSection,
     MethodSection,
-    MultistartSection,
     SensitivitySection,
-    UncertaintySection,
 )
-from cluster_est.config.sections.types import LARGEST, ConfigSection, Count, Finite, Known, one_of
 from cluster_est.executors import EXECUTORS
 from cluster_est.problem.effects.table_values import Monotone
+from cluster_est.running.multistart import Multistart
+from cluster_est.running.records import Budget, LogSettings
 from cluster_est.running.resources import Resources
+from cluster_est.settings import ConfigSection, Count, Finite, Known, one_of
+from cluster_est.uncertainty import UncertaintySettings
 
 
 class ModelSection(ConfigSection):
@@ -175,50 +176,13 @@ class EffectSection(ConfigSection):
     )
 
 
-_LOOP, _RESOURCES = LoopSettings(), Resources()
-
-
-class ClosedLoopSection(ConfigSection):
+class ClosedLoopSection(LoopSettings):
     """Keys of the closed loop."""
 
-    effects: list[str] = Field(
-        default_factory=list, description="forms to try, such as coulomb; default: the library"
-    )
-    sites: list[str] = Field(
-        default_factory=list, description='where to look, such as "der(v)"; default: all'
-    )
-    max_effects: Count = Field(_LOOP.max_effects, gt=0, description="effects to add at most")
-    significance: Finite = Field(
-        _LOOP.significance,
-        gt=0.0,
-        lt=1.0,
-        description="largest p-value at which something counts as missing",
-    )
-    draws: int = Field(
-        _LOOP.draws, ge=100, le=LARGEST, description="Monte Carlo draws of each null distribution"
-    )
-    trials: Count = Field(_LOOP.trials, gt=0, description="candidates tried by a real simulation")
-    refits: Count = Field(_LOOP.refits, gt=0, description="of those, how many are refitted")
-    starts: Count = Field(
-        _LOOP.starts, gt=0, description="starts of the declared fit, where one is not enough"
-    )
-    least_gain: Finite = Field(
-        _LOOP.least_gain,
-        ge=0.0,
-        description="share of the gap to the noise that an effect must close",
-    )
-    near_noise: Finite = Field(
-        _LOOP.near_noise,
-        ge=1.0,
-        description='times the noise that may be left, training and held out, for "found"',
-    )
-    beam: Count = Field(
-        _LOOP.beam, gt=0, description="structures that each round grows; above 1 a wider search"
-    )
-    pairs: bool = Field(
-        _LOOP.pairs, description="try two effects at once where no single one is enough"
-    )
     seed: Count = Field(0, description="of every random generator of the loop")
+
+
+_RESOURCES = Resources()
 
 
 class ExecutorSection(ConfigSection):
@@ -246,9 +210,6 @@ class ExecutorSection(ConfigSection):
         gt=0.0,
         description="seconds that one may stand still, without a step that ends",
     )
-    patience: Finite | None = Field(
-        None, ge=0.0, description="of earlier versions: has no effect any more"
-    )
     memory: Finite | None = Field(
         None, gt=0.0, description="MB that a worker's simulation may have; default: no limit"
     )
@@ -256,33 +217,6 @@ class ExecutorSection(ConfigSection):
         _RESOURCES.limits.growth / 2.0**20,
         gt=0.0,
         description="MB by which an FMU may leak before its process is replaced",
-    )
-
-
-class BudgetSection(ConfigSection):
-    """Limits of a run."""
-
-    evaluations: Count | None = Field(
-        None, gt=0, description="points to evaluate at most, of all searches together"
-    )
-    seconds: Finite | None = Field(None, gt=0.0, description="after which nothing new is asked")
-
-
-class LogSection(ConfigSection):
-    """Keys of the log of evaluations."""
-
-    residuals: bool = Field(
-        True,
-        description="false: leave residuals and trajectories out; a resumed run computes them anew",
-    )
-    keep_residuals: bool = Field(
-        False,
-        description="true: they stay in the log when the run is done; else only their hashes do",
-    )
-    max_megabytes: Finite = Field(
-        1024.0,
-        ge=0.0,
-        description="size beyond which the oldest simulations lose theirs; 0: no limit",
     )
 
 
@@ -328,16 +262,16 @@ class Config(ConfigSection):
         default_factory=list, description="what parameters and signals must satisfy"
     )
     method: MethodSection = Field(MethodSection(), description="how")
-    multistart: MultistartSection = Field(MultistartSection(), description="from how many starts")
-    uncertainty: UncertaintySection = Field(
-        UncertaintySection(), description="intervals that take refits"
+    multistart: Multistart = Field(Multistart(), description="from how many starts")
+    uncertainty: UncertaintySettings = Field(
+        UncertaintySettings(), description="intervals that take refits"
     )
     sensitivity: SensitivitySection = Field(
         SensitivitySection(), description="what cluster-est sensitivity samples and computes"
     )
     executor: ExecutorSection = Field(ExecutorSection(), description="where")
-    budget: BudgetSection = Field(BudgetSection(), description="for how long")
-    log: LogSection = Field(LogSection(), description="how much of each simulation is kept")
+    budget: Budget = Field(Budget(), description="for how long")
+    log: LogSettings = Field(LogSettings(), description="how much of each simulation is kept")
     _units_of_files: Mapping[str, str] = PrivateAttr(default_factory=dict)
 
     @property

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
-from cluster_est.config.sections.types import ConfigSection
+from cluster_est.settings import ConfigSection
 
 NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._+-]*[A-Za-z0-9])?")
 """Of runs, which are folders, and of what they are made of: usable on every file system."""

@@ -13,7 +13,6 @@ from support.problems.springs import ROOT
 
 import cluster_est as ce
 from cluster_est.closed_loop.findings.result import Verdict
-from cluster_est.config.settings import build_settings
 
 pytestmark = pytest.mark.slow
 
@@ -26,7 +25,7 @@ def closed(name: str, file: str, monkeypatch: pytest.MonkeyPatch):
     config = ce.read_config(ROOT / "configs" / f"{name}.toml")
     assert not config.effects
     problem = ce.build_problem(config, ROOT / "configs")
-    result = ce.close_loop(problem, ce.Resources(workers=2), build_settings(config))
+    result = ce.close_loop(problem, ce.Resources(workers=2), config.closed_loop)
     return problem, result
 
 

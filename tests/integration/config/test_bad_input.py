@@ -92,16 +92,6 @@ def test_a_value_of_the_command_line_is_in_no_line(refuse):
     assert ", line " in said
 
 
-def test_a_key_that_has_no_effect_any_more_is_accepted_with_a_word(tmp_path, capsys):
-    path = write_input(tmp_path, {"executor": {"name": "processes", "patience": 20.0}})
-    assert main(["check", str(path), "--seconds", "0"]) == 0
-    said = "".join(capsys.readouterr())
-    for word in ("executor.patience", "no effect any more", "max_steps", "stall", "timeout"):
-        assert word in said
-    assert main(["check", str(write_input(tmp_path)), "--seconds", "0"]) == 0
-    assert "patience" not in "".join(capsys.readouterr())
-
-
 @pytest.mark.parametrize(
     ("content", "pattern"),
     [

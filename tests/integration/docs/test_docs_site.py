@@ -21,6 +21,7 @@ from support.problems.springs import ROOT
 
 from cluster_est.cli import main
 from cluster_est.run_folder.evaluation_log import read_log
+from cluster_est.settings import keys_of
 from cluster_est.toml import to_toml
 from workers.effects.forms import FORMS
 
@@ -65,7 +66,7 @@ def keys(section: type[BaseModel], seen: set[type[BaseModel]]) -> list[str]:
     """The lines that a page has for the keys of a section and of those inside it."""
     seen.add(section)
     found = []
-    for name, field in section.model_fields.items():
+    for name, field in keys_of(section):
         assert field.description, f"{section.__name__}.{name}"
         found.append(f"| `{name}` |")
         pending = [field.annotation]

@@ -17,7 +17,6 @@ from support.problems.springs import spring_problem
 from support.truth.springs_with_friction import write_config
 
 import cluster_est as ce
-from cluster_est.config.settings import build_settings
 from workers.messages import Limits
 
 pytestmark = pytest.mark.slow
@@ -82,7 +81,7 @@ def fitted(_: Path, resources: ce.Resources, record: Recorder) -> ce.Result:
 
 def closed(folder: Path, resources: ce.Resources, record: Recorder) -> ce.LoopResult:
     config = ce.read_config(write_config(folder))
-    problem, settings = ce.build_problem(config, folder), build_settings(config)
+    problem, settings = ce.build_problem(config, folder), config.closed_loop
     return ce.close_loop(problem, resources, settings, record=record)
 
 

@@ -144,7 +144,7 @@ def test_a_torn_segment_is_read_and_mended_wherever_it_was_cut(tmp_path):
 
 def test_segments_are_rotated_and_read_in_order(tmp_path):
     recorded = trajectories(300)
-    write(open_log(tmp_path, LogSettings(megabytes=1.0)), recorded, 10)
+    write(open_log(tmp_path, LogSettings(max_megabytes=1.0)), recorded, 10)
     names = sorted(path.name for path in tmp_path.glob("*.arrows"))
     assert names == [f"{i:05d}.arrows" for i in range(len(names))]
     assert len(names) >= 3
@@ -195,7 +195,7 @@ def test_nothing_that_is_there_is_written_over(tmp_path):
 
 def test_a_log_that_cannot_be_written_is_said_with_a_row_that_follows(tmp_path):
     (tmp_path / "00001.arrows").mkdir()
-    log = open_log(tmp_path, LogSettings(megabytes=1e-4))  # each segment holds one batch
+    log = open_log(tmp_path, LogSettings(max_megabytes=1e-4))  # each segment holds one batch
     log.record(*rows(1)[0])
     log.record(*rows(1)[0])
     time.sleep(0.5)  # it is written meanwhile
@@ -222,7 +222,7 @@ def test_residuals_can_be_left_out(tmp_path):
 
 
 def test_the_oldest_segments_of_a_full_log_lose_their_residuals(tmp_path):
-    recorded, log = trajectories(300), open_log(tmp_path, LogSettings(megabytes=0.25))
+    recorded, log = trajectories(300), open_log(tmp_path, LogSettings(max_megabytes=0.25))
     for first in range(0, 300, 10):
         for row in recorded[first : first + 10]:
             log.record(*row)
@@ -288,7 +288,7 @@ def test_residuals_that_are_wanted_stay(tmp_path):
 def test_a_log_that_cannot_be_made_smaller_ends_no_run(tmp_path):
     (tmp_path / ".00000.slim").mkdir()  # where the smaller one would be written
     said: list[str] = []
-    log = open_log(tmp_path, LogSettings(megabytes=0.05), say=said.append)
+    log = open_log(tmp_path, LogSettings(max_megabytes=0.05), say=said.append)
     write(log, trajectories(100), 1)
     log.let_residuals_go()
     assert read_log(tmp_path)["residuals"].null_count == 0

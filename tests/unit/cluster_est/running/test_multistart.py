@@ -138,7 +138,7 @@ def test_points_lie_within_the_bounds_and_follow_from_the_seed(kind, count, seed
     assert points.shape == (count, 2)
     assert ((points >= space.lower) & (points <= space.upper)).all()
     np.testing.assert_array_equal(points, sample(space, count, multistart))
-    assert (points != sample(space, count, replace(multistart, seed=seed ^ 1))).any()
+    assert (points != sample(space, count, multistart.changed(seed=seed ^ 1))).any()
 
 
 def test_on_a_log_scale_each_decade_gets_as_many():
@@ -338,9 +338,9 @@ def test_failed_starts_bring_nothing_new_but_end_nothing_before_the_first_minimu
 @pytest.mark.slow
 def test_which_starts_are_enough_does_not_depend_on_which_is_faster(seed, workers, at_once, given):
     multistart = Multistart(points=stays(given), patience=2)
-    expected = bits(search(HIMMELBLAU, replace(multistart, at_once=1), STAY))
+    expected = bits(search(HIMMELBLAU, multistart.changed(at_once=1), STAY))
     runner = shuffled(HIMMELBLAU, seed, workers)
-    found = search(HIMMELBLAU, replace(multistart, at_once=at_once), STAY, runner)
+    found = search(HIMMELBLAU, multistart.changed(at_once=at_once), STAY, runner)
     assert bits(found) == expected
 
 

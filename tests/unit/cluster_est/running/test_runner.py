@@ -165,7 +165,7 @@ class TestBudget:
 
     def test_of_no_time_still_answers_the_first_request(self) -> None:
         method = Script([[1.0, 2.0], [3.0]])
-        (solution,) = Runner(executor_of(), Budget(seconds=0.0)).run([whole(method)])
+        (solution,) = Runner(executor_of(), Budget(seconds=1e-9)).run([whole(method)])
         assert solution.ending is Ending.BUDGET
         assert len(method.answers) == 1
         costs = [at.cost for at in method.answers[0]]

@@ -107,8 +107,8 @@ class TestIntervals:
         assert (wide.lower, wide.upper) == pytest.approx((-expected, expected), rel=0.02)
 
     def test_the_seed_alone_decides_and_not_how_many_run_at_once(self, found):
-        assert run(levels(), replace(SETTINGS, at_once=1)) == found
-        other = run(levels(), replace(SETTINGS, bootstrap=20), seed=1)
+        assert run(levels(), SETTINGS.changed(at_once=1)) == found
+        other = run(levels(), SETTINGS.changed(bootstrap=20), seed=1)
         assert other.draws != found.draws[:20]
 
 
@@ -122,7 +122,7 @@ class TestUnknowns:
             Parameter("own", 0.0, fixed=True),
         )
         curves = Curves(line, parameters, TIMES, measured, groups=("a", "a", "b", "b", "b", "c"))
-        result = run(curves, replace(SETTINGS, bootstrap=100))
+        result = run(curves, SETTINGS.changed(bootstrap=100))
         assert result.labels == ("slope", "level[a]", "level[b]")
         used = {each.label: each.used for each in result.intervals}
         assert used["slope"] == 100
@@ -131,7 +131,7 @@ class TestUnknowns:
 
     def test_local_unknowns_are_refitted(self):
         slopes = 2.0 + 0.1 * np.random.default_rng(0).normal(size=6)
-        for draw in run(lines(slopes), replace(SETTINGS, bootstrap=50)).draws:
+        for draw in run(lines(slopes), SETTINGS.changed(bootstrap=50)).draws:
             mean = np.mean([slopes[int(name[1:])] for name in draw.experiments])
             assert draw.estimates[0] == pytest.approx(mean, rel=1e-8)
 
@@ -139,7 +139,7 @@ class TestUnknowns:
 class TestFailures:
     def test_a_wall_in_the_way_of_refits_leaves_them_there(self):
         """The start of a refit is the optimum and can be simulated, so such a draw still counts."""
-        curves, settings = levels(6), replace(SETTINGS, bootstrap=40)
+        curves, settings = levels(6), SETTINGS.changed(bootstrap=40)
 
         def sometimes(times, values, experiment):
             return np.full(len(times), values[0] if values[0] > 4.9 else np.nan)
@@ -156,7 +156,7 @@ class TestFailures:
 
     def test_a_budget_that_ends_leaves_fewer_draws_and_says_so(self):
         runner = Runner(CurveExecutor(levels()), Budget(evaluations=60))
-        result = run(levels(), replace(SETTINGS, at_once=1), runner=runner)
+        result = run(levels(), SETTINGS.changed(at_once=1), runner=runner)
         used = result.intervals[0].used
         assert 0 < used < 80
         assert result.failures == 80 - used
@@ -164,7 +164,7 @@ class TestFailures:
         assert f"{80 - used} of 80 draws have no refit" in result.sentences[0]
 
     def test_too_few_usable_draws_give_no_interval(self):
-        result = run(levels(), replace(SETTINGS, bootstrap=10))
+        result = run(levels(), SETTINGS.changed(bootstrap=10))
         assert np.isnan(result.intervals[0].lower)
         assert result.intervals[0].used == 10
         assert "no interval of level, because fewer than 20 draws" in result.sentences[0]

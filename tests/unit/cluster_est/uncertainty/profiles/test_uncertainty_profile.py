@@ -297,7 +297,7 @@ def test_refits_are_the_same_in_any_order(method, changed):
     settings = UncertaintySettings(("slope", "level"))
     usual = profiles(runner, space, solution, METHOD, settings)
     other = Runner(ShufflingExecutor(CurveExecutor(lines())._answer))
-    assert profiles(other, space, solution, method, replace(settings, **changed)) == usual
+    assert profiles(other, space, solution, method, settings.changed(**changed)) == usual
 
 
 class TestSelection:
@@ -332,7 +332,7 @@ class TestSelection:
     def test_a_cost_without_weights_needs_a_rise(self):
         curves = lines(cost=COSTS["sae"]())
         settings = UncertaintySettings(("slope",))
-        check_profiles(curves.space(), replace(settings, rise=3.84))
+        check_profiles(curves.space(), settings.changed(rise=3.84))
         with pytest.raises(ProblemError, match=r"uncertainty\.rise"):
             check_profiles(curves.space(), settings)
         start = Solution(curves.space().start, 1.0, Ending.CONVERGED)
