@@ -19,7 +19,6 @@ from workers.effects.units import UNKNOWN, coefficient_units
 from workers.fmu.description import ModelDescription
 from workers.messages import Experiment
 
-Row = Mapping[str, Any]
 MOST_NAMED = 4
 """Experiments in a note."""
 

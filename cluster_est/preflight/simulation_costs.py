@@ -11,7 +11,7 @@ from workers.probes.probes import CostProbe, SimulationCost
 from workers.process.forked import CAN_FORK
 from workers.process.trial import NoAnswer
 
-SECONDS = 1.0
+MOST_SECONDS = 1.0
 """Time for the measurement, where it suffices."""
 ENOUGH = 150
 """Simulations for which there is time with any longer time for all checks."""
@@ -28,7 +28,7 @@ LEAK = 1024.0
 def costs(subject: CheckSubject) -> list[CheckFinding]:
     """Return the median time of a simulation, and the memory that each leaves behind."""
     seconds = max(
-        min(SECONDS, subject.budget.left / 3.0),
+        min(MOST_SECONDS, subject.budget.left / 3.0),
         min(ENOUGH * subject.simulation_seconds, subject.budget.left / 4.0),
     )
     probe = CostProbe(*subject.probe_arguments, seconds)

@@ -13,7 +13,7 @@ from cluster_est.statistics.residual_findings import (
     SigmaDoubt,
 )
 
-MOST_NAMED = 4
+MOST_OUTPUTS = 4
 """Outputs in a sentence; of more, those with the largest error are named."""
 
 VISIBLE = 0.1
@@ -54,16 +54,16 @@ def residual_sentences(diagnostics: ResidualDiagnostics) -> tuple[str, ...]:
         )
     if others:
         sentences.append(
-            f"{_each(others, _over_noise)}: {reason}something is missing from the model, and these "
-            "intervals are too narrow, or the sensor's noise is coloured, which they allow for; "
-            f"{ADVICE}"
+            f"{_each(others, _times_noise)}: {reason}something is missing from the model, and "
+            "these intervals are too narrow, or the sensor's noise is coloured, which they "
+            f"allow for; {ADVICE}"
         )
     return (*sentences, *(_of_sigma(output) for output in found if output.sigma))
 
 
 def _each(outputs: Iterable[OutputDiagnostics], say: Callable[[OutputDiagnostics], str]) -> str:
     ordered = sorted(outputs, key=lambda o: -o.rms_over_sigma)
-    said = [f"{o.output}: {say(o)}" for o in ordered[:MOST_NAMED]]
+    said = [f"{o.output}: {say(o)}" for o in ordered[:MOST_OUTPUTS]]
     more = len(ordered) - len(said)
     return "; ".join(said) + (f"; and {more} more outputs" if more > 0 else "")
 
@@ -79,7 +79,7 @@ def _no_larger(output: OutputDiagnostics) -> str:
     )
 
 
-def _over_noise(output: OutputDiagnostics) -> str:
+def _times_noise(output: OutputDiagnostics) -> str:
     noise = "its noise from sample to sample"
     if not output.declared:
         noise += f" ({output.noise_over_sigma:.2g}; no sigma is declared)"

@@ -60,7 +60,7 @@ def as_fmi_2(root: Element, description: ModelDescription) -> Element:
     for tag in ("ModelExchange", "CoSimulation"):
         if (section := root.find(tag)) is not None:
             made.append(_interface(tag, section, description))
-    inverse = _add_units(made, root)
+    inverse = _add_fmi3_units(made, root)
     types = _add_types(made, root, inverse)
     if (categories := root.findall("LogCategories/Category")) != []:
         section = SubElement(made, "LogCategories")
@@ -84,7 +84,7 @@ def _interface(tag: str, old: Element, description: ModelDescription) -> Element
     return made
 
 
-def _add_units(made: Element, root: Element) -> set[str]:
+def _add_fmi3_units(made: Element, root: Element) -> set[str]:
     """Copy the units. Returns the display units that FMI 2.0 does not have."""
     inverse: set[str] = set()
     found = root.findall("UnitDefinitions/Unit")

@@ -102,7 +102,7 @@ def _tables(layout: WrapperLayout) -> dict[str, object]:
         "RAW_STARTS": _list(map(_number, raw)),
         "NOMINALS": _list(map(_number, nominals)),
         "INPUT_MEMORIES": _list(_memory(layout, i) for i in layout.memories),
-        "OUTPUT_EFFECTS": _list(_output(layout, i) for i in layout.outputs),
+        "OUTPUT_EFFECTS": _list(_output_effect(layout, i) for i in layout.outputs),
         "SPECIALS": _list(
             f"{{{s.reference}, {s.kind}, {s.index}, {s.start}}}" for s in layout.answered
         ),
@@ -152,7 +152,7 @@ def _memory(layout: WrapperLayout, index: int) -> str:
     return f"{{{effect.form.memory.upper()}, {column}, {layout.repair.positions[index]}}}"
 
 
-def _output(layout: WrapperLayout, index: int) -> str:
+def _output_effect(layout: WrapperLayout, index: int) -> str:
     effect = layout.effect(index)
     column = layout.row.index(effect.site.target)
     delay = layout.repair.positions[index] if effect.form.memory else -1
