@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cluster_est.config.build import build_problem
-from cluster_est.config.limits_file import read_limits
-from cluster_est.config.predictions import with_named_targets
+from cluster_est.config.limits_file import read_limits, with_named_targets
 from cluster_est.config.reader import Config, EffectSection, read_config
 from cluster_est.configured_run import ConfiguredRun
 from cluster_est.errors import ConfigError, RunFolderError

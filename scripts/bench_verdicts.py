@@ -31,7 +31,7 @@ import cluster_est as ce
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.loop import close_loop
-from cluster_est.results.residual_sentences import residual_sentences
+from cluster_est.results.facts import residual_sentences
 
 SEEN = 100.0
 """Likelihood ratio above which a fit must warn."""

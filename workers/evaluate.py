@@ -27,8 +27,7 @@ from workers.messages import (
     Want,
 )
 from workers.residuals.base import SimulatedOutputs
-from workers.residuals.experiment import BatchComparison, ExperimentComparison
-from workers.residuals.reduce import reduce_residuals
+from workers.residuals.experiment import BatchComparison, ExperimentComparison, reduce_residuals
 from workers.simulation.batch import SimulationBatch
 from workers.simulation.bind_experiment import BoundExperiment
 from workers.simulation.simulator import Simulator

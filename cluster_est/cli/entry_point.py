@@ -16,7 +16,7 @@ from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.output_streams import LenientStreams
 from cluster_est.cli.parent_process import address_space, end, tell_of_fmu
 from cluster_est.cli.parser import parse
-from cluster_est.config.text.key_lines import with_lines
+from cluster_est.config.text import with_lines
 from cluster_est.errors import ClusterEstError
 from cluster_est.running.interrupts import terminations
 from workers import caches

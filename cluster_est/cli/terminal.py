@@ -2,19 +2,178 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+import os
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import TracebackType
+from typing import Self
 
 from rich.console import Console
+from rich.live import Live
+from rich.text import Text
 
-from cluster_est.cli.display.progress import FIRST, ProgressLine
 from cluster_est.cli.display.run import say
 from cluster_est.configured_run import Listener
 from cluster_est.problem.effects.process_noise import noise_names
 from cluster_est.problem.problem import Problem
-from cluster_est.running.records import Show
+from cluster_est.run_folder.progress_text import left_of_step, pace_of, what_is_done
+from cluster_est.running.records import Budget, RunSnapshot, Show
 from cluster_est.running.resources import Resources
 from workers.kernels.fmi.compiling import compiled_before
+
+SECONDS_BETWEEN = 0.1
+SECONDS_OF_LINES, SHARE_OF_LINES = 30.0, 0.05
+"""At least between two printed lines: seconds, and share of the time that the run has taken."""
+HINT_SECONDS = 20.0
+"""In which all workers were busy and as many simulations again were waiting."""
+FIRST = (
+    "the loops that call the FMU are compiled for this machine first, which takes about half a "
+    "minute of one core; later runs find them ready"
+)
+
+
+class ProgressLine:
+    """A line with what is done, the time left, evaluations per second and busy workers.
+
+    On a terminal it is renewed in place; elsewhere it is printed once in a while, less and less
+    often. Where more workers would help, a sentence says so once.
+
+    Parameters
+    ----------
+    console
+        Where to.
+    budget
+        What the time left is counted from.
+    cores
+        Of this machine.
+    clock
+        Gives seconds; for tests.
+    most_workers
+        That can be started; None for any number.
+    """
+
+    def __init__(
+        self,
+        console: Console,
+        budget: Budget,
+        cores: int | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        most_workers: int | None = None,
+    ) -> None:
+        self._budget, self._console, self._clock = budget, console, clock
+        self._begun = self._printed = clock()
+        self._hint = WorkerHint(os.cpu_count() or 1 if cores is None else cores, most_workers)
+        self._live = Live(console=console, auto_refresh=False, transient=True)
+        self._enabled = console.is_terminal
+        self._shown = 0.0
+
+    def __enter__(self) -> Self:
+        if self._enabled:
+            self._live.start()
+            self._put("starting")
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if self._enabled:
+            self._live.stop()
+
+    def show(self, snapshot: RunSnapshot) -> None:
+        """Refresh, at most ten times a second."""
+        now = self._clock()
+        if now - self._shown <= SECONDS_BETWEEN:
+            return
+        self._shown = now
+        if hint := self._hint.look(snapshot):
+            self._print(hint)
+        if self._enabled:
+            self._put(line(snapshot, self._budget))
+        elif now - self._printed >= max(SECONDS_OF_LINES, SHARE_OF_LINES * (now - self._begun)):
+            self._printed = now
+            self._print(line(snapshot, self._budget))
+
+    def _print(self, text: str) -> None:
+        self._console.print(f"cluster-est: {text}", soft_wrap=True, highlight=False, markup=False)
+
+    def _put(self, text: str) -> None:
+        self._live.update(Text(text, no_wrap=True, overflow="ellipsis"), refresh=True)
+
+
+class WorkerHint:
+    """Says once that more workers would help: all are busy, and cores of this machine are not.
+
+    Parameters
+    ----------
+    cores
+        Of this machine.
+    most_workers
+        That can be started; None for any number.
+    """
+
+    def __init__(self, cores: int, most_workers: int | None = None) -> None:
+        self._cores = cores
+        self._useful = cores if most_workers is None else min(cores, most_workers)
+        self._since = math.nan
+        self._said = False
+
+    def look(self, snapshot: RunSnapshot) -> str:
+        """Return the sentence where it is due, else nothing."""
+        workers = snapshot.workers
+        if self._said or workers >= self._useful:
+            return ""
+        if snapshot.busy < workers or snapshot.waiting < workers:
+            self._since = math.nan
+            return ""
+        if math.isnan(self._since):
+            self._since = snapshot.seconds
+        if snapshot.seconds - self._since < HINT_SECONDS:
+            return ""
+        self._said = True
+        verb = "simulates" if workers == 1 else "simulate"
+        return (
+            f"{workers} of this machine's {self._cores} cores {verb} while {snapshot.waiting} "
+            f"simulations wait; executor.workers={self._useful} would be faster, and the result "
+            "the same (stop with Ctrl-C, go on with --resume)"
+        )
+
+
+def line(snapshot: RunSnapshot, budget: Budget) -> str:
+    """The text of the line."""
+    progress = snapshot.progress
+    rate = snapshot.evaluations / max(snapshot.seconds, 1e-9)
+    done = what_is_done(snapshot.search, snapshot.phase, snapshot.ended, snapshot.searches)
+    parts = [
+        f"{done}, iteration {progress.iteration}" if snapshot.searches == 1 else done,
+        left_of_step(snapshot.phase, snapshot.left, at_most=snapshot.at_most),
+        pace_of(snapshot.pace),
+        "" if snapshot.searches > 1 or math.isnan(progress.cost) else f"cost {progress.cost:.6g}",
+        f"{snapshot.evaluations} evaluations ({rate:.3g}/s)",
+        f"{snapshot.busy}/{snapshot.workers} workers busy",
+        f"{snapshot.seconds:.0f} s",
+        _left(snapshot, budget, rate),
+    ]
+    if snapshot.failures:
+        parts.insert(4, f"{snapshot.failures} simulations failed")
+    return " | ".join(part for part in parts if part)
+
+
+def _left(snapshot: RunSnapshot, budget: Budget, rate: float) -> str:
+    """Time left of the budget of a recipe of many steps; that of a single one is said already."""
+    if not snapshot.phase and not math.isnan(snapshot.left):
+        return ""
+    limits = []
+    if budget.seconds is not None:
+        limits.append(budget.seconds - snapshot.seconds)
+    if budget.evaluations is not None and rate > 0.0:
+        limits.append((budget.evaluations - snapshot.evaluations) / rate)
+    return f"at most {max(0.0, min(limits)):.0f} s left" if limits else ""
 
 
 def complain(text: str) -> None:

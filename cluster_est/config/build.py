@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from cluster_est.config.constraints import check_signals, parameter_constraints
-from cluster_est.config.effects import build_effects, build_shared_sensors
+from cluster_est.config.effects import build_effects, build_shared_sensors, with_maps
 from cluster_est.config.experiments import build_experiments
-from cluster_est.config.maps import with_maps
 from cluster_est.config.options import build_cost, build_prior
 from cluster_est.config.reader import Config, ParameterSection, read_config
 from cluster_est.config.reading import find_file

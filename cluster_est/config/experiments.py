@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cluster_est.config.constraints import constraint_functions, signal_bounds
+from cluster_est.config.constraints import constraint_functions, signal_bounds, snapped_bound
 from cluster_est.config.reader import Config, ExperimentSection
 from cluster_est.config.reading import ExperimentReader, find_file
-from cluster_est.config.signal_limits import snapped_bound
 from cluster_est.config.time_base import compared_at, counted, weighted
 from cluster_est.config.user_code import UserCode
 from cluster_est.errors import ConfigError

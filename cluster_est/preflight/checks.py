@@ -2,34 +2,214 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from cluster_est.executors import executor_class
-from cluster_est.preflight.findings import CheckFinding, CheckPage, CheckVerdict
+from cluster_est.executors.backlog import BATCH_SECONDS
+from cluster_est.preflight.findings import CheckFinding, CheckPage, CheckVerdict, listed
 from cluster_est.preflight.measured_data import data_findings
 from cluster_est.preflight.misread_units import misread_units
 from cluster_est.preflight.parameters import bounds, corners, effects
-from cluster_est.preflight.remedies import (
+from cluster_est.preflight.repeatability import (
     Remedy,
+    instances,
+    later,
     refused_parameters,
     remedy,
+    repeatable,
+    stop_time,
     without_parameters,
 )
-from cluster_est.preflight.repeatability import instances, later, repeatable, stop_time
-from cluster_est.preflight.rest import at_rest, starts_elsewhere
-from cluster_est.preflight.simulation_costs import costs
 from cluster_est.preflight.solver_checks import accuracy, derivatives, stiffness
-from cluster_est.preflight.subject import CheckSubject, TimeBudget
+from cluster_est.preflight.subject import CheckSubject, TimeBudget, unanswered
+from cluster_est.problem.effects.sensors import sensor_outputs
 from cluster_est.problem.problem import Problem
+from cluster_est.results.initial_errors import (
+    estimates_start,
+    free_start_advice,
+    initial_errors,
+    noise_of_samples,
+)
 from cluster_est.results.output_errors import Simulation
 from cluster_est.running.resources import Resources
 from workers.kernels.fmi.failure import MESSAGES, TERMINATED
-from workers.messages import Experiment, Model, Outcome, Status, Task
-from workers.probes.probes import CompileProbe, SimulationProbe
+from workers.messages import Experiment, FloatArray, Model, Outcome, Status, Task
+from workers.probes.probes import CompileProbe, CostProbe, SimulationCost, SimulationProbe
+from workers.process.forked import CAN_FORK
 from workers.process.trial import NoAnswer, ProbeBench
+
+STILL = 1e-9
+"""Share of its size by which an output may change and yet stand still."""
+CLEAR = 5.0
+"""Times the noise by which a measured output moves clearly."""
+
+
+def at_rest(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[CheckFinding]:
+    """Name the experiments in which nothing moves at the start values though it was measured to.
+
+    One whose initial state is estimated may well begin at rest: it is left out.
+    """
+    resting = []
+    for simulation in simulations:
+        experiment = subject.problem.experiments[simulation.experiment]
+        moving = [o for o in experiment.outputs if _moves(o.values)]
+        known = not estimates_start(subject.space, simulation.experiment, subject.description)
+        if moving and known and _still(simulation):
+            resting.append((experiment, moving[0]))
+    if not resting or not subject.declared:
+        return []
+    experiment, output = resting[0]
+    several = len(resting) > 1
+    where = f"experiment{'s' if several else ''} {listed([e.id for e, _ in resting])}"
+    far = float(np.ptp(output.values))
+    unit = "" if output.ordinal else subject.description.variables[output.variable].unit
+    said = (
+        f"nothing moves in the simulation of {where}{_though(experiment)}: its start is an "
+        f"equilibrium; the measured {output.variable} moves by {f'{far:.3g} {unit}'.strip()}"
+    )
+    return [
+        CheckFinding(
+            CheckVerdict.NOTE,
+            "start",
+            said,
+            f"{free_start_advice(subject.problem)}; or give the input that moves it",
+        )
+    ]
+
+
+def starts_elsewhere(
+    subject: CheckSubject, simulations: Sequence[Simulation]
+) -> list[CheckFinding]:
+    """Name the output that is farthest from its measurement at the first sample."""
+    if not subject.declared:
+        return []
+    unknown = sensor_outputs(subject.problem)
+    errors = initial_errors(subject.problem, simulations, fitted=False)
+    found = [each for each in errors if each.output not in unknown]
+    if not found:
+        return []
+    said = f"{found[0].sentence}, at the start values"
+    return [CheckFinding(CheckVerdict.NOTE, "start", said, free_start_advice(subject.problem))]
+
+
+def _though(experiment: Experiment) -> str:
+    driven = [i.variable for i in experiment.inputs if np.ptp(i.values) > 0.0]
+    return f", though {listed(driven)} does" if len(driven) == 1 else ""
+
+
+def _still(simulation: Simulation) -> bool:
+    trajectory = simulation.outcome.trajectory
+    if trajectory is None or not trajectory.values.size:
+        return False
+    sizes = np.abs(trajectory.values).max(axis=0)
+    return bool(np.all(np.ptp(trajectory.values, axis=0) <= STILL * sizes))
+
+
+def _moves(values: FloatArray) -> bool:
+    """Return True for a signal that moves by more than its noise."""
+    if len(values) < 4 or np.ptp(values) == 0.0:
+        return False
+    return bool(np.std(values) > CLEAR * noise_of_samples(values))
+
+
+MOST_SECONDS = 1.0
+"""Time for the measurement, where it suffices."""
+ENOUGH = 150
+"""Simulations for which there is time with any longer time for all checks."""
+SHORT = 2e-4
+"""Seconds: shorter simulations are not worth the way to another process."""
+LONG = 1.0
+"""Seconds: so long a simulation is worth a plan that asks for few of them."""
+LEAST_COUNT = 100
+"""Simulations from which on a leak can be told."""
+LEAK = 1024.0
+"""Bytes for each simulation: less is no leak."""
+
+
+def costs(subject: CheckSubject) -> list[CheckFinding]:
+    """Return the median time of a simulation, and the memory that each leaves behind."""
+    seconds = max(
+        min(MOST_SECONDS, subject.budget.left / 3.0),
+        min(ENOUGH * subject.simulation_seconds, subject.budget.left / 4.0),
+    )
+    probe = CostProbe(*subject.probe_arguments, seconds)
+    found = subject.ask(probe, 10)
+    if isinstance(found, NoAnswer):
+        return (
+            [_one_measured(subject), unanswered("memory", found)]
+            if subject.simulation_seconds
+            else []
+        )
+    return [
+        _time(subject, found.seconds, found.count),
+        *_few_simulations(found.seconds),
+        _memory(subject, found),
+    ]
+
+
+def _few_simulations(seconds: float) -> list[CheckFinding]:
+    """Recommend what asks for few simulations where each of them takes long."""
+    if seconds < LONG:
+        return []
+    said = (
+        "a simulation takes long, and least_squares asks for more of them than it must, so that "
+        "many workers have something to do: on the embedded example for 189 in place of 99"
+    )
+    do = (
+        'with few workers method.options = { trials = 1, differences = "forward" }, and with ten '
+        "unknowns or more secant_updates = 20 beside them; for methods de, pso and ga "
+        "early_end = true"
+    )
+    return [CheckFinding(CheckVerdict.OK, "few simulations", said, do)]
+
+
+def _one_measured(subject: CheckSubject) -> CheckFinding:
+    return _time(subject, subject.simulation_seconds, 1)
+
+
+def _time(subject: CheckSubject, seconds: float, count: int) -> CheckFinding:
+    cores = os.cpu_count() or 1
+    said = f"{_shown(seconds)} a simulation (median of {count})"
+    together = round(BATCH_SECONDS / max(seconds, 1e-6))
+    if together > 1:
+        said += f"; a worker gets up to {together} at a time"
+    if seconds < SHORT:
+        said += "; too short to be worth the way to another process"
+        do = "" if subject.in_process else 'executor.name = "local" is enough'
+    elif cores > 1 and not CAN_FORK:
+        do = f"executor.workers = {cores}"
+    elif subject.in_process and cores > 1:
+        do = f'executor.name = "processes" and executor.workers = {cores}, or "ray" for a cluster'
+    else:
+        do = ""
+    return CheckFinding(CheckVerdict.OK, "cost", said, do)
+
+
+def _shown(seconds: float) -> str:
+    if seconds >= 1.0:
+        return f"{seconds:.3g} s"
+    return f"{1e3 * seconds:.3g} ms" if seconds >= 1e-3 else f"{1e6 * seconds:.3g} us"
+
+
+def _memory(subject: CheckSubject, found: SimulationCost) -> CheckFinding:
+    if found.leak is None or (found.count < LEAST_COUNT and found.leak < 50.0 * LEAK):
+        said = f"{found.count} simulations are too few to see a leak"
+        do = "give it more time with --seconds"
+        return CheckFinding(CheckVerdict.NOT_DONE, "memory", said, do)
+    if found.leak < LEAK:
+        return CheckFinding(CheckVerdict.OK, "memory", f"no leak in {found.count} simulations")
+    said = f"leaks {found.leak / 1024:.3g} kB a simulation"
+    lasts = subject.growth / found.leak
+    if subject.in_process:
+        do = 'executor.name = "processes", whose processes are replaced as they grow'
+        return CheckFinding(CheckVerdict.NOTE, "memory", said, do)
+    said += f"; its process is replaced after about {lasts:.3g} of them (executor.growth)"
+    return CheckFinding(CheckVerdict.NOTE, "memory", said)
+
 
 SECONDS = 4.0
 """Time for all checks, once there is a process for them."""

@@ -13,10 +13,9 @@ from cluster_est.report.sections.design import design
 from cluster_est.report.sections.effects import candidates, effects
 from cluster_est.report.sections.errors import errors
 from cluster_est.report.sections.parameters import parameters
-from cluster_est.report.sections.provenance import provenance
 from cluster_est.report.sections.search import search
 from cluster_est.report.sections.sensitivity import sensitivity
-from cluster_est.report.sections.workers import workers
+from cluster_est.report.sections.workers import provenance, workers
 from cluster_est.report.summary import summarise
 
 REPORT = "report.html"

@@ -2,22 +2,174 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from cluster_est.problem.effects.process_noise import process_noise_notes, vanished_noise
 from cluster_est.problem.idle_inputs import silent_notes
+from cluster_est.problem.problem import Problem
 from cluster_est.results.initial_errors import initial_notes
 from cluster_est.results.observation import observation_notes
 from cluster_est.results.output_errors import worse_than_constants
-from cluster_est.results.prior_sentences import prior_sentences
-from cluster_est.results.residual_sentences import residual_facts, residual_sentences
 from cluster_est.results.solver_error.measure import solver_facts
-from cluster_est.statistics.residual_findings import OutputDiagnostics
+from cluster_est.results.tables.row_types import Estimate
+from cluster_est.statistics.residual_findings import (
+    OutputDiagnostics,
+    ResidualDiagnostics,
+    ResidualStructure,
+    SigmaDoubt,
+)
 
-if TYPE_CHECKING:  # a result offers its facts, so it knows this file
+if TYPE_CHECKING:
     from cluster_est.results.result import Result
-    from cluster_est.results.tables.row_types import Estimate
+
+
+FAR = 2.0
+"""Standard deviations from the centre of a prior beyond which an estimate contradicts it: one of
+twenty lies there by chance."""
+
+
+def prior_sentences(problem: Problem, estimates: Sequence[Estimate]) -> tuple[str, ...]:
+    """Say what the priors add to the cost, and which estimates lie far from theirs.
+
+    Parameters
+    ----------
+    problem
+        Whose parameters have priors, or none.
+    estimates
+        All values of a fit; those of held-out data count in no cost of the training data.
+    """
+    priors = {p.name: p.prior for p in problem.parameters if p.prior is not None}
+    known = [(e, priors[e.parameter], e.estimated_on) for e in estimates if e.parameter in priors]
+    if not known:
+        return ()
+    train = [prior.residual(each.value) for each, prior, on in known if on == "train"]
+    added = sum(residual**2 for residual in train)
+    said = []
+    if train:
+        one = len(train) == 1
+        named = (
+            "a prior, which counts like a measurement, adds"
+            if one
+            else (f"{len(train)} priors, which count like measurements, add")
+        )
+        said = [f"{named} {added:.3g} to the cost"]
+    for each, prior, _ in known:
+        residual = prior.residual(each.value)
+        if abs(residual) > FAR:
+            where = "above" if residual > 0.0 else "below"
+            said.append(
+                f"{each.label} = {each.value:.4g} lies {abs(residual):.2g} standard deviations "
+                f"{where} its prior ({prior.said()}): the measurements say another value"
+            )
+    return tuple(said)
+
+
+MOST_OUTPUTS = 4
+"""Outputs in a sentence; of more, those with the largest error are named."""
+
+VISIBLE = 0.1
+"""Correlation of neighbours below which it is better said over how many samples they are alike."""
+
+ADVICE = "to look for it: cluster-est close-loop CONFIG --out FOLDER, in Python close_loop(problem)"
+
+
+def residual_facts(diagnostics: ResidualDiagnostics) -> dict[str, Any]:
+    """Return what run.json says of the residuals."""
+    together = diagnostics.together
+    return {
+        "too_narrow": diagnostics.too_narrow,
+        "outputs": [dataclasses.asdict(output) for output in diagnostics.outputs],
+        "together": None if together is None else dataclasses.asdict(together),
+        "sentences": list(residual_sentences(diagnostics)),
+    }
+
+
+def residual_sentences(diagnostics: ResidualDiagnostics) -> tuple[str, ...]:
+    """Sentences on what is wrong with model, sigma and intervals; none where nothing is."""
+    found = diagnostics.findings
+    reason = "" if diagnostics.converged else "the search did not converge, or "
+    missing = [o for o in found if o.structure is ResidualStructure.MISSING]
+    related = [o for o in found if o.structure is ResidualStructure.AUTOCORRELATED]
+    sized = [o for o in related if not o.too_narrow]
+    others = [o for o in related if o.too_narrow]
+    sentences = []
+    if missing:
+        sentences.append(
+            f"{_each(missing, _over_sigma)}: these intervals are too narrow, {reason}something is "
+            f"missing from the model, which they do not allow for; {ADVICE}"
+        )
+    if sized:
+        sentences.append(
+            f"{_each(sized, _no_larger)}: {reason}the sensor's noise is coloured, which the "
+            f"intervals allow for, or something small is missing, which they do not; {ADVICE}"
+        )
+    if others:
+        sentences.append(
+            f"{_each(others, _times_noise)}: {reason}something is missing from the model, and "
+            "these intervals are too narrow, or the sensor's noise is coloured, which they "
+            f"allow for; {ADVICE}"
+        )
+    return (*sentences, *(_of_sigma(output) for output in found if output.sigma))
+
+
+def _each(outputs: Iterable[OutputDiagnostics], say: Callable[[OutputDiagnostics], str]) -> str:
+    ordered = sorted(outputs, key=lambda o: -o.rms_over_sigma)
+    said = [f"{o.output}: {say(o)}" for o in ordered[:MOST_OUTPUTS]]
+    more = len(ordered) - len(said)
+    return "; ".join(said) + (f"; and {more} more outputs" if more > 0 else "")
+
+
+def _over_sigma(output: OutputDiagnostics) -> str:
+    return f"error is {output.rms_over_sigma:.2g} x sigma and {_related(output)}"
+
+
+def _no_larger(output: OutputDiagnostics) -> str:
+    return (
+        f"residuals are {_related(output)} though hardly larger than sigma "
+        f"({output.rms_over_sigma:.2g} x)"
+    )
+
+
+def _times_noise(output: OutputDiagnostics) -> str:
+    noise = "its noise from sample to sample"
+    if not output.declared:
+        noise += f" ({output.noise_over_sigma:.2g}; no sigma is declared)"
+    return f"error is {output.rms_over_noise:.2g} x {noise} and {_related(output)}"
+
+
+def _related(output: OutputDiagnostics) -> str:
+    if output.lag1 >= VISIBLE:
+        return f"autocorrelated at lag 1 with {output.lag1:.2g}"
+    return f"autocorrelated over about {output.length:.0f} samples (lag 1: {output.lag1:.2g})"
+
+
+def _of_sigma(output: OutputDiagnostics) -> str:
+    times = output.rms_over_sigma
+    if output.sigma is SigmaDoubt.TOO_LARGE:
+        return (
+            f"{output.output}: error is {times:.2g} x sigma: the declared sigma is probably "
+            f"{1.0 / times:.2g} times too large; correct it, or errors over sigma say nothing"
+        )
+    if output.sigma is SigmaDoubt.OUTLIERS:
+        return (
+            f"{output.output}: residuals are white, but the largest is "
+            f"{output.largest_over_rms:.2g} times their root mean square: a few samples are "
+            "outliers, or show something sudden that the model lacks; look at them, or take the "
+            'cost "huber"'
+        )
+    if output.structure is ResidualStructure.WHITE:
+        return (
+            f"{output.output}: error is {times:.2g} x sigma but white: nothing points to something "
+            f"missing, the declared sigma is probably {times:.2g} times too small; correct it"
+        )
+    noise = output.noise_over_sigma
+    return (
+        f"{output.output}: its noise from sample to sample alone is {noise:.2g} x sigma: the "
+        f"declared sigma is probably {noise:.2g} times too small; correct it"
+    )
+
 
 HELD_OUT = 2.0
 """Held-out error over that of training from which on it is doubtful what the fit predicts."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from docs.svg import Axes, document, lines, text
 
+from cluster_est.config.constraints import signal_bound, tracking_bands
 from cluster_est.config.reader import ConstraintSection
-from cluster_est.config.signal_limits import signal_bound, tracking_bands
 from cluster_est.costs import COSTS
 from workers.messages import FloatArray, Output, SignalBound
 

@@ -6,7 +6,6 @@ The coordinator sends a `Model` and its `Experiment`s once to every worker, and 
 
 from workers.messages.comparison import Curve, SignalBound, UserFunction
 from workers.messages.experiment import Experiment
-from workers.messages.hashing import content_hash
 from workers.messages.matrix_series import MatrixSeries
 from workers.messages.model import Effect, Model, Solver
 from workers.messages.outcome import Linearisation, Outcome, Status, Trajectory
@@ -26,6 +25,7 @@ from workers.messages.types import (
     SolverName,
     Value,
     Want,
+    content_hash,
 )
 
 __all__ = [

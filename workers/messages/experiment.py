@@ -24,9 +24,8 @@ from workers.messages.checks import (
 )
 from workers.messages.comparison import Curve, SignalBound, UserFunction
 from workers.messages.equality import by_content
-from workers.messages.hashing import content_hash
 from workers.messages.samples import Input, Output
-from workers.messages.types import REDUCTIONS, Role, Value, Want
+from workers.messages.types import REDUCTIONS, Role, Value, Want, content_hash
 
 
 @by_content

@@ -20,9 +20,8 @@ from workers.messages.checks import (
     check_text,
     shown,
 )
-from workers.messages.hashing import content_hash
 from workers.messages.seats import Seats
-from workers.messages.types import Interface, ResetPolicy, SolverName
+from workers.messages.types import Interface, ResetPolicy, SolverName, content_hash
 
 
 @dataclass(frozen=True)

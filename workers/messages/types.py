@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Iterable
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -23,3 +25,13 @@ REDUCTIONS: tuple[Reduction, ...] = get_args(Reduction)
 |r|. Of one number, the sum of squares or of absolute values is that of them all."""
 USUAL: tuple[Want, ...] = ("residuals", *REDUCTIONS)
 """Wants of searches: the same simulation, of which less or more is sent back."""
+
+
+def content_hash(parts: Iterable[str | bytes]) -> str:
+    """SHA-256 over parts, each preceded by its length so that no two lists collide."""
+    digest = hashlib.sha256()
+    for part in parts:
+        data = part.encode() if isinstance(part, str) else part
+        digest.update(len(data).to_bytes(8, "little"))
+        digest.update(data)
+    return digest.hexdigest()

@@ -5,9 +5,16 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
+from workers.errors import ModelError
 from workers.evaluate import Evaluator
+from workers.kernels.fmi import failure
 from workers.messages import FloatArray
 from workers.probes.base import FmuProbe
+from workers.simulation.jacobian import (
+    StateJacobian,
+    compare_with_differences,
+    directional_jacobian,
+)
 
 REPEATS = 2
 """The quicker of so many counts: the first has something to prepare."""
@@ -47,3 +54,21 @@ class SensitivityCostProbe(FmuProbe):
             if not found.sensitivities:
                 return None
         return SensitivityCost(min(plain), min(carrying))
+
+
+@dataclass(frozen=True)
+class DirectionalProbe(FmuProbe):
+    """Asks for them at the end of a simulation, in model exchange."""
+
+    experiment: int
+    point: FloatArray
+
+    def answer(self, evaluator: Evaluator) -> StateJacobian:
+        simulator, description = evaluator.simulator, evaluator.description
+        record = simulator.run(self.experiment, self.point[None])
+        if record.codes[0] != failure.FINISHED:
+            raise ModelError(record.messages[0])
+        jacobian = directional_jacobian(description)
+        if len(jacobian.states) < len(description.states):
+            raise ModelError("it does not say which variables are its state derivatives")
+        return compare_with_differences(simulator.instance.fmu, description.version, jacobian)

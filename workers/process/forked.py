@@ -25,7 +25,7 @@ class ForkClient:
     Parameters
     ----------
     installation
-        What each process is given; see `workers.process.child.serve`.
+        What each process is given; see `workers.process.fork_server.serve`.
 
     Attributes
     ----------

@@ -1,20 +1,131 @@
-"""Residuals and constraints of one experiment."""
+"""Residuals and constraints of one experiment.
+
+One number in place of the residuals of an output, so that little must be sent.
+
+For methods that look at nothing but a cost which is a sum over residuals.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from workers.grid import SignalGrid
-from workers.messages import Experiment, FloatArray
-from workers.residuals.base import Comparison, SimulatedOutputs
-from workers.residuals.bounds import SignalBounds
-from workers.residuals.curve import CurveDistances, CurveTolerances
+from workers.messages import Curve, Experiment, FloatArray, SignalBound, Want
+from workers.residuals.base import Comparison, ComparisonResult, SimulatedOutputs, positions
 from workers.residuals.functions import FunctionComparison
-from workers.residuals.jacobian import comparison_jacobian
 from workers.residuals.measured_times import MeasuredTimes
+from workers.residuals.nearest_segment import segment_distances, tolerance_constraints
 from workers.residuals.observed import ObservedOutputs
+
+
+class SignalBounds(Comparison):
+    """For each side of each bound the largest violation over its times; at most 0 if there is none.
+
+    lower: max over t of (lower(t) - y(t)) / scale; upper: max of (y(t) - upper(t)) / scale;
+    equality: the y(t) - lower(t), over scale, that is farthest from 0.
+    """
+
+    def __init__(self, bounds: tuple[SignalBound, ...]) -> None:
+        self._bounds = bounds
+
+    @np.errstate(over="ignore", invalid="ignore")  # what overflows is said to be not finite
+    def compare(self, simulated: SimulatedOutputs) -> ComparisonResult:
+        columns = [column for bound in self._bounds for column in _sides(bound, simulated)]
+        table = np.array(columns, np.float64).reshape(-1, len(simulated.outputs))
+        return ComparisonResult(np.ascontiguousarray(table.T))
+
+
+def _sides(bound: SignalBound, simulated: SimulatedOutputs) -> list[FloatArray]:
+    """(points,) for each side of a bound."""
+    rows = positions(bound.times, simulated.times)
+    signal = simulated.of(bound.variable)[:, rows]
+    if bound.equality:
+        gaps = (signal - bound.lower) / bound.scale
+        farthest = np.argmax(np.abs(gaps), axis=1)
+        return [gaps[np.arange(len(gaps)), farthest]]
+    found = []
+    for limit, sign in ((bound.lower, -1.0), (bound.upper, 1.0)):
+        held = np.isfinite(limit)
+        if held.any():
+            found.append(np.max(sign * (signal[:, held] - limit[held]), axis=1) / bound.scale)
+    return found
+
+
+class CurveDistances(Comparison):
+    """For each segment between two measured points its distance to the nearest simulated one."""
+
+    def __init__(self, curve: Curve) -> None:
+        self._curve = curve
+
+    def compare(self, simulated: SimulatedOutputs) -> ComparisonResult:
+        points = _points(self._curve, simulated)
+        found = [segment_distances(each, self._curve.points) for each in points]
+        return ComparisonResult(np.array(found, np.float64).reshape(len(points), -1))
+
+
+class CurveTolerances(Comparison):
+    """For each tolerance how far the farthest simulated point lies from the measured curve."""
+
+    def __init__(self, curve: Curve) -> None:
+        self._curve = curve
+
+    def compare(self, simulated: SimulatedOutputs) -> ComparisonResult:
+        tolerances = np.array(self._curve.tolerances)
+        points = _points(self._curve, simulated)
+        found = [tolerance_constraints(each, self._curve.points, tolerances) for each in points]
+        return ComparisonResult(np.array(found, np.float64).reshape(len(points), -1))
+
+
+def _points(curve: Curve, simulated: SimulatedOutputs) -> FloatArray:
+    """(points, m, d): the simulated curves at the times at which they are sampled."""
+    rows = positions(curve.times, simulated.times)
+    columns = [simulated.names.index(name) for name in curve.variables]
+    return np.ascontiguousarray(simulated.outputs[:, rows][:, :, columns])
+
+
+RELATIVE_STEP = 1e-6
+"""Of the outputs, for a comparison that is not linear in them: it is no simulation, so rounding is
+all its noise."""
+
+
+def comparison_jacobian(
+    comparison: Comparison, simulated: SimulatedOutputs, sensitivities: FloatArray
+) -> FloatArray:
+    """Return the (k, parameters) derivatives of the values of a comparison.
+
+    Parameters
+    ----------
+    simulated
+        One simulation.
+    sensitivities : (parameters, n, names)
+        Derivatives of its outputs.
+    """
+    if isinstance(comparison, MeasuredTimes):
+        return np.ascontiguousarray(comparison.jacobian(sensitivities).T)
+    count = len(sensitivities)
+    steps = _steps(simulated, sensitivities)
+    values = np.repeat(simulated.values[:, :count], count, axis=0)
+    found = []
+    for sign in (1.0, -1.0):
+        outputs = simulated.outputs + sign * steps[:, None, None] * sensitivities
+        perturbed = replace(simulated, outputs=outputs, values=values + sign * np.diag(steps))
+        found.append(comparison.compare(perturbed).values)
+    return np.ascontiguousarray(((found[0] - found[1]) / (2.0 * steps[:, None])).T)
+
+
+def _steps(simulated: SimulatedOutputs, sensitivities: FloatArray) -> FloatArray:
+    """Return a step for each parameter that changes neither it nor any output by much."""
+    largest = np.abs(sensitivities).max(axis=(1, 2), initial=0.0)
+    size = np.abs(simulated.outputs).max(initial=0.0) or 1.0
+    own = np.abs(simulated.values[0, : len(sensitivities)])
+    own[own == 0.0] = 1.0
+    with np.errstate(divide="ignore"):
+        steps: FloatArray = RELATIVE_STEP * np.fmin(own, size / largest)
+    return steps
 
 
 class BatchComparison(NamedTuple):
@@ -103,3 +214,29 @@ def _joined(
     if len(parts) == 1:
         return parts[0]
     return np.concatenate([np.zeros((len(simulated.outputs), 0)), *parts], axis=1)
+
+
+def reduce_residuals(residuals: FloatArray, counts: Sequence[int], want: Want) -> FloatArray:
+    """Reduce the residuals of one simulation, output by output.
+
+    Parameters
+    ----------
+    residuals : (sum of counts,)
+        Of the outputs, one after the other.
+    counts
+        How many each has, as `Experiment.counts` says.
+    want
+        "squares" for the root of the sum of squares, "absolutes" for the sum of absolute values.
+
+    Returns
+    -------
+    (k,)
+        One number for each output that has residuals, as `Experiment.counts_in` says.
+    """
+    squares = want == "squares"
+    sizes = residuals * residuals if squares else np.abs(residuals)  # contiguous, for the same bits
+    filled = [count for count in counts if count]
+    ends = np.cumsum(filled, dtype=np.intp).tolist()
+    parts = zip(filled, ends, strict=True)
+    sums = np.array([np.add.reduce(sizes[end - count : end]) for count, end in parts], np.float64)
+    return np.sqrt(sums) if squares else sums

@@ -9,10 +9,10 @@ from pydantic import Field, PrivateAttr, Strict
 
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.config.sections.experiment import ExperimentDefaultsSection, ExperimentSection
-from cluster_est.config.sections.maps import MapSection
 from cluster_est.config.sections.search import (
     ConstraintSection,
     CostSection,
+    MapSection,
     MethodSection,
     SensitivitySection,
 )

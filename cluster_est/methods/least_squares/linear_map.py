@@ -1,19 +1,276 @@
-"""A Jacobian as a linear map: as one array, or experiment by experiment."""
+"""A Jacobian as a linear map: as one array, or experiment by experiment.
+
+The damped Gauss-Newton step within bounds, for many damping factors from one factorisation.
+
+Symbols: J the Jacobian, r the residuals, D the scaling, p the step, lambda the damping.
+
+A Jacobian that is factored experiment by experiment, where each has unknowns of its own.
+
+The unknowns of one experiment alone are eliminated from its rows; the other rows of the factor hold
+all information of the experiment on the shared unknowns. Time and memory grow with the number of
+experiments, not with its square. Symbols as in `sparse_step`; R is a triangular factor.
+
+A Jacobian that is factored along chains of experiments.
+
+As `factored_blocks`, where experiments share unknowns with their neighbours: segments of records,
+whose first states stand in the rows of the segment before too. Symbols as in `sparse_step`.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import final
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.derivatives.differences import ResidualJacobian
-from cluster_est.methods.least_squares.bounded_step import StepSolver
-from cluster_est.methods.least_squares.factored_blocks import FactoredBlocks
-from cluster_est.methods.least_squares.factored_chains import FactoredChains
-from cluster_est.methods.least_squares.sparse_step import SparseStepSolver
-from workers.messages import FloatArray
+from cluster_est.methods.least_squares.chain_elimination import eliminate, make_chains
+from cluster_est.methods.least_squares.sparse_step import (
+    FactoredJacobian,
+    Mask,
+    SparseStepSolver,
+    solve_shared,
+)
+from workers.messages import FloatArray, IntArray
+
+LARGEST_RATIO = 1e10
+"""Columns whose sizes differ by more than this are brought to one size before they are factored."""
+
+
+class StepSolver:
+    """Minimises |J p + r|^2 + lambda |D p|^2 subject to lower <= p <= upper.
+
+    J is reduced to its triangular factor once, so each further damping factor costs a problem as
+    small as the number of unknowns.
+
+    Parameters
+    ----------
+    matrix : (residuals, unknowns)
+        J.
+    residuals : (residuals,)
+        r.
+    scale : (unknowns,)
+        D, the diagonal.
+    lower, upper : (unknowns,)
+        Bounds of the step; 0 lies between them.
+    """
+
+    def __init__(
+        self,
+        matrix: FloatArray,
+        residuals: FloatArray,
+        scale: FloatArray,
+        lower: FloatArray,
+        upper: FloatArray,
+    ) -> None:
+        self._units = _units(scale)
+        joined = np.column_stack([matrix / self._units, residuals])
+        self._triangle = np.asarray(np.linalg.qr(joined, mode="r"), np.float64)
+        self._scale = scale / self._units
+        self._lower, self._upper = lower * self._units, upper * self._units
+
+    def step(self, damping: float) -> FloatArray:
+        """Return the step for one lambda; it is zero for unknowns whose column is zero."""
+        size = len(self._scale)
+        factor, right = self._triangle[:, :size], -self._triangle[:, size]
+        rows = len(factor)
+        system, target = np.zeros((rows + size, size)), np.zeros(rows + size)
+        system[:rows], target[:rows] = factor, right
+        np.fill_diagonal(system[rows:], np.sqrt(damping) * self._scale)
+        free = np.linalg.lstsq(system, target, rcond=None)[0]
+        if (free >= self._lower).all() and (free <= self._upper).all():
+            return np.asarray(free / self._units)
+        from scipy.optimize import lsq_linear  # slow to import, and most steps meet no bound
+
+        bounds = (self._lower, np.maximum(self._upper, np.nextafter(self._lower, np.inf)))
+        solved = lsq_linear(system, target, bounds, method="bvls", tol=1e-14).x
+        return np.asarray(np.clip(solved, self._lower, self._upper) / self._units)
+
+    def predicted_cost(self, step: FloatArray) -> float:
+        """Return |J p + r|^2, the cost that the linear model predicts after a step."""
+        moved = np.ones(len(step) + 1)
+        moved[:-1] = step * self._units
+        values = self._triangle @ moved
+        return float(values @ values)
+
+
+def _units(scale: FloatArray) -> FloatArray:
+    """Return powers of two that bring columns to one size, where sizes are far apart; else ones.
+
+    Small columns would be lost in the rounding of large ones. Dividing by ones changes no bit.
+    """
+    if np.max(scale, initial=0.0) <= LARGEST_RATIO * np.min(scale, initial=np.inf):
+        return np.ones_like(scale)
+    return np.asarray(2.0 ** np.round(np.log2(scale)), np.float64)
+
+
+@dataclass(frozen=True)
+class _BlockGroup:
+    """Experiments whose triangular factors have one shape and the same shared unknowns.
+
+    Attributes
+    ----------
+    columns : (experiments, local + shared)
+        Indices of the unknowns.
+    local
+        Number of those that act on one experiment alone.
+    factors : (experiments, m, local + shared + 1)
+        R of their Jacobians and residuals.
+    """
+
+    columns: IntArray
+    local: int
+    factors: FloatArray
+
+    def products(self, step: FloatArray) -> FloatArray:
+        """Return J p + r (experiments, m), each multiplied by an orthogonal matrix."""
+        moved = np.einsum("eij,ej->ei", self.factors[:, :, :-1], step[self.columns])
+        return np.asarray(moved + self.factors[:, :, -1])
+
+    def eliminated(self, fixed: Mask, values: FloatArray, roots: FloatArray) -> FloatArray:
+        """Return the damped factors, whose first `local` rows hold all of the local unknowns.
+
+        `roots` has sqrt(lambda) D. Columns of fixed unknowns are zero, and the residuals contain
+        the effect of their values.
+        """
+        count, rows, width = self.factors.shape
+        system = np.zeros((count, rows + self.local, width))
+        free = ~fixed[self.columns]
+        system[:, :rows, :-1] = self.factors[:, :, :-1] * free[:, None, :]
+        system[:, :rows, -1] = self.products(np.where(fixed, values, 0.0))
+        for j in range(self.local):
+            system[:, rows + j, j] = roots[self.columns[:, j]]
+        return np.asarray(np.linalg.qr(system, mode="r"))
+
+
+@final
+class FactoredBlocks(FactoredJacobian):
+    """J and r of experiments that share unknowns, if any, with all others.
+
+    Parameters
+    ----------
+    matrix
+        J.
+    residuals : (residuals,)
+        r.
+    """
+
+    def __init__(self, matrix: BlockMatrix, residuals: FloatArray) -> None:
+        shared = matrix.counts > 1
+        self._shared = np.flatnonzero(shared)
+        self._groups = _grouped(matrix, residuals, shared)
+
+    @override
+    def products(self, step: FloatArray) -> Iterator[FloatArray]:
+        return (group.products(step) for group in self._groups)
+
+    @override
+    def solve(self, fixed: Mask, values: FloatArray, roots: FloatArray) -> FloatArray:
+        step = np.where(fixed, values, 0.0)
+        factors = [group.eliminated(fixed, values, roots) for group in self._groups]
+        free = ~fixed[self._shared]  # rounding would move the others
+        found = solve_shared(self._shared, roots, self._left(factors))
+        step[self._shared[free]] = found[free]
+        for group, factor in zip(self._groups, factors, strict=True):
+            local, width = group.local, group.columns.shape[1]
+            p = np.zeros((len(factor), width))
+            # the last column contains the effect of fixed ones
+            p[:, local:] = np.where(fixed, 0.0, step)[group.columns[:, local:]]
+            for j in reversed(range(local)):
+                right = np.einsum("ej,ej->e", factor[:, j, j + 1 : -1], p[:, j + 1 :])
+                right += factor[:, j, -1]
+                pivot = factor[:, j, j]
+                p[:, j] = np.where(pivot != 0.0, -right / np.where(pivot, pivot, 1.0), 0.0)
+            step[group.columns[:, :local]] = p[:, :local]
+        return np.where(fixed, values, step)
+
+    def _left(self, factors: Sequence[FloatArray]) -> Iterator[tuple[IntArray, FloatArray]]:
+        """Give the shared unknowns of each group, and all that its experiments say of them."""
+        for group, factor in zip(self._groups, factors, strict=True):
+            rest = factor[:, group.local :, group.local :]
+            stacked = rest.reshape(-1, rest.shape[2])
+            triangle = np.asarray(np.linalg.qr(stacked, mode="r"), np.float64)
+            yield group.columns[0, group.local :], triangle
+
+    @override
+    def gradient(self, step: FloatArray, roots: FloatArray) -> tuple[FloatArray, float]:
+        result = roots * roots * step
+        size = 0.0
+        for group in self._groups:
+            values = group.products(step)
+            terms = np.einsum("eij,ei->ej", group.factors[:, :, :-1], values)
+            np.add.at(result, group.columns, terms)
+            r = group.factors[:, :, -1]
+            size += float(np.add.reduce((values * values + r * r).ravel()))
+        return result, float(np.sqrt(size))
+
+
+def _grouped(matrix: BlockMatrix, residuals: FloatArray, shared: Mask) -> list[_BlockGroup]:
+    """Factorise each experiment's rows; group those that can be treated at once."""
+    groups: dict[tuple[int, int, bytes], list[tuple[IntArray, FloatArray]]] = {}
+    for block, columns, rows in zip(matrix.blocks, matrix.columns, matrix.rows, strict=True):
+        order = np.argsort(shared[columns], kind="stable")
+        chosen = columns[order]
+        joined = np.column_stack([block[:, order], residuals[rows]])
+        triangle = np.asarray(np.linalg.qr(joined, mode="r"))
+        local = int(np.count_nonzero(~shared[columns]))
+        key = len(triangle), local, chosen[local:].tobytes()
+        groups.setdefault(key, []).append((chosen, triangle))
+    found = []
+    for (_, local, _), members in groups.items():
+        unknowns = np.array([columns for columns, _ in members], np.intp)
+        found.append(_BlockGroup(unknowns, local, np.array([triangle for _, triangle in members])))
+    return found
+
+
+@final
+class FactoredChains(FactoredJacobian):
+    """J and r of experiments that share unknowns with the next one, and some with all others.
+
+    Parameters
+    ----------
+    matrix
+        J.
+    residuals : (residuals,)
+        r.
+    """
+
+    def __init__(self, matrix: BlockMatrix, residuals: FloatArray) -> None:
+        shared = (matrix.counts > 1) & ~matrix.links
+        self._shared = np.flatnonzero(shared)
+        self._chains = make_chains(matrix, residuals, shared)
+
+    @override
+    def products(self, step: FloatArray) -> Iterator[FloatArray]:
+        return (link.products(step) for chain in self._chains for link in chain.links)
+
+    @override
+    def solve(self, fixed: Mask, values: FloatArray, roots: FloatArray) -> FloatArray:
+        step = np.where(fixed, values, 0.0)
+        chains = [eliminate(chain, fixed, values, roots) for chain in self._chains]
+        free = ~fixed[self._shared]  # rounding would move the others
+        left = ((each.chain.border, each.rest) for each in chains)
+        step[self._shared[free]] = solve_shared(self._shared, roots, left)[free]
+        for each in chains:
+            # the last column contains the effect of fixed ones
+            border = np.where(fixed, 0.0, step)[each.chain.border]
+            each.substitute(step, border, 1.0)
+        return np.where(fixed, values, step)
+
+    @override
+    def gradient(self, step: FloatArray, roots: FloatArray) -> tuple[FloatArray, float]:
+        result = roots * roots * step
+        size = 0.0
+        for chain in self._chains:
+            for link in chain.links:
+                values, r = link.products(step), link.triangle[:, -1]
+                result[link.columns] += link.triangle[:, :-1].T @ values
+                size += float(np.add.reduce(values * values + r * r))
+        return result, float(np.sqrt(size))
 
 
 class LinearMap(ABC):

@@ -12,24 +12,36 @@ makes the iterates independent of the units of the unknowns.
 
 References: D. W. Marquardt, J. SIAM 11 (1963) 431-441, doi:10.1137/0111030; J. J. More, The
 Levenberg-Marquardt algorithm, Lecture Notes in Mathematics 630 (1978), doi:10.1007/BFb0067700.
+
+The last steps of a least-squares search, where changes of the cost are rounding errors.
+
+A minimum is flat: at half of a double's digits in the unknowns all digits of the cost are used up.
+The gradient has more of them. So near the end the full step is taken, one point at a time, as long
+as it does not raise the cost by more than counts as no change. Gauss-Newton steps approach a
+minimum with large residuals only linearly; two of them in a row are extrapolated by Anderson's
+formula of depth one (H. F. Walker, P. Ni, SIAM J. Numer. Anal. 49 (2011) 1715-1735,
+doi:10.1137/10078356X).
+
+Broyden's update: a Jacobian for the next point from the last one and what its step has shown.
+
+    J+ = J + (dr - J p) (D^2 p)' / (p' D^2 p)
+
+is the least change, in the scaled norm, with which J+ p = dr, the change of the residuals that was
+seen (C. G. Broyden, Math. Comp. 19 (1965) 577-593, doi:10.1090/S0025-5718-1965-0198670-6). It costs
+no simulation, where differences cost one for each unknown.
 """
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
 from typing_extensions import override
 
-from cluster_est.methods.base import (
-    Ending,
-    Method,
-    Points,
-    Progress,
-    Search,
-    Solution,
-)
+from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
+from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.derivatives.differences import (
     Differences,
     ResidualJacobian,
@@ -37,19 +49,92 @@ from cluster_est.methods.derivatives.differences import (
 )
 from cluster_est.methods.derivatives.sensitivities import JacobianProvider
 from cluster_est.methods.follow_up import within_budget
-from cluster_est.methods.least_squares.final_steps import final_step
 from cluster_est.methods.least_squares.iteration import (
+    CLOSE,
     LEAST_DAMPING,
     IterationState,
     LeastSquaresIteration,
+    Result,
     Steps,
     enough_to_notice,
 )
 from cluster_est.methods.least_squares.local_model import LocalModel
-from cluster_est.methods.least_squares.secant_update import secant_update
 from cluster_est.methods.sqp.trust_region import SqpOptions, trust_region_search
 from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
+
+FINAL_PART = 1e-6
+"""Part of `ftol` below which the relative reduction ends the search."""
+LARGEST_FACTOR = 10.0
+"""Most by which the extrapolation may lengthen a step."""
+
+
+def final_step(
+    space: SearchSpace, state: IterationState, model: LocalModel, ftol: float
+) -> Generator[Points, list[Evaluation], Result | None]:
+    """Take the full step. Return None if the point is not close, or the step raises the cost."""
+    step = model.step(LEAST_DAMPING)
+    reduction = model.predicted_reduction(step) / model.squares if model.squares > 0.0 else np.inf
+    if reduction > CLOSE:
+        return None
+    if reduction <= FINAL_PART * ftol:
+        return state, Ending.CONVERGED
+    x = np.clip(state.x + _extrapolated(state, step, model), space.lower, space.upper)
+    (at,) = yield Points(x[None, :], "polish", state.progress)
+    if not at.ok or not at.cost <= state.at.cost + ftol * model.squares:
+        return None if reduction > ftol else (state, Ending.CONVERGED)
+    rate = reduction / state.relative_reduction if state.relative_reduction > 0.0 else 1.0
+    again = state.full_step is not None
+    new = state.moved(space, x, at, state.damping)
+    new = replace(new, relative_reduction=reduction, full_step=(state.x, step))
+    ended = reduction * rate <= FINAL_PART * ftol or (again and rate > 0.5)
+    return new, Ending.CONVERGED if ended else None
+
+
+def _extrapolated(state: IterationState, step: FloatArray, model: LocalModel) -> FloatArray:
+    """Return the step after Anderson's extrapolation with the full step before."""
+    if state.full_step is None:
+        return step
+    x, before = state.full_step
+    change = step - before
+    square = model.norm(change) ** 2
+    if square == 0.0:
+        return step
+    gamma = model.inner_product(change, step) / square
+    longer = step - gamma * (state.x + step - x - before)
+    return longer if model.norm(longer) <= LARGEST_FACTOR * model.norm(step) else step
+
+
+WORST = 0.95
+"""Distance of the change that was expected from the one that was seen, over the latter, above which
+derivatives are computed anew."""
+
+
+def secant_update(
+    jacobian: ResidualJacobian, before: IterationState, after: IterationState
+) -> ResidualJacobian | None:
+    """Return the Jacobian after a step; None where it does not say what the step has shown.
+
+    Parameters
+    ----------
+    jacobian
+        At the point before.
+    before, after
+        The step.
+    """
+    blocks, step = jacobian.blocks, after.x - before.x
+    seen = after.at.residuals - before.at.residuals
+    missed = seen - blocks.product(step)
+    if not np.linalg.norm(missed) <= WORST * np.linalg.norm(seen):
+        return None
+    direction = before.largest**2 * step if before.largest.any() else step
+    parts = []
+    for block, columns, rows in zip(blocks.blocks, blocks.columns, blocks.rows, strict=True):
+        length = float(direction[columns] @ step[columns])
+        change = np.outer(missed[rows], direction[columns]) / length if length > 0.0 else 0.0
+        parts.append(block + change)
+    return replace(jacobian, blocks=BlockMatrix(tuple(parts), blocks.columns, blocks.size))
+
 
 INITIAL_DAMPING = 1e-3
 SMALLER = 0.1

@@ -10,18 +10,251 @@ one coordinator, T. G. Kolda, SIAM J. Optim. 16 (2005) 563-586, doi:10.1137/0406
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 from typing_extensions import override
 
-from cluster_est.methods.base import Ending, Points, Progress, Search, Solution
-from cluster_est.methods.pattern_search.asynchronous_state import PollState
-from cluster_est.methods.pattern_search.method import solution_of
+from cluster_est.methods.base import Ending, Evaluation, Points, Progress, Search, Solution
+from cluster_est.methods.pattern_search.evaluated_points import key
+from cluster_est.methods.pattern_search.method import (
+    contracted,
+    mesh_after_step,
+    progress_of,
+    solution_of,
+)
 from cluster_est.methods.pattern_search.options import PatternMethod
 from cluster_est.methods.pattern_search.state import PatternState
 from cluster_est.problem.search_space.space import SearchSpace
+from workers.messages import FloatArray
+
+NONE = -1
+
+
+@dataclass
+class RequestedPoint:
+    """A point that was requested and not answered yet.
+
+    Attributes
+    ----------
+    u, mesh
+        Coordinates, and the length of the step.
+    direction
+        Of the present poll, if that direction waits for it, or NONE.
+    overtaken
+        Number of points that were requested later and answered earlier.
+    """
+
+    u: FloatArray
+    mesh: float
+    direction: int = NONE
+    overtaken: int = 0
+
+
+class PollState:
+    """The outstanding points and the progress of the poll around the present centre.
+
+    Parameters
+    ----------
+    state, options
+        Of the search.
+    limit
+        Limit of outstanding points.
+
+    Attributes
+    ----------
+    ending
+        Of the search, once it has ended.
+    progress
+        A line of the iteration table.
+    """
+
+    def __init__(self, state: PatternState, options: PatternMethod, limit: int) -> None:
+        self._state = state
+        self._options = options
+        self._limit = limit
+        self._outstanding: dict[int, RequestedPoint] = {}
+        self._dropped: list[int] = []
+        self._next_index = 1  # the start was 0
+        self._newest = 0
+        self._answered = 0
+        self.ending = Ending.CONVERGED if state.feasible_point_suffices else None
+        self.progress = progress_of(state, 0, options.initial_mesh, np.nan)
+        self._begin(options.initial_mesh)
+
+    def next_requests(self) -> list[RequestedPoint]:
+        """Return the points to request now; none if it is time to wait, or at the end."""
+        found: list[RequestedPoint] = []
+        while self.ending is None:
+            while self._free_slots > 0 and (asked := self._next_new()) is not None:
+                self._outstanding[self._next_index] = asked
+                self._next_index += 1
+                found.append(asked)
+            if found or any(asked.direction != NONE for asked in self._outstanding.values()):
+                break
+            if not self._refine():  # all directions were tried, at points with known evaluations
+                break
+        return found
+
+    def take_dropped(self) -> tuple[int, ...]:
+        """Return the points to drop; at the end, all that are outstanding."""
+        if self.ending is not None:
+            self._dropped += self._outstanding
+            self._outstanding.clear()
+        found, self._dropped = tuple(self._dropped), []
+        return found
+
+    def receive(self, evaluations: list[Evaluation]) -> None:
+        """Take evaluations, and move, shorten steps, or begin another poll."""
+        state = self._state
+        numbers = {self._add(evaluation): evaluation.index for evaluation in evaluations}
+        meshes = {number: self._outstanding.pop(index).mesh for number, index in numbers.items()}
+        if state.feasible_point_suffices:
+            self.ending = Ending.CONVERGED
+            return
+        if not state.calibrated:
+            if len(state.evaluated) > len(state.u):
+                self._calibrate()
+            return
+        better = state.better(list(numbers))
+        if better is not None:
+            length = state.move(better)
+            mesh = mesh_after_step(self._options, meshes[better], length)
+            self._begin(max(mesh, state.tolerance))
+            self._update_progress(length)
+            return
+        self._pass_slow_points()
+        self._refine()
+
+    @property
+    def _late(self) -> int:
+        """A point that so many others have overtaken is slow, and nothing waits for it any more."""
+        return len(self._state.u)
+
+    @property
+    def _free_slots(self) -> int:
+        """Number of points that may be requested; slow ones do not count, as they are under way."""
+        return self._limit - sum(
+            asked.overtaken < self._late for asked in self._outstanding.values()
+        )
+
+    def _calibrate(self) -> bool:
+        """Choose the penalty and begin again with it; return whether it could be chosen."""
+        self._state.calibrate()
+        self._begin(self._mesh)
+        return self._state.calibrated
+
+    def _add(self, evaluation: Evaluation) -> int:
+        """Add an evaluation; return the number of its point."""
+        asked = self._outstanding[evaluation.index]
+        if asked.direction != NONE:
+            self._shorten(asked.direction)
+        for index, other in self._outstanding.items():
+            other.overtaken += index < evaluation.index
+        self._newest = max(self._newest, evaluation.index)
+        self._answered += 1
+        return self._state.add(asked.u, evaluation)
+
+    def _begin(self, mesh: float) -> None:
+        """Begin a poll; drop points of the last one that may not have begun.
+
+        Points begin in their order. One that was requested before another that has been answered
+        is under way, and may still turn out to be the best.
+        """
+        self._drop([index for index in self._outstanding if index > self._newest])
+        for asked in self._outstanding.values():
+            asked.direction = NONE
+        self._mesh = mesh
+        self._plan = self._state.plan(mesh)
+        self._steps = np.full(len(self._plan.directions), mesh)
+        self._directions = deque(range(len(self._steps)))
+        self._promising = deque(self._plan.promising)
+        self._sample = deque(self._plan.sample)
+
+    def _refine(self) -> bool:
+        """Refine the mesh if every direction has been tried with this one; return whether.
+
+        Before the end all outstanding points must be answered: one could be better.
+        """
+        largest = float(self._steps.max(initial=0.0))
+        if largest >= self._mesh:
+            return False
+        mesh = min(largest, contracted(self._options, self._mesh, self._plan))
+        finished = mesh < self._state.tolerance
+        if finished and self._outstanding and self._state.tolerance <= self._options.mesh_tolerance:
+            return False
+        if not self._state.calibrated and self._calibrate():
+            return True
+        self._state.poll_failed()
+        if finished:
+            self.ending, mesh = self._state.at_tolerance()
+        if self.ending is None:
+            self._begin(mesh)
+        self._update_progress(0.0)
+        return True
+
+    def _next_new(self) -> RequestedPoint | None:
+        """Return the next point to request that is not outstanding, if any."""
+        out = {key(asked.u): asked for asked in self._outstanding.values()}
+        while True:
+            asked = self._candidate()
+            if asked is None:
+                return None
+            twin = out.get(key(asked.u))
+            if twin is None:
+                return asked
+            if twin.direction == NONE:
+                twin.direction = asked.direction
+            elif asked.direction != NONE:
+                self._shorten(asked.direction)
+
+    def _candidate(self) -> RequestedPoint | None:
+        """Return the next point of the poll, which may be outstanding already."""
+        while True:
+            if self._promising:
+                return RequestedPoint(self._promising.popleft(), self._mesh)
+            if self._directions:
+                found = self._in_direction(self._directions.popleft())
+                if found is not None:
+                    return found
+            elif self._sample:
+                return RequestedPoint(self._sample.popleft(), self._mesh)
+            else:
+                return None
+
+    def _in_direction(self, direction: int) -> RequestedPoint | None:
+        """Return the point in a direction; None where it was evaluated or its step is too short."""
+        step = float(self._steps[direction])
+        if step < self._state.tolerance:
+            return None
+        candidate = self._state.u + step * self._plan.directions[direction]
+        found = self._state.new([candidate], self._plan.constraint_jacobian)
+        if not len(found):
+            self._shorten(direction)
+            return None
+        return RequestedPoint(found[0], step, direction)
+
+    def _shorten(self, direction: int) -> None:
+        self._steps[direction] *= self._options.contraction
+        self._directions.append(direction)
+
+    def _pass_slow_points(self) -> None:
+        """Shorten the steps of directions whose point is slow; its answer still counts."""
+        for asked in self._outstanding.values():
+            if asked.direction != NONE and asked.overtaken >= self._late:
+                self._shorten(asked.direction)
+                asked.direction = NONE
+
+    def _drop(self, indices: list[int]) -> None:
+        for index in indices:
+            del self._outstanding[index]
+        self._dropped += indices
+
+    def _update_progress(self, length: float) -> None:
+        iteration = self._answered // (2 * len(self._state.u))
+        self.progress = progress_of(self._state, iteration, self._mesh, length)
 
 
 @dataclass(frozen=True)

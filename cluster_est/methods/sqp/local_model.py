@@ -3,6 +3,32 @@
 The cost is modelled to second order, the constraints to first. The step minimises this model of the
 cost plus a penalty on violated constraints, within the bounds and a box around the point, the trust
 region.
+
+Linearisations of constraints that are the largest of many smooth functions.
+
+The largest deviation of a signal over time, or the farthest of many points, follows one time or
+point as the unknowns change, until another takes over. There it has a kink, and the best point is
+often on the kink. A linearisation from one side shows one of the smooth functions only: every step
+along it violates the other one, is rejected, and the trust region shrinks to nothing although the
+cost decreases along the kink.
+
+So, once a step was rejected in this way, the derivatives at its end are asked for, too. They show
+the other function. From then on the constraint counts as the largest of its linearisations
+here and at the last points around, as the cutting planes of bundle methods do (K. C. Kiwiel,
+Methods of Descent for Nondifferentiable Optimization, Lecture Notes in Mathematics 1133 (1985),
+doi:10.1007/BFb0074500). Before a kink was met only those of the point itself count, because old
+linearisations of smooth, curved constraints may cut off points that satisfy them.
+
+The penalty on violated constraints, in the exact l1 merit function.
+
+    merit = cost + penalty * sum of the violations
+
+A penalty above all multipliers makes a solution of the constrained problem a minimum of the merit.
+One far above makes a search creep along curved constraints, and trust linearised constraints where
+they are wrong. So it starts low and grows, tenfold at a time, only while a step would not reduce
+the linearised violation although the model could: the weakest form of the steering rule of
+R. H. Byrd, J. Nocedal, R. A. Waltz, Optim. Methods Softw. 23 (2008) 197-213,
+doi:10.1080/10556780701394169.
 """
 
 from __future__ import annotations
@@ -10,20 +36,152 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
-from cluster_est.methods.base import Evaluation
+from cluster_est.methods.base import TOLERANCE, Evaluation
 from cluster_est.methods.derivatives.gradients import CostDerivatives
 from cluster_est.methods.evaluation_status import is_defined
-from cluster_est.methods.sqp.constraint_linearisations import (
-    ConstraintLinearisation,
-    LinearisationHistory,
-    is_jump,
-)
 from cluster_est.methods.sqp.hessian import Hessian, HessianApproximations
-from cluster_est.methods.sqp.penalty import PenaltyParameter
 from cluster_est.methods.sqp.quadratic_program import QuadraticSubproblem, penalised_step
 from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
+
+LARGEST_DISTANCE = 10.0
+"""Linearisations from farther away than this many trust radii do not count."""
+JUMP = 10.0
+"""A constraint that changes this many times more than its derivatives allow is discontinuous: no
+linearisation of it helps."""
+
+
+@dataclass(frozen=True)
+class ConstraintLinearisation:
+    """Constraints and their Jacobian at a point."""
+
+    x: FloatArray
+    values: FloatArray
+    jacobian: FloatArray
+
+
+class LinearisationHistory:
+    """The latest linearisations of a search; none of them counts before a kink was met."""
+
+    def __init__(self, equality: npt.NDArray[np.bool_], most: int) -> None:
+        self._inequalities = np.flatnonzero(~equality).astype(np.intp)
+        self._most = most
+        self._linearisations: list[ConstraintLinearisation] = []
+        self.active = False
+
+    def add(self, linearisation: ConstraintLinearisation) -> None:
+        """Keep a linearisation, and drop the oldest beyond the largest number."""
+        if self.active and len(self._inequalities):
+            self._linearisations = [*self._linearisations, linearisation][-self._most :]
+
+    def extend(
+        self, model: QuadraticSubproblem, x: FloatArray, radii: FloatArray
+    ) -> QuadraticSubproblem:
+        """Return the model around a point, with the linearisations at other points near it.
+
+        None of them may exceed the constraint's value at the point itself, which is the largest of
+        all functions there: where that of a curved one does, it is lowered.
+
+        Parameters
+        ----------
+        model
+            Its first rows are all constraints at `x`, in their order.
+        x : (n,)
+            The point.
+        radii : (n,)
+            The trust radius of each unknown.
+        """
+        rows = self._inequalities
+        c = model.values[rows]
+        near = [
+            p for p in self._linearisations if np.max(np.abs(x - p.x) / radii) <= LARGEST_DISTANCE
+        ]
+        values = [np.minimum((p.values + p.jacobian @ (x - p.x))[rows], c) for p in near]
+        count = len(near) * len(rows)
+        return replace(
+            model,
+            values=np.concatenate([model.values, *values]),
+            jacobian=np.vstack([model.jacobian, *(p.jacobian[rows] for p in near)]),
+            constraint=np.append(model.constraint, np.tile(rows, len(near))),
+            equality=np.append(model.equality, np.zeros(count, dtype=bool)),
+        )
+
+
+def is_jump(before: ConstraintLinearisation, step: FloatArray, after: FloatArray) -> bool:
+    """Return whether constraints rose more along a step than a kink explains."""
+    excess = after - before.values - before.jacobian @ step
+    allowed = JUMP * (np.abs(before.jacobian) @ np.abs(step))
+    return bool((excess > allowed + 1e-12).any())
+
+
+INITIAL = 0.01
+"""The first penalty, in units of the cost or of its largest change by one unknown."""
+LEAST_REDUCTION = 0.1
+"""Part of the possible reduction of the violation that every step must predict."""
+MOST_INCREASES = 12
+"""Limit of tenfold increases for one step."""
+NEGLIGIBLE = 1e-3 * TOLERANCE
+
+
+class PenaltyParameter:
+    """The current penalty; `equality` says which constraints must be 0."""
+
+    def __init__(self, equality: npt.NDArray[np.bool_]) -> None:
+        self._equality = equality
+        self.value = 0.0
+
+    def initialise(self, cost: float, steepest: float) -> None:
+        """Choose the first penalty from the cost and its largest change by one unknown."""
+        if self.value == 0.0:
+            self.value = INITIAL * max(abs(cost), steepest) or 1.0
+
+    def violations(self, at: Evaluation) -> float:
+        """Return the sum of the violations."""
+        values = at.constraints
+        sizes = np.where(self._equality, np.abs(values), np.maximum(values, 0.0))
+        return float(np.add.reduce(sizes))
+
+    def merit(self, at: Evaluation) -> float:
+        """Return the merit; infinite where a simulation failed."""
+        return at.cost + self.value * self.violations(at) if is_defined(at) else np.inf
+
+    def predicted_reduction(
+        self, model: QuadraticSubproblem, at: Evaluation, step: FloatArray
+    ) -> float:
+        """Return the reduction of the merit that the model around `at` predicts for a step."""
+        return self.value * (self.violations(at) - model.violation(step)) - model.change(step)
+
+    def step(
+        self, model: QuadraticSubproblem, lower: FloatArray, upper: FloatArray, sizes: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the model's best step within bounds, and the multipliers; may raise the penalty.
+
+        Parameters
+        ----------
+        model, lower, upper
+            The model around the point, and the bounds of the step.
+        sizes : (n,)
+            A noticeable change of each unknown.
+        """
+        step, multipliers = penalised_step(model, self.value, lower, upper)
+        violation = model.violation(step)
+        if violation > NEGLIGIBLE:
+            nearly_zero = np.diag(1e-8 / sizes**2)
+            feasibility = replace(model, gradient=np.zeros_like(step), hessian=nearly_zero)
+            least = model.violation(penalised_step(feasibility, 1.0, lower, upper)[0])
+            possible = max(model.violation(np.zeros_like(step)) - least, 0.0)
+            for _ in range(MOST_INCREASES):
+                if violation <= least + (1.0 - LEAST_REDUCTION) * possible + NEGLIGIBLE:
+                    break
+                self.value *= 10.0
+                step, multipliers = penalised_step(model, self.value, lower, upper)
+                violation = model.violation(step)
+        by_constraint = np.zeros(len(self._equality))
+        np.add.at(by_constraint, model.constraint, multipliers)
+        return step, by_constraint
+
 
 NEAREST_POINT_CURVATURE = 1e-4
 """The curvature that takes the place of the cost's where nothing is to be minimised: of all points

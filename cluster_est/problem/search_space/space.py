@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from cluster_est.costs.base import Cost
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.continuity import StateContinuity
 from cluster_est.problem.search_space.parameter_constraints import (
@@ -25,9 +26,27 @@ from cluster_est.problem.search_space.parameter_constraints import (
     label_of,
 )
 from cluster_est.problem.search_space.prior_rows import KnownPrior, PriorRows
-from cluster_est.problem.search_space.reduction import want_of
 from cluster_est.problem.search_space.unknown import Unknown
-from workers.messages import FloatArray, IntArray, Want
+from workers.messages import Experiment, FloatArray, IntArray, Want
+
+LEAST_RESIDUALS = 10
+"""Up to so many residuals for each output of an experiment, on average, nothing is saved: an answer
+takes about as many bytes besides, and whole residuals may spare another search a simulation."""
+
+
+def want_of(experiment: Experiment, cost: Cost | None) -> Want:
+    """Return what is asked for where nothing but this cost is looked at.
+
+    A cost of None stands for a look at single residuals too.
+
+    It follows from the problem alone, never from what workers do, so that results cannot depend on
+    these. What a cost function of the user's returns is never reduced: it says nothing of outputs.
+    """
+    if cost is None or cost.reduction is None or experiment.cost_function is not None:
+        return "residuals"
+    filled = sum(count > 0 for count in experiment.counts)
+    return cost.reduction if experiment.size > LEAST_RESIDUALS * filled else "residuals"
+
 
 _NONE = np.zeros(0)
 _PRIOR = object()

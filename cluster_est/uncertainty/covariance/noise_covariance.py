@@ -13,6 +13,12 @@ for S here are
 
 The intervals are those of the autoregression, which is the first where the noise is white. The
 third takes its place where the experiments differ by more than chance.
+
+The autocovariances of the noise, from residuals that have lost some of it to a fit.
+
+Symbols: e the noise with covariance S, Q an orthonormal basis of the directions that were fitted,
+r = (1 - QQ') e the residuals, c_h the sums of r_t r_{t+h} over all records of an output, g_h the
+autocovariances of its noise, a the coefficients of the autoregression that they are given by.
 """
 
 from __future__ import annotations
@@ -24,19 +30,248 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import chdtrc
 
-from cluster_est.uncertainty.covariance.autoregression import (
-    AutoregressiveNoise,
-    NoiseRecord,
-    fit_noise,
-)
 from cluster_est.uncertainty.covariance.blocks import (
     BlockCovariance,
     BlockFactors,
     block_covariance,
 )
 from workers.messages import FloatArray, IntArray
+
+LONGEST_ORDER = 20
+SAMPLES_PER_ORDER = 10
+"""Samples of the longest record for each order that is tried: over longer lags, what a fit has
+taken of the noise cannot be told from what the noise lacks."""
+PENALTY = 6.635
+"""For each further order, at least: the 1 % level of a chi-square of one degree."""
+ITERATIONS = 100
+SETTLED = 1e-3
+"""Change of the autocovariances, over the variance, at which they have settled."""
+NEGLIGIBLE = 1e-6
+"""Autocovariances below this, over the variance, are 0 from there on."""
+MOST_LAGS = 100_000
+REFLECTION = 0.999
+"""Largest partial autocorrelation: beyond it a noise has no variance that could be told."""
+MOST_PRODUCTS = 2e6
+"""Rows times fitted directions, above which what the fit took is not corrected for: so many rows
+lose too little for it to matter."""
+
+
+@dataclass(frozen=True)
+class NoiseRecord:
+    """A record of one output: samples that follow each other in time.
+
+    Attributes
+    ----------
+    output
+        Which output.
+    residuals : (n,)
+        Over the square roots of their weights.
+    fitted : (n, k)
+        The record's rows of Q: of the shared directions, then of those of its experiment alone.
+    experiment
+        Which experiment.
+    """
+
+    output: int
+    residuals: FloatArray = field(repr=False)
+    fitted: FloatArray = field(repr=False)
+    experiment: int
+
+
+@dataclass(frozen=True)
+class AutoregressiveNoise:
+    """The noise of one output as an autoregression.
+
+    Attributes
+    ----------
+    coefficients : (order,)
+        a; none of them for white noise.
+    covariances : (lags,)
+        g_0, g_1, ..., up to where they are negligible.
+    variance_error
+        Relative variance of the estimate of the noise's spectrum at frequency 0.
+    """
+
+    coefficients: FloatArray
+    covariances: FloatArray
+    variance_error: float
+
+    def times(self, columns: FloatArray) -> FloatArray:
+        """Return S times columns of one record."""
+        length = len(columns)
+        lags = self.covariances[:length]
+        size = next_fast_len(length + len(lags), real=True)
+        kernel = np.zeros(size)
+        kernel[: len(lags)] = lags
+        kernel[size - len(lags) + 1 :] += lags[:0:-1]
+        spectrum = rfft(kernel).real[:, None] * rfft(columns, size, axis=0)
+        return np.asarray(irfft(spectrum, size, axis=0)[:length])
+
+
+def fit_noise(records: Sequence[NoiseRecord], shared: int) -> dict[int, AutoregressiveNoise]:
+    """Fit an autoregression to the noise of each output.
+
+    A fit follows the slow part of coloured noise, so that its residuals are less correlated than
+    the noise was. In expectation,
+
+        E c_h = tr(T_h (1 - QQ') S (1 - QQ')),    T_h the products at lag h,
+
+    which is solved for S by iteration: the difference of E c_h and of what c_h would be without
+    the fit is added to the c_h that were seen (the moments of restricted maximum likelihood; H. D.
+    Patterson, R. Thompson, Biometrika 58 (1971) 545-554, doi:10.1093/biomet/58.3.545). The order
+    has the least n log s^2 + max(log n, 6.6) p (G. Schwarz, Ann. Stat. 6 (1978) 461-464,
+    doi:10.1214/aos/1176344136, with no more than one white output in a hundred called coloured).
+
+    Parameters
+    ----------
+    records
+        All records of all outputs.
+    shared
+        Number of shared directions, the first columns of `NoiseRecord.fitted`.
+    """
+    outputs = sorted({record.output for record in records})
+    own = {output: [r for r in records if r.output == output] for output in outputs}
+    seen = {output: _Products.of(own[output]) for output in outputs}
+    found = {output: seen[output].noise(0.0) for output in outputs}
+    if sum(record.fitted.size for record in records) > MOST_PRODUCTS:
+        return found
+    for _ in range(ITERATIONS):
+        lost = _lost_products(records, found, shared, {o: seen[o].lags for o in outputs})
+        before, found = found, {o: seen[o].noise(lost[o]) for o in outputs}
+        if all(_close(before[output], found[output]) for output in outputs):
+            break
+    return found
+
+
+@dataclass(frozen=True)
+class _Products:
+    """c_h of one output, and how many products each is the sum of."""
+
+    sums: FloatArray
+    counts: FloatArray
+
+    @classmethod
+    def of(cls, records: Sequence[NoiseRecord]) -> _Products:
+        longest = max(len(record.residuals) for record in records)
+        lags = 1 + min(LONGEST_ORDER, longest // SAMPLES_PER_ORDER)
+        sums, counts = np.zeros(lags), np.zeros(lags)
+        for record in records:
+            column = record.residuals[:, None]
+            sums += _correlated(column, column, lags)
+            counts += np.maximum(len(column) - np.arange(lags), 0)
+        return cls(sums, counts)
+
+    @property
+    def lags(self) -> int:
+        return len(self.sums)
+
+    def noise(self, lost: FloatArray | float) -> AutoregressiveNoise:
+        """Return the autoregression of the best order, `lost` being what the fit took of c_h."""
+        covariances = (self.sums + lost) / self.counts
+        count = self.counts[0]
+        penalty = max(float(np.log(count)), PENALTY)
+        best, least = (np.zeros(0), float(covariances[0])), np.inf
+        for coefficients, variance in _predictors(covariances):
+            criterion = count * np.log(variance) + penalty * len(coefficients)
+            if criterion < least:
+                best, least = (coefficients, variance), criterion
+        coefficients, variance = best
+        error = _spectrum_error(coefficients, variance, covariances, count)
+        return AutoregressiveNoise(coefficients, _extended(coefficients, covariances), error)
+
+
+def _predictors(covariances: FloatArray) -> list[tuple[FloatArray, float]]:
+    """Return the predictors of order 0, 1, ... and the variances of their errors.
+
+    The Levinson-Durbin recursion, up to the first order that is not stationary.
+    """
+    coefficients, variance = np.zeros(0), float(covariances[0])
+    if not variance > 0.0:
+        return []
+    found = [(coefficients, variance)]
+    for order in range(1, len(covariances)):
+        rest = covariances[order] - coefficients @ covariances[order - 1 : 0 : -1]
+        reflection = float(rest) / variance
+        if not abs(reflection) <= REFLECTION:
+            break
+        coefficients = np.append(coefficients - reflection * coefficients[::-1], reflection)
+        variance *= 1.0 - reflection**2
+        found.append((coefficients, variance))
+    return found
+
+
+def _extended(coefficients: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Return g_h of an autoregression, up to where they stay negligible."""
+    order = len(coefficients)
+    found = list(covariances[: order + 1])
+    small = 0
+    while order and small <= order and len(found) < MOST_LAGS:
+        found.append(float(coefficients @ found[: -order - 1 : -1]))
+        small = small + 1 if abs(found[-1]) < NEGLIGIBLE * found[0] else 0
+    return np.array(found)
+
+
+def _spectrum_error(
+    coefficients: FloatArray, variance: float, covariances: FloatArray, count: float
+) -> float:
+    """Return the relative variance of s^2 / (1 - a_1 - ... - a_p)^2, to first order.
+
+    The estimates of a have the covariance s^2 G^-1 / n, G having g_|i-j|: P. J. Brockwell, R. A.
+    Davis, Time Series: Theory and Methods (1991), doi:10.1007/978-1-4419-0320-4, section 8.1.
+    """
+    order = len(coefficients)
+    own = 2.0 / count
+    if not order:
+        return own
+    lags = np.abs(np.subtract.outer(np.arange(order), np.arange(order)))
+    spread = variance * float(np.linalg.solve(covariances[lags], np.ones(order)).sum())
+    return own + 4.0 * spread / (count * (1.0 - float(coefficients.sum())) ** 2)
+
+
+def _lost_products(
+    records: Sequence[NoiseRecord],
+    noise: dict[int, AutoregressiveNoise],
+    shared: int,
+    lags: dict[int, int],
+) -> dict[int, FloatArray]:
+    """Return how much less than without a fit c_h of each output is in expectation."""
+    products = [noise[record.output].times(record.fitted) for record in records]
+    forms: dict[int, FloatArray] = {}
+    common = np.zeros((shared, shared))
+    for record, product in zip(records, products, strict=True):
+        form = record.fitted.T @ product
+        forms[record.experiment] = forms.get(record.experiment, 0.0) + form
+        common += form[:shared, :shared]
+    for form in forms.values():
+        form[:shared, :shared] = common
+    lost = {output: np.zeros(count) for output, count in lags.items()}
+    for record, product in zip(records, products, strict=True):
+        count = lags[record.output]
+        mixed = record.fitted @ forms[record.experiment]
+        lost[record.output] += (
+            _correlated(record.fitted, product, count)
+            + _correlated(product, record.fitted, count)
+            - _correlated(record.fitted, mixed, count)
+        )
+    return lost
+
+
+def _correlated(one: FloatArray, other: FloatArray, lags: int) -> FloatArray:
+    """Return the sums over rows and columns of one_t other_{t+h}, h = 0 ... lags - 1."""
+    size = next_fast_len(len(one) + lags, real=True)
+    spectra = rfft(one, size, axis=0).conj() * rfft(other, size, axis=0)
+    return np.asarray(irfft(spectra.sum(axis=1), size)[:lags])
+
+
+def _close(one: AutoregressiveNoise, other: AutoregressiveNoise) -> bool:
+    size = min(len(one.covariances), len(other.covariances), LONGEST_ORDER)
+    change = np.abs(one.covariances[:size] - other.covariances[:size]).max()
+    alike = len(one.coefficients) == len(other.coefficients)
+    return bool(alike and change <= SETTLED * other.covariances[0])
+
 
 FEW_EXPERIMENTS = 10
 """Below so many experiments their scatter is reported, but no interval rests on it."""

@@ -1,24 +1,30 @@
-"""The recipe: place walkers around an optimum, move them, judge the chains, and sum them up."""
+"""The recipe: place walkers around an optimum, move them, judge the chains, and sum them up.
+
+An ensemble of walkers that draws from a posterior, as a search on the queue.
+
+Half of the walkers move at a time, along differences of two others, so that each request is a batch
+of simulations and no step size has to be chosen (C. J. F. ter Braak, Stat. Comput. 16 (2006)
+239-249, doi:10.1007/s11222-006-8769-1), by the package emcee (D. Foreman-Mackey, D. W. Hogg, D.
+Lang, J. Goodman, PASP 125 (2013) 306-312, doi:10.1086/670067).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
+from typing_extensions import override
 
-from cluster_est.methods.base import Ending, Solution
+from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
+from cluster_est.methods.callback_bridge import Ask, search_in_thread
 from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.statistics.scaled_inverse import root_of_inverse
 from cluster_est.uncertainty.covariance.result import ConfidenceInterval
-from cluster_est.uncertainty.posterior.density import check_posterior
-from cluster_est.uncertainty.posterior.diagnostics import (
-    autocorrelation_times,
-    split_shrink_factors,
-)
-from cluster_est.uncertainty.posterior.ensemble import EnsembleSampling, WalkerChain
+from cluster_est.uncertainty.posterior.density import check_posterior, log_density
 from cluster_est.uncertainty.posterior.result import (
     PosteriorInterval,
     PosteriorResult,
@@ -27,6 +33,167 @@ from cluster_est.uncertainty.posterior.result import (
 )
 from cluster_est.uncertainty.settings import UncertaintySettings
 from workers.messages import FloatArray
+
+
+def autocorrelation_times(chain: FloatArray) -> FloatArray:
+    """Return the integrated autocorrelation time of each unknown, in steps.
+
+    The mean of a chain of n steps of w walkers is as exact as that of w n / time independent draws
+    (A. Sokal, in C. DeWitt-Morette et al., Functional Integration (1997),
+    doi:10.1007/978-1-4899-0319-8_6).
+
+    Parameters
+    ----------
+    chain : (steps, walkers, unknowns)
+
+    Returns
+    -------
+    (unknowns,)
+        At least 1; infinite for an unknown that some walker never moved.
+    """
+    from emcee.autocorr import integrated_time  # only a posterior needs it
+
+    moves = (np.ptp(chain, axis=0) > 0.0).all(axis=0)
+    times = np.full(chain.shape[2], np.inf)
+    if moves.any() and len(chain) > 1:
+        times[moves] = integrated_time(chain[:, :, moves], tol=0, quiet=True)
+    return np.where(np.isnan(times), np.inf, np.maximum(times, 1.0))
+
+
+def split_shrink_factors(chain: FloatArray) -> FloatArray:
+    """Return by how much the spread of each unknown would shrink if the chains were longer.
+
+    The potential scale reduction of split chains, sqrt(((n - 1) / n W + B / n) / W) with W the mean
+    variance within the halves of all walkers and B / n that of their means (A. Gelman, D. B. Rubin,
+    Stat. Sci. 7 (1992) 457-472, doi:10.1214/ss/1177011136; A. Vehtari et al., Bayesian Anal. 16
+    (2021) 667-718, doi:10.1214/20-BA1221). 1 for chains that all tell the same.
+
+    Parameters
+    ----------
+    chain : (steps, walkers, unknowns)
+
+    Returns
+    -------
+    (unknowns,)
+        Infinite for an unknown that never moved.
+    """
+    half = len(chain) // 2
+    if half < 2:
+        return np.full(chain.shape[2], np.inf)
+    parts = np.concatenate([chain[:half], chain[len(chain) - half :]], axis=1)
+    within = parts.var(axis=0, ddof=1).mean(axis=0)
+    between = parts.mean(axis=0).var(axis=0, ddof=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factors = np.sqrt(((half - 1) / half * within + between) / within)
+    return np.where(np.isnan(factors), np.inf, factors)
+
+
+WHOLE = 0.1
+"""Share of the moves by a whole difference, which lead from one mode to another (ter Braak)."""
+
+
+@dataclass
+class WalkerChain:
+    """The states of an ensemble, step after step, in search coordinates."""
+
+    states: list[FloatArray] = field(default_factory=list)
+    densities: list[FloatArray] = field(default_factory=list)
+    failures: int = 0
+    asked: int = 0
+
+    def add(self, states: FloatArray, densities: FloatArray) -> None:
+        self.states.append(states.copy())
+        self.densities.append(densities.copy())
+
+
+@dataclass(frozen=True, eq=False)
+class EnsembleSampling(Method):
+    """Move walkers, and keep where they were.
+
+    Attributes
+    ----------
+    starts : (walkers, unknowns)
+        In search coordinates, within the bounds.
+    steps
+        Of each walker.
+    chain
+        Takes what is drawn; a search that is cut short leaves in it what there was.
+    """
+
+    name: ClassVar[str] = "posterior"
+    needs_residuals: ClassVar[bool] = False
+    needs_every_residual: ClassVar[bool] = False
+    keeps_constraints: ClassVar[bool] = True
+
+    starts: FloatArray
+    steps: int
+    chain: WalkerChain
+
+    @override
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
+        return search_in_thread(lambda ask: self._draw(space, ask, generator))
+
+    def _draw(self, space: SearchSpace, ask: Ask, generator: np.random.Generator) -> Solution:
+        import emcee  # only a posterior needs it
+
+        density = _Density(space, ask, self.chain)
+        moves = [(emcee.moves.DEMove(), 1.0 - WHOLE), (emcee.moves.DEMove(gamma0=1.0), WHOLE)]
+        sampler = emcee.EnsembleSampler(
+            len(self.starts), space.size, density, vectorize=True, moves=moves
+        )
+        seed = int(generator.integers(2**32))
+        sampler.random_state = np.random.RandomState(seed).get_state()
+        steps = sampler.sample(
+            self.starts, iterations=self.steps, store=False, skip_initial_state_check=True
+        )
+        try:
+            with np.errstate(invalid="ignore"):  # from one point without a density to another
+                for state in steps:
+                    self.chain.add(state.coords, state.log_prob)
+                    density.progress = Progress(len(self.chain.states), density.best_cost)
+        except _NoDensityError:
+            return Solution(space.start, np.nan, Ending.START_FAILED, "no walker has a density")
+        best = density.best
+        assert best is not None
+        return Solution(best[0], best[1].cost, Ending.CONVERGED, iterations=self.steps, at=best[1])
+
+
+class _NoDensityError(Exception):
+    """No walker begins at a point with a density: moves would lead nowhere."""
+
+
+class _Density:
+    """The log density of many points at once, for the sampler to call."""
+
+    def __init__(self, space: SearchSpace, ask: Ask, chain: WalkerChain) -> None:
+        self._space, self._ask, self._chain = space, ask, chain
+        self.progress = Progress(0, np.nan)
+        self.best: tuple[FloatArray, Evaluation] | None = None
+        self._begun = False
+
+    @property
+    def best_cost(self) -> float:
+        return np.nan if self.best is None else self.best[1].cost
+
+    def __call__(self, points: FloatArray) -> FloatArray:
+        space = self._space
+        found = np.full(len(points), -np.inf)
+        inside = ((points >= space.lower) & (points <= space.upper)).all(axis=1)
+        if not inside.any() and self._begun:
+            return found
+        asked = points[inside]
+        answers = self._ask(Points(asked.copy(), "posterior", self.progress))
+        self._chain.asked += len(answers)
+        self._chain.failures += sum(not at.ok for at in answers)
+        found[inside] = [log_density(space, x, at) for x, at in zip(asked, answers, strict=True)]
+        for x, at in zip(asked, answers, strict=True):
+            if at.ok and (self.best is None or at.rank < self.best[1].rank):
+                self.best = x.copy(), at
+        if not self._begun and not np.isfinite(found).any():
+            raise _NoDensityError
+        self._begun = True
+        return found
+
 
 LEAST_WALKERS = 16
 PER_UNKNOWN = 4

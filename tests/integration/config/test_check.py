@@ -13,18 +13,18 @@ from support.spoiled import spoiled_fmu, write_input
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.cli.display.preflight import print_page
+from cluster_est.cli.preparation import print_page
 from cluster_est.errors import ModelError
 from cluster_est.preflight import CheckFinding, CheckPage, CheckVerdict, bare_problem, run_checks
+from cluster_est.preflight.checks import costs
 from cluster_est.preflight.measured_data import data_findings
-from cluster_est.preflight.simulation_costs import costs
 from cluster_est.preflight.subject import CheckSubject, TimeBudget
 from cluster_est.problem.parameter import Parameter
 from cluster_est.running.resources import Resources
 from cluster_est.running.trials import reset_policy
 from workers.messages import Effect, Solver
-from workers.probes.directional import DirectionalProbe
 from workers.probes.probes import CostProbe, LeftoverProbe, MovementProbe, SimulationCost
+from workers.probes.sensitivities import DirectionalProbe
 from workers.process.trial import BenchHere, NoAnswer, ProbeBench
 
 MINUTE = 60.0

@@ -13,7 +13,7 @@ from scipy.signal import lsim
 from cluster_est.costs import COSTS
 from workers.effects.forms import FORMS
 from workers.residuals.base import SimulatedOutputs
-from workers.residuals.bounds import SignalBounds
+from workers.residuals.experiment import SignalBounds
 
 POINT = re.compile(r"-?\d+\.\d+")
 PAGES = {

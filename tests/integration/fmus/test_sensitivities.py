@@ -15,7 +15,7 @@ from support.thinning import thinned
 from cluster_est import Experiment, Input, Output, Parameter, Problem, Solver, fit
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.methods.sqp.method import Sqp
-from cluster_est.preflight.sensitivities import sensitivities
+from cluster_est.preflight.solver_checks import sensitivities
 from cluster_est.preflight.subject import CheckSubject, TimeBudget
 from cluster_est.problem.search_space.space import make_space
 from workers.evaluate import Evaluator

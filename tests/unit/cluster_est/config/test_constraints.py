@@ -6,7 +6,7 @@ from support.spoiled import REMOVED, write_input
 
 from cluster_est import read_problem
 from workers.residuals.base import SimulatedOutputs
-from workers.residuals.bounds import SignalBounds
+from workers.residuals.experiment import SignalBounds
 
 A = "experiments.0"
 INF = np.inf

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from workers.effects.between_samples import PIECES, refine
 from workers.effects.memory import SampledSignal, backlash, delay
+from workers.effects.outputs import PIECES, refine
 from workers.grid import build_grid
 from workers.messages import Experiment, Input, Output
 

@@ -27,7 +27,7 @@ from workers.messages import (
     UserFunction,
 )
 from workers.residuals.base import SimulatedOutputs
-from workers.residuals.bounds import SignalBounds
+from workers.residuals.experiment import SignalBounds
 from workers.residuals.functions import FunctionComparison
 from workers.residuals.nearest_segment import segment_distances, tolerance_constraints
 

@@ -5,10 +5,8 @@ import numpy as np
 import pytest
 
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.methods.least_squares.active_set import within_bounds
-from cluster_est.methods.least_squares.factored_blocks import FactoredBlocks
-from cluster_est.methods.least_squares.factored_chains import FactoredChains
-from cluster_est.methods.least_squares.sparse_step import SparseStepSolver
+from cluster_est.methods.least_squares.linear_map import FactoredBlocks, FactoredChains
+from cluster_est.methods.least_squares.sparse_step import SparseStepSolver, within_bounds
 
 DAMPINGS = (1e-14, 1e-6, 1e-3, 1.0, 1e6)
 

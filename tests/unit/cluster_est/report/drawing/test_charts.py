@@ -20,8 +20,8 @@ from cluster_est.report.drawing import (
     Rules,
     Scale,
 )
-from cluster_est.report.drawing.decimate import column_of, extremes
 from cluster_est.report.numbers import beside, compact, count, digits, duration, interval, percent
+from cluster_est.report.sections.curves import column_of, extremes
 
 X = np.linspace(0.0, 1.0, 11)
 UNIT = Scale(0.0, 1.0)

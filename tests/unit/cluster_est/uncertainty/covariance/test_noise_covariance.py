@@ -12,7 +12,7 @@ from support.problems.curves import Curves
 
 from cluster_est import Parameter
 from cluster_est.uncertainty import assess
-from cluster_est.uncertainty.covariance.autoregression import (
+from cluster_est.uncertainty.covariance.noise_covariance import (
     AutoregressiveNoise,
     NoiseRecord,
     fit_noise,
