@@ -44,8 +44,7 @@ from cluster_est.running.resources import Resources, one_blas_thread
 from cluster_est.running.runner import Runner
 from cluster_est.running.sizes import with_sizes
 from cluster_est.shooting.settings import Shooting
-from cluster_est.shooting.shoot import ShotFit, check_shooting, shoot
-from cluster_est.shooting.whole_records import fit_whole_records
+from cluster_est.shooting.shoot import ShotFit, check_shooting, fit_whole_records, shoot
 from cluster_est.uncertainty import (
     UncertaintySettings,
     bootstrap,

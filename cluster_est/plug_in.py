@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+import numbers
 from inspect import get_annotations
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from cluster_est.errors import ClusterEstError
+from workers.messages.checks import is_finite, shown
 
 
 def check_class_attributes(derived: type) -> None:
@@ -33,3 +39,73 @@ def check_class_attributes(derived: type) -> None:
                 f"{derived.__module__}.{derived.__qualname__}.{name}: must be declared for the "
                 f"class but is an option; write {name}: {declared[name]}"
             )
+
+
+_TYPES: dict[Any, tuple[Any, str]] = {
+    float: (numbers.Real, "a number"),
+    int: (numbers.Integral, "a whole number"),
+    bool: (bool, "true or false"),
+    str: (str, "text in quotes"),
+}
+
+
+def check_options(chosen: Any, where: str, error: type[ClusterEstError]) -> None:
+    """Check every option of a method, a cost or settings that were made in Python.
+
+    Parameters
+    ----------
+    chosen
+        A dataclass; fields of other types than numbers, texts and choices are left to it.
+    where
+        Opens each message.
+    error
+        What is raised.
+    """
+    if not dataclasses.is_dataclass(chosen):
+        return
+    try:
+        hints = get_type_hints(type(chosen))
+    except NameError:  # a class of the user's may be annotated with what only a type checker sees
+        return
+    for field in dataclasses.fields(chosen):
+        hint = hints[field.name]
+        if hint in _TYPES or get_origin(hint) is Literal:
+            value = getattr(chosen, field.name)
+            check_option(f"{where}.{field.name}", value, hint, field.metadata.get("least"), error)
+
+
+def check_option(
+    where: str, value: Any, hint: Any, least: float | None, error: type[ClusterEstError]
+) -> None:
+    """Check one option.
+
+    Parameters
+    ----------
+    where
+        Opens the message.
+    value, hint
+        Its value and the type that it must have.
+    least
+        The least that it may be; None for no limit.
+    error
+        What is raised.
+    """
+    if get_origin(hint) is Literal:
+        if value not in get_args(hint):
+            choices = ", ".join(repr(choice) for choice in get_args(hint))
+            raise error(f"{where}: must be one of {choices} but is {shown(value)}")
+        return
+    allowed, called = _TYPES.get(hint, (hint, getattr(hint, "__name__", "of another type")))
+    if not isinstance(value, allowed) or isinstance(value, bool) is not (hint is bool):
+        raise error(f"{where}: must be {called} but is {shown(value)}")
+    if hint is not str and not _usual(value, hint):
+        raise error(f"{where}: must be finite and of a usual size but is {shown(value)}")
+    if least is not None and not value >= least:
+        raise error(f"{where}: must be at least {least:g} but is {shown(value)}")
+
+
+def _usual(value: Any, hint: Any) -> bool:
+    """Whether a number is of a size that computations with it bear."""
+    if hint is float:
+        return is_finite(value) and abs(float(value)) < 1e100
+    return bool(abs(value) < 2**63)

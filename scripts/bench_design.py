@@ -42,10 +42,9 @@ from cluster_est.experiment_design.findings.expected_rows import TOLD_APART
 from cluster_est.experiment_design.findings.result import DesignResult
 from cluster_est.experiment_design.limits import ExperimentLimits, InputLimits, SignalLimits
 from cluster_est.experiment_design.models import CandidateModel, fit_candidates
-from cluster_est.experiment_design.queue import DesignQueue
-from cluster_est.experiment_design.request import models_of
+from cluster_est.experiment_design.prediction import DesignQueue
+from cluster_est.experiment_design.request import DesignSettings, models_of
 from cluster_est.experiment_design.search import ranked
-from cluster_est.experiment_design.settings import DesignSettings
 from cluster_est.problem.problem import Problem
 from cluster_est.running.environment import RunEnvironment
 from workers.messages import Experiment

@@ -53,7 +53,7 @@ class Evaluator:
         Whether the FMU is loaded. If not, all else is made ready, and `load` follows later: in
         processes that are forked from this one, each of which loads it for itself.
     progress
-        Progress that simulations note; see `workers.messages.progress`.
+        Progress that simulations note; see `workers.messages.types`.
 
     Raises
     ------

@@ -1,19 +1,27 @@
-"""The program `cluster-est`: from arguments to a command, and from errors to sentences."""
+"""The program `cluster-est`: from arguments to a command, and from errors to sentences.
+
+Standard output and error that end no command, whoever has stopped reading them.
+
+What the system refuses, because a pipe is closed or a disk full, is dropped, and the command goes
+on: its results stand in files.
+"""
 
 from __future__ import annotations
 
+import errno
+import io
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, TextIO
 
 import numpy as np
 from rich.console import Console
+from typing_extensions import override
 
 from cluster_est.cli.commands import run_command
-from cluster_est.cli.display.terminal_text import readable
 from cluster_est.cli.exit_codes import ExitCode
-from cluster_est.cli.output_streams import LenientStreams
 from cluster_est.cli.parent_process import address_space, end, tell_of_fmu
 from cluster_est.cli.parser import parse
 from cluster_est.config.text import with_lines
@@ -21,6 +29,73 @@ from cluster_est.errors import ClusterEstError
 from cluster_est.running.interrupts import terminations
 from workers import caches
 from workers.fmu.surroundings import before_first_instance
+
+LONGEST_LINE = 2000
+
+
+def readable(text: str) -> str:
+    """Return a message as a terminal may get it, whatever a file made it quote.
+
+    What is not printable is written out, because a terminal may obey it; a line that nobody would
+    read to its end loses its middle.
+    """
+    return "\n".join(_cut("".join(map(_printable, line))) for line in text.split("\n"))
+
+
+def _printable(letter: str) -> str:
+    return letter if letter.isprintable() else repr(letter)[1:-1]
+
+
+def _cut(line: str) -> str:
+    return line if len(line) <= LONGEST_LINE else f"{line[:1000]} ... {line[-500:]}"
+
+
+class _Outlet(io.FileIO):
+    """A descriptor that takes everything; `refused` is the first reason why it did not."""
+
+    def __init__(self, descriptor: int) -> None:
+        super().__init__(descriptor, "wb", closefd=False)
+        self.refused: OSError | None = None
+
+    @override
+    def write(self, data: Any, /) -> int:
+        if self.refused is None:
+            try:
+                return super().write(data)
+            except OSError as error:
+                self.refused = error
+        return len(data)
+
+
+class LenientStreams:
+    """Takes the place of both streams of this process, where it has them."""
+
+    def __init__(self) -> None:
+        self._outlets: list[_Outlet] = []
+        sys.stdout, sys.stderr = self._around(sys.stdout), self._around(sys.stderr)
+
+    def _around(self, stream: TextIO) -> TextIO:
+        try:
+            stream.flush()
+            outlet = _Outlet(stream.fileno())
+        except (AttributeError, OSError, ValueError):  # none, or no file of the system
+            return stream
+        self._outlets.append(outlet)
+        return io.TextIOWrapper(
+            io.BufferedWriter(outlet),
+            encoding=stream.encoding,
+            errors=stream.errors,
+            line_buffering=True,
+        )
+
+    def lost(self) -> str:
+        """Say, as part of a sentence, why something could not be printed; "" if nobody reads it."""
+        for stream in filter(None, (sys.stdout, sys.stderr)):
+            stream.flush()
+        refused = [each.refused for each in self._outlets if each.refused is not None]
+        reasons = [error.strerror or str(error) for error in refused if error.errno != errno.EPIPE]
+        return reasons[0] if reasons else ""
+
 
 LOST = (
     "standard output: must be written but cannot be ({}); let it go elsewhere and give the command "

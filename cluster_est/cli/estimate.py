@@ -18,10 +18,9 @@ from cluster_est.cli.terminal import (
     say_if_filter_compiled_first,
     terminal_listener,
 )
-from cluster_est.configured_run import Destination, do_run, read_run
 from cluster_est.run_folder.context import Existing
-from cluster_est.run_folder.run_identity import RunKind
-from cluster_est.run_folder.run_status import RunStatus
+from cluster_est.run_folder.run_identity import RunKind, RunStatus
+from cluster_est.studies import Destination, do_run, read_run
 from cluster_est.sweep.matrix import SUCCESS, SUMMARY
 from cluster_est.sweep.sweep import sweep as run_sweep
 

@@ -18,7 +18,7 @@ from cluster_est.cli.display.run import number, print_iterations, print_table, s
 from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.report.numbers import count, duration
 from cluster_est.report.watch import RunView, SearchView
-from cluster_est.run_folder.log_format import logged_cost
+from cluster_est.run_folder.log_segment import logged_cost
 from cluster_est.run_folder.progress_file import RunState
 from cluster_est.run_folder.progress_text import left_of_step, pace_of, what_is_done
 from cluster_est.run_folder.replay import LoggedSimulation, ReplayRequest, comparison, read_failures

@@ -13,8 +13,7 @@ from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.terminal import complain, say_if_compiled_first
 from cluster_est.config.options import build_resources
 from cluster_est.config.reader import Config
-from cluster_est.configured_run import read_run
-from cluster_est.drafting.mismatches import unit_mismatches
+from cluster_est.drafting.matching import unit_mismatches
 from cluster_est.errors import ModelError
 from cluster_est.preflight import (
     SECONDS,
@@ -31,6 +30,7 @@ from cluster_est.results.output_errors import Simulation
 from cluster_est.results.tables.rows import constraints_at_start
 from cluster_est.run_folder.run_identity import RunKind
 from cluster_est.running.resources import Resources
+from cluster_est.studies import read_run
 from cluster_est.toml import dotted
 
 

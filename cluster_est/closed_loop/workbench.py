@@ -20,9 +20,9 @@ from cluster_est.methods.given_points import GivenPoints
 from cluster_est.problem.effects.process_noise import noise_names, without_noise
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.running.multistart import with_best_sensors
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
-from cluster_est.running.sensor_starts import with_best_sensors
 from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.whitening import deviance
 from workers.fmu.description import ModelDescription

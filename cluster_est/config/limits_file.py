@@ -15,7 +15,7 @@ from cluster_est.errors import ConfigError, ProblemError
 from cluster_est.experiment_design.candidates import RECORDED
 from cluster_est.experiment_design.criteria import CRITERIA
 from cluster_est.experiment_design.limits import ExperimentLimits, InputLimits, SignalLimits
-from cluster_est.experiment_design.settings import DesignSettings
+from cluster_est.experiment_design.request import DesignSettings
 from cluster_est.experiment_design.targets import PredictionTarget
 from cluster_est.experiment_design.waveforms import WAVEFORMS
 from cluster_est.problem.tables.files import read_table

@@ -11,8 +11,8 @@ from cluster_est.costs import COSTS, Cost
 from cluster_est.costs.total import TotalCost
 from cluster_est.errors import ConfigError, ProblemError
 from cluster_est.methods import ALIASES, METHODS, Method
+from cluster_est.plug_in import check_option
 from cluster_est.priors import PRIORS, Prior
-from cluster_est.problem.options import check_option
 from cluster_est.running.resources import Resources
 from workers.fmu.description import nearest
 from workers.messages import Limits

@@ -3,11 +3,37 @@
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Collection, Sequence
 
 from cluster_est.executors.base import Executor, OutcomeSource
-from cluster_est.executors.simulation_key import simulation_key
-from workers.messages import Experiment, Model, Outcome, ResetPolicy, Task
+from workers.messages import (
+    Effect,
+    Experiment,
+    FloatArray,
+    Model,
+    Outcome,
+    ResetPolicy,
+    Task,
+    content_hash,
+)
+
+
+def simulation_key(
+    model_key: str,
+    experiment_key: str,
+    effects: tuple[Effect, ...],
+    values: FloatArray,
+    bound: float = math.inf,
+) -> str:
+    """Return the hash of all that a simulation's outcome depends on.
+
+    `bound` is the sum of squares above which it ends early.
+    """
+    parts: list[str | bytes] = [model_key, experiment_key, repr(effects), values.tobytes()]
+    if bound < math.inf:
+        parts.append(bound.hex())
+    return content_hash(parts)
 
 
 class LogReplayExecutor(Executor):

@@ -15,7 +15,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
-from cluster_est.statistics.scaled_inverse import inverse
+from cluster_est.statistics.projection import inverse
 from cluster_est.uncertainty import Uncertainty, assess
 from workers.messages import FloatArray
 

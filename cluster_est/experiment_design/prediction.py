@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -11,15 +13,58 @@ from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.experiment_design.candidates import CandidateInput
 from cluster_est.experiment_design.models import FittedCandidate, PredictedOutput
-from cluster_est.experiment_design.queue import DesignQueue
 from cluster_est.methods.base import TOLERANCE, Evaluation
 from cluster_est.methods.given_points import GivenPoints
 from cluster_est.problem.prior_weights import without_priors
+from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
-from cluster_est.statistics.scaled_inverse import inverse, root_of_inverse
+from cluster_est.statistics.projection import inverse, root_of_inverse
 from workers.messages import Experiment, FloatArray
+
+Found = TypeVar("Found")
+
+
+class DesignQueue:
+    """Opens workers for the experiments of each step, and counts what they simulate.
+
+    Parameters
+    ----------
+    environment
+        Workers, budget, and who is told.
+    problem
+        Whose model is simulated.
+    """
+
+    def __init__(self, environment: RunEnvironment, problem: Problem) -> None:
+        self._environment, self._problem = environment, problem
+        self._begin = time.monotonic()
+        self.evaluations, self.simulations, self.failures = 0, 0, 0
+
+    def use(
+        self, experiments: Sequence[Experiment], phase: str, step: Callable[[Runner], Found]
+    ) -> Found:
+        """Do a step with a runner whose executor has these experiments.
+
+        Raises
+        ------
+        ClusterEstError
+            If there are no workers, or the budget is used up.
+        """
+        problem = replace(self._problem, experiments=tuple(experiments))
+        environment = self._environment.left(self.evaluations, time.monotonic() - self._begin)
+        with environment.executor(problem) as executor:
+            runner = environment.runner(executor, record=environment.record_of(problem), whole=True)
+            runner.display.phase = phase
+            try:
+                return step(runner)
+            finally:
+                self.evaluations += runner.evaluations
+                self.simulations += runner.simulations
+                self.failures += runner.failures
+
 
 FLAT = 1e-9
 """Singular value of the moves of all unknowns, in units of their sizes, that is none."""

@@ -12,11 +12,11 @@ from cluster_est.experiment_design.candidates import CandidateInput, CandidateMa
 from cluster_est.experiment_design.criteria import DesignCriterion, evidence_table
 from cluster_est.experiment_design.models import FittedCandidate
 from cluster_est.experiment_design.prediction import (
+    DesignQueue,
     PredictedExperiment,
     keeping_limits,
     predictions,
 )
-from cluster_est.experiment_design.queue import DesignQueue
 from cluster_est.methods.base import TOLERANCE
 from cluster_est.running.runner import Runner
 from workers.messages import FloatArray

@@ -16,8 +16,7 @@ from cluster_est.export.modelica import modelica
 from cluster_est.export.repair import gather
 from cluster_est.export.repaired_fmu.compiler import PLATFORMS
 from cluster_est.export.repaired_fmu.fmu import FmuOptions, write_fmu
-from cluster_est.export.repaired_model import EstimatedValue, RepairedModel
-from cluster_est.export.text import describe_repair
+from cluster_est.export.repaired_model import EstimatedValue, RepairedModel, describe_repair
 from cluster_est.whole_files import ELSEWHERE, write_whole
 from workers.fmu.description import nearest
 from workers.messages import Value

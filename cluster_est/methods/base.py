@@ -20,10 +20,10 @@ import enum
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -320,3 +320,63 @@ class Method(ABC):
         generator
             The only source of chance that a method may use.
         """
+
+
+CUT_SHORT = (
+    f"{Ending.STALLED}: the steps became too short because simulations at the end of longer ones "
+    "failed"
+)
+"""The message of a search that ends there."""
+
+
+def is_defined(at: Evaluation) -> bool:
+    """Return whether an evaluation has a cost and a value of every constraint."""
+    return at.ok and not np.isnan(at.cost) and not bool(np.isnan(at.constraints).any())
+
+
+def undefined_reason(at: Evaluation) -> str:
+    """Return why the values of an evaluation are not defined, for a message."""
+    return at.reason or "the cost or a constraint has no value there"
+
+
+def worst_constraint(space: SearchSpace, at: Evaluation) -> str:
+    """Return a sentence on the constraint that is violated most, and by how much."""
+    values = at.constraints
+    if not len(values):
+        return ""
+    sizes = np.where(space.equality, np.abs(values), np.maximum(values, 0.0))
+    worst = int(np.argmax(np.where(np.isnan(sizes), np.inf, sizes)))
+    name = space.constraint_names[worst]
+    return f"the constraint {name!r} is violated most, by {sizes[worst]:.3g} of its scale"
+
+
+Returned = TypeVar("Returned")
+
+
+class BudgetTooShortError(Exception):
+    """A budget has no room for points and those that must follow them; see `Points.follow_up`.
+
+    It is raised in a search, which catches it, and goes on with fewer points or ends.
+    """
+
+
+def within_budget(
+    requests: Generator[Points, list[Evaluation], Returned], follow_up: int
+) -> Generator[Points, list[Evaluation], Returned | None]:
+    """Make requests that are of no use without some further points.
+
+    Returns what they return; None where a budget has no room for one of them and the points that
+    must follow.
+    """
+    answers: list[Evaluation] | None = None
+    while True:
+        try:
+            points = next(requests) if answers is None else requests.send(answers)
+        except StopIteration as end:
+            returned: Returned = end.value
+            return returned
+        try:
+            answers = yield replace(points, follow_up=follow_up)
+        except BudgetTooShortError:
+            requests.close()
+            return None

@@ -6,8 +6,8 @@ an entry in `checks.CHECKS`; it asks the FMU with an `FmuProbe` of `workers`.
 
 from cluster_est.preflight.bare_fmu import bare_problem
 from cluster_est.preflight.checks import SECONDS, run_checks
-from cluster_est.preflight.findings import CheckFinding, CheckPage, CheckVerdict
 from cluster_est.preflight.measured_data import sigma_findings
+from cluster_est.preflight.subject import CheckFinding, CheckPage, CheckVerdict
 
 __all__ = [
     "SECONDS",

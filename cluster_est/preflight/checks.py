@@ -10,7 +10,6 @@ import numpy as np
 
 from cluster_est.executors import executor_class
 from cluster_est.executors.backlog import BATCH_SECONDS
-from cluster_est.preflight.findings import CheckFinding, CheckPage, CheckVerdict, listed
 from cluster_est.preflight.measured_data import data_findings
 from cluster_est.preflight.misread_units import misread_units
 from cluster_est.preflight.parameters import bounds, corners, effects
@@ -25,7 +24,15 @@ from cluster_est.preflight.repeatability import (
     without_parameters,
 )
 from cluster_est.preflight.solver_checks import accuracy, derivatives, stiffness
-from cluster_est.preflight.subject import CheckSubject, TimeBudget, unanswered
+from cluster_est.preflight.subject import (
+    CheckFinding,
+    CheckPage,
+    CheckSubject,
+    CheckVerdict,
+    TimeBudget,
+    listed,
+    unanswered,
+)
 from cluster_est.problem.effects.sensors import sensor_outputs
 from cluster_est.problem.problem import Problem
 from cluster_est.results.initial_errors import (

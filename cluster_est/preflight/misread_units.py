@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cluster_est.preflight.findings import CheckFinding, CheckVerdict
-from cluster_est.preflight.subject import CheckSubject, unanswered
+from cluster_est.preflight.subject import CheckFinding, CheckSubject, CheckVerdict, unanswered
 from cluster_est.problem.tables.units import UnitConversion, likely_conversions
 from cluster_est.problem.tables.unused import TableSource
 from cluster_est.results.output_errors import Simulation

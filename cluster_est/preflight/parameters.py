@@ -8,8 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.methods.derivatives.differences import relative_noise
-from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
-from cluster_est.preflight.subject import CheckSubject, unanswered
+from cluster_est.preflight.subject import (
+    CheckFinding,
+    CheckSubject,
+    CheckVerdict,
+    listed,
+    unanswered,
+)
 from cluster_est.problem.idle_inputs import silent_inputs, stays
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.search_space.unknown import Unknown

@@ -9,9 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cluster_est.preflight.findings import CheckFinding, CheckVerdict, listed
 from cluster_est.preflight.solver_checks import longest_step
-from cluster_est.preflight.subject import CheckSubject, unanswered
+from cluster_est.preflight.subject import (
+    CheckFinding,
+    CheckSubject,
+    CheckVerdict,
+    listed,
+    unanswered,
+)
 from cluster_est.problem.problem import Problem
 from cluster_est.results.output_errors import Simulation
 from cluster_est.running.trials import reset_policy
@@ -25,7 +30,7 @@ from workers.probes.probes import (
     StopTimeProbe,
     differences,
 )
-from workers.probes.remedies import RemedyProbe, SimulationVariant
+from workers.probes.variants import RemedyProbe, SimulationVariant
 from workers.process.forked import CAN_FORK
 from workers.process.trial import NoAnswer
 

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cluster_est.preflight.findings import CheckFinding, CheckVerdict
-from cluster_est.preflight.subject import CheckSubject, unanswered
+from cluster_est.preflight.subject import CheckFinding, CheckSubject, CheckVerdict, unanswered
 from cluster_est.toml import dotted
 from workers.messages import FloatArray, Solver
 from workers.probes.probes import SolverProbe, StiffnessProbe

@@ -8,10 +8,9 @@ from functools import cached_property
 from cluster_est.costs.base import Cost
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
+from cluster_est.plug_in import check_options
 from cluster_est.problem import display
 from cluster_est.problem.formulas import Formula, ParameterConstraint
-from cluster_est.problem.names import coefficient_names, refuse_repeated
-from cluster_est.problem.options import check_options
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.tables.jumps import jump_findings
 from cluster_est.problem.tables.stand_ins import of_experiment, stand_in_findings
@@ -22,6 +21,8 @@ from cluster_est.problem.variables import (
     check_interface,
     check_parameters,
     check_signals,
+    coefficient_names,
+    refuse_repeated,
     with_units,
 )
 from cluster_est.toml import dotted

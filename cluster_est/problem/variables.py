@@ -3,17 +3,33 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 from cluster_est.errors import ModelError, ProblemError
-from cluster_est.problem.names import refuse_repeated
 from cluster_est.problem.parameter import Parameter
 from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription, nearest
 from workers.fmu.variable import ModelVariable
 from workers.messages import Effect, Experiment, Model, Value
 from workers.messages.checks import shown
+
+
+def refuse_repeated(what: str, names: Sequence[str]) -> None:
+    """Refuse a name that appears twice."""
+    repeated = [name for name, count in Counter(names).items() if count > 1]
+    if repeated:
+        raise ProblemError(
+            f"{what} {repeated[0]!r}: must appear once but appears twice; rename or remove one"
+        )
+
+
+def coefficient_names(effect: Effect) -> list[str]:
+    """Names of an effect's coefficients."""
+    from workers.effects.definition import coefficients  # SymPy takes long to import
+
+    return [c.name for c in coefficients(effect, f"effect {effect.name!r}")]
 
 
 def check_interface(model: Model, description: ModelDescription) -> None:

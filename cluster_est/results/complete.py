@@ -15,9 +15,8 @@ from cluster_est.results.guarded import GuardedSteps
 from cluster_est.results.output_errors import Simulation, output_errors
 from cluster_est.results.result import Result
 from cluster_est.results.tables import rows
-from cluster_est.running.evaluation import assemble_evaluation, with_priors
 from cluster_est.running.runner import Runner
-from cluster_est.running.search_state import SearchRequest, suited
+from cluster_est.running.search_state import SearchRequest, assemble_evaluation, suited, with_priors
 from cluster_est.running.sizes import with_sizes
 from cluster_est.uncertainty import Uncertainty, assess
 from workers.messages import FloatArray

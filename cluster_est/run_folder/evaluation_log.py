@@ -19,9 +19,16 @@ import numpy as np
 import pyarrow as pa
 
 from cluster_est.errors import UnwritableError
-from cluster_est.executors.simulation_key import simulation_key
-from cluster_est.run_folder.log_format import SCHEMA, logged_cost, residuals_hash
-from cluster_est.run_folder.log_segment import SegmentWriter, read_log, segments, slim
+from cluster_est.executors.log_replay import simulation_key
+from cluster_est.run_folder.log_segment import (
+    SCHEMA,
+    SegmentWriter,
+    logged_cost,
+    read_log,
+    residuals_hash,
+    segments,
+    slim,
+)
 from cluster_est.running.records import LogSettings, TaskOrigin
 from cluster_est.whole_files import AGAIN, writing
 from workers.messages import FloatArray, Outcome, Trajectory

@@ -6,7 +6,7 @@ import enum
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from cluster_est.run_folder.run_status import RunStatus
+from cluster_est.run_folder.run_identity import RunStatus
 
 
 class RunWorth(enum.StrEnum):

@@ -10,8 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from cluster_est.executors.base import OutcomeSource
-from cluster_est.run_folder.log_format import residuals_hash
-from cluster_est.run_folder.log_segment import mend, read_segment, segments
+from cluster_est.run_folder.log_segment import mend, read_segment, residuals_hash, segments
 from workers.messages import USUAL, FloatArray, IntArray, Outcome, Status, Trajectory, Want
 
 HASH, STEPS = "residuals_hash", "steps"

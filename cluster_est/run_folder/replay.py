@@ -14,11 +14,11 @@ from cluster_est.config.build import build_problem
 from cluster_est.config.options import build_resources
 from cluster_est.config.reader import read_config
 from cluster_est.errors import ConfigError, RunFolderError
-from cluster_est.executors.simulation_key import simulation_key
-from cluster_est.problem.names import coefficient_names
+from cluster_est.executors.log_replay import simulation_key
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.variables import coefficient_names
 from cluster_est.run_folder.evaluation_log import read_log
-from cluster_est.run_folder.log_format import logged_cost, residuals_hash
+from cluster_est.run_folder.log_segment import logged_cost, residuals_hash
 from cluster_est.run_folder.reading import is_ended, read_config_text, read_facts
 from cluster_est.running.trials.reset_policy import recorded
 from workers.fmu.description import nearest

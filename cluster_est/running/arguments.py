@@ -10,7 +10,7 @@ from os import PathLike
 from cluster_est.errors import ProblemError
 from cluster_est.executors import EXECUTORS
 from cluster_est.methods import ALIASES, METHODS, Method
-from cluster_est.problem.options import check_options
+from cluster_est.plug_in import check_options
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.multistart import Multistart

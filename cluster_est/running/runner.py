@@ -16,14 +16,25 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.executors.base import Executor
-from cluster_est.methods.base import Ending, Evaluation, Points, Progress, Solution
-from cluster_est.methods.follow_up import BudgetTooShortError
-from cluster_est.running.budget_watch import BudgetWatch
+from cluster_est.methods.base import (
+    BudgetTooShortError,
+    Ending,
+    Evaluation,
+    Points,
+    Progress,
+    Solution,
+)
 from cluster_est.running.interrupts import DeferredInterrupts, later
 from cluster_est.running.pending_tasks import PendingTasks
 from cluster_est.running.records import Budget, Note, Record, RunSnapshot, SearchIteration, Show
 from cluster_est.running.search_state import SearchRequest, SearchState, suited
-from cluster_est.running.time_left import WorkDone, evaluations_left, share_done, time_left
+from cluster_est.running.time_left import (
+    BudgetWatch,
+    WorkDone,
+    evaluations_left,
+    share_done,
+    time_left,
+)
 from workers.messages import Effect, FloatArray, Outcome, ResetPolicy, Status, Task, Want
 
 

@@ -36,13 +36,15 @@ from cluster_est.running.resources import Resources, one_blas_thread
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.sensitivity.designs import DESIGNS, SensitivityDesign, SensitivityIndex
-from cluster_est.sensitivity.quantities import (
+from cluster_est.sensitivity.result import (
     AnalysedQuantity,
+    IndexRow,
     PointReader,
+    RankedUnknown,
+    SensitivityResult,
     reader_of,
     with_log_cost,
 )
-from cluster_est.sensitivity.result import IndexRow, RankedUnknown, SensitivityResult
 from cluster_est.sensitivity.settings import SensitivitySettings
 from cluster_est.toml import dotted
 from cluster_est.uncertainty import linearise

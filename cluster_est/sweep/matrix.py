@@ -28,8 +28,7 @@ from cluster_est.run_folder.reading import (
     write_run_columns,
 )
 from cluster_est.run_folder.resume import is_whole
-from cluster_est.run_folder.run_identity import RunIdentity, versions
-from cluster_est.run_folder.run_status import RunStatus
+from cluster_est.run_folder.run_identity import RunIdentity, RunStatus, versions
 from cluster_est.settings import ConfigSection, error_messages
 from cluster_est.toml import inline
 from cluster_est.whole_files import write_whole

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from cluster_est.config.options import build_resources
-from cluster_est.configured_run import ConfiguredRun, Destination, Listener, configure, do_run
 from cluster_est.errors import (
     ClusterEstError,
     ConfigError,
@@ -23,9 +22,9 @@ from cluster_est.run_folder.judgement import RunWorth, run_worth
 from cluster_est.run_folder.lock import locked_by_sweep
 from cluster_est.run_folder.reading import read_facts
 from cluster_est.run_folder.resume import check_resumable
-from cluster_est.run_folder.run_identity import RunIdentity, RunKind
-from cluster_est.run_folder.run_status import RunStatus
+from cluster_est.run_folder.run_identity import RunIdentity, RunKind, RunStatus
 from cluster_est.running.shared_pools import SharedPools, pool_key
+from cluster_est.studies import ConfiguredRun, Destination, Listener, configure, do_run
 from cluster_est.sweep.matrix import (
     FAILED,
     NOT_RUN,

@@ -18,7 +18,7 @@ from closed_loop_benchmark.effect import Effect
 from closed_loop_benchmark.problem import start_label
 from closed_loop_benchmark.refit import Refit, refit
 from cluster_est import ClusterEstError, Parameter, Problem
-from cluster_est.problem.names import coefficient_names
+from cluster_est.problem.variables import coefficient_names
 from workers.effects.definition import coefficients
 from workers.errors import EffectError
 from workers.messages import Effect as AddedEffect

@@ -20,7 +20,7 @@ from xml.etree.ElementTree import Element
 
 from workers.errors import ModelError
 from workers.fmu.archive import DAMAGED, open_archive
-from workers.fmu.parsing.elements import Version
+from workers.fmu.parsing.elements import UnitDefinition, Version, read_units
 from workers.fmu.parsing.model_variables import read_variables
 from workers.fmu.parsing.structure import (
     InterfaceOffer,
@@ -28,7 +28,6 @@ from workers.fmu.parsing.structure import (
     read_offers,
     read_structure,
 )
-from workers.fmu.parsing.units import UnitDefinition, read_units
 from workers.fmu.parsing.xml import XML, ReadingNotes, first_line, flag, number, parse
 from workers.fmu.platforms import missing_binary, platforms_in
 from workers.fmu.variable import ModelVariable

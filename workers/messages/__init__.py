@@ -6,11 +6,9 @@ The coordinator sends a `Model` and its `Experiment`s once to every worker, and 
 
 from workers.messages.comparison import Curve, SignalBound, UserFunction
 from workers.messages.experiment import Experiment
-from workers.messages.matrix_series import MatrixSeries
-from workers.messages.model import Effect, Model, Solver
-from workers.messages.outcome import Linearisation, Outcome, Status, Trajectory
+from workers.messages.model import Effect, Model, Seats, Solver
+from workers.messages.outcome import Linearisation, MatrixSeries, Outcome, Status, Trajectory
 from workers.messages.samples import Input, Output
-from workers.messages.seats import Seats
 from workers.messages.task import Limits, Task
 from workers.messages.types import (
     REDUCTIONS,

@@ -1,4 +1,9 @@
-"""Types of arrays, and of choices by name."""
+"""Types of arrays, and of choices by name.
+
+Progress that a simulation notes, for whoever waits for it in another process.
+
+It says that the simulation goes on, whatever the clock says.
+"""
 
 from __future__ import annotations
 
@@ -35,3 +40,14 @@ def content_hash(parts: Iterable[str | bytes]) -> str:
         digest.update(len(data).to_bytes(8, "little"))
         digest.update(data)
     return digest.hexdigest()
+
+
+CALLED, SIMULATIONS, RUNNING, STEPS = range(4)
+"""Whether the FMU was told where it is, or to make a step, since somebody looked; how many
+simulations have begun; whether one of them is under way; and the steps of the solver in the last
+one that reached its end."""
+
+
+def no_watcher() -> IntArray:
+    """Progress that nobody looks at."""
+    return np.zeros(4, np.int64)

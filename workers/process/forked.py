@@ -30,7 +30,7 @@ class ForkClient:
     Attributes
     ----------
     progress
-        What the process has done that was forked last; see `workers.messages.progress`.
+        What the process has done that was forked last; see `workers.messages.types`.
     server
         The id of the process that forks them; 0 before the first.
 

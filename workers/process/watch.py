@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from workers.messages import IntArray
-from workers.messages.progress import CALLED, RUNNING, SIMULATIONS, no_watcher
+from workers.messages.types import CALLED, RUNNING, SIMULATIONS, no_watcher
 
 LATE_SECONDS = 1.0
 """Of sleep that count from one look to the next: who looks so rarely was kept from looking."""
@@ -35,7 +35,7 @@ class SharedProgress:
     descriptor
         Of the memory, to be mapped by `map_progress`.
     progress
-        See `workers.messages.progress`.
+        See `workers.messages.types`.
     """
 
     def __init__(self) -> None:

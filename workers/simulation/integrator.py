@@ -23,7 +23,7 @@ from workers.kernels.solvers.cvode import CvodeBatch
 from workers.kernels.solvers.dormand_prince import dormand_prince_batch
 from workers.kernels.solvers.rk4 import rk4_batch
 from workers.messages import FloatArray, IntArray, Model
-from workers.messages.progress import RUNNING, no_watcher
+from workers.messages.types import RUNNING, no_watcher
 from workers.simulation.batch import SimulationBatch
 from workers.simulation.bind_experiment import BoundExperiment
 from workers.simulation.jacobian import (
@@ -139,7 +139,7 @@ class FmuIntegrator:
     model, description
         The FMU; the description must be of the same archive.
     progress
-        Progress that the loop notes; see `workers.messages.progress`.
+        Progress that the loop notes; see `workers.messages.types`.
     """
 
     instance: FmuInstance

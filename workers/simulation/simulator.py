@@ -40,7 +40,7 @@ class Simulator:
     experiments
         Those that `run` refers to by index.
     progress
-        Progress that simulations note; see `workers.messages.progress`.
+        Progress that simulations note; see `workers.messages.types`.
 
     Raises
     ------

@@ -24,7 +24,7 @@ from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, 
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
-from cluster_est.results.solver_error.communication_step import communication_step, fixed_step
+from cluster_est.results.solver_error.finer_solver import communication_step, fixed_step
 from workers.effects.forms import (
     FORMS,
     EffectForm,

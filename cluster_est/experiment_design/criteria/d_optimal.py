@@ -11,7 +11,7 @@ from typing_extensions import override
 from cluster_est.experiment_design.criteria.base import DesignCriterion
 from cluster_est.experiment_design.models import FittedCandidate
 from cluster_est.experiment_design.prediction import PredictedExperiment
-from cluster_est.statistics.scaled_inverse import inverse, log_determinant
+from cluster_est.statistics.projection import inverse, log_determinant
 from workers.messages import FloatArray, IntArray
 
 

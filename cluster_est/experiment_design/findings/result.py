@@ -25,10 +25,12 @@ from cluster_est.experiment_design.findings.expected_rows import (
     ExpectedPredictionError,
     ExpectedProbability,
 )
-from cluster_est.experiment_design.findings.experiment_block import STEM, TABLE, experiment_block
 from cluster_est.experiment_design.findings.sentences import (
+    STEM,
+    TABLE,
     alike_sentences,
     evidence_sentence,
+    experiment_block,
     narrowed_sentence,
     predicted_sentence,
 )

@@ -18,7 +18,7 @@ from workers.effects.definition import (
     known_rates,
     variable_symbol,
 )
-from workers.effects.plain_functions import Max
+from workers.effects.expression import Max
 from workers.effects.source import CAssignment, EffectArray, SymbolLocations
 from workers.messages import Value
 

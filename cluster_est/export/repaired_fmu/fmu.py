@@ -24,8 +24,7 @@ from cluster_est.export.repaired_fmu.compiler import (
 from cluster_est.export.repaired_fmu.description import identifier, model_description, with_step
 from cluster_est.export.repaired_fmu.layout import WrapperLayout, lay_out
 from cluster_est.export.repaired_fmu.step_error import StepErrors, measure_step
-from cluster_est.export.repaired_model import RepairedModel
-from cluster_est.export.text import describe_repair
+from cluster_est.export.repaired_model import RepairedModel, describe_repair
 from cluster_est.run_folder.run_identity import versions
 from cluster_est.whole_files import ELSEWHERE, write_whole, writing
 from workers.fmu.archive import open_archive

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.methods.base import Ending, Evaluation, Points, Progress
-from cluster_est.methods.least_squares.local_model import LocalModel, unknown_sizes
+from cluster_est.methods.least_squares.linear_map import LocalModel, unknown_sizes
 from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 

@@ -40,7 +40,16 @@ from typing import ClassVar
 import numpy as np
 from typing_extensions import override
 
-from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
+from cluster_est.methods.base import (
+    Ending,
+    Evaluation,
+    Method,
+    Points,
+    Progress,
+    Search,
+    Solution,
+    within_budget,
+)
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.derivatives.differences import (
     Differences,
@@ -48,7 +57,6 @@ from cluster_est.methods.derivatives.differences import (
     without_guesses,
 )
 from cluster_est.methods.derivatives.sensitivities import JacobianProvider
-from cluster_est.methods.follow_up import within_budget
 from cluster_est.methods.least_squares.iteration import (
     CLOSE,
     LEAST_DAMPING,
@@ -58,7 +66,7 @@ from cluster_est.methods.least_squares.iteration import (
     Steps,
     enough_to_notice,
 )
-from cluster_est.methods.least_squares.local_model import LocalModel
+from cluster_est.methods.least_squares.linear_map import LocalModel
 from cluster_est.methods.sqp.trust_region import SqpOptions, trust_region_search
 from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray

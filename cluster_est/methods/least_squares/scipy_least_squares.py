@@ -14,6 +14,7 @@ from typing_extensions import override
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import (
+    CUT_SHORT,
     Ending,
     Evaluation,
     Method,
@@ -30,7 +31,6 @@ from cluster_est.methods.derivatives.differences import (
     suitable_step,
     without_guesses,
 )
-from cluster_est.methods.evaluation_status import CUT_SHORT
 from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 

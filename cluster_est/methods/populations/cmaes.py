@@ -22,9 +22,9 @@ from cluster_est.methods.populations.generation import (
     PopulationGoal,
     PopulationMember,
     PopulationStrategy,
+    UnitBox,
 )
 from cluster_est.methods.populations.method import PopulationMethod
-from cluster_est.methods.populations.scaling import UnitBox
 from workers.messages import FloatArray
 
 DEGENERATE = {"conditioncov", "noeffectaxis", "noeffectcoord", "tolupsigma"}

@@ -13,10 +13,9 @@ from typing import ClassVar
 import numpy as np
 from typing_extensions import override
 
-from cluster_est.methods.populations.generation import PopulationGoal, PopulationStrategy
+from cluster_est.methods.populations.generation import PopulationGoal, PopulationStrategy, UnitBox
 from cluster_est.methods.populations.method import PopulationMethod
 from cluster_est.methods.populations.pymoo_strategy import PymooStrategy
-from cluster_est.methods.populations.scaling import UnitBox
 
 
 @dataclass(frozen=True)

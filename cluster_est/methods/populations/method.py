@@ -31,9 +31,9 @@ from cluster_est.methods.populations.generation import (
     PopulationGoal,
     PopulationMember,
     PopulationStrategy,
+    UnitBox,
     member_of,
 )
-from cluster_est.methods.populations.scaling import UnitBox
 from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.problem.search_space.unknown import Unknown
 from cluster_est.toml import dotted

@@ -21,10 +21,10 @@ from cluster_est.methods.populations.generation import (
     PopulationGoal,
     PopulationMember,
     PopulationStrategy,
+    UnitBox,
 )
 from cluster_est.methods.populations.method import PopulationMethod
 from cluster_est.methods.populations.pymoo_strategy import PymooStrategy
-from cluster_est.methods.populations.scaling import UnitBox
 from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 

@@ -16,8 +16,8 @@ from cluster_est.methods.populations.generation import (
     PopulationGoal,
     PopulationMember,
     PopulationStrategy,
+    UnitBox,
 )
-from cluster_est.methods.populations.scaling import UnitBox
 from workers.messages import FloatArray
 
 

@@ -38,9 +38,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.methods.base import TOLERANCE, Evaluation
+from cluster_est.methods.base import TOLERANCE, Evaluation, is_defined
 from cluster_est.methods.derivatives.gradients import CostDerivatives
-from cluster_est.methods.evaluation_status import is_defined
 from cluster_est.methods.sqp.hessian import Hessian, HessianApproximations
 from cluster_est.methods.sqp.quadratic_program import QuadraticSubproblem, penalised_step
 from cluster_est.problem.search_space.space import SearchSpace

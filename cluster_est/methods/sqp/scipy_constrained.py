@@ -20,6 +20,7 @@ import numpy as np
 from scipy.optimize import BFGS, Bounds, NonlinearConstraint, lsq_linear, minimize
 
 from cluster_est.methods.base import (
+    CUT_SHORT,
     TOLERANCE,
     Ending,
     Evaluation,
@@ -27,6 +28,9 @@ from cluster_est.methods.base import (
     Progress,
     Search,
     Solution,
+    is_defined,
+    undefined_reason,
+    worst_constraint,
 )
 from cluster_est.methods.callback_bridge import Ask, run_with, search_in_thread
 from cluster_est.methods.derivatives.differences import (
@@ -36,12 +40,6 @@ from cluster_est.methods.derivatives.differences import (
     without_guesses,
 )
 from cluster_est.methods.derivatives.gradients import CostDerivatives, derivatives
-from cluster_est.methods.evaluation_status import (
-    CUT_SHORT,
-    is_defined,
-    undefined_reason,
-    worst_constraint,
-)
 from cluster_est.methods.sqp.trust_region import NEARLY_OPTIMAL, SqpOptions
 from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray

@@ -23,22 +23,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.methods.base import (
+    CUT_SHORT,
     Ending,
     Evaluation,
     Points,
     Progress,
     Search,
     Solution,
-)
-from cluster_est.methods.derivatives.differences import Differences, without_guesses
-from cluster_est.methods.derivatives.gradients import CostDerivatives, derivatives
-from cluster_est.methods.derivatives.sensitivities import JacobianProvider
-from cluster_est.methods.evaluation_status import (
-    CUT_SHORT,
     is_defined,
     undefined_reason,
     worst_constraint,
 )
+from cluster_est.methods.derivatives.differences import Differences, without_guesses
+from cluster_est.methods.derivatives.gradients import CostDerivatives, derivatives
+from cluster_est.methods.derivatives.sensitivities import JacobianProvider
 from cluster_est.methods.sqp.hessian import Hessian
 from cluster_est.methods.sqp.local_model import ModelStep, SqpLocalModel
 from cluster_est.problem.search_space.space import SearchSpace

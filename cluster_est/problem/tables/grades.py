@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from cluster_est.errors import DataError
-from cluster_est.problem.tables.cells import is_text, trimmed_cells
+from cluster_est.problem.tables.files import is_text, trimmed_cells
 from cluster_est.problem.tables.measured import MeasuredColumns
 from workers.fmu.description import nearest
 

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from cluster_est.methods.base import TOLERANCE, OtherPoint, Solution
+from cluster_est.problem import display
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.problem.search_space.unknown import scope_of
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.tables.row_types import ConstraintValue, Estimate, PointValue, StartResult
-from cluster_est.running.evaluation import assemble_evaluation
 from cluster_est.running.multistart import MultistartResult
+from cluster_est.running.search_state import assemble_evaluation
+from cluster_est.statistics.residual_findings import ResidualDiagnostics
 from cluster_est.uncertainty import ConfidenceInterval, Uncertainty
 from workers.fmu.description import describe_model
 from workers.messages import FloatArray
@@ -201,3 +204,32 @@ def coefficient_units(problem: Problem) -> dict[str, str]:
         pairs = zip(names, texts, strict=True)
         found |= {name: "" if units.UNKNOWN in unit else unit for name, unit in pairs}
     return found
+
+
+def fit_tables(
+    estimates: Sequence[Estimate],
+    errors: Sequence[Any],
+    diagnostics: ResidualDiagnostics | None = None,
+) -> tuple[display.DisplayTable, display.DisplayTable]:
+    """Estimates and errors, of a fit or of a closed loop, as a notebook shows them.
+
+    Where diagnostics deny the intervals, a word beside them says so.
+    """
+    too_narrow = diagnostics is not None and diagnostics.too_narrow
+    ends = ("95 % from", "to (too narrow)" if too_narrow else "to")
+    values = [
+        (e.label, e.value, e.unit, e.std_error, e.lower95, e.upper95, e.at_bound) for e in estimates
+    ]
+    fits = [(e.experiment, e.role, e.output, e.rmse_before, e.rmse_after, e.unit) for e in errors]
+    return (
+        display.DisplayTable(
+            "Parameters",
+            ("parameter", "value", "unit", "standard error", *ends, "at bound"),
+            values,
+        ),
+        display.DisplayTable(
+            "Root mean square errors",
+            ("experiment", "role", "output", "before", "after", "unit"),
+            fits,
+        ),
+    )

@@ -2,16 +2,68 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import SearchSpace, make_space
-from cluster_est.running.trials.known_fmus import Trial
-from workers.messages import FloatArray, Task
+from workers.fmu.archive import unpacked_folder
+from workers.messages import Experiment, FloatArray, Model, Task, content_hash
 from workers.probes.side_by_side import InstanceSimulation, SideBySideProbe
 from workers.process.trial import NoAnswer, ProbeBench
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Some simulations of an FMU, and what they are to show.
+
+    Another value of a parameter, of an experiment or of the solver's settings makes another trial:
+    an FMU may crash with one and not with the other.
+
+    Attributes
+    ----------
+    shows
+        It has "survived" if it was simulated, reset and simulated again without a crash; it was
+        "undisturbed" if two instances at once gave what one alone gives.
+    model, experiments, tasks
+        The simulations.
+    """
+
+    shows: Literal["survived", "undisturbed"]
+    model: Model
+    experiments: Sequence[Experiment] = field(repr=False)
+    tasks: Sequence[Task] = field(repr=False)
+
+    @property
+    def passed(self) -> bool:
+        """True if that was shown here before."""
+        return self._mark.exists()
+
+    def remember(self) -> None:
+        """Remember that; where it cannot be written down, the FMU is tried again the next time."""
+        with contextlib.suppress(OSError):
+            self._mark.touch()
+
+    @cached_property
+    def _mark(self) -> Path:
+        """A file beside the unpacked FMU, named after all that was simulated."""
+        parts: list[str | bytes] = [self.model.key]
+        for task in self.tasks:
+            experiment = self.experiments[task.experiment]
+            parts += [task.values.tobytes(), repr((experiment.start, experiment.stop))]
+            parts += [repr(experiment.values)]  # what was measured does not matter
+            for given in experiment.inputs:
+                parts += [given.variable, given.interpolation]
+                parts += [given.times.tobytes(), given.values.tobytes()]
+        folder = unpacked_folder(self.model.archive_hash)
+        return folder.with_name(f"{folder.name}.{self.shows}-{content_hash(parts)[:32]}")
+
 
 FACTOR = 1.37
 """Between the values of the two instances: no round number."""

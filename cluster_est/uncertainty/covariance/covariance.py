@@ -27,12 +27,13 @@ from cluster_est.methods.base import Solution
 from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.uncertainty.covariance.blocks import BlockCovariance
 from cluster_est.uncertainty.covariance.directions import joined
-from cluster_est.uncertainty.covariance.jacobian import has_jacobian, jacobian_blocks
 from cluster_est.uncertainty.covariance.layout import (
     HELD,
     ActiveBound,
     UnknownLayout,
     active_bounds,
+    has_jacobian,
+    jacobian_blocks,
     unknown_layout,
 )
 from cluster_est.uncertainty.covariance.noise_covariance import (

@@ -43,8 +43,12 @@ from cluster_est.uncertainty.covariance.directions import (
     direction,
     sparse_basis,
 )
-from cluster_est.uncertainty.covariance.jacobian import jacobian_blocks
-from cluster_est.uncertainty.covariance.layout import UnknownLayout, blocks, null_space
+from cluster_est.uncertainty.covariance.layout import (
+    UnknownLayout,
+    blocks,
+    jacobian_blocks,
+    null_space,
+)
 from cluster_est.uncertainty.covariance.noise_covariance import (
     EstimateCovariance,
     WeightedResiduals,

@@ -22,7 +22,7 @@ from cluster_est.methods.callback_bridge import Ask, search_in_thread
 from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
-from cluster_est.statistics.scaled_inverse import root_of_inverse
+from cluster_est.statistics.projection import root_of_inverse
 from cluster_est.uncertainty.covariance.result import ConfidenceInterval
 from cluster_est.uncertainty.posterior.density import check_posterior, log_density
 from cluster_est.uncertainty.posterior.result import (

@@ -14,7 +14,7 @@ from support.run_folders import SPRING, facts, rows, tables
 import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.errors import ClusterEstError, ProblemError
-from cluster_est.experiment_design.settings import DesignSettings
+from cluster_est.experiment_design.request import DesignSettings
 from cluster_est.experiment_design.targets import PredictionTarget
 from cluster_est.toml import to_toml
 

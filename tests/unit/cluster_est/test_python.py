@@ -1,4 +1,3 @@
-import importlib
 import json
 import re
 from dataclasses import replace
@@ -14,8 +13,6 @@ import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.costs import COSTS
 from cluster_est.errors import ConfigError, ProblemError, RunFolderError
-from cluster_est.problem.search_space.space import SearchSpace
-from cluster_est.run_folder.evaluation_log import read_log
 from workers.fmu.description import describe
 
 CONFIG = ROOT / "configs" / "mass_spring_damper.toml"
@@ -257,16 +254,3 @@ def test_an_export_has_the_estimates(result, tmp_path):
 def test_an_export_that_cannot_be(result, given, kind, said):
     with pytest.raises(kind, match=said):
         result.export(**given)
-
-
-@pytest.mark.parametrize(
-    ("module", "name", "thing"),
-    [
-        ("cluster_est.space", "Space", SearchSpace),
-        ("cluster_est.evaluation_log", "read_log", read_log),
-    ],
-)
-def test_what_stood_elsewhere_in_the_version_before_still_works_with_a_warning(module, name, thing):
-    with pytest.warns(DeprecationWarning, match=f"{module}: .* import it from there"):
-        found = importlib.import_module(module)
-    assert getattr(found, name) is thing

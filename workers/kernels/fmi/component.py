@@ -8,7 +8,7 @@ import numpy as np
 
 from workers.kernels.fmi.values import TYPES, VariableAccess
 from workers.messages import FloatArray, IntArray
-from workers.messages.progress import no_watcher
+from workers.messages.types import no_watcher
 
 
 class FmiComponent(NamedTuple):
@@ -95,7 +95,7 @@ class KernelWorkspace(NamedTuple):
     indicators after the last step, behind an event that is being located, and of a trial.
     `info` has what FMUs say of events (see `workers.kernels.fmi.functions`), `buffer` the value of
     one variable. `squares` is described in `workers.kernels.fmi.early_end`, `progress` in
-    `workers.messages.progress`.
+    `workers.messages.types`.
     """
 
     inputs: FloatArray

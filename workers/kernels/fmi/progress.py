@@ -1,4 +1,4 @@
-"""How compiled loops note their progress; see `workers.messages.progress`.
+"""How compiled loops note their progress; see `workers.messages.types`.
 
 What is noted with every call of a cheap FMU is a constant, which whoever looks erases: to store one
 costs nothing that can be measured beside the call, while to count calls made the cheapest
@@ -8,7 +8,7 @@ simulations a quarter longer.
 from __future__ import annotations
 
 from workers.kernels.fmi.compiling import inlined
-from workers.messages.progress import CALLED, RUNNING, SIMULATIONS, STEPS
+from workers.messages.types import CALLED, RUNNING, SIMULATIONS, STEPS
 
 
 @inlined

@@ -35,7 +35,7 @@ from workers.kernels.fmi.own_states import substep_count
 from workers.kernels.fmi.progress import note_call, note_steps
 from workers.kernels.fmi.reference import by_reference
 from workers.kernels.fmi.values import DISCARD, get_values, set_reals, set_values
-from workers.messages.progress import STEPS
+from workers.messages.types import STEPS
 
 
 @kernel

@@ -46,7 +46,7 @@ from workers.kernels.solvers.sundials import (
     libraries,
 )
 from workers.messages import FloatArray
-from workers.messages.progress import STEPS
+from workers.messages.types import STEPS
 
 OTHER_RIGHT_HAND_SIDE = -1
 """Returned by the loop if the integrator was made with another right-hand side than its own."""

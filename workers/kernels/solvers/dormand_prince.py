@@ -50,7 +50,7 @@ from workers.kernels.model_exchange.solver_steps import (
     handle_input_jump,
     start_simulation,
 )
-from workers.messages.progress import STEPS
+from workers.messages.types import STEPS
 
 # c, a and b - b^ of the Butcher tableau; the last row of a is b.
 NODES = np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])

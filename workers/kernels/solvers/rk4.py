@@ -46,7 +46,7 @@ from workers.kernels.model_exchange.solver_steps import (
     handle_input_jump,
     start_simulation,
 )
-from workers.messages.progress import STEPS
+from workers.messages.types import STEPS
 
 INTERPOLANT = np.array(
     [[1.0, -3 / 2, 2 / 3], [0.0, 1.0, -2 / 3], [0.0, 1.0, -2 / 3], [0.0, -1 / 2, 2 / 3]]

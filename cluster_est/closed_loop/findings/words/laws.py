@@ -12,9 +12,8 @@ from functools import lru_cache
 import numpy as np
 import sympy as sp
 
-from workers.effects.expression import parse
+from workers.effects.expression import parse, simplified
 from workers.effects.forms import EffectForm
-from workers.effects.plain_functions import simplified
 
 Function = Callable[[float], float]
 

@@ -17,8 +17,13 @@ from cluster_est.run_folder.evaluation_log import (
     LogSettings,
     read_log,
 )
-from cluster_est.run_folder.log_format import LARGE
-from cluster_est.run_folder.log_segment import END_OF_STREAM, SegmentReader, mend, read_segment
+from cluster_est.run_folder.log_segment import (
+    END_OF_STREAM,
+    LARGE,
+    SegmentReader,
+    mend,
+    read_segment,
+)
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.running.records import TaskOrigin
 from workers.messages import Effect, Outcome, Status, Task, Trajectory

@@ -3,10 +3,9 @@ import pytest
 from scipy.signal import lfilter
 from support.truth.stacked_noise import stack
 
-from cluster_est.statistics.noise.estimate import estimate_noise
+from cluster_est.statistics.noise.estimate import estimate_noise, quantisation_step
 from cluster_est.statistics.noise.growing_noise import noise_growth
 from cluster_est.statistics.noise.outliers import isolated_outliers
-from cluster_est.statistics.noise.quantisation import quantisation_step
 from workers.messages import FloatArray
 
 N = 2500

@@ -5,7 +5,7 @@ from support.spoiled import GUID, LIBRARY, XML, rename, spoiled_fmu
 
 from workers.errors import ModelError
 from workers.fmu.description import describe, nearest
-from workers.fmu.parsing.units import BASE_UNITS, UnitDefinition
+from workers.fmu.parsing.elements import BASE_UNITS, UnitDefinition
 from workers.fmu.platforms import PLATFORM, PLATFORM_TUPLE, binary_path, platform_for
 
 

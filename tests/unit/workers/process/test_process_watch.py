@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from workers.messages.progress import CALLED, RUNNING, SIMULATIONS, no_watcher
+from workers.messages.types import CALLED, RUNNING, SIMULATIONS, no_watcher
 from workers.process import watch
 from workers.process.watch import ProcessActivity, ProgressWatch, SharedProgress, map_progress
 
