@@ -143,6 +143,8 @@ class WorkerPool(Executor):
 
     first: Outcome | None = None
     """What a worker answered before the first simulation that counts, if it was asked."""
+    first_at: float = 0.0
+    """When that was, in seconds of `time.monotonic`."""
 
     @abstractmethod
     def one_worker(self, tasks: Sequence[Task], *, last: bool = False) -> list[Outcome]:

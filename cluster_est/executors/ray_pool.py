@@ -125,8 +125,8 @@ LATE, GRACE_SECONDS = 3.0, 0.5
 """A batch is late after so many times what is usual, and this."""
 ALONE, GIVEN_UP = 3, 6
 """Lost workers after which a task is sent alone, and after which it is not sent any more."""
-START_SECONDS = 10.0
-"""How long all workers are waited for, once there is one."""
+START_SECONDS, LONGEST_START_SECONDS = 10.0, 40.0
+"""How long all workers are waited for once there is one, and once there are fewer than wanted."""
 FAILED_FIRST_STARTS, FAILED_STARTS = 3, 50
 """Workers in a row that may be lost while they start: the first ones, and later ones."""
 
@@ -208,6 +208,8 @@ class RayPool(WorkerPool):
         return self._model.at_most(self._fixed or cores())
 
     def one_worker(self, tasks: Sequence[Task], *, last: bool = False) -> list[Outcome]:
+        if last:
+            self._wait_for_workers(2)
         for _ in range(ALONE):
             name, actor = list(self._actors.items())[-1 if last else 0]
             asked = [actor.once.remote(TaskBatch.of([task])) for task in tasks]
@@ -291,11 +293,15 @@ class RayPool(WorkerPool):
             self._owns_ray = False
             disconnect()
 
-    def _wait_for_workers(self) -> None:
-        """Wait for one worker however long it takes, and a little for the others."""
+    def _wait_for_workers(self, wanted: int = 1) -> None:
+        """Wait for one worker however long it takes, and a little for the others.
+
+        Longer until there are as many as are wanted.
+        """
         begin = time.monotonic()
         while self._starting:
-            left = max(begin + START_SECONDS - time.monotonic(), 0.0) if self._actors else None
+            most = START_SECONDS if len(self._actors) >= wanted else LONGEST_START_SECONDS
+            left = max(begin + most - time.monotonic(), 0.0) if self._actors else None
             done, _ = ray.wait(list(self._starting), num_returns=1, timeout=left)
             if not done:
                 return

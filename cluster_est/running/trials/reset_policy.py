@@ -269,7 +269,7 @@ def _find_policy(
             pool.close()
             raise
         if decision is not None and not elsewhere:
-            pool.first = answers[policy].first
+            pool.first, pool.first_at = answers[policy].first, answers[policy].at
             if pool.on_cluster:
                 decision = _compared(problem, pool, decision, last=True)
             return pool, decision
@@ -305,6 +305,8 @@ def compared_at_the_end(
     """
     if pool.busy or pool.first is None or pool.first.seconds > LONG_AT_THE_END:
         return decision
+    if pool.on_cluster:  # where nothing was compared later before the run
+        time.sleep(max(0.0, pool.first_at + LATER_SECONDS - time.monotonic()))
     return _compared(problem, pool, decision)
 
 
