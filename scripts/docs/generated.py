@@ -13,11 +13,10 @@ from mkdocs.structure.files import File, Files
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from pages import commands_page, forms_page, keys_page, python_page, tables_page
+from pages import commands_page, forms_page, keys_page, python_page
 
 PAGES = {
     "keys.md": keys_page,
-    "tables.md": tables_page,
     "forms.md": forms_page,
     "commands.md": commands_page,
     "python.md": python_page,

@@ -1,4 +1,4 @@
-"""The pages of the reference as Markdown, from the code: keys, tables, forms, commands, Python."""
+"""The pages of the reference as Markdown, from the code: keys, forms, commands, Python."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ import cluster_est as ce
 from cluster_est.cli.parser import make_parser
 from cluster_est.config.limits_file import LimitsSections
 from cluster_est.config.reader import Config
-from cluster_est.results.tables.table_columns import BEFORE, TABLES, ColumnDescription
 from cluster_est.settings import Settings, keys_of
 from cluster_est.sweep.matrix import SweepSections
 from cluster_est.toml import inline
@@ -43,21 +42,6 @@ def keys_page() -> str:
         "",
         *_section("", LimitsSections, "###", "At the top of a file of limits"),
     ]
-    return "\n\n".join(parts) + "\n"
-
-
-def tables_page() -> str:
-    """Every table of a run with its columns."""
-    parts = [
-        "# Tables of a run",
-        "A run folder holds `NAME.parquet` for each of these; in Python, `result.table(NAME)` "
-        "gives those of a fit. NaN means that there is no such number.",
-    ]
-    for table in TABLES:
-        parts += [f"## {table.name}", f"One row for each {table.row}; {table.there}."]
-        parts.append(_columns(table.columns))
-        if table.name == "parameters":
-            parts += ["In runs of `close-loop` also:", _columns(BEFORE)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -214,11 +198,6 @@ def _default(field: FieldInfo) -> str:
     if default is None or default is PydanticUndefined or isinstance(default, BaseModel):
         return ""
     return f"`{inline(default)}`" if default not in ({}, [], ()) else ""
-
-
-def _columns(columns: Sequence[ColumnDescription]) -> str:
-    rows = [(f"`{c.name}`", c.type, c.unit, c.meaning) for c in columns]
-    return _table(("column", "type", "unit", "meaning"), rows)
 
 
 def _commands() -> dict[str, argparse.ArgumentParser]:

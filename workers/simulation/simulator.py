@@ -17,8 +17,8 @@ from workers.kernels.solvers.cvode import CvodeBatch
 from workers.kernels.solvers.stiffness import stiffness
 from workers.messages import Effect, Experiment, FloatArray, Input, IntArray, Model
 from workers.simulation.batch import SimulationBatch
-from workers.simulation.bind_effects import EffectBindings
 from workers.simulation.bind_experiment import BoundExperiment, bind_experiment
+from workers.simulation.effect_bindings import EffectBindings
 from workers.simulation.integrator import FmuIntegrator
 from workers.simulation.sensitivities import SensitivitySource
 

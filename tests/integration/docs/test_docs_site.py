@@ -14,7 +14,6 @@ from docs.pages import (
     SweepSections,
     forms_page,
     keys_page,
-    tables_page,
 )
 from pydantic import BaseModel
 from support.problems.springs import ROOT
@@ -161,7 +160,8 @@ def plain(type_: str) -> str:
 def described() -> dict[str, list[dict[str, str]]]:
     """What the page says: for each table the types of its columns, and those of a closed loop."""
     found = {}
-    for section in tables_page().split("\n## ")[1:]:
+    page = (ROOT / "cluster_est" / "docs" / "tables.md").read_text(encoding="utf-8")
+    for section in page.split("\n## ")[1:]:
         name, _, text = section.partition("\n")
         always, _, in_loops = text.partition("In runs of `close-loop` also:")
         found[name] = [
