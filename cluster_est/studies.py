@@ -6,45 +6,23 @@ the same config gives the same bits and the same run.json, whoever asks for it.
 
 from __future__ import annotations
 
-import json
-import tomllib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cluster_est.config.build import build_problem
-from cluster_est.config.limits_file import read_limits, with_named_targets
 from cluster_est.config.options import build_method, build_resources
-from cluster_est.config.reader import Config, EffectSection, read_config
-from cluster_est.errors import (
-    BudgetError,
-    ConfigError,
-    ProblemError,
-    RunFolderError,
-    UnwritableError,
-)
-from cluster_est.experiment_design.design import make_design
-from cluster_est.experiment_design.findings.result import DesignResult
-from cluster_est.experiment_design.models import CandidateModel
-from cluster_est.experiment_design.request import ALONE, DesignRequest, check_design, chosen_models
-from cluster_est.experiment_design.targets import PredictionTarget
+from cluster_est.config.reader import Config, read_config
+from cluster_est.errors import BudgetError, ProblemError, UnwritableError
 from cluster_est.fit import FitPlan, check_search, fit_in
-from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import make_space
 from cluster_est.results.result import Result
 from cluster_est.run_folder.context import Existing, RunContext
 from cluster_est.run_folder.folder import RunResult
-from cluster_est.run_folder.reading import (
-    check_has_estimates,
-    read_config_text,
-    read_facts,
-    read_run_table,
-)
-from cluster_est.run_folder.replay import config_base
-from cluster_est.run_folder.run_identity import UNHASHED, RunIdentity, RunKind, RunStatus
+from cluster_est.run_folder.run_identity import RunIdentity, RunKind, RunStatus
 from cluster_est.running.environment import RunEnvironment, WorkerSource
 from cluster_est.running.interrupts import stopped_by
 from cluster_est.running.records import Show
@@ -52,11 +30,9 @@ from cluster_est.running.resources import Resources
 from cluster_est.running.shared_pools import SharedPools
 from cluster_est.sensitivity.analysis import analyse_sensitivity, check_bounds
 from cluster_est.sensitivity.result import SensitivityResult
-from workers.messages import Experiment, content_hash
 
 if TYPE_CHECKING:
     from cluster_est.closed_loop.findings.result import LoopResult
-
 
 STOP = "stop"
 """File in a run folder that ends the run as Ctrl-C does."""
@@ -298,150 +274,3 @@ def _write_report(run_folder: Path, listener: Listener) -> None:
     except Exception as error:
         said = str(error) or type(error).__name__
         listener.say(f"the report could not be written: {said}")
-
-
-ADDED = ("found", "partial")
-"""Verdicts with which a loop has added effects."""
-
-
-@dataclass(frozen=True)
-class ConfiguredDesign(ConfiguredRun):
-    """The design of the next experiment; `request` says of which."""
-
-    request: DesignRequest
-
-    def compute(self, environment: RunEnvironment) -> DesignResult:
-        """Choose an input."""
-        return make_design(environment, self.request)
-
-
-def read_design(
-    run_folder: Path,
-    limits: Path,
-    config: Path | None,
-    overrides: Sequence[str] = (),
-    predict: Sequence[str] = (),
-    *,
-    allow_code: bool,
-) -> ConfiguredDesign:
-    """Read a run and the limits of the next experiment, and check them against each other.
-
-    Parameters
-    ----------
-    run_folder
-        Of a fit or a closed loop that has ended.
-    limits
-        The file of limits.
-    config
-        The config that the run was made from, if it has moved.
-    overrides
-        "key=value" of where it runs and for how long: executor, budget and log.
-    predict
-        "EXPERIMENT" or "EXPERIMENT:OUTPUT,OUTPUT" of what is predicted, in the place of the file's.
-    allow_code
-        Whether Python functions that it names may run.
-
-    Raises
-    ------
-    ClusterEstError
-        If something is missing or does not fit together.
-    """
-    wanted = read_limits(limits)
-    facts = read_facts(run_folder)
-    check_has_estimates(run_folder)
-    for given in overrides:
-        if given.partition(".")[0] not in UNHASHED:
-            raise ConfigError(
-                f"{given}: must be a key of {', '.join(UNHASHED)} for a design, whose problem is "
-                "that of the run, but is another; leave it out"
-            )
-    config_text = read_config_text(run_folder)
-    resolved = read_config(run_folder / "config.toml", overrides)
-    base = config_base(run_folder, config)
-    models = _models(run_folder, facts, resolved, base, allow_code=allow_code)
-    ids = [experiment.id for experiment in models[0].problem.experiments]
-    settings = with_named_targets(wanted.settings, predict, ids)
-    models = chosen_models(models, settings)
-    request = DesignRequest(models, wanted.limits, settings, wanted.seed)
-    check_design(request)
-    parts = [str(facts["config_hash"]), wanted.text, json.dumps([m.name for m in models])]
-    parts += [json.dumps({k: float(v) for k, v in m.values.items()}) for m in models]
-    parts += [json.dumps(list(predict))] if predict else []
-    parts += [part for target in settings.predictions for part in _planned(target)]
-    identity = RunIdentity(
-        RunKind.DESIGN,
-        request.problem,
-        config_text,
-        content_hash(list(parts)),
-        wanted.seed,
-        base,
-        resolved.log,
-    )
-    return ConfiguredDesign(identity, resolved, request)
-
-
-def _planned(target: PredictionTarget) -> list[str]:
-    """What identifies a planned experiment, whose table is not in the file of limits."""
-    if isinstance(target.experiment, str):
-        return []
-    return [json.dumps([g.times.tolist(), g.values.tolist()]) for g in target.experiment.inputs]
-
-
-def _models(
-    run_folder: Path,
-    facts: Mapping[str, Any],
-    config: Config,
-    base: Path,
-    *,
-    allow_code: bool,
-) -> tuple[CandidateModel, ...]:
-    """The models that a run leaves room for, the one that it has chosen first."""
-    if facts.get("verdict") in ADDED:
-        if not facts.get("competing"):
-            raise RunFolderError(
-                f"{run_folder}: must say which models its data leave room for but does not, as "
-                "runs of earlier versions; run the closed loop again"
-            )
-        return tuple(
-            _model(each, config, base, facts, allow_code=allow_code) for each in facts["competing"]
-        )
-    path = run_folder / "parameters.parquet"
-    if not path.is_file():
-        raise RunFolderError(f"{run_folder}: must be the folder of a finished run but is not")
-    rows = [row for row in read_run_table(path) if row["estimated_on"] in ("train", "test")]
-    values = {row["label"]: float(row["value"]) for row in rows}
-    problem = build_problem(config, base, allow_code=allow_code)
-    return (CandidateModel(ALONE, _with_noise(problem, facts), values),)
-
-
-def _model(
-    known: Mapping[str, Any],
-    config: Config,
-    base: Path,
-    facts: Mapping[str, Any],
-    *,
-    allow_code: bool,
-) -> CandidateModel:
-    """One of the models of a closed loop, made again from what its run.json says."""
-    blocks = tomllib.loads(known["config"]).get("effects", [])
-    added = [EffectSection.model_validate(block) for block in blocks]
-    changed = config.model_copy(update={"effects": [*config.effects, *added]})
-    problem = build_problem(changed, base, allow_code=allow_code)
-    values = {label: float(value) for label, value in known["values"].items()}
-    return CandidateModel(known["name"], _with_noise(problem, facts), values, known["weight"])
-
-
-def _with_noise(problem: Problem, facts: Mapping[str, Any]) -> Problem:
-    """With the noise that a closed loop has estimated, where an output has no sigma."""
-    noise: Mapping[str, float] = facts.get("noise") or {}
-    return replace(problem, experiments=tuple(_weighted(e, noise) for e in problem.experiments))
-
-
-def _weighted(experiment: Experiment, noise: Mapping[str, float]) -> Experiment:
-    outputs: Sequence[Any] = [
-        replace(output, sigma=float(noise[output.variable]))
-        if not output.has_sigma and (noise.get(output.variable) or 0.0) > 0.0
-        else output
-        for output in experiment.outputs
-    ]
-    return replace(experiment, outputs=tuple(outputs))
