@@ -19,7 +19,8 @@ from cluster_est.cli.terminal import (
     terminal_listener,
 )
 from cluster_est.run_folder.context import Existing
-from cluster_est.run_folder.run_identity import RunKind, RunStatus
+from cluster_est.run_folder.judgement import RunStatus
+from cluster_est.run_folder.run_identity import RunKind
 from cluster_est.studies import Destination, do_run, read_run
 from cluster_est.sweep.matrix import SUCCESS, SUMMARY
 from cluster_est.sweep.sweep import sweep as run_sweep

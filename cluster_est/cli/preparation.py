@@ -13,7 +13,7 @@ from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.terminal import complain, say_if_compiled_first
 from cluster_est.config.options import build_resources
 from cluster_est.config.reader import Config
-from cluster_est.drafting.matching import unit_mismatches
+from cluster_est.drafting.mismatches import unit_mismatches
 from cluster_est.errors import ModelError
 from cluster_est.preflight import (
     SECONDS,

@@ -6,7 +6,15 @@ import enum
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from cluster_est.run_folder.run_identity import RunStatus
+
+class RunStatus(enum.StrEnum):
+    """The state of a run, as run.json says it."""
+
+    RUNNING = "running"
+    DONE = "done"
+    NOT_CONVERGED = "not converged"
+    INTERRUPTED = "interrupted"
+    FAILED = "failed"
 
 
 class RunWorth(enum.StrEnum):

@@ -14,8 +14,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from cluster_est.errors import RunFolderError
+from cluster_est.run_folder.judgement import RunStatus
 from cluster_est.run_folder.lock import is_left
-from cluster_est.run_folder.run_identity import RunStatus
 from cluster_est.whole_files import MEND, SEAL, is_damaged, is_sealed, sealed, write_whole
 
 Rows = list[dict[str, Any]]

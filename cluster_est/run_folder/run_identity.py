@@ -120,13 +120,3 @@ def hash_config(parts: dict[str, Any], unused: Collection[str]) -> str:
             if key not in UNHASHED_MODEL and (value not in (None, "", {}) or key not in LATER_MODEL)
         }
     return content_hash([json.dumps(kept, sort_keys=True, default=str)])
-
-
-class RunStatus(enum.StrEnum):
-    """The state of a run, as run.json says it."""
-
-    RUNNING = "running"
-    DONE = "done"
-    NOT_CONVERGED = "not converged"
-    INTERRUPTED = "interrupted"
-    FAILED = "failed"

@@ -20,7 +20,7 @@ from pydantic_core import PydanticCustomError
 from cluster_est.config.reader import Config, read_config
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.run_folder.folder import BEGUN
-from cluster_est.run_folder.judgement import doubts_of
+from cluster_est.run_folder.judgement import RunStatus, doubts_of
 from cluster_est.run_folder.reading import (
     read_config_text,
     read_facts,
@@ -28,7 +28,7 @@ from cluster_est.run_folder.reading import (
     write_run_columns,
 )
 from cluster_est.run_folder.resume import is_whole
-from cluster_est.run_folder.run_identity import RunIdentity, RunStatus, versions
+from cluster_est.run_folder.run_identity import RunIdentity, versions
 from cluster_est.settings import ConfigSection, error_messages
 from cluster_est.toml import inline
 from cluster_est.whole_files import write_whole

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from pathlib import Path
 from typing import Any
 
 from workers.evaluate import Evaluator
@@ -21,12 +20,3 @@ class FmuProbe(ABC):
         ModelError
             If it cannot be found out; travels back too.
         """
-
-
-def resident_bytes(process: int | str) -> int:
-    """Bytes that a process has in memory; 0 where the system does not say."""
-    try:
-        pages = int(Path(f"/proc/{process}/statm").read_text(encoding="ascii").split()[1])
-    except (OSError, IndexError, ValueError):
-        return 0
-    return pages * 4096

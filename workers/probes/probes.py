@@ -12,7 +12,8 @@ from workers.evaluate import Evaluator
 from workers.fmu.instance import FmuInstance
 from workers.kernels.fmi import failure
 from workers.messages import Experiment, FloatArray, Model, Outcome, ResetPolicy, Solver, Task
-from workers.probes.base import FmuProbe, resident_bytes
+from workers.probes.base import FmuProbe
+from workers.probes.memory import resident_bytes
 from workers.simulation.batch import SimulationBatch
 from workers.simulation.simulator import Simulator
 from workers.wire import TaskBatch

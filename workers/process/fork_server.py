@@ -32,7 +32,8 @@ from workers.evaluate import Evaluator
 from workers.fmu.archive import unpack
 from workers.fmu.instance import instances_made
 from workers.fmu.surroundings import enter_working_folder
-from workers.probes.base import FmuProbe, resident_bytes
+from workers.probes.base import FmuProbe
+from workers.probes.memory import resident_bytes
 from workers.process.orders import END, FORK, FORK_FOR_EFFECTS, BatchReport
 from workers.wire import OutcomeColumns
 

@@ -21,7 +21,7 @@ from multiprocessing.connection import Connection
 
 from workers.errors import ModelError
 from workers.messages import USUAL, Experiment, Limits, Model, Outcome, Status, Task
-from workers.probes.base import resident_bytes
+from workers.probes.memory import resident_bytes
 from workers.process.forked import ForkClient
 from workers.process.orders import BatchReport
 from workers.process.watch import ProgressWatch
