@@ -1,83 +1,111 @@
-"""Count what makes a code base easy or hard to find one's way in.
+"""Count what makes a code base easy or hard to own.
 
-    python scripts/code_figures.py [FOLDER ...]
+    python scripts/code_figures.py [ROOT]
 
-Without folders: the packages of this project. Printed are the widest folder, files at the root of
-the first package, long files, lengths of functions, functions with many arguments, class names that
-stand more than once, class names of a single word, and docstrings that begin with a question word.
+Of the packages, and of them without `closed_loop` and `workers/kernels`: files, lines, lines of
+code (no docstrings, imports, comments and blanks), the share of import lines, modules that exactly
+one other imports, modules below 60 lines, file names that stand twice, and circles of imports.
 """
 
 from __future__ import annotations
 
 import ast
-import re
-import statistics
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 PACKAGES = ("cluster_est", "workers")
-LONG_FILE = 300
-MANY_ARGUMENTS = 8
-QUESTION_WORDS = {"What", "Whether", "How", "Where", "Which"}
+APART = ("cluster_est.closed_loop", "workers.kernels")
+SMALL = 60
 
 
 def main() -> None:
     """Print the figures, a line each."""
-    folders = [Path(each) for each in sys.argv[1:] or PACKAGES]
-    files = [p for folder in folders for p in sorted(folder.rglob("*.py"))]
-    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in files}
-    widths = Counter(path.parent for path in files)
-    print("files", len(files), " lines", sum(_lines(path) for path in files))
-    widest = ", ".join(f"{folder} {count}" for folder, count in widths.most_common(5))
-    print("widest folders:", widest)
-    print(f"files at the root of {folders[0]}:", widths[folders[0]])
-    long = sorted((_lines(p), str(p)) for p in files if _lines(p) > LONG_FILE)
-    print(f"files over {LONG_FILE} lines:", len(long), *(f"{p} {n}" for n, p in reversed(long)))
-    _functions(trees)
-    _classes(trees)
-    _docstrings(trees)
+    root = Path(sys.argv[1] if sys.argv[1:] else ".")
+    modules = {_name(p, root): p for f in PACKAGES for p in sorted((root / f).rglob("*.py"))}
+    trees = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in modules.items()}
+    imports = {name: set(_imported(tree, modules)) - {name} for name, tree in trees.items()}
+    _print("packages", modules, trees, imports, lambda _: True)
+    _print("without loop and kernels", modules, trees, imports, lambda n: not n.startswith(APART))
+    for folder in ("tests", "scripts"):
+        texts = [p.read_text(encoding="utf-8") for p in (root / folder).rglob("*.py")]
+        print(f"{folder}: {len(texts)} files, {sum(map(_lines, texts))} lines")
+    print("circles:", *(sorted(each) for each in _circles(_at_once(trees, modules))))
 
 
-def _lines(path: Path) -> int:
-    return len(path.read_text(encoding="utf-8").splitlines())
+def _print(
+    title: str,
+    modules: dict[str, Path],
+    trees: dict[str, ast.Module],
+    imports: dict[str, set[str]],
+    counts: Callable[[str], bool],
+) -> None:
+    chosen = [name for name in modules if counts(name)]
+    texts = {name: modules[name].read_text(encoding="utf-8") for name in chosen}
+    lines = sum(map(_lines, texts.values()))
+    code = sum(len(_code(texts[name], trees[name])) for name in chosen)
+    imported = sum(len(_import_lines(trees[name])) for name in chosen)
+    plain = [name for name in chosen if modules[name].name != "__init__.py"]
+    importers = Counter(other for found in imports.values() for other in found)
+    names = Counter(modules[name].name for name in plain)
+    print(f"{title}: {len(chosen)} files, {lines} lines, {code} of code")
+    print(f"  {imported / lines:.1%} of the lines import")
+    print(f"  {sum(importers[name] == 1 for name in plain)} modules that one other imports")
+    print(f"  {sum(_lines(texts[name]) < SMALL for name in plain)} modules below {SMALL} lines")
+    print(f"  {sum(n > 1 for n in names.values())} file names that stand twice or more")
 
 
-def _functions(trees: dict[Path, ast.Module]) -> None:
-    found = [node for tree in trees.values() for node in _of(tree, ast.FunctionDef)]
-    lengths = sorted((f.end_lineno or f.lineno) - f.lineno + 1 for f in found)
-    tenth = lengths[int(0.9 * len(lengths))]
-    print(f"functions: {len(found)}, lines: median {statistics.median(lengths):g}, 90 % {tenth}")
-    wide = [f.name for f in found if _arguments(f) >= MANY_ARGUMENTS]
-    print(f"functions with {MANY_ARGUMENTS} or more arguments: {len(wide)}")
+def _name(path: Path, root: Path) -> str:
+    return ".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__")
 
 
-def _arguments(function: ast.FunctionDef) -> int:
-    given = function.args
-    return len([a for a in (*given.posonlyargs, *given.args, *given.kwonlyargs) if a.arg != "self"])
+def _lines(text: str) -> int:
+    return len(text.splitlines())
 
 
-def _classes(trees: dict[Path, ast.Module]) -> None:
-    names = Counter(node.name for tree in trees.values() for node in _of(tree, ast.ClassDef))
-    twice = sorted(name for name, count in names.items() if count > 1)
-    print("class names that stand twice or more:", len(twice), *twice)
-    words = [len(re.findall(r"[A-Z][a-z0-9]*", name.lstrip("_"))) for name in names]
-    single = sum(count == 1 for count in words)
-    print(f"class names of one word: {single} of {len(names)}, {100 * single / len(names):.0f} %")
+def _import_lines(tree: ast.Module) -> set[int]:
+    found = [n for n in ast.walk(tree) if isinstance(n, ast.Import | ast.ImportFrom)]
+    return {line for n in found for line in range(n.lineno, (n.end_lineno or n.lineno) + 1)}
 
 
-def _docstrings(trees: dict[Path, ast.Module]) -> None:
-    documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
-    texts = [ast.get_docstring(n) for tree in trees.values() for n in _of(tree, *documented)]
-    known = [text for text in texts if text]
-    asking = sum(text.split()[0] in QUESTION_WORDS for text in known)
-    share = 100 * asking / len(known)
-    print(f"docstrings that begin with a question word: {asking} of {len(known)}, {share:.0f} %")
+def _code(text: str, tree: ast.Module) -> list[str]:
+    """The lines that are code; a text that stands alone is a docstring."""
+    left = _import_lines(tree)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            left |= set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+    lines = enumerate(text.splitlines(), 1)
+    return [s for i, s in lines if i not in left and s.strip() and not s.lstrip().startswith("#")]
 
 
-def _of(tree: ast.AST, *kinds: type[ast.AST]) -> Iterator:  # type: ignore[type-arg]
-    return (node for node in ast.walk(tree) if isinstance(node, kinds))
+def _imported(tree: ast.AST, modules: dict[str, Path]) -> Iterator[str]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module in modules:
+            inside = [f"{node.module}.{each.name}" for each in node.names]
+            yield from (name if name in modules else node.module for name in inside)
+        elif isinstance(node, ast.Import):
+            yield from (each.name for each in node.names if each.name in modules)
+
+
+def _at_once(trees: dict[str, ast.Module], modules: dict[str, Path]) -> dict[str, set[str]]:
+    """What each module imports when it is imported itself."""
+    return {
+        name: {other for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)
+               for other in _imported(node, modules)} - {name}
+        for name, tree in trees.items()
+    }  # fmt: skip
+
+
+def _circles(graph: dict[str, set[str]]) -> list[set[str]]:
+    """Sets of modules of which each is reached from each other."""
+    reached = {name: set(found) for name, found in graph.items()}
+    for through in graph:
+        for found in reached.values():
+            if through in found:
+                found |= reached[through]
+    inside = [frozenset(o for o in found if name in reached[o]) for name, found in reached.items()]
+    return [set(each) for each in set(inside) if each]
 
 
 if __name__ == "__main__":
