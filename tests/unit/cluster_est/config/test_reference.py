@@ -8,14 +8,17 @@ import pytest
 from pydantic import BaseModel
 from support.problems.springs import ROOT
 
-from cluster_est import LeastSquares, build_problem, read_config
+from cluster_est import LeastSquares, LoopSettings, build_problem, read_config
 from cluster_est.config import reader as config
 from cluster_est.config.options import build_resources
 from cluster_est.config.reader import parse_config
+from cluster_est.errors import ClusterEstError, ProblemError
 from cluster_est.running.multistart import Multistart
 from cluster_est.running.records import Budget, LogSettings
 from cluster_est.running.resources import Resources
+from cluster_est.sensitivity.settings import SensitivitySettings
 from cluster_est.settings import keys_of
+from cluster_est.shooting.settings import Shooting
 from cluster_est.uncertainty import UncertaintySettings
 
 REFERENCE = ROOT / "configs" / "reference.toml"
@@ -94,3 +97,25 @@ def test_the_reference_is_a_config_that_works():
     problem = build_problem(read_config(REFERENCE), REFERENCE.parent)
     names = [p.name for p in problem.parameters]
     assert names == ["m", "coulomb.k", "coulomb.width"]
+
+
+WRONG = [
+    (Multistart, {"n": 0}), (Multistart, {"sampler": "x"}), (Multistart, {"points": [{"k": "a"}]}),
+    (UncertaintySettings, {"confidence": 1.5}), (UncertaintySettings, {"profiles": "all"}),
+    (LoopSettings, {"beam": 0}), (LoopSettings, {"sites": ["derv"]}), (LoopSettings, {"bem": 1}),
+    (SensitivitySettings, {"groups": 1}), (SensitivitySettings, {"method": "mooris"}),
+    (Budget, {"seconds": -1.0, "evaluations": 0.5}), (LogSettings, {"max_megabytes": "1"}),
+    (Shooting, {}), (Shooting, {"segments": 1}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("settings", "given"), WRONG)
+def test_python_and_a_config_refuse_with_the_same_sentence(settings, given):
+    keys = tree(everything=False)
+    *sections, last = settings.section.split(".")
+    at(keys, ".".join(sections))[last] = given
+    with pytest.raises(ClusterEstError) as of_config:
+        parse_config(keys, "config.toml")
+    with pytest.raises(ProblemError) as of_python:
+        settings(**given)
+    assert str(of_python.value) == str(of_config.value).replace("config.toml: ", "")
