@@ -38,8 +38,8 @@ from scipy.stats import spearmanr
 import cluster_est as ce
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.experiment_design.design import design
-from cluster_est.experiment_design.findings.expected_rows import TOLD_APART
 from cluster_est.experiment_design.findings.result import DesignResult
+from cluster_est.experiment_design.findings.sentences import TOLD_APART
 from cluster_est.experiment_design.limits import ExperimentLimits, InputLimits, SignalLimits
 from cluster_est.experiment_design.models import CandidateModel, fit_candidates
 from cluster_est.experiment_design.prediction import DesignQueue

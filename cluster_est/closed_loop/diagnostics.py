@@ -29,8 +29,7 @@ from cluster_est.running.arguments import check_problem
 from cluster_est.running.resources import Resources
 from workers.effects.forms import FormCoefficient
 from workers.effects.forms import form as find_form
-from workers.effects.site import check_site, parse_site
-from workers.effects.variables import unnamed_variables
+from workers.effects.site import check_site, parse_site, unnamed_variables
 from workers.messages.checks import as_tuple, check_kind, check_name, check_number, check_text
 
 

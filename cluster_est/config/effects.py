@@ -13,7 +13,7 @@ from typing import Any
 from cluster_est.config.options import build_prior
 from cluster_est.config.reader import Config, ConstraintSection, EffectSection, ParameterSection
 from cluster_est.config.sections.experiment import OutputSection
-from cluster_est.config.sections.search import MapSection
+from cluster_est.config.sections.sections import MapSection
 from cluster_est.errors import ConfigError
 from cluster_est.problem.effects.declared import (
     DeclaredCoefficient,

@@ -27,22 +27,20 @@ from cluster_est.config.sections.experiment import (
     InputSection,
     OutputSection,
 )
-from cluster_est.config.sections.search import (
-    ConstraintSection,
-    CostSection,
-    MapSection,
-    MethodSection,
-    StepSection,
-    TrackingSection,
-)
 from cluster_est.config.sections.sections import (
     ClosedLoopSection,
     CoefficientSection,
     Config,
+    ConstraintSection,
+    CostSection,
     EffectSection,
     ExecutorSection,
+    MapSection,
+    MethodSection,
     ModelSection,
     ParameterSection,
+    StepSection,
+    TrackingSection,
 )
 from cluster_est.config.sections.value_files import VALUE_FILES, with_values_of_files
 from cluster_est.config.text import override, unfilled

@@ -23,8 +23,8 @@ from cluster_est.report.blocks import (
 from cluster_est.report.drawing import Chart, Dots, Mark, Plot, Scale
 from cluster_est.report.drawing.chart import gutter
 from cluster_est.report.folder import Row
-from cluster_est.report.html_file import rendered, write_page
 from cluster_est.report.numbers import count, digits, duration
+from cluster_est.report.page import rendered, write_page
 from cluster_est.run_folder.judgement import RunWorth, run_worth
 from cluster_est.run_folder.reading import read_run_table
 

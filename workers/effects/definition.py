@@ -11,8 +11,13 @@ import sympy as sp
 
 from workers.effects.expression import parse
 from workers.effects.forms import EffectForm, FormCoefficient, form, positive
-from workers.effects.site import EffectSite, check_site, parse_site
-from workers.effects.variables import split_variable, unnamed_variables
+from workers.effects.site import (
+    EffectSite,
+    check_site,
+    parse_site,
+    split_variable,
+    unnamed_variables,
+)
 from workers.errors import EffectError
 from workers.fmu.description import ModelDescription
 from workers.messages import Effect, Experiment, FloatArray, Interface

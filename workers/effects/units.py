@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 
 from workers.effects.definition import EffectDefinition
-from workers.effects.variables import split_variable
+from workers.effects.site import split_variable
 from workers.fmu.description import ModelDescription
 
 UNKNOWN = "?"

@@ -14,8 +14,7 @@ from cluster_est.closed_loop.candidates.kinematics import integrated_states
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.problem.problem import Problem
 from workers.effects.forms import EffectForm, FormCondition
-from workers.effects.site import EffectSite
-from workers.effects.variables import difference, is_difference
+from workers.effects.site import EffectSite, difference, is_difference
 from workers.fmu.description import ModelDescription
 
 ACTS = 1e-9

@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 
 from workers.effects.forms import EffectForm
-from workers.effects.site import EffectSite
-from workers.effects.variables import own_variable, parts_of
+from workers.effects.site import EffectSite, own_variable, parts_of
 from workers.messages import Effect
 
 

@@ -32,8 +32,7 @@ from workers.effects.forms import (
     GridScale,
     positive,
 )
-from workers.effects.site import EffectSite, parse_site
-from workers.effects.variables import unnamed_variables
+from workers.effects.site import EffectSite, parse_site, unnamed_variables
 from workers.fmu.description import ModelDescription
 from workers.messages import Effect
 

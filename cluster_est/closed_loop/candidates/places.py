@@ -9,8 +9,7 @@ import numpy as np
 from cluster_est.closed_loop.candidates.arguments import ACTS, TIME, CandidatePlace, OpenArguments
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from workers.effects.forms import EffectForm, FormCondition
-from workers.effects.site import EffectSite
-from workers.effects.variables import difference
+from workers.effects.site import EffectSite, difference
 
 
 def open_places(

@@ -12,8 +12,7 @@ from scipy.integrate import cumulative_trapezoid
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
 from cluster_est.closed_loop.thresholds import CandidateThresholds
 from workers.effects.forms import EffectForm, FormCoefficient, FormCondition, GridScale
-from workers.effects.site import EffectSite
-from workers.effects.variables import split_variable
+from workers.effects.site import EffectSite, split_variable
 from workers.messages import FloatArray
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from workers.effects.variables import split_variable
+from workers.effects.site import split_variable
 from workers.grid import build_grid, values_at
 from workers.messages import Experiment, FloatArray, IntArray, Linearisation, Outcome
 

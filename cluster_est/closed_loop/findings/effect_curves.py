@@ -15,8 +15,7 @@ from cluster_est.errors import ClusterEstError
 from cluster_est.results.result import Result
 from cluster_est.results.shapes.effect_shapes import effect_shapes, with_evidence
 from cluster_est.results.tables.row_types import EffectCurve
-from workers.effects.site import EffectSite
-from workers.effects.variables import difference, split_variable
+from workers.effects.site import EffectSite, difference, split_variable
 from workers.messages import FloatArray
 
 

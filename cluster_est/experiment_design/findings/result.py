@@ -19,15 +19,13 @@ from cluster_est.experiment_design.criteria import (
     expected_probabilities,
     prediction_variances,
 )
-from cluster_est.experiment_design.findings.expected_rows import (
+from cluster_est.experiment_design.findings.sentences import (
+    STEM,
+    TABLE,
     ExpectedEvidence,
     ExpectedPrecision,
     ExpectedPredictionError,
     ExpectedProbability,
-)
-from cluster_est.experiment_design.findings.sentences import (
-    STEM,
-    TABLE,
     alike_sentences,
     evidence_sentence,
     experiment_block,

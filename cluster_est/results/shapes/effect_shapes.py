@@ -11,8 +11,7 @@ import sympy as sp
 from cluster_est.results.result import Result
 from cluster_est.results.tables.row_types import EffectCurve, Estimate
 from workers.effects.definition import SIGNAL, TIME, EffectDefinition, define_all, variable_symbol
-from workers.effects.site import EffectSite
-from workers.effects.variables import difference, own_variable, parts_of, split_variable
+from workers.effects.site import EffectSite, difference, own_variable, parts_of, split_variable
 from workers.fmu.description import ModelDescription
 from workers.messages import FloatArray
 

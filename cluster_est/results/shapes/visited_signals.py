@@ -11,8 +11,7 @@ from cluster_est.results.result import Result
 from cluster_est.results.shapes.effect_shapes import NOTHING_KNOWN, effect_shapes
 from cluster_est.results.tables.row_types import EffectCurve
 from cluster_est.running.runner import Runner
-from workers.effects.site import EffectSite
-from workers.effects.variables import split_variable
+from workers.effects.site import EffectSite, split_variable
 from workers.grid import values_at
 from workers.messages import Experiment, FloatArray, Outcome
 

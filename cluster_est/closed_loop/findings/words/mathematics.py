@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from cluster_est.closed_loop.findings.words.laws import Law
 from workers.effects.forms import EffectForm
-from workers.effects.site import EffectSite
-from workers.effects.variables import bracketed
+from workers.effects.site import EffectSite, bracketed
 
 OF_SIGNALS = {
     "bias": "an offset",

@@ -33,7 +33,7 @@ from cluster_est.closed_loop.findings.words.mathematics import mathematics_of
 from cluster_est.closed_loop.findings.words.physics import PlacedLaw, physics_of
 from cluster_est.results.tables.row_types import EffectCurve
 from workers.effects.expression import parse
-from workers.effects.variables import bracketed, difference, is_difference, own_variable
+from workers.effects.site import bracketed, difference, is_difference, own_variable
 from workers.fmu.description import ModelDescription
 
 MOVING = (SPEED, TURNING, SPEED / TIME, TURNING / TIME, FORCE, TORQUE)

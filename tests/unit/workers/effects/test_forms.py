@@ -10,7 +10,7 @@ from workers.effects.definition import coefficients
 from workers.effects.expression import FUNCTIONS
 from workers.effects.forms import FORMS, FormCondition, GridScale, positive
 from workers.effects.memory import MEMORIES
-from workers.effects.variables import split_variable
+from workers.effects.site import split_variable
 from workers.messages import Effect
 
 WORDS = {"site", "other", "v", "w", "s", "second", "rad", "travel"}
