@@ -266,8 +266,8 @@ def _advice(kind: str, value: Any, path: str) -> str:
     """Return what to do, where that is known."""
     if kind == "literal_error" or not isinstance(value, str | dict):
         return ""
-    if kind in ("list_type", "tuple_type"):
-        return f"; write [{shown(value)}] for one alone" if isinstance(value, str) else ""
+    if kind in ("list_type", "tuple_type") and isinstance(value, str):
+        return f"; write [{shown(value)}] for one alone"
     if isinstance(value, dict):
         return "; open each entry with [[experiments]]" if path == "experiments" else ""
     number = value.strip().lstrip("+-").replace(".", "", 1).isdigit()

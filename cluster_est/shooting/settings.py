@@ -50,7 +50,7 @@ class Shooting(Settings):
         """
         if given is None or isinstance(given, cls):
             return given
-        if isinstance(given, Mapping):
+        if isinstance(given, Mapping) and set(given) <= {"segments", "length"}:
             return cls(**given)
         raise ProblemError(
             f"method.shooting: must have segments or length but is {shown(given)}; write "

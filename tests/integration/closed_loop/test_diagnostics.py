@@ -82,7 +82,7 @@ def test_locate_ranks_the_candidates(problem):
 
 def test_what_a_parameter_does_as_well_is_set_aside(problem):
     """A force in proportion to the speed is what the damper's parameter says already."""
-    (found,) = ce.locate(problem, settings=replace(SETTINGS, forms=("viscous",)))
+    (found,) = ce.locate(problem, settings=SETTINGS.changed(effects=("viscous",)))
     assert (found.stage, found.confounded_with) == ("set aside", "c")
     assert found.distinct < 1e-3
 
@@ -168,4 +168,4 @@ def test_a_parameter_that_the_fmu_declares_fixed_is_said_to_be_closed(problem, f
 
 def test_a_closed_site_that_was_asked_for_is_refused_with_the_cause(fixed_mass):
     with pytest.raises(ProblemError, match=r"'parameter m' is closed, because .* tunable"):
-        ce.detect(fixed_mass, settings=replace(SETTINGS, sites=("parameter m",)))
+        ce.detect(fixed_mass, settings=SETTINGS.changed(sites=("parameter m",)))

@@ -14,7 +14,7 @@ from support.reported import fitted_run
 from support.run_folders import change_facts
 
 from cluster_est.cli import main
-from cluster_est.cli.inspection import WatchTable, rendered
+from cluster_est.cli.display.watch_table import WatchTable, rendered
 from cluster_est.cli.terminal import line
 from cluster_est.fit import fit
 from cluster_est.methods.base import Progress
