@@ -26,7 +26,6 @@ from cluster_est.results.segments import ShootingSummary
 from cluster_est.results.solver_error.measure import measure_solver_error
 from cluster_est.results.tables import rows
 from cluster_est.running.arguments import (
-    check_multistart,
     check_problem,
     check_resources,
     check_values,
@@ -95,7 +94,9 @@ class FitPlan:
         ProblemError
             If a value is of the wrong kind or out of its range.
         """
-        check_multistart(self.multistart)
+        given = self.multistart
+        advice = f"; write Multistart({given!r})" if isinstance(given, int) else ""
+        check_kind(given, Multistart, "multistart", ProblemError, advice)
         check_kind(self.uncertainty, UncertaintySettings, "uncertainty", ProblemError)
         check_number(self.seed, "method.seed", ProblemError, least=0, whole=True)
         if self.shooting is not None:

@@ -6,7 +6,7 @@ keys, the messages and `help` show the same meaning.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import UnionType
 from typing import (
     TYPE_CHECKING,
@@ -97,10 +97,8 @@ Known = Annotated[float | int | bool | str, PlainValidator(_known)]
 Free = Annotated[bool | Literal["shared"], PlainValidator(_free)]
 Ordinal = Annotated[bool | list[str], PlainValidator(_ordinal)]
 Pair = Annotated[tuple[Finite, Finite], Strict(False)]
-"""TOML has lists, which strictly are no tuples."""
-
-
 Names = Annotated[tuple[str, ...], Strict(False)]
+"""TOML has lists, which strictly are no tuples."""
 
 
 class ConfigSection(BaseModel):
@@ -125,11 +123,21 @@ class Settings(ConfigSection):
 
     section: ClassVar[str]
     """Where it stands in a config."""
+    also: ClassVar[Mapping[str, str]] = {}
+    """Other names by which Python may give a key."""
 
     if not TYPE_CHECKING:  # checkers and editors know the keys
 
         def __init__(self, *values: Any, **named: Any) -> None:
-            given = {**dict(zip(type(self).model_fields, values, strict=False)), **named}
+            keys = list(type(self).model_fields)
+            named = {self.also.get(key, key): value for key, value in named.items()}
+            if len(values) > len(keys) or named.keys() & keys[: len(values)]:
+                raise ProblemError(
+                    f"{self.section}: must be given each of {', '.join(keys)} once at most but is "
+                    f"given {len(values)} without names and {', '.join(named) or 'none'} with; "
+                    "name them"
+                )
+            given = dict(zip(keys, values, strict=False)) | named
             given = {k: v.item() if isinstance(v, np.generic) else v for k, v in given.items()}
             try:
                 super().__init__(**given)
@@ -150,9 +158,8 @@ class Settings(ConfigSection):
 
     def changed(self, **values: Any) -> Self:
         """Return a copy with other values, checked as new ones are."""
-        return type(self)(
-            **{name: getattr(self, name) for name in type(self).model_fields} | values
-        )
+        now = {name: getattr(self, name) for name in type(self).model_fields}
+        return type(self)(**now | {self.also.get(key, key): v for key, v in values.items()})
 
 
 def keys_of(section: type[BaseModel]) -> Iterator[tuple[str, FieldInfo]]:
@@ -182,7 +189,6 @@ _MUST = {
     "dict_type": "must be a table",
     "model_type": "must be a table",
     "tuple_type": "must be a list",
-    "mapping_type": "must be a table",
     "is_instance_of": "must be a {class}",
     "list_type": "must be a list",
     "finite_number": "must be a finite number",
@@ -281,7 +287,7 @@ def _walk(hint: Any, parts: Sequence[int | str]) -> tuple[Any, str]:
     meaning = "needed"
     for part in parts:
         if _is_section(hint):
-            found = dict(keys_of(hint)).get(str(part)) or hint.model_fields.get(str(part))
+            found = hint.model_fields.get(str(part))
             if found is None:
                 return None, meaning
             hint, meaning = found.annotation, found.description or meaning

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, ClassVar
 
-from pydantic import AfterValidator, AliasChoices, Field, InstanceOf
+from pydantic import AfterValidator, Field, InstanceOf
 
 from cluster_est.closed_loop.thresholds import LoopThresholds
 from cluster_est.errors import EffectError
@@ -24,12 +25,9 @@ class LoopSettings(Settings):
     """The size of the search, and the level of evidence that it asks for."""
 
     section: ClassVar[str] = "closed_loop"
+    also: ClassVar[Mapping[str, str]] = {"forms": "effects"}
 
-    effects: Names = Field(
-        (),
-        validation_alias=AliasChoices("effects", "forms"),
-        description="forms to try, such as coulomb; default: the library",
-    )
+    effects: Names = Field((), description="forms to try, such as coulomb; default: the library")
     sites: Annotated[Names, AfterValidator(_sites)] = Field(
         (), description='where to look, such as "der(v)"; default: all'
     )
@@ -71,5 +69,5 @@ class LoopSettings(Settings):
 
     @property
     def forms(self) -> tuple[str, ...]:
-        """Names of the forms to try; empty for the whole library. Also the key `forms`."""
+        """Names of the forms to try, in Python's words; empty for the whole library."""
         return self.effects

@@ -125,8 +125,8 @@ LATE, GRACE_SECONDS = 3.0, 0.5
 """A batch is late after so many times what is usual, and this."""
 ALONE, GIVEN_UP = 3, 6
 """Lost workers after which a task is sent alone, and after which it is not sent any more."""
-START_SECONDS, LONGEST_START_SECONDS = 10.0, 40.0
-"""How long all workers are waited for once there is one, and once there are fewer than wanted."""
+START_SECONDS, SECOND_SECONDS = 10.0, 40.0
+"""How long all workers are waited for, once there is one, and the second if it must be asked."""
 FAILED_FIRST_STARTS, FAILED_STARTS = 3, 50
 """Workers in a row that may be lost while they start: the first ones, and later ones."""
 
@@ -196,7 +196,7 @@ class RayPool(WorkerPool):
         owns_ray = connect(workers, address)
         pool = cls(model, experiments, workers, limits or Limits(), owns_ray=owns_ray)
         try:
-            pool._wait_for_workers()
+            pool._wait_for_workers(pool.workers, START_SECONDS)
         except BaseException:
             pool.close()
             raise
@@ -209,7 +209,7 @@ class RayPool(WorkerPool):
 
     def one_worker(self, tasks: Sequence[Task], *, last: bool = False) -> list[Outcome]:
         if last:
-            self._wait_for_workers(2)
+            self._wait_for_workers(2, SECOND_SECONDS)
         for _ in range(ALONE):
             name, actor = list(self._actors.items())[-1 if last else 0]
             asked = [actor.once.remote(TaskBatch.of([task])) for task in tasks]
@@ -217,7 +217,7 @@ class RayPool(WorkerPool):
                 return [outcome for answers in ray.get(asked) for outcome in answers.outcomes()]
             except RayError:  # lost: what is decided by its answers must not depend on that
                 self._replace(name)
-                self._wait_for_workers()
+                self._wait_for_workers(self.workers, START_SECONDS)
         return []
 
     def submit(self, tasks: Sequence[Task]) -> None:
@@ -293,15 +293,11 @@ class RayPool(WorkerPool):
             self._owns_ray = False
             disconnect()
 
-    def _wait_for_workers(self, wanted: int = 1) -> None:
-        """Wait for one worker however long it takes, and a little for the others.
-
-        Longer until there are as many as are wanted.
-        """
+    def _wait_for_workers(self, wanted: int, seconds: float) -> None:
+        """Wait for one worker however long it takes, and so long until there are enough."""
         begin = time.monotonic()
-        while self._starting:
-            most = START_SECONDS if len(self._actors) >= wanted else LONGEST_START_SECONDS
-            left = max(begin + most - time.monotonic(), 0.0) if self._actors else None
+        while self._starting and len(self._actors) < wanted:
+            left = max(begin + seconds - time.monotonic(), 0.0) if self._actors else None
             done, _ = ray.wait(list(self._starting), num_returns=1, timeout=left)
             if not done:
                 return

@@ -13,7 +13,6 @@ from cluster_est.methods import ALIASES, METHODS, Method
 from cluster_est.plug_in import check_options
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import make_space
-from cluster_est.running.multistart import Multistart
 from cluster_est.running.records import Budget
 from cluster_est.running.resources import Resources
 from cluster_est.toml import dotted
@@ -82,18 +81,6 @@ def method_of(method: Method | str) -> Method:
     check_kind(method, Method, "method", ProblemError, "; give a method or its name")
     check_options(method, "method.options", ProblemError)
     return method
-
-
-def check_multistart(multistart: Multistart) -> None:
-    """Refuse starts that cannot be, as a config does.
-
-    Raises
-    ------
-    ProblemError
-        If they cannot.
-    """
-    advice = f"; write Multistart({multistart!r})" if isinstance(multistart, int) else ""
-    check_kind(multistart, Multistart, "multistart", ProblemError, advice)
 
 
 def check_values(problem: Problem, values: Mapping[str, float]) -> None:

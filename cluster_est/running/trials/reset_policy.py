@@ -278,19 +278,18 @@ def _find_policy(
             if here:
                 _refuse_here(file, resources.executor, policy, answers[policy])
             pool = start(resources.executor, decision.policy, resources.workers)
-            pool.first = answers[policy].first
-            return pool, _compared_later(problem, pool, decision, trial, answers[policy].at)
+            pool.first, pool.first_at = answers[policy].first, answers[policy].at
+            return pool, _tried(problem, pool, decision, trial)
     decision = _never_the_same(file, answers)
     return start(resources.executor, decision.policy, resources.workers), decision
 
 
-def _compared_later(
-    problem: Problem, pool: WorkerPool, decision: ResetDecision, trial: Trial, at: float
+def _tried(
+    problem: Problem, pool: WorkerPool, decision: ResetDecision, trial: Trial
 ) -> ResetDecision:
-    """Compare a second after a time, and remember a trial that has shown nothing."""
+    """Compare a second later, and remember a trial that has shown nothing."""
     if not trial.passed:
-        time.sleep(max(0.0, at + LATER_SECONDS - time.monotonic()))
-        decision = _compared(problem, pool, decision)
+        decision = _compared(problem, pool, decision, later=True)
         if decision.plain:
             trial.remember()
     return decision
@@ -305,18 +304,27 @@ def compared_at_the_end(
     """
     if pool.busy or pool.first is None or pool.first.seconds > LONG_AT_THE_END:
         return decision
-    if pool.on_cluster:  # where nothing was compared later before the run
-        time.sleep(max(0.0, pool.first_at + LATER_SECONDS - time.monotonic()))
-    return _compared(problem, pool, decision)
+    # on a cluster nothing was compared later before the run
+    return _compared(problem, pool, decision, later=pool.on_cluster)
 
 
 def _compared(
-    problem: Problem, pool: WorkerPool, decision: ResetDecision, *, last: bool = False
+    problem: Problem,
+    pool: WorkerPool,
+    decision: ResetDecision,
+    *,
+    last: bool = False,
+    later: bool = False,
 ) -> ResetDecision:
-    """Ask a worker what was answered before the run; what its answer makes of a decision."""
+    """Ask a worker what was answered before the run; what its answer makes of a decision.
+
+    The last worker and not the first; later than a clock of seconds stands still.
+    """
     first, task = pool.first, RepeatabilityTest.of(problem).tasks[:1]
     if first is None or first.seconds > LONG_SECONDS:
         return decision
+    if later:
+        time.sleep(max(0.0, pool.first_at + LATER_SECONDS - time.monotonic()))
     again = pool.one_worker(task, last=last)
     if all(not outcome.ok or _bits(outcome) == _bits(first) for outcome in again):
         return decision

@@ -82,7 +82,7 @@ def test_locate_ranks_the_candidates(problem):
 
 def test_what_a_parameter_does_as_well_is_set_aside(problem):
     """A force in proportion to the speed is what the damper's parameter says already."""
-    (found,) = ce.locate(problem, settings=SETTINGS.changed(effects=("viscous",)))
+    (found,) = ce.locate(problem, settings=SETTINGS.changed(forms=("viscous",)))
     assert (found.stage, found.confounded_with) == ("set aside", "c")
     assert found.distinct < 1e-3
 
