@@ -8,6 +8,7 @@ from __future__ import annotations
 from cluster_est.methods.base import Method
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.methods.least_squares.scipy_least_squares import ScipyLeastSquares
+from cluster_est.methods.nelder_mead import NelderMead
 from cluster_est.methods.pattern_search.asynchronous import AsynchronousPatternSearch
 from cluster_est.methods.pattern_search.method import PatternSearch
 from cluster_est.methods.populations.cmaes import Cmaes
@@ -16,7 +17,6 @@ from cluster_est.methods.populations.genetic import GeneticAlgorithm
 from cluster_est.methods.populations.isres import Isres
 from cluster_est.methods.populations.nsga2 import Nsga2
 from cluster_est.methods.populations.particle_swarm import ParticleSwarm
-from cluster_est.methods.simplex.nelder_mead import NelderMead
 from cluster_est.methods.sqp.method import Sqp
 
 METHODS: dict[str, type[Method]] = {

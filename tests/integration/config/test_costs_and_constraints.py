@@ -13,8 +13,8 @@ from support.run_folders import rows
 from cluster_est import LeastSquares, build_problem, fit, simulate
 from cluster_est.cli import main
 from cluster_est.config.reader import parse_config
+from cluster_est.methods.nelder_mead import NelderMead
 from cluster_est.methods.pattern_search.method import PatternSearch
-from cluster_est.methods.simplex.nelder_mead import NelderMead
 from cluster_est.methods.sqp.method import Sqp
 from cluster_est.toml import to_toml
 

@@ -1,1 +1,0 @@
-"""The simplex search of Nelder and Mead, and its case of one unknown."""
