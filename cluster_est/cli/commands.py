@@ -1,9 +1,8 @@
 """Every command by its name.
 
-The start of pyarrow without pandas, which it would import with its first array.
-
-It does so to know a column of pandas when it is given one. No command is, and where pandas is
-installed this takes a quarter of a second. Whoever asks pyarrow for pandas later still gets it.
+Before a command is loaded, pyarrow makes its first array without pandas, which it would import
+then, to know a column of pandas when it is given one. No command is, and where pandas is installed
+this takes a quarter of a second. Whoever asks pyarrow for pandas later still gets it.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """The program `cluster-est`: from arguments to a command, and from errors to sentences.
 
-Standard output and error that end no command, whoever has stopped reading them.
-
-What the system refuses, because a pipe is closed or a disk full, is dropped, and the command goes
-on: its results stand in files.
+Standard output and error end no command, whoever has stopped reading them: what the system refuses,
+because a pipe is closed or a disk full, is dropped, and the command goes on, for its results stand
+in files.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Effects that a config names: what is added to the model, and the parameters that come with it.
 
-Maps as parameters: a table of values over points, smooth and monotone if that is known.
-
+Maps become parameters too: a table of values over points, smooth and monotone if that is known;
 `cluster_est.problem.effects.table_values` says what smoothness is.
 """
 

@@ -2,10 +2,9 @@
 
 Its keys stand in `config/sections/`; an unknown key is an error that names the nearest known one.
 
-`[experiment_defaults]`: keys that every experiment has unless it says otherwise.
-
-They are put into the experiments of the raw tree, before it is checked as a whole, so that nothing
-else knows of them: a run's own config has every experiment with all of its keys.
+The keys of `[experiment_defaults]`, which every experiment has unless it says otherwise, are put
+into the experiments of the raw tree before it is checked as a whole, so that nothing else knows of
+them: a run's own config has every experiment with all of its keys.
 """
 
 from __future__ import annotations

@@ -7,12 +7,11 @@ same bits, and who of the two fails has tried in a fresh process. An FMU that cr
 no actor with it (see `workers.process.supervisor`), so a task is given up only after many lost
 workers.
 
-Seats of Ray actors, where the number of the FMU's instances is limited.
-
-On one machine a seat is a lock that its process holds (`workers.fmu.seats`). No lock reaches from
-one machine to another, so an actor that takes the place of another is started on the node where
-that one was: there it waits until the other one's process is gone. If that node is gone, so is
-everything on it, and Ray may choose any.
+Where the number of the FMU's instances is limited, each actor has a seat. On one machine a seat is
+a lock that its process holds (`workers.fmu.seats`). No lock reaches from one machine to another, so
+an actor that takes the place of another is started on the node where that one was: there it waits
+until the other one's process is gone. If that node is gone, so is everything on it, and Ray may
+choose any.
 """
 
 from __future__ import annotations

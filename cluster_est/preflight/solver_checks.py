@@ -1,9 +1,7 @@
 """Checks of the solver: accuracy, stiffness and directional derivatives.
 
-The cost of a simulation with sensitivities, against those that differences take.
-
-A config has to choose them: what a clock finds on one machine must not decide what another
-computes.
+A simulation with sensitivities is compared with those that differences take, but a config has to
+choose them: what a clock finds on one machine must not decide what another computes.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""Types of arrays, and of choices by name.
+"""Types of arrays and of choices by name, hashes of contents, and the progress of a simulation.
 
-Progress that a simulation notes, for whoever waits for it in another process.
-
-It says that the simulation goes on, whatever the clock says.
+Progress is noted for whoever waits for a simulation in another process: it says that the simulation
+goes on, whatever the clock says.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Residuals and constraints of one experiment.
 
-One number in place of the residuals of an output, so that little must be sent.
-
-For methods that look at nothing but a cost which is a sum over residuals.
+Methods that look at nothing but a cost which is a sum over residuals are sent one number in place
+of the residuals of an output.
 """
 
 from __future__ import annotations

@@ -1,23 +1,16 @@
 """A Jacobian as a linear map: as one array, or experiment by experiment.
 
-The damped Gauss-Newton step within bounds, for many damping factors from one factorisation.
+From it follow the damped Gauss-Newton step within bounds, for many damping factors from one
+factorisation, and the reduction that the Gauss-Newton model predicts for a step.
 
-Symbols: J the Jacobian, r the residuals, D the scaling, p the step, lambda the damping.
+Where experiments have unknowns of their own, these are eliminated from the rows of the experiment;
+the other rows of its factor hold all that it says of the shared unknowns. So time and memory grow
+with the number of experiments, not with its square. Where experiments share unknowns with their
+neighbours, as segments of records do, whose first states stand in the rows of the segment before
+too, they are eliminated along the chain.
 
-A Jacobian that is factored experiment by experiment, where each has unknowns of its own.
-
-The unknowns of one experiment alone are eliminated from its rows; the other rows of the factor hold
-all information of the experiment on the shared unknowns. Time and memory grow with the number of
-experiments, not with its square. Symbols as in `sparse_step`; R is a triangular factor.
-
-A Jacobian that is factored along chains of experiments.
-
-As `factored_blocks`, where experiments share unknowns with their neighbours: segments of records,
-whose first states stand in the rows of the segment before too. Symbols as in `sparse_step`.
-
-The Gauss-Newton model around a point: its steps, and the reductions that it predicts.
-
-Symbols: J the Jacobian, r the residuals, w the weights, D the scaling, p a step.
+Symbols: J the Jacobian, R a triangular factor, r the residuals, w the weights, D the scaling, p the
+step, lambda the damping.
 """
 
 from __future__ import annotations

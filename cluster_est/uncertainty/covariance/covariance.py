@@ -2,7 +2,7 @@
 
 With residuals r of n numbers that determine k directions, the covariance is s^2 (J'J)^-1 with
 s^2 = r'r / (n - k), and the intervals are those of Student's t: G. A. F. Seber, C. J. Wild,
-Nonlinear Regression (1989), doi:10.1002/0471725315, section 2.1. For other costs see `weighting`.
+Nonlinear Regression (1989), doi:10.1002/0471725315, section 2.1. For other costs see `system`.
 
 That is right where the residuals are independent. Where they are not, the covariance is that of an
 autoregression for each output, or of the scatter of the experiments (see `noise_covariance`). All

@@ -4,7 +4,7 @@ Least squares estimates have the covariance (J'J)^-1 J'SJ (J'J)^-1, S being that
 for S here are
 
 - the variance of the residuals times 1: right for white noise alone;
-- an autoregression for each output (see `autoregression`): right for noise that is correlated in
+- an autoregression for each output (see `fit_noise`): right for noise that is correlated in
   time, however few experiments there are;
 - the products of the residuals within each experiment: the sandwich of K.-Y. Liang, S. L. Zeger,
   Biometrika 73 (1986) 13-22, doi:10.1093/biomet/73.1.13, with E / (E - 1) for E experiments and
@@ -14,10 +14,9 @@ for S here are
 The intervals are those of the autoregression, which is the first where the noise is white. The
 third takes its place where the experiments differ by more than chance.
 
-The autocovariances of the noise, from residuals that have lost some of it to a fit.
-
-Symbols: e the noise with covariance S, Q an orthonormal basis of the directions that were fitted,
-r = (1 - QQ') e the residuals, c_h the sums of r_t r_{t+h} over all records of an output, g_h the
+The autocovariances of the noise come from residuals that have lost some of it to the fit. Symbols:
+e the noise with covariance S, Q an orthonormal basis of the directions that were fitted, r = (1 -
+QQ') e the residuals, c_h the sums of r_t r_{t+h} over all records of an output, g_h the
 autocovariances of its noise, a the coefficients of the autoregression that they are given by.
 """
 

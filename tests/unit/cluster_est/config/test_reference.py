@@ -119,3 +119,18 @@ def test_python_and_a_config_refuse_with_the_same_sentence(settings, given):
     with pytest.raises(ProblemError) as of_python:
         settings(**given)
     assert str(of_python.value) == str(of_config.value).replace("config.toml: ", "")
+
+
+def test_settings_take_each_key_once_and_another_name_of_it_in_python_alone():
+    for given, named in (((1, 2.0, 3), {}), ((1,), {"evaluations": 2})):
+        with pytest.raises(
+            ProblemError, match="budget: must be given each of evaluations, seconds once"
+        ):
+            Budget(*given, **named)
+    assert LoopSettings(forms=["bias"]).changed(forms=["lag"]) == LoopSettings(effects=["lag"])
+    with pytest.raises(ProblemError, match=r"closed_loop.effects: must be a list but is 3 \(forms"):
+        LoopSettings(forms=3)
+    keys = tree(everything=False)
+    keys["closed_loop"] = {"forms": ["bias"]}
+    with pytest.raises(ClusterEstError, match=r"unknown key closed_loop\.forms"):
+        parse_config(keys, "config.toml")
