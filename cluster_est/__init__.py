@@ -10,7 +10,6 @@ import sys
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -22,17 +21,18 @@ if TYPE_CHECKING:
     from cluster_est.config.reader import read_config
     from cluster_est.errors import ClusterEstError
     from cluster_est.experiment_design.design import design
-    from cluster_est.fit import fit, simulate
     from cluster_est.methods.least_squares.method import LeastSquares
     from cluster_est.problem.fmu_file import read_model
     from cluster_est.problem.parameter import Parameter
     from cluster_est.problem.problem import Problem
     from cluster_est.problem.tables.files import read_table
-    from cluster_est.residual_function import residuals
     from cluster_est.results.result import Result
     from cluster_est.running.multistart import Multistart
     from cluster_est.running.records import Budget
     from cluster_est.running.resources import Resources
+    from cluster_est.studies.fit import fit, simulate
+    from cluster_est.studies.residual_function import residuals
+    from cluster_est.studies.save_report_export import export, report, save
     from cluster_est.uncertainty import UncertaintySettings
     from workers.messages import Effect, Experiment, Input, Model, Output, Solver
 
@@ -76,13 +76,16 @@ __all__ = [
     "close_loop",
     "design",
     "detect",
+    "export",
     "fit",
     "locate",
     "read_config",
     "read_model",
     "read_problem",
     "read_table",
+    "report",
     "residuals",
+    "save",
     "simulate",
 ]
 
@@ -95,13 +98,14 @@ _MODULES = {
     "cluster_est.config.reader": ("read_config",),
     "cluster_est.errors": ("ClusterEstError",),
     "cluster_est.experiment_design.design": ("design",),
-    "cluster_est.fit": ("fit", "simulate"),
+    "cluster_est.studies.fit": ("fit", "simulate"),
     "cluster_est.methods.least_squares.method": ("LeastSquares",),
     "cluster_est.problem.fmu_file": ("read_model",),
     "cluster_est.problem.parameter": ("Parameter",),
     "cluster_est.problem.problem": ("Problem",),
     "cluster_est.problem.tables.files": ("read_table",),
-    "cluster_est.residual_function": ("residuals",),
+    "cluster_est.studies.residual_function": ("residuals",),
+    "cluster_est.studies.save_report_export": ("export", "report", "save"),
     "cluster_est.results.result": ("Result",),
     "cluster_est.results.tables.row_types": ("Estimate",),
     "cluster_est.running.multistart": ("Multistart",),
@@ -129,14 +133,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return __all__
-
-
-class _Package(ModuleType):
-    """The package, in which `fit` stays the function when the module of that name is imported."""
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if not (name == "fit" and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package

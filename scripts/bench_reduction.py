@@ -20,10 +20,10 @@ from bench_sensitivities import make_problem
 from fmus.build import build
 
 from cluster_est.costs.sum_squared import SumSquared
-from cluster_est.fit import fit
 from cluster_est.methods.populations.differential_evolution import DifferentialEvolution
 from cluster_est.running.records import Budget
 from cluster_est.running.resources import Resources
+from cluster_est.studies.fit import fit
 from workers.messages import Reduction
 
 

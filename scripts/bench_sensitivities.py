@@ -22,11 +22,11 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from fmus.build import build
 
 import cluster_est as ce
-from cluster_est.fit import fit
 from cluster_est.methods.derivatives.differences import Differences
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.results.result import Result
 from cluster_est.running.resources import Resources
+from cluster_est.studies.fit import fit
 from workers.evaluate import Evaluator
 from workers.messages import Model, Task
 from workers.wire import TaskBatch

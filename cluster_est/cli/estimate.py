@@ -21,7 +21,7 @@ from cluster_est.cli.terminal import (
 from cluster_est.run_folder.context import Existing
 from cluster_est.run_folder.judgement import RunStatus
 from cluster_est.run_folder.run_identity import RunKind
-from cluster_est.studies import Destination, do_run, read_run
+from cluster_est.studies.configured import Destination, do_run, read_study
 from cluster_est.sweep.matrix import SUCCESS, SUMMARY
 from cluster_est.sweep.sweep import sweep as run_sweep
 
@@ -73,7 +73,7 @@ def sensitivity(options: Namespace) -> int:
 
 
 def _run(options: Namespace, kind: RunKind) -> int:
-    run = read_run(options.config, options.overrides, kind, allow_code=options.allow_code)
+    run = read_study(options.config, options.overrides, kind, allow_code=options.allow_code)
     existing = Existing.OVERWRITE if options.overwrite else Existing.REFUSE
     existing = Existing.RESUME if options.resume else existing
     to = Destination(options.out, existing, report=not options.no_report)

@@ -15,12 +15,12 @@ from cluster_est.cli.display.closed_loop import print_any_run
 from cluster_est.cli.display.run import say
 from cluster_est.cli.estimate import EXIT_CODES
 from cluster_est.cli.terminal import complain, say_if_compiled_first, terminal_listener
-from cluster_est.design_study import ConfiguredDesign, read_design
 from cluster_est.errors import RunFolderError
 from cluster_est.experiment_design.findings.sentences import STEM, TABLE
 from cluster_est.run_folder.context import Existing
 from cluster_est.run_folder.reading import read_facts, read_run_columns
-from cluster_est.studies import Destination, do_run
+from cluster_est.studies.configured import Destination, do_run
+from cluster_est.studies.configured_design import ConfiguredStudy, read_design
 from cluster_est.whole_files import write_output
 
 
@@ -100,7 +100,7 @@ def _check_free(options: Namespace) -> None:
         raise RunFolderError(f"--out: {folder} holds a run that is no design; choose another name")
 
 
-def _path_from(run: ConfiguredDesign, out: Path) -> str:
+def _path_from(run: ConfiguredStudy, out: Path) -> str:
     """The path of the table, from the folder of the run's config."""
     base = run.identity.base
     return str(out) if base is None else os.path.relpath(out, base)

@@ -30,7 +30,7 @@ from cluster_est.results.output_errors import Simulation
 from cluster_est.results.tables.rows import constraints_at_start
 from cluster_est.run_folder.run_identity import RunKind
 from cluster_est.running.resources import Resources
-from cluster_est.studies import read_run
+from cluster_est.studies.configured import read_study
 from cluster_est.toml import dotted
 
 
@@ -116,7 +116,7 @@ def check(options: Namespace) -> int:
         page = run_checks(bare, Resources(), seconds, declared=False)
         print_page(console, page)
         return _verdict(page)
-    run = read_run(path, options.overrides, RunKind.FIT, allow_code=options.allow_code)
+    run = read_study(path, options.overrides, RunKind.FIT, allow_code=options.allow_code)
     config, problem = run.config, run.identity.problem
     resources = build_resources(config)
     for sentence in resources.notes():

@@ -18,10 +18,10 @@ from cluster_est.config.build import build_problem
 from cluster_est.config.options import build_resources
 from cluster_est.config.reader import read_config
 from cluster_est.errors import RunFolderError
-from cluster_est.fit import simulate as run_simulate
 from cluster_est.problem.problem import Problem
 from cluster_est.results.curves import residual_table, trajectory_table
 from cluster_est.run_folder.reading import check_has_estimates, read_run_table
+from cluster_est.studies.fit import simulate as run_simulate
 from cluster_est.whole_files import write_output
 
 

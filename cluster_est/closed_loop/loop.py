@@ -11,22 +11,55 @@ points follows N. R. Kristensen, H. Madsen, S. B. Jorgensen, Comput. Chem. Eng. 
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+
+from typing_extensions import override
 
 from cluster_est.closed_loop.account import account, last_fits
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.findings.simulation_cost import dear_structures
 from cluster_est.closed_loop.first_pass import open_checked_workbench
-from cluster_est.closed_loop.prepare import LoopRequest, checked_request
+from cluster_est.closed_loop.prepare import LoopRequest, check_arguments
 from cluster_est.closed_loop.process_noise.passes import close_loop_under_noise
 from cluster_est.closed_loop.search import search_for_effects
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import FitStart
 from cluster_est.problem.effects.process_noise import noise_names
 from cluster_est.problem.problem import Problem
-from cluster_est.running.environment import Monitor
+from cluster_est.problem.search_space.space import make_space
+from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.records import Note, Record, Show
 from cluster_est.running.resources import Resources
+from cluster_est.running.study import Study, run_study
+
+
+@dataclass(frozen=True)
+class ClosedLoop(Study[LoopResult]):
+    """The search for what a model lacks.
+
+    Attributes
+    ----------
+    problem
+        The declared model with its parameters and experiments.
+    settings
+        Thresholds and sizes.
+    seed
+        Starts every random generator.
+    """
+
+    problem: Problem
+    settings: LoopSettings = field(default_factory=LoopSettings)
+    seed: int = 0
+
+    @override
+    def check(self) -> None:
+        check_arguments(self.problem, self.settings, self.seed)
+        self.problem.describe()
+        make_space(self.problem, self.problem.indices("test"))
+
+    @override
+    def run(self, environment: RunEnvironment) -> LoopResult:
+        return run_loop(LoopRequest(self.problem, environment, self.settings, self.seed))
 
 
 def close_loop(
@@ -61,8 +94,9 @@ def close_loop(
     ClusterEstError
         If model, experiments and machine do not fit together, or the data cannot carry a search.
     """
-    monitor = Monitor(record, show, note)
-    return run_loop(checked_request(problem, resources, settings, seed, monitor))
+    settings = LoopSettings() if settings is None else settings
+    study = ClosedLoop(problem, settings, seed)
+    return run_study(study, resources, record=record, show=show, note=note)
 
 
 def run_loop(request: LoopRequest) -> LoopResult:

@@ -22,14 +22,13 @@ from cluster_est.closed_loop.synthetic_experiments import (
 from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
-from cluster_est.fit import check_method
 from cluster_est.problem.effects.process_noise import noise_names
 from cluster_est.problem.idle_inputs import silent_notes
 from cluster_est.problem.observed_outputs import NOT_PLAIN
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import make_space
-from cluster_est.running.arguments import check_problem, check_resources
-from cluster_est.running.environment import Monitor, RunEnvironment
+from cluster_est.running.arguments import check_method, check_problem, check_resources
+from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.records import Record, TaskOrigin
 from cluster_est.running.resources import Resources, one_blas_thread
 from cluster_est.statistics.noise.estimate import SHORTEST
@@ -67,7 +66,6 @@ def checked_request(
     resources: Resources | None,
     settings: LoopSettings | None,
     seed: int,
-    monitor: Monitor | None = None,
 ) -> LoopRequest:
     """Return a request of what a user has handed over, checked as a config is.
 
@@ -78,11 +76,22 @@ def checked_request(
     """
     resources = Resources() if resources is None else resources
     settings = LoopSettings() if settings is None else settings
-    check_problem(problem)
+    check_arguments(problem, settings, seed)
     check_resources(resources)
+    return LoopRequest(problem, RunEnvironment(resources), settings, seed)
+
+
+def check_arguments(problem: Problem, settings: LoopSettings, seed: int) -> None:
+    """Refuse what no config would be allowed to ask for.
+
+    Raises
+    ------
+    ProblemError
+        If something is of the wrong kind or out of its range.
+    """
+    check_problem(problem)
     check_kind(settings, LoopSettings, "closed_loop", ProblemError)
     check_number(seed, "closed_loop.seed", ProblemError, least=0, whole=True)
-    return LoopRequest(problem, RunEnvironment(resources, monitor or Monitor()), settings, seed)
 
 
 @contextmanager

@@ -17,10 +17,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import BudgetError, ProblemError
@@ -44,12 +45,11 @@ from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import make_space
 from cluster_est.results.result import Result
-from cluster_est.running.arguments import check_resources
-from cluster_est.running.environment import Monitor, RunEnvironment
+from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.records import Note, Record, Show
 from cluster_est.running.resources import Resources, one_blas_thread
 from cluster_est.running.search_state import SearchRequest
-from cluster_est.running.shared_pools import SharedPools
+from cluster_est.running.study import Study, run_study
 from workers.messages import Experiment, FloatArray, Output
 from workers.messages.checks import check_kind, check_number
 
@@ -277,6 +277,21 @@ def make_design(environment: RunEnvironment, request: DesignRequest) -> DesignRe
     )
 
 
+@dataclass(frozen=True)
+class Design(Study[DesignResult]):
+    """The choice of the next experiment; `request` says of which models, within which limits."""
+
+    request: DesignRequest
+
+    @override
+    def check(self) -> None:
+        check_design(self.request)
+
+    @override
+    def run(self, environment: RunEnvironment) -> DesignResult:
+        return make_design(environment, self.request)
+
+
 def design(
     result: Result | LoopResult,
     limits: ExperimentLimits,
@@ -312,13 +327,9 @@ def design(
         If limits, models and machine do not fit together, or no input keeps the limits.
     """
     settings = DesignSettings() if settings is None else settings
-    resources = Resources() if resources is None else resources
     check_kind(limits, ExperimentLimits, "limits", ProblemError)
     check_kind(settings, DesignSettings, "settings", ProblemError)
-    check_resources(resources)
     check_number(seed, "design.seed", ProblemError, least=0, whole=True)
     models = chosen_models(models_of(result), settings)
-    request = DesignRequest(models, limits, settings, seed)
-    with SharedPools() as pools:  # a cluster is joined once
-        environment = RunEnvironment(resources, Monitor(record, show, note), source=pools)
-        return make_design(environment, request)
+    study = Design(DesignRequest(models, limits, settings, seed))
+    return run_study(study, resources, record=record, show=show, note=note)

@@ -198,7 +198,7 @@ def gather(
     if not facts.get("config_hash"):
         raise RunFolderError(
             f"{run_folder}: was saved from Python and has no config to be exported from; use "
-            "result.export(...) there"
+            "cluster_est.export(result, ...) there"
         )
     problem = _problem(run_folder, facts, config, allow_code=allow_code)
     _check_same(run_folder, facts, problem)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -15,7 +14,6 @@ from cluster_est.errors import RunFolderError
 from cluster_est.methods.base import Solution
 from cluster_est.problem import display
 from cluster_est.problem.problem import Problem
-from cluster_est.results import actions
 from cluster_est.results.curves import (
     posterior_table,
     prediction_table,
@@ -55,9 +53,6 @@ from workers.fmu.description import nearest
 from workers.messages import FloatArray, Role
 from workers.messages.checks import check_text
 from workers.messages.equality import by_content
-
-if TYPE_CHECKING:
-    from cluster_est.export.write import ExportResult
 
 
 @by_content
@@ -231,79 +226,6 @@ class Result:
     def facts(self) -> Mapping[str, Any]:
         """Return what run.json says of it, besides what the run's folder knows itself."""
         return {"status": self.status} | fit_facts(self)
-
-    def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
-        """Write a run folder that `cluster-est show` and `report` read; it has no log.
-
-        Parameters
-        ----------
-        folder
-            Must be new or empty, unless `overwrite`.
-        overwrite
-            Whether to replace the run that is there.
-
-        Raises
-        ------
-        RunFolderError
-            If it holds something already or cannot be written.
-        """
-        return actions.save(self, folder, overwrite=overwrite)
-
-    def report(self, path: str | Path) -> Path:
-        """Write the report: one HTML file.
-
-        Raises
-        ------
-        RunFolderError
-            If it cannot be written.
-        """
-        return actions.report(self, path)
-
-    def export(
-        self,
-        fmu: str | Path | None = None,
-        ssv: str | Path | None = None,
-        *,
-        csv: str | Path | None = None,
-        modelica: bool = False,
-        text: bool = False,
-        experiment: str | None = None,
-        platforms: Sequence[str] = (),
-        measure: bool = True,
-    ) -> ExportResult:
-        """Write the model with its estimates and effects, as `cluster-est export` does.
-
-        Parameters
-        ----------
-        fmu, ssv, csv
-            Files to write: an FMU that holds the original and the effects, a set of parameters as
-            SSP has them, and as a table.
-        modelica, text
-            Whether a Modelica class and a description are wanted, in `printed` of what comes back.
-        experiment
-            Whose values are taken, where parameters have one for each; None for shared ones alone.
-        platforms
-            Those that the FMU is compiled for besides this machine's: "linux64", "win64",
-            "darwin64". Needs the package ziglang.
-        measure
-            Whether the communication step is measured that reproduces the error.
-
-        Raises
-        ------
-        ClusterEstError
-            If nothing is asked for, or a file cannot be written.
-        """
-        return actions.export(
-            self,
-            fmu,
-            ssv,
-            csv=csv,
-            modelica=modelica,
-            text=text,
-            experiment=experiment,
-            platforms=platforms,
-            measure=measure,
-        )
 
     def table(self, name: str) -> pa.Table:
         """One of `tables`, with the columns that it has in a run folder.

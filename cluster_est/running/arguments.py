@@ -7,12 +7,14 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from os import PathLike
 
+import numpy as np
+
 from cluster_est.errors import ProblemError
 from cluster_est.executors import EXECUTORS
 from cluster_est.methods import ALIASES, METHODS, Method
 from cluster_est.plug_in import check_options
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space.space import SearchSpace, make_space
 from cluster_est.running.records import Budget
 from cluster_est.running.resources import Resources
 from cluster_est.toml import dotted
@@ -81,6 +83,36 @@ def method_of(method: Method | str) -> Method:
     check_kind(method, Method, "method", ProblemError, "; give a method or its name")
     check_options(method, "method.options", ProblemError)
     return method
+
+
+def check_method(method: Method, space: SearchSpace) -> None:
+    """Refuse a method that cannot solve this problem.
+
+    Raises
+    ------
+    ProblemError
+        If there is nothing to estimate, or the method needs another cost.
+    """
+    if space.size == 0:
+        raise ProblemError(
+            "parameters: at least one must be free to be estimated from the training experiments, "
+            "but all are fixed or known; to simulate only, use: cluster-est simulate"
+        )
+    cost = space.problem.cost
+    probe = np.ones(len(space.outputs))
+    if method.needs_residuals and cost.weights(probe, space.outputs) is None:
+        raise ProblemError(
+            f"method.name: {method.name} needs residuals whose squares can be weighted, but "
+            f"cost.name is {cost.name!r}; choose another of the two, such as the methods sqp or "
+            "pattern_search"
+        )
+    if space.constraint_names and not method.keeps_constraints:
+        raise ProblemError(
+            f"method.name: {method.name} cannot satisfy constraints but there are some "
+            f"({space.constraint_names[0]!r}); choose least_squares, sqp or pattern_search, or "
+            "remove them"
+        )
+    method.check(space)
 
 
 def check_values(problem: Problem, values: Mapping[str, float]) -> None:

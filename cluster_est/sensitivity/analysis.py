@@ -19,22 +19,24 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import qr
+from typing_extensions import override
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods.given_points import GivenPoints
 from cluster_est.problem.prior_weights import without_priors
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import SearchSpace, make_space
-from cluster_est.running.arguments import check_problem, check_resources
-from cluster_est.running.environment import Monitor, RunEnvironment
+from cluster_est.running.arguments import check_problem
+from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.records import Note, Record, Show
 from cluster_est.running.resources import Resources, one_blas_thread
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
+from cluster_est.running.study import Study, run_study
 from cluster_est.sensitivity.designs import DESIGNS, SensitivityDesign, SensitivityIndex
 from cluster_est.sensitivity.result import (
     AnalysedQuantity,
@@ -121,6 +123,40 @@ AT_ONCE, VALUES_AT_ONCE = 1000, 20_000_000
 """Points that are asked for together, and their residuals: only the quantities are kept."""
 
 
+@dataclass(frozen=True)
+class Sensitivity(Study[SensitivityResult]):
+    """The ranking of unknowns by how much they matter between their bounds.
+
+    Attributes
+    ----------
+    problem
+        Model, parameters and experiments.
+    settings
+        Design, and what is computed from it.
+    seed
+        Starts the random generator.
+    """
+
+    problem: Problem
+    settings: SensitivitySettings = field(default_factory=SensitivitySettings)
+    seed: int = 0
+
+    @override
+    def check(self) -> None:
+        check_problem(self.problem)
+        check_kind(self.settings, SensitivitySettings, "settings", ProblemError)
+        check_number(self.seed, "sensitivity.seed", ProblemError, least=0, whole=True)
+        self.problem.describe()
+        check_bounds(self.problem)
+
+    @override
+    def run(self, environment: RunEnvironment) -> SensitivityResult:
+        space = check_bounds(self.problem)
+        with one_blas_thread(), environment.executor(self.problem) as executor:
+            runner = environment.runner(executor, whole=True)
+            return analyse_on(runner, space, self.settings, self.seed)
+
+
 def sensitivity(
     problem: Problem,
     resources: Resources | None = None,
@@ -154,29 +190,8 @@ def sensitivity(
         If model, experiments and machine do not fit together, or too few points can be simulated.
     """
     settings = SensitivitySettings() if settings is None else settings
-    resources = Resources() if resources is None else resources
-    check_problem(problem)
-    check_resources(resources)
-    check_kind(settings, SensitivitySettings, "settings", ProblemError)
-    check_number(seed, "sensitivity.seed", ProblemError, least=0, whole=True)
-    environment = RunEnvironment(resources, Monitor(record, show, note))
-    return analyse_sensitivity(environment, problem, settings, seed)
-
-
-def analyse_sensitivity(
-    environment: RunEnvironment, problem: Problem, settings: SensitivitySettings, seed: int
-) -> SensitivityResult:
-    """Analyse with workers, listeners and a budget that somebody else has chosen.
-
-    Raises
-    ------
-    ClusterEstError
-        As `sensitivity`.
-    """
-    problem.describe()
-    space = check_bounds(problem)
-    with one_blas_thread(), environment.executor(problem) as executor:
-        return analyse_on(environment.runner(executor, whole=True), space, settings, seed)
+    study = Sensitivity(problem, settings, seed)
+    return run_study(study, resources, record=record, show=show, note=note)
 
 
 def analyse_on(

@@ -347,24 +347,33 @@ EXACT = 1e-9
 
 
 @dataclass(frozen=True)
-class WholeFit:
-    """What is known after both.
+class SearchResult:
+    """What the search of a fit has found, on whole records or on segments.
 
     Attributes
     ----------
-    found
+    minima
         Of the search that counts.
-    summary
-        For the result; it says which one does.
+    segmented
+        Simulations of the training records in segments, where only those follow the data.
+    shooting
+        What multiple shooting did; None for a search on whole records alone.
     """
 
-    found: MultistartResult
-    summary: ShootingSummary
+    minima: MultistartResult
+    segmented: tuple[Simulation, ...] = ()
+    shooting: ShootingSummary | None = None
+
+    def without(self, asked: tuple[str, ...]) -> SearchResult:
+        """Return it with what was asked for and cannot be computed from segments."""
+        if not self.segmented or self.shooting is None:
+            return self
+        return replace(self, shooting=replace(self.shooting, left_out=asked))
 
 
 def fit_whole_records(
     runner: Runner, train: SearchSpace, method: Method, shot: ShotFit, seed: int
-) -> WholeFit:
+) -> SearchResult:
     """Finish a fit on whole records, if those follow the data from where the segments ended.
 
     Else the solution on segments stands. It also stands where the derivatives of whole records
@@ -375,7 +384,8 @@ def fit_whole_records(
     """
     summary = shot.summary
     if shot.solution is None:
-        return WholeFit(search_from_starts(runner, train, method, Multistart(), seed), summary)
+        found = search_from_starts(runner, train, method, Multistart(), seed)
+        return SearchResult(found, shooting=summary)
     x = shot.solution.x
     runner.display.phase = "whole records"
     (at,) = runner.run([SearchRequest("whole records", GivenPoints(x[None, :], "whole"), train)])
@@ -390,9 +400,9 @@ def fit_whole_records(
         summary = replace(summary, promised=_promised(train, found.best, shot.solution))
         follows = found.best.cost <= enough and summary.promised > PROMISED
         if runner.interrupted or follows:
-            return WholeFit(found, replace(summary, joined=True))
+            return SearchResult(found, shooting=replace(summary, joined=True))
     kept = MultistartResult(train.start[None, :], (shot.solution,), (0,), (0,))
-    return WholeFit(kept, summary)
+    return SearchResult(kept, shot.simulations, summary)
 
 
 def _promised(train: SearchSpace, whole: Solution, segments: Solution) -> float:

@@ -24,7 +24,7 @@ from cluster_est.run_folder.reading import read_facts
 from cluster_est.run_folder.resume import check_resumable
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from cluster_est.running.shared_pools import SharedPools, pool_key
-from cluster_est.studies import ConfiguredRun, Destination, Listener, configure, do_run
+from cluster_est.studies.configured import ConfiguredStudy, Destination, Listener, configure, do_run
 from cluster_est.sweep.matrix import (
     FAILED,
     NOT_RUN,
@@ -63,7 +63,7 @@ class SweepSettings:
     allow_code: bool
 
 
-def read_sweep_run(run: SweepRun, *, allow_code: bool) -> ConfiguredRun:
+def read_sweep_run(run: SweepRun, *, allow_code: bool) -> ConfiguredStudy:
     """Read and check all that a run needs.
 
     Raises

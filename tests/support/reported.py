@@ -6,9 +6,9 @@ from pathlib import Path
 
 from support.problems.springs import spring_problem
 
-from cluster_est.fit import fit
 from cluster_est.run_folder.folder import RunFolder
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
+from cluster_est.studies.fit import fit
 
 HOSTILE = '</script><img src=x onerror="alert(1)"><b>&amp;'
 

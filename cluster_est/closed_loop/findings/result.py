@@ -5,10 +5,9 @@ from __future__ import annotations
 import dataclasses
 import enum
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import pyarrow as pa
 
@@ -30,7 +29,6 @@ from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.selection.rounds import ComparedStructure
 from cluster_est.problem import display
 from cluster_est.problem.problem import Problem
-from cluster_est.results import actions
 from cluster_est.results.facts import fit_facts
 from cluster_est.results.result import Result
 from cluster_est.results.shapes.effect_table import curve_table
@@ -38,9 +36,6 @@ from cluster_est.results.tables.row_types import EffectCurve
 from cluster_est.results.tables.rows import fit_tables
 from workers.messages import FloatArray, Role
 from workers.messages.equality import by_content
-
-if TYPE_CHECKING:  # it needs SymPy, which is slow
-    from cluster_est.export.write import ExportResult
 
 
 class ErrorScale(enum.StrEnum):
@@ -278,39 +273,6 @@ class LoopResult:
     def trajectories(self) -> pa.Table:
         """The table of that name, with the effects."""
         return self.final.trajectories
-
-    def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
-        """Write a run folder; see `Result.save`."""
-        return actions.save(self, folder, overwrite=overwrite)
-
-    def report(self, path: str | Path) -> Path:
-        """Write the report: one HTML file; see `Result.report`."""
-        return actions.report(self, path)
-
-    def export(
-        self,
-        fmu: str | Path | None = None,
-        ssv: str | Path | None = None,
-        *,
-        csv: str | Path | None = None,
-        modelica: bool = False,
-        text: bool = False,
-        experiment: str | None = None,
-        platforms: Sequence[str] = (),
-        measure: bool = True,
-    ) -> ExportResult:
-        """Write the model with its effects; see `Result.export`."""
-        return actions.export(
-            self,
-            fmu,
-            ssv,
-            csv=csv,
-            modelica=modelica,
-            text=text,
-            experiment=experiment,
-            platforms=platforms,
-            measure=measure,
-        )
 
     def __str__(self) -> str:
         """Return the text for `print`."""

@@ -277,7 +277,7 @@ def test_a_config_names_it_like_any_effect(tmp_path, capsys):
 
 
 def test_an_export_leaves_it_out_and_says_so(fitted, tmp_path):
-    exported = fitted.export(ssv=tmp_path / "found.ssv")
+    exported = ce.export(fitted, ssv=tmp_path / "found.ssv")
     assert any("effect 'noise' is process noise and is left out" in note for note in exported.notes)
 
 

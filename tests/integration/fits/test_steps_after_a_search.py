@@ -28,7 +28,7 @@ def test_a_step_that_fails_is_a_note(step, monkeypatch, faults_are_noted):
     def fails(*_: object) -> None:
         raise IndexError("index 0 is out of bounds")
 
-    monkeypatch.setattr(import_module("cluster_est.fit"), step, fails)
+    monkeypatch.setattr(import_module("cluster_est.studies.fit"), step, fails)
     result = ce.fit(problem)
     assert result.x == expected.x
     assert result.success

@@ -59,7 +59,7 @@ def of_a_simulation(**values):
 
 
 def of_an_export(**given):
-    return found().export("a.fmu", **given)
+    return ce.export(found(), "a.fmu", **given)
 
 
 def of_a_table(name):

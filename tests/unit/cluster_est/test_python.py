@@ -106,13 +106,13 @@ def test_the_result_of_a_loop_has_the_same_fields_and_tables(found):
 
 def test_it_saves_and_reports_and_exports_itself(found, tmp_path):
     result, out = found
-    saved = result.save(tmp_path / "saved")
+    saved = ce.save(result, tmp_path / "saved")
     check_tables(result, saved)
     mine, theirs = (json.loads((at / "run.json").read_text()) for at in (saved, out))
     for name in ("verdict", "effects", "errors", "notes", "cost", "status"):
         assert mine[name] == theirs[name], name
-    assert "bias" in result.report(tmp_path / "loop.html").read_text(encoding="utf-8")
-    assert "bias" in result.export(text=True).printed[0]
+    assert "bias" in ce.report(result, tmp_path / "loop.html").read_text(encoding="utf-8")
+    assert "bias" in ce.export(result, text=True).printed[0]
 
 
 def html(shown):
@@ -190,7 +190,7 @@ def test_a_saved_run_is_that_of_the_command(tmp_path):
     assert main(["fit", str(CONFIG), "--no-report", "--out", str(by_command)]) == 0
     found = ce.fit(ce.read_problem(CONFIG))
     check_tables(found, by_command)
-    saved = found.save(tmp_path / "run")
+    saved = ce.save(found, tmp_path / "run")
     check_tables(found, saved)
     mine, theirs = (json.loads((at / "run.json").read_text()) for at in (saved, by_command))
     assert mine.keys() == theirs.keys()
@@ -202,7 +202,7 @@ def test_a_saved_run_is_that_of_the_command(tmp_path):
 
 
 def test_commands_read_what_was_saved(result, tmp_path, capsys):
-    saved = result.save(str(tmp_path / "run"))
+    saved = ce.save(result, str(tmp_path / "run"))
     assert json.loads((saved / "run.json").read_text())["seed"] == 3
     assert main(["show", str(saved)]) == 0
     assert f"{result.x['m']:.6g}" in capsys.readouterr().out
@@ -213,28 +213,28 @@ def test_commands_read_what_was_saved(result, tmp_path, capsys):
 
 
 def test_nothing_is_replaced_unless_asked(result, tmp_path):
-    saved = result.save(tmp_path / "run")
+    saved = ce.save(result, tmp_path / "run")
     with pytest.raises(RunFolderError, match="holds a run already"):
-        result.save(saved)
-    assert result.save(saved, overwrite=True) == saved
+        ce.save(result, saved)
+    assert ce.save(result, saved, overwrite=True) == saved
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "letter.txt").write_text("dear")
     with pytest.raises(RunFolderError, match="must be new or empty but holds other files"):
-        result.save(tmp_path / "other", overwrite=True)
+        ce.save(result, tmp_path / "other", overwrite=True)
     with pytest.raises(ProblemError, match="folder: must be a path but is 3"):
-        result.save(3)
+        ce.save(result, 3)
 
 
 def test_a_report_is_one_file(result, tmp_path):
-    path = result.report(tmp_path / "springs.html")
+    path = ce.report(result, tmp_path / "springs.html")
     assert [each.name for each in tmp_path.iterdir()] == ["springs.html"]
     assert "springs" in path.read_text(encoding="utf-8")
     with pytest.raises(RunFolderError, match="must be written but cannot be"):
-        result.report(tmp_path / "none" / "springs.html")
+        ce.report(result, tmp_path / "none" / "springs.html")
 
 
 def test_an_export_has_the_estimates(result, tmp_path):
-    found = result.export(tmp_path / "fitted.fmu", modelica=False, text=True, experiment="e1")
+    found = ce.export(result, tmp_path / "fitted.fmu", modelica=False, text=True, experiment="e1")
     assert found.files == (tmp_path / "fitted.fmu",)
     assert f"{result.x['m']:.5g}" in found.printed[0]
     exported = describe("fitted.fmu", (tmp_path / "fitted.fmu").read_bytes())
@@ -253,4 +253,4 @@ def test_an_export_has_the_estimates(result, tmp_path):
 )
 def test_an_export_that_cannot_be(result, given, kind, said):
     with pytest.raises(kind, match=said):
-        result.export(**given)
+        ce.export(result, **given)

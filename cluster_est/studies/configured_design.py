@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,11 @@ from cluster_est.config.build import build_problem
 from cluster_est.config.limits_file import read_limits, with_named_targets
 from cluster_est.config.reader import Config, EffectSection, read_config
 from cluster_est.errors import ConfigError, RunFolderError
-from cluster_est.experiment_design.design import make_design
-from cluster_est.experiment_design.findings.result import DesignResult
+from cluster_est.experiment_design.design import Design
 from cluster_est.experiment_design.models import CandidateModel
 from cluster_est.experiment_design.request import (
     ALONE,
     DesignRequest,
-    check_design,
     chosen_models,
 )
 from cluster_est.experiment_design.targets import PredictionTarget
@@ -32,23 +30,11 @@ from cluster_est.run_folder.reading import (
 )
 from cluster_est.run_folder.replay import config_base
 from cluster_est.run_folder.run_identity import UNHASHED, RunIdentity, RunKind
-from cluster_est.running.environment import RunEnvironment
-from cluster_est.studies import ConfiguredRun
+from cluster_est.studies.configured import ConfiguredStudy
 from workers.messages import Experiment, content_hash
 
 ADDED = ("found", "partial")
 """Verdicts with which a loop has added effects."""
-
-
-@dataclass(frozen=True)
-class ConfiguredDesign(ConfiguredRun):
-    """The design of the next experiment; `request` says of which."""
-
-    request: DesignRequest
-
-    def compute(self, environment: RunEnvironment) -> DesignResult:
-        """Choose an input."""
-        return make_design(environment, self.request)
 
 
 def read_design(
@@ -59,7 +45,7 @@ def read_design(
     predict: Sequence[str] = (),
     *,
     allow_code: bool,
-) -> ConfiguredDesign:
+) -> ConfiguredStudy:
     """Read a run and the limits of the next experiment, and check them against each other.
 
     Parameters
@@ -99,7 +85,8 @@ def read_design(
     settings = with_named_targets(wanted.settings, predict, ids)
     models = chosen_models(models, settings)
     request = DesignRequest(models, wanted.limits, settings, wanted.seed)
-    check_design(request)
+    study = Design(request)
+    study.check()
     parts = [str(facts["config_hash"]), wanted.text, json.dumps([m.name for m in models])]
     parts += [json.dumps({k: float(v) for k, v in m.values.items()}) for m in models]
     parts += [json.dumps(list(predict))] if predict else []
@@ -113,7 +100,7 @@ def read_design(
         base,
         resolved.log,
     )
-    return ConfiguredDesign(identity, resolved, request)
+    return ConfiguredStudy(identity, resolved, study)
 
 
 def _planned(target: PredictionTarget) -> list[str]:

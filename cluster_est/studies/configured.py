@@ -1,4 +1,4 @@
-"""The recipe of a run from a config: read and check it, open or resume its folder, run, finish.
+"""The recipe of a study from a config: read and check it, open or resume its folder, run, finish.
 
 `cluster-est fit`, `close-loop`, `sensitivity` and every run of a sweep go through `do_run`, so that
 the same config gives the same bits and the same run.json, whoever asks for it.
@@ -6,20 +6,16 @@ the same config gives the same bits and the same run.json, whoever asks for it.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from cluster_est.config.build import build_problem
 from cluster_est.config.options import build_method, build_resources
 from cluster_est.config.reader import Config, read_config
 from cluster_est.errors import BudgetError, ProblemError, UnwritableError
-from cluster_est.fit import FitPlan, check_search, fit_in
-from cluster_est.problem.search_space.space import make_space
-from cluster_est.results.result import Result
+from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.context import Existing, RunContext
 from cluster_est.run_folder.folder import RunResult
 from cluster_est.run_folder.judgement import RunStatus
@@ -29,19 +25,17 @@ from cluster_est.running.interrupts import stopped_by
 from cluster_est.running.records import Show
 from cluster_est.running.resources import Resources
 from cluster_est.running.shared_pools import SharedPools
-from cluster_est.sensitivity.analysis import analyse_sensitivity, check_bounds
-from cluster_est.sensitivity.result import SensitivityResult
-
-if TYPE_CHECKING:
-    from cluster_est.closed_loop.findings.result import LoopResult
+from cluster_est.running.study import Study
+from cluster_est.sensitivity.analysis import Sensitivity
+from cluster_est.studies.fit import Fit
 
 STOP = "stop"
 """File in a run folder that ends the run as Ctrl-C does."""
 
 
 @dataclass(frozen=True)
-class ConfiguredRun(ABC):
-    """A run as its config has it: everything is read and checked, nothing simulated.
+class ConfiguredStudy:
+    """A study as its config has it: everything is read and checked, nothing simulated.
 
     Attributes
     ----------
@@ -49,54 +43,42 @@ class ConfiguredRun(ABC):
         Its kind, problem and hash.
     config
         All that it was made from.
+    study
+        What to do.
     """
 
     identity: RunIdentity
     config: Config
-
-    @abstractmethod
-    def compute(self, environment: RunEnvironment) -> RunResult:
-        """Do what the config asks for.
-
-        Raises
-        ------
-        ClusterEstError
-            If model, experiments and machine do not fit together.
-        """
+    study: Study[RunResult]
 
 
-@dataclass(frozen=True)
-class ConfiguredFit(ConfiguredRun):
-    """A fit; `plan` is how."""
-
-    plan: FitPlan
-
-    def compute(self, environment: RunEnvironment) -> Result:
-        """Estimate the parameters."""
-        return fit_in(environment, self.identity.problem, self.plan)
-
-
-@dataclass(frozen=True)
-class ConfiguredLoop(ConfiguredRun):
-    """A closed loop."""
-
-    def compute(self, environment: RunEnvironment) -> LoopResult:
-        """Find what the model lacks."""
-        from cluster_est.closed_loop.loop import run_loop  # needs SymPy, which is slow
-        from cluster_est.closed_loop.prepare import LoopRequest
-
-        problem, settings = self.identity.problem, self.config.closed_loop
-        return run_loop(LoopRequest(problem, environment, settings, self.identity.seed))
+def _fit(config: Config, problem: Problem) -> Study[RunResult]:
+    return Fit(
+        problem,
+        build_method(config),
+        config.method.seed,
+        config.multistart,
+        config.uncertainty,
+        config.method.shooting,
+    )
 
 
-@dataclass(frozen=True)
-class ConfiguredSensitivity(ConfiguredRun):
-    """A sensitivity analysis."""
+def _sensitivity(config: Config, problem: Problem) -> Study[RunResult]:
+    return Sensitivity(problem, config.sensitivity, config.sensitivity.seed)
 
-    def compute(self, environment: RunEnvironment) -> SensitivityResult:
-        """Sample the bounds, and rank the unknowns."""
-        identity, settings = self.identity, self.config.sensitivity
-        return analyse_sensitivity(environment, identity.problem, settings, identity.seed)
+
+def _closed_loop(config: Config, problem: Problem) -> Study[RunResult]:
+    from cluster_est.closed_loop.loop import ClosedLoop  # needs SymPy, which is slow
+
+    return ClosedLoop(problem, config.closed_loop, config.closed_loop.seed)
+
+
+STUDIES: dict[RunKind, Callable[[Config, Problem], Study[RunResult]]] = {
+    RunKind.FIT: _fit,
+    RunKind.SENSITIVITY: _sensitivity,
+    RunKind.CLOSED_LOOP: _closed_loop,
+}
+"""Makes a study from the sections of a config that concern it."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +135,9 @@ class RunEnd:
     stopped: str = ""
 
 
-def read_run(path: Path, overrides: list[str], kind: RunKind, *, allow_code: bool) -> ConfiguredRun:
+def read_study(
+    path: Path, overrides: list[str], kind: RunKind, *, allow_code: bool
+) -> ConfiguredStudy:
     """Read a config and check all that it asks for.
 
     Raises
@@ -164,7 +148,7 @@ def read_run(path: Path, overrides: list[str], kind: RunKind, *, allow_code: boo
     return configure(read_config(path, overrides), path.parent, kind, allow_code=allow_code)
 
 
-def configure(config: Config, base: Path, kind: RunKind, *, allow_code: bool) -> ConfiguredRun:
+def configure(config: Config, base: Path, kind: RunKind, *, allow_code: bool) -> ConfiguredStudy:
     """Check all that a resolved config asks for, whose paths start from `base`.
 
     Raises
@@ -173,28 +157,13 @@ def configure(config: Config, base: Path, kind: RunKind, *, allow_code: bool) ->
         If something is wrong.
     """
     problem = build_problem(config, base, allow_code=allow_code)
-    identity = RunIdentity.of(kind, config, base, problem)
-    if kind is RunKind.CLOSED_LOOP:
-        make_space(problem, problem.indices("test"))
-        return ConfiguredLoop(identity, config)
-    if kind is RunKind.SENSITIVITY:
-        check_bounds(problem)
-        return ConfiguredSensitivity(identity, config)
-    plan = FitPlan(
-        build_method(config),
-        identity.seed,
-        config.multistart,
-        config.uncertainty,
-        config.method.shooting,
-    )
-    plan.check()
-    check_search(problem, plan)
-    make_space(problem, problem.indices("test"))
-    return ConfiguredFit(identity, config, plan)
+    study = STUDIES[kind](config, problem)
+    study.check()
+    return ConfiguredStudy(RunIdentity.of(kind, config, base, problem), config, study)
 
 
 def do_run(
-    run: ConfiguredRun,
+    run: ConfiguredStudy,
     to: Destination,
     listener: Listener,
     source: WorkerSource | None = None,
@@ -241,7 +210,7 @@ def do_run(
             stopped_by(to.out / STOP),
         ):
             environment = RunEnvironment(resources, context.monitor(show), context.earlier, workers)
-            result = run.compute(environment)
+            result = run.study.run(environment)
             if context.folder is None and getattr(result, "interrupted", False):
                 raise KeyboardInterrupt  # a run that is there stays: nothing was simulated
             status = context.finish(result)

@@ -1,0 +1,1 @@
+"""Studies: what users ask for, from Python, a config or a sweep."""

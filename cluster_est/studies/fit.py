@@ -1,0 +1,373 @@
+"""The recipe of a fit: search, examine the solution, complete the result, refine its intervals."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from typing_extensions import override
+
+from cluster_est.errors import ProblemError
+from cluster_est.methods.base import Method
+from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.problem.effects.process_noise import check_process_noise
+from cluster_est.problem.observed_outputs import check_observed_outputs
+from cluster_est.problem.prior_weights import check_priors
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.results.complete import complete, simulate_all
+from cluster_est.results.guarded import GuardedSteps
+from cluster_est.results.output_errors import Simulation
+from cluster_est.results.residual_diagnostics import diagnose_residuals
+from cluster_est.results.result import Result
+from cluster_est.results.solver_error.measure import measure_solver_error
+from cluster_est.results.tables import rows
+from cluster_est.running.arguments import (
+    check_method,
+    check_problem,
+    check_resources,
+    check_values,
+    method_of,
+)
+from cluster_est.running.environment import RunEnvironment, open_executor
+from cluster_est.running.multistart import (
+    Multistart,
+    check_starts,
+    search_from_starts,
+)
+from cluster_est.running.records import Note, Record, Show
+from cluster_est.running.resources import Resources, one_blas_thread
+from cluster_est.running.runner import Runner
+from cluster_est.running.sizes import with_sizes
+from cluster_est.running.study import Study, run_study
+from cluster_est.shooting.settings import Shooting
+from cluster_est.shooting.shoot import SearchResult, check_shooting, fit_whole_records, shoot
+from cluster_est.uncertainty import (
+    UncertaintySettings,
+    bootstrap,
+    check_bootstrap,
+    check_posterior,
+    check_profiles,
+    examine,
+    linearise,
+    predicted_bands,
+    profiles,
+    sample_posterior,
+)
+from workers.messages.checks import check_kind, check_number
+
+POSTERIOR = 3
+"""Stream of the random generator of the posterior."""
+
+SearchStep = Callable[[Runner, SearchSpace], SearchResult]
+
+
+@dataclass(frozen=True)
+class Fit(Study[Result]):
+    """The estimation of all unknowns of a problem from its training experiments.
+
+    Attributes
+    ----------
+    problem
+        Model, parameters and experiments.
+    method
+        Picks the points.
+    seed
+        Starts the method's random generator.
+    multistart
+        From how many starts.
+    uncertainty
+        Which intervals to compute by refits.
+    shooting
+        The segments of the records that the search goes through first; whole records alone if None.
+    """
+
+    problem: Problem
+    method: Method = field(default_factory=LeastSquares)
+    seed: int = 0
+    multistart: Multistart = field(default_factory=Multistart)
+    uncertainty: UncertaintySettings = field(default_factory=UncertaintySettings)
+    shooting: Shooting | None = None
+
+    @override
+    def check(self) -> None:
+        check_problem(self.problem)
+        given = self.multistart
+        advice = f"; write Multistart({given!r})" if isinstance(given, int) else ""
+        check_kind(given, Multistart, "multistart", ProblemError, advice)
+        check_kind(self.uncertainty, UncertaintySettings, "uncertainty", ProblemError)
+        check_number(self.seed, "method.seed", ProblemError, least=0, whole=True)
+        if self.shooting is not None:
+            check_kind(self.shooting, Shooting, "method.shooting", ProblemError)
+            if self.multistart.searches > 1:
+                raise ProblemError(
+                    "method.shooting: begins once, at the parameters' starts, but multistart asks "
+                    f"for {self.multistart.searches} starts; leave one of the two out"
+                )
+        self.problem.describe()
+        self.space()
+        make_space(self.problem, self.problem.indices("test"))
+
+    def space(self) -> SearchSpace:
+        """Return the space of the training experiments, if it can be searched as is asked.
+
+        Raises
+        ------
+        ProblemError
+            If the method, the starts or the intervals do not suit the problem.
+        """
+        check_priors(self.problem)
+        check_observed_outputs(self.problem)
+        check_process_noise(self.problem)
+        train = make_space(self.problem, self.problem.indices("train"))
+        check_method(self.method, train)
+        check_starts(train, self.multistart)
+        check_profiles(train, self.uncertainty)
+        if self.uncertainty.bootstrap:
+            check_bootstrap(train)
+        if self.uncertainty.posterior:
+            check_posterior(train, self.uncertainty.walkers)
+        if self.shooting is not None:
+            check_shooting(train, self.method, self.shooting)
+        return train
+
+    @override
+    def run(self, environment: RunEnvironment) -> Result:
+        begin = time.monotonic()
+        self.problem.describe()
+        train = self.space()
+        with one_blas_thread():
+            if self.shooting is None:
+                result = self._searched(environment, train, self._from_starts)
+            else:
+                result = self._through_segments(environment, train, self.shooting)
+        return replace(result, seconds=time.monotonic() - begin)
+
+    def _from_starts(self, runner: Runner, train: SearchSpace) -> SearchResult:
+        return SearchResult(
+            search_from_starts(runner, train, self.method, self.multistart, self.seed)
+        )
+
+    def _through_segments(
+        self, environment: RunEnvironment, train: SearchSpace, shooting: Shooting
+    ) -> Result:
+        """Search in segments of the records, then on whole records from what those have found."""
+        begin = time.monotonic()
+        assert isinstance(self.method, LeastSquares)  # `check_shooting`
+        shot = shoot(environment, train, self.method, shooting, self.seed)
+
+        def search(runner: Runner, train: SearchSpace) -> SearchResult:
+            found = fit_whole_records(runner, train, self.method, shot, self.seed)
+            return found.without(self.uncertainty.asked)
+
+        left = environment.left(shot.evaluations, time.monotonic() - begin)
+        result = self._searched(left, train, search, interrupted=shot.interrupted)
+        return replace(
+            result,
+            evaluations=result.evaluations + shot.evaluations,
+            simulated=result.simulated + shot.simulated,
+            failures=result.failures + shot.failures,
+        )
+
+    def _searched(
+        self,
+        environment: RunEnvironment,
+        train: SearchSpace,
+        search: SearchStep,
+        *,
+        interrupted: bool = False,
+    ) -> Result:
+        """Search, then find out what the solution is worth."""
+        problem, steps = self.problem, GuardedSteps()
+        units = {name: each.unit for name, each in problem.describe().variables.items()}
+        with environment.executor(problem) as executor:
+            runner = environment.runner(executor)
+            runner.interrupted, begin = interrupted, time.monotonic()
+            before = simulate_all(runner, problem, {})
+            train = with_sizes(runner, train)
+            found = search(runner, train)
+            solution = linear = found.minima.best
+            whole, known = not found.segmented, None
+            if whole and not runner.interrupted:
+                linear = steps.do(
+                    "the derivatives at the solution",
+                    lambda: linearise(runner, train, solution),
+                    solution,
+                )
+                known = steps.assessed(train, linear, lambda: examine(runner, train, linear))
+            result = complete(
+                runner,
+                train,
+                solution,
+                self.method,
+                before,
+                units=units,
+                seed=self.seed,
+                begin=begin,
+                steps=steps,
+                uncertainty=known,
+                segmented=found.segmented,
+            )
+            starts, minima = rows.starts_and_minima(train, found.minima)
+            after = result.simulations
+            left = steps.do(
+                "what is left in the residuals",
+                lambda: diagnose_residuals(train, linear, after),
+                None,
+            )
+            result = replace(
+                result, starts=starts, minima=minima, diagnostics=left, shooting=found.shooting
+            )
+            if whole and not runner.interrupted:
+                if problem.effects:
+                    result = _with_shapes(runner, train, result, steps)
+                if solution.ending.success:
+                    result = self._refined(runner, train, result, steps)
+            result = replace(
+                result, interrupted=runner.interrupted, search_seconds=time.monotonic() - begin
+            )
+            if whole and not runner.interrupted:
+                error = steps.do(
+                    "the error of the solver",
+                    lambda: measure_solver_error(
+                        train, solution, after, environment.resources, runner
+                    ),
+                    None,
+                )
+                result = replace(result, solver_error=error)
+        return replace(result, failed_steps=tuple(steps.failed))
+
+    def _refined(
+        self, runner: Runner, train: SearchSpace, result: Result, steps: GuardedSteps
+    ) -> Result:
+        """Add the intervals that take more simulations: profiles, bootstrap and posterior."""
+        solution, method, settings = result.solution, self.method, self.uncertainty
+        local = method if method.needs_residuals else LeastSquares()
+        if not _accepts(local, train):
+            local = method
+        profiled = steps.do(
+            "profiles", lambda: profiles(runner, train, solution, local, settings), ()
+        )
+        drawn = None
+        if settings.bootstrap:
+            generator = np.random.default_rng(self.seed)
+            drawn = steps.do(
+                "the bootstrap",
+                lambda: bootstrap(runner, train, solution, local, settings, generator),
+                None,
+            )
+        result = replace(result, profiles=profiled, bootstrap=drawn)
+        if not settings.posterior or result.uncertainty is None:
+            return result
+        generator = np.random.default_rng((self.seed, POSTERIOR))
+        around = result.uncertainty.intervals
+        posterior = steps.do(
+            "the posterior",
+            lambda: sample_posterior(runner, train, solution, around, settings, generator),
+            None,
+        )
+        if posterior is None:
+            return result
+        own = {e.label: e.value for e in result.estimates if e.estimated_on == "test"}
+        bands = steps.do(
+            "predictions", lambda: predicted_bands(runner, train.problem, posterior, own), ()
+        )
+        return replace(result, posterior=posterior, predictions=bands)
+
+
+def _with_shapes(runner: Runner, train: SearchSpace, result: Result, steps: GuardedSteps) -> Result:
+    """Add the shapes of the effects that the problem declares."""
+    from cluster_est.results.shapes.visited_signals import (
+        declared_shapes,  # SymPy is slow to import
+    )
+
+    shapes = steps.do(
+        "the shapes of the effects", lambda: declared_shapes(runner, train, result), ()
+    )
+    simulated, failures = runner.simulations, runner.failures
+    return replace(result, shapes=shapes, simulated=simulated, failures=failures)
+
+
+def _accepts(method: Method, space: SearchSpace) -> bool:
+    try:
+        check_method(method, space)
+    except ProblemError:
+        return False
+    return True
+
+
+def fit(
+    problem: Problem,
+    method: Method | str | None = None,
+    resources: Resources | None = None,
+    seed: int = 0,
+    *,
+    record: Record | None = None,
+    show: Show | None = None,
+    note: Note | None = None,
+    multistart: Multistart | None = None,
+    uncertainty: UncertaintySettings | None = None,
+    shooting: Shooting | Mapping[str, Any] | None = None,
+) -> Result:
+    """Estimate all parameters of a problem from its training experiments, together.
+
+    Values that belong to test records alone are then estimated on those; everything shared stays
+    as the training experiments gave it.
+
+    Parameters
+    ----------
+    problem
+        Model, parameters and experiments.
+    method
+        What picks the points, or its name as in a config ("sqp"); least squares if None.
+    resources
+        Where simulations run, and the budget.
+    seed
+        Starts the method's random generator.
+    record, show, note
+        Called for each simulation, whenever something came back, and for each iteration; see
+        `Runner`.
+    multistart
+        From how many starts; from the parameters' own if None.
+    uncertainty
+        Which intervals to compute by refits; none if None.
+    shooting
+        Segments of the records that the search goes through first, for models that are chaotic,
+        unstable or drift, as {"segments": 20} or {"length": 0.5}; whole records alone if None.
+
+    Raises
+    ------
+    ModelError, ProblemError, ExecutorError
+        If model, experiments, method and machine do not fit together.
+    """
+    study = Fit(
+        problem,
+        LeastSquares() if method is None else method_of(method),
+        seed,
+        Multistart() if multistart is None else multistart,
+        UncertaintySettings() if uncertainty is None else uncertainty,
+        Shooting.of(shooting),
+    )
+    return run_study(study, resources, record=record, show=show, note=note)
+
+
+def simulate(
+    problem: Problem, resources: Resources | None = None, values: Mapping[str, float] | None = None
+) -> list[Simulation]:
+    """Simulate every experiment once, at the start values or at values given by label.
+
+    Raises
+    ------
+    ModelError, ProblemError, ExecutorError
+        If the FMU cannot be run in this way, or a label is unknown.
+    """
+    check_problem(problem)
+    resources = Resources() if resources is None else resources
+    check_resources(resources)
+    check_values(problem, values or {})
+    problem.describe()
+    with open_executor(problem, resources) as executor:
+        return simulate_all(Runner(executor), problem, dict(values or {}))
