@@ -11,7 +11,7 @@ from cluster_est.methods import METHODS
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.priors import LogNormalPrior, NormalPrior
 from cluster_est.problem.parameter import Parameter
-from cluster_est.studies.fit import FitPlan, check_search
+from cluster_est.studies.fit import Fit
 from cluster_est.uncertainty import UncertaintySettings, examine, linearise, profiles
 
 TIMES = np.linspace(0.0, 1.0, 400)
@@ -160,14 +160,14 @@ def test_what_a_prior_cannot_be_weighed_against_is_refused():
     whole = with_outputs(problem, lambda output: replace(output, sigma=1.5))
     held_out = (replace(e, role="test") for e in problem.experiments[1:])
     runs = (whole.experiments[0], *held_out)
-    bootstrap = FitPlan(uncertainty=UncertaintySettings(bootstrap=10))
-    for given, plan, pattern in (
-        (replace(whole, cost=COSTS["huber"]()), FitPlan(), 'a.prior: .*the cost "sse".*huber'),
-        (problem, FitPlan(), "experiment 'e0': sigma.y0 is missing; the prior"),
-        (replace(problem, experiments=runs), FitPlan(), "experiment 'e1': sigma.y0 is missing"),
-        (whole, bootstrap, "uncertainty.bootstrap: must be 0 with priors"),
+    bootstrap = UncertaintySettings(bootstrap=10)
+    for study, pattern in (
+        (Fit(replace(whole, cost=COSTS["huber"]())), 'a.prior: .*the cost "sse".*huber'),
+        (Fit(problem), "experiment 'e0': sigma.y0 is missing; the prior"),
+        (Fit(replace(problem, experiments=runs)), "experiment 'e1': sigma.y0 is missing"),
+        (Fit(whole, uncertainty=bootstrap), "uncertainty.bootstrap: must be 0 with priors"),
     ):
         with pytest.raises(ProblemError, match=pattern):
-            check_search(given, plan)
-    check_search(replace(problem, parameters=unknown(problem.parameters)), FitPlan())
-    check_search(whole, FitPlan())
+            study.space()
+    Fit(replace(problem, parameters=unknown(problem.parameters))).space()
+    Fit(whole).space()
