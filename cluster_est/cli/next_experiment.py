@@ -19,8 +19,8 @@ from cluster_est.errors import RunFolderError
 from cluster_est.experiment_design.findings.sentences import STEM, TABLE
 from cluster_est.run_folder.context import Existing
 from cluster_est.run_folder.reading import read_facts, read_run_columns
-from cluster_est.studies.configured import Destination, do_run
-from cluster_est.studies.configured_design import ConfiguredStudy, read_design
+from cluster_est.studies.configured import ConfiguredStudy, Destination, do_run
+from cluster_est.studies.configured_design import read_design
 from cluster_est.whole_files import write_output
 
 
