@@ -32,6 +32,10 @@ OF_FMU = (
 PASSED_ON = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP} if sys.platform != "win32" else set()
 INSISTED = 4
 """Interrupts after which the child is killed: it may hang in an FMU, where none comes through."""
+INTERRUPTED = (
+    "cluster-est: interrupted ({} before the process of this command could end in order); --resume "
+    "continues a run that was begun"
+)
 FAREWELL, LOADED = b"farewell\n", b"loaded\n"
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36  # linux/prctl.h
 
@@ -58,6 +62,8 @@ def run_in_child() -> None:
         _give_exit_code(child, reading, watched - _ignored(watched))
     os.close(reading)
     os.setpgid(0, 0)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # raised in an import, it may be swallowed
     signal.signal(signal.SIGTTOU, signal.SIG_IGN)  # it prints, though no group in the foreground
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
@@ -84,6 +90,12 @@ def address_space() -> float:
 
     most, _ = resource.getrlimit(resource.RLIMIT_AS)
     return math.inf if most == resource.RLIM_INFINITY else most / 1e9
+
+
+def interrupts_can_be_raised() -> None:
+    """Let Ctrl-C raise KeyboardInterrupt again, once all is loaded that this process needs."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def tell_of_fmu() -> None:
@@ -125,7 +137,7 @@ def _ignored(signals: set[signal.Signals]) -> set[signal.Signals]:
 def _give_exit_code(child: int, reading: int, watched: set[signal.Signals]) -> NoReturn:
     """End this process as its child ends."""
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1)
-    status = _wait(child, watched | {signal.SIGCHLD})
+    status, interrupts = _wait(child, watched | {signal.SIGCHLD})
     _end_descendants()
     os.set_blocking(reading, False)  # what the child has left behind may hold the other end
     with contextlib.suppress(BlockingIOError):
@@ -135,14 +147,15 @@ def _give_exit_code(child: int, reading: int, watched: set[signal.Signals]) -> N
     if FAREWELL in told:
         os._exit(code)
     how = f"signal {-code}" if code < 0 else f"exit code {code}"
+    said = INTERRUPTED if interrupts else OF_FMU if LOADED in told else SENTENCE
     with contextlib.suppress(OSError, ValueError, AttributeError):  # nobody reads it
-        sys.stderr.write((OF_FMU if LOADED in told else SENTENCE).format(how) + "\n")
+        sys.stderr.write(said.format(how) + "\n")
         sys.stderr.flush()
-    os._exit(128 - code if code < 0 else code or 1)
+    os._exit(130 if interrupts else 128 - code if code < 0 else code or 1)
 
 
-def _wait(child: int, watched: set[signal.Signals]) -> int:
-    """Return the status of a child once it has ended; until then pass signals on to it."""
+def _wait(child: int, watched: set[signal.Signals]) -> tuple[int, int]:
+    """Return the status of a child once it has ended, and how many interrupts were passed on."""
     interrupts = 0
     while True:
         received = signal.sigwait(watched)
@@ -157,7 +170,7 @@ def _wait(child: int, watched: set[signal.Signals]) -> int:
         if ended and os.WIFSTOPPED(status) and received == signal.SIGCHLD:
             os.kill(child, signal.SIGCONT)  # an FMU has stopped it: nobody else would continue it
         elif ended and not os.WIFSTOPPED(status):
-            return status
+            return status, interrupts
 
 
 def _end_descendants() -> None:

@@ -55,6 +55,24 @@ def test_a_program_that_is_interrupted_writes_the_best_so_far(tmp_path, how, exe
     assert "interrupted" in {row["ending"] for row in rows(run, "searches")}
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a command has no parent process")
+@pytest.mark.parametrize("seconds", [0.0, 0.03, 0.1, 0.2, 0.4])
+def test_interrupts_while_libraries_are_loaded_are_not_lost(tmp_path, seconds):
+    """From the moment on in which its process is there, whatever that is importing."""
+    command = [sys.executable, "-m", "cluster_est.cli", "fit", SPRING, "--out", str(tmp_path / "r")]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+        while not children.read_text():
+            time.sleep(0.001)
+        time.sleep(seconds)
+        for _ in range(2):
+            os.kill(process.pid, signal.SIGINT)
+        _, said = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert "interrupted" in said
+    assert "Traceback" not in said
+
+
 def test_an_interrupt_before_the_first_simulation_leaves_the_run_that_is_there(
     tmp_path, monkeypatch
 ):
