@@ -7,12 +7,7 @@ import os
 import sys
 from collections.abc import Sequence
 
-from cluster_est.cli.parent_process import (
-    address_space,
-    end,
-    interrupts_can_be_raised,
-    run_in_child,
-)
+from cluster_est.cli.parent_process import address_space, end, run_in_child
 
 __all__ = ["main", "run"]
 
@@ -44,7 +39,6 @@ def run() -> None:
     try:
         from cluster_est.cli import entry_point
 
-        interrupts_can_be_raised()
         entry_point.run()
     except KeyboardInterrupt:  # while that is loaded, or another one while the first is being said
         end(130, in_order=False)

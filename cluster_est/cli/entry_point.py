@@ -21,7 +21,12 @@ from typing_extensions import override
 
 from cluster_est.cli.commands import run_command
 from cluster_est.cli.exit_codes import ExitCode
-from cluster_est.cli.parent_process import address_space, end, tell_of_fmu
+from cluster_est.cli.parent_process import (
+    address_space,
+    end,
+    interrupts_can_be_raised,
+    tell_of_fmu,
+)
 from cluster_est.cli.parser import parse
 from cluster_est.config.text import with_lines
 from cluster_est.errors import ClusterEstError
@@ -105,6 +110,7 @@ LOST = (
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code."""
     options = parse(arguments)
+    interrupts_can_be_raised()
     errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
     try:
         # who meets what is not finite says so in a sentence
