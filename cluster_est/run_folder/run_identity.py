@@ -20,7 +20,7 @@ from workers.messages import content_hash
 
 DECISIVE = ("cluster-est", "cma", "numba", "numpy", "pymoo", "scipy", "sympy")
 """Libraries on whose versions bits depend."""
-LIBRARIES = (*DECISIVE, "fmpy", "pyarrow", "ray", "SALib")
+LIBRARIES = (*DECISIVE, "fmpy", "pyarrow", "ray")
 FORMAT = "2"
 UNHASHED = ("executor", "budget", "log")
 """Sections of a config that change no result."""
