@@ -7,16 +7,20 @@ more. The indices that it computes are of one quantity, whatever that is.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from scipy.special import ndtri
 
 from cluster_est.plug_in import check_class_attributes
-from workers.messages import FloatArray
+from workers.messages import FloatArray, IntArray
 
 ROUNDING = 1e-12
 """Range of a quantity over its size that is none."""
+RESAMPLES = 100
+"""Of the groups, for intervals."""
 
 
 @dataclass(frozen=True)
@@ -104,12 +108,22 @@ class SensitivityDesign(ABC):
         """Return the same of a quantity that moves."""
 
 
-def box(size: int) -> dict[str, object]:
-    """Return the unit cube as SALib describes it."""
-    names = [f"x{i}" for i in range(size)]
-    return {"num_vars": size, "names": names, "bounds": [[0.0, 1.0]] * size}
+def half_widths(
+    statistic: Callable[[IntArray], FloatArray], groups: int, generator: np.random.Generator
+) -> FloatArray:
+    """Return half of the 95 % intervals of a statistic, from a bootstrap of the groups.
 
+    Parameters
+    ----------
+    statistic
+        Of the groups with these numbers, some of them more than once.
+    groups
+        How many there are.
+    generator
+        Of the resampling.
+    """
+    from scipy.stats import bootstrap  # slow to import
 
-def seed_of(generator: np.random.Generator) -> int:
-    """Draw a seed, never 0, for what takes no generator."""
-    return int(generator.integers(1, 2**31 - 1))
+    numbers = [np.arange(groups)]
+    found = bootstrap(numbers, statistic, n_resamples=RESAMPLES, method="percentile", rng=generator)
+    return np.asarray(ndtri(0.975) * found.standard_error)

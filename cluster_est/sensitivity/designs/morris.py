@@ -10,13 +10,14 @@ import numpy as np
 from cluster_est.sensitivity.designs.base import (
     SensitivityDesign,
     SensitivityIndex,
-    box,
-    seed_of,
+    half_widths,
 )
 from workers.messages import FloatArray
 
-LEVELS = 4
-"""Of the grid that trajectories run on."""
+STEP = 2.0 / 3.0
+"""Of a grid of four levels: all of them are then visited equally often."""
+BASES = (0.0, 1.0 - STEP)
+"""Lower ends of steps."""
 
 
 @final
@@ -42,23 +43,28 @@ class MorrisDesign(SensitivityDesign):
         return size + 1
 
     def sample(self, size: int, groups: int, generator: np.random.Generator) -> FloatArray:
-        from SALib.sample import morris  # slow to import
-
-        found = morris.sample(box(size), groups, num_levels=LEVELS, seed=generator)
-        return np.asarray(found, float)
+        (own,) = generator.spawn(1)  # what else is random does not depend on how much is drawn
+        place = np.arange(size + 1)[:, None]
+        found = []
+        for _ in range(groups):
+            turn = own.permutation(size)  # when each unknown takes its step
+            upwards = own.choice([-1, 1], size) > 0
+            base = own.choice(BASES, size)
+            found.append(base + STEP * ((place > turn) == upwards))
+        return np.concatenate(found)
 
     def indices_of_moving(
         self, points: FloatArray, values: FloatArray, generator: np.random.Generator
     ) -> tuple[SensitivityIndex, ...]:
         size = points.shape[1]
-        from SALib.analyze import morris  # slow to import
-
-        seed = seed_of(generator)
-        found = morris.analyze(box(size), points, values, num_levels=LEVELS, seed=seed)
-        half = np.array(found["mu_star_conf"])
-        if len(np.unique(points.reshape(-1, points[: size + 1].size), axis=0)) < self.fewest:
+        trajectories = points.reshape(-1, size + 1, size)
+        steps = np.sign(np.diff(trajectories, axis=1))
+        changes = np.diff(values.reshape(-1, size + 1), axis=1)
+        effects = np.einsum("ts,tsu->tu", changes, steps) / STEP
+        half = half_widths(lambda t: np.abs(effects[t]).mean(axis=0), len(effects), generator)
+        if len(np.unique(trajectories, axis=0)) < self.fewest:
             half = np.full(size, np.nan)  # the same few trajectories again and again tell nothing
         return (
-            SensitivityIndex("mu*", np.array(found["mu_star"]), half),
-            SensitivityIndex("sigma", np.array(found["sigma"]), np.full(size, np.nan)),
+            SensitivityIndex("mu*", np.abs(effects).mean(axis=0), half),
+            SensitivityIndex("sigma", effects.std(axis=0, ddof=1), np.full(size, np.nan)),
         )

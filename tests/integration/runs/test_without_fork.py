@@ -76,7 +76,7 @@ def test_processes_are_refused_in_a_sentence(tmp_path, commands):
 
 SLOW_TO_LOAD = (
     *("sympy", "scipy.signal", "scipy.stats", "scipy.integrate"),
-    *("pyarrow.dataset", "ray", "SALib"),
+    *("pyarrow.dataset", "ray"),
 )
 FIT = """
 import sys

@@ -1,3 +1,4 @@
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ from cluster_est.costs import COSTS
 from cluster_est.errors import ProblemError
 from cluster_est.running.runner import Runner
 from cluster_est.sensitivity.analysis import analyse_on, check_bounds
+from cluster_est.sensitivity.designs import DESIGNS
 from cluster_est.sensitivity.settings import SensitivitySettings
 
 A, B = 7.0, 0.1
@@ -48,11 +50,85 @@ def of_output(result, index):
     return np.array([r.value for r in result.indices if r.index == index and r.output == "y"])
 
 
-def test_sobol_indices_are_the_analytic_ones():
-    found = between(ishigami, 3, -np.pi, np.pi, method="sobol", groups=4096)
-    first, total = ishigami_indices()
-    np.testing.assert_allclose(of_output(found, "first order"), first, atol=0.02)
-    np.testing.assert_allclose(of_output(found, "total"), total, atol=0.02)
+WEIGHTS = np.array([0.0, 1.0, 4.5, 9.0])
+
+
+def sobol_g(x):
+    return np.prod((np.abs(4.0 * x - 2.0) + WEIGHTS) / (1.0 + WEIGHTS))
+
+
+def sobol_g_indices():
+    """I. M. Sobol, Reliab. Eng. Syst. Saf. 79 (2003) 187-193, doi:10.1016/S0951-8320(02)00229-6."""
+    alone = 1.0 / (3.0 * (1.0 + WEIGHTS) ** 2)
+    every = np.prod(1.0 + alone)
+    return alone / (every - 1.0), alone * every / (1.0 + alone) / (every - 1.0)
+
+
+@pytest.mark.parametrize(
+    ("function", "indices", "bounds"),
+    [(ishigami, ishigami_indices(), (-np.pi, np.pi)), (sobol_g, sobol_g_indices(), (0.0, 1.0))],
+)
+def test_sobol_indices_are_the_analytic_ones(function, indices, bounds):
+    found = between(function, len(indices[0]), *bounds, method="sobol", groups=4096)
+    np.testing.assert_allclose(of_output(found, "first order"), indices[0], atol=0.02)
+    np.testing.assert_allclose(of_output(found, "total"), indices[1], atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("function", "size", "bounds"), [(ishigami, 3, (-np.pi, np.pi)), (sobol_g, 4, (0.0, 1.0))]
+)
+def test_elementary_effects_are_those_of_all_trajectories(function, size, bounds):
+    """Of every step of two thirds on a grid of four levels, with the other unknowns anywhere."""
+    found = between(function, size, *bounds, groups=4000)
+    levels = np.linspace(*bounds, 4)
+    step = levels[2] - levels[0]
+    for i in range(size):
+        below = np.array(
+            list(itertools.product(*(levels[: 2 if j == i else 4] for j in range(size))))
+        )
+        above = below + step * (np.arange(size) == i)
+        effects = (
+            np.array([function(b) - function(a) for a, b in zip(below, above, strict=True)]) * 1.5
+        )
+        assert of_output(found, "mu*")[i] == pytest.approx(np.abs(effects).mean(), rel=0.03)
+        assert of_output(found, "sigma")[i] == pytest.approx(effects.std(), rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("name", "groups", "kept", "figures"),
+    [
+        ("morris", 20, 20, {
+            "mu*": [8.953813332259728, 7.874999999999998, 5.623916492999804],
+            "sigma": [6.281598407997584, 7.916338866713041, 8.383639718753187],
+        }),
+        ("sobol", 64, 60, {
+            "first order": [0.336809254666169, 0.383962995055921, 0.124964765861024],
+            "total": [0.406903308430485, 0.420543063431847, 0.294844330506285],
+        }),
+    ],
+)  # fmt: skip
+def test_indices_are_those_of_salib(name, groups, kept, figures):
+    """SALib 1.6.0 has these figures for the same points, the last groups of which are left out."""
+    design = DESIGNS[name]
+    points = design.sample(3, groups, np.random.default_rng(7))[: kept * design.group(3)]
+    values = np.array([ishigami(np.pi * (2.0 * x - 1.0)) for x in points])
+    for index in design.indices(points, values, np.random.default_rng(1)):
+        np.testing.assert_allclose(index.values, figures[index.name], rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", DESIGNS)
+def test_intervals_hold_what_many_samples_say(name):
+    """Nineteen of twenty times; the mean of the samples stands for the truth."""
+    design = DESIGNS[name]
+    found = []
+    for seed in range(60):
+        generator = np.random.default_rng(seed)
+        points = design.sample(3, 64, generator)
+        values = np.array([ishigami(np.pi * (2.0 * x - 1.0)) for x in points])
+        found += [i for i in design.indices(points, values, generator) if i.name == design.ranks]
+    values, half = (np.array([getattr(i, key) for i in found]) for key in ("values", "half_widths"))
+    inside = np.abs(values - values.mean(axis=0)) < half + 1e-9
+    assert (inside.mean(axis=0) > 0.85).all()
 
 
 def test_the_unknowns_that_matter_are_ranked_first():
