@@ -25,16 +25,13 @@ from multiprocessing.queues import SimpleQueue
 from pathlib import Path
 from typing import Any, get_args
 
-from closed_loop_benchmark.comparison import compare_runs
-from closed_loop_benchmark.data import make
+from closed_loop_benchmark.data import make, make_problem
 from closed_loop_benchmark.oracle import ask
-from closed_loop_benchmark.page import page
-from closed_loop_benchmark.problem import make_problem
 from closed_loop_benchmark.scenarios import Kind, Scenario, all_scenarios
 from closed_loop_benchmark.scoring import Score, blank, score
 from closed_loop_benchmark.system import Split
 from closed_loop_benchmark.systems import SYSTEMS
-from closed_loop_benchmark.table import one_line
+from closed_loop_benchmark.tables import compare_runs, one_line, page
 
 from cluster_est.closed_loop.loop import close_loop
 from cluster_est.closed_loop.settings import LoopSettings

@@ -25,12 +25,9 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from closed_loop_benchmark.data import Data, draw_noise, make
-from closed_loop_benchmark.likely import accepted_names, is_true
-from closed_loop_benchmark.naming import normal
-from closed_loop_benchmark.problem import make_problem
+from closed_loop_benchmark.data import Data, draw_noise, make, make_problem
+from closed_loop_benchmark.naming import accepted_names, in_words, is_true, normal
 from closed_loop_benchmark.scenarios import Scenario, all_scenarios
-from closed_loop_benchmark.scoring import in_words
 from closed_loop_benchmark.system import Run
 from closed_loop_benchmark.truth import simulate
 from scipy.stats import spearmanr

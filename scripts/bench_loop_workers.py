@@ -17,8 +17,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from closed_loop_benchmark.data import make
-from closed_loop_benchmark.problem import make_problem
+from closed_loop_benchmark.data import make, make_problem
 from closed_loop_benchmark.scenarios import all_scenarios
 
 import cluster_est as ce

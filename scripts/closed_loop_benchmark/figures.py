@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 from scipy.stats import beta
 
+from closed_loop_benchmark.naming import accepted_names, is_true
 from closed_loop_benchmark.scoring import Score
 
 DETECTABLE = 40.0
@@ -128,6 +129,16 @@ def much_worse(score: Score) -> bool:
 def honest(score: Score) -> bool:
     """Tell whether nothing was added, or what was added improves the held-out error."""
     return not changed(score) or score.after < score.before
+
+
+def has_probabilities(score: Score) -> bool:
+    """Tell whether a case has probabilities, and a true structure among the library's."""
+    return bool(score.likely) and score.has_oracle
+
+
+def holds_truth(score: Score) -> bool:
+    """Tell whether the truth is among the likely sets, by a name or an algebraic alias."""
+    return any(is_true(names, accepted_names()[score.name]) for names in score.likely or [])
 
 
 def gap(score: Score) -> float:

@@ -123,6 +123,11 @@ class System:
         return self.spreads.get(parameter, 0.25)
 
 
+def measured(*places: int) -> Equations:
+    """Return the readings of sensors that show some of the states as they are."""
+    return lambda x, u, p: tuple(x[place] for place in places)
+
+
 def make_run(
     waveform: str,
     role: Role,

@@ -1,15 +1,14 @@
-"""The benchmark's tables: the bars, classes of likelihood ratio, systems, every case."""
+"""The benchmark's page and its tables, and two runs of it side by side."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
 
 from closed_loop_benchmark import figures as f
-from closed_loop_benchmark.likely import has_probabilities, holds_truth
 from closed_loop_benchmark.scoring import Score
 
 CLASSES = (-np.inf, 15.0, 40.0, 100.0, 400.0, 3000.0, np.inf)
@@ -22,7 +21,7 @@ def bars(scores: Sequence[Score]) -> str:
     foreign = f.kinds(scores, "outside", "disturbance")
     triples = f.detectable(f.kinds(scores, "triple"))
     ended = [s for s in scores if not s.error]
-    likely = [s for s in f.detectable(ended) if has_probabilities(s)]
+    likely = [s for s in f.detectable(ended) if f.has_probabilities(s)]
     false = sum(map(f.found, clean))
     bound = 100.0 * f.upper_bound(false, len(clean))
     rows = [
@@ -36,7 +35,7 @@ def bars(scores: Sequence[Score]) -> str:
         ["three effects: all", ">= 60 %", f.share(triples, f.right)],
         *_textbook(f.detectable(f.kinds(scores, "textbook"))),
         *_untidy(f.kinds(scores, "process noise", "outliers")),
-        ["90 % of the probability holds the truth", "85 to 95 %", f.share(likely, holds_truth)],
+        ["90 % of the probability holds the truth", "85 to 95 %", f.share(likely, f.holds_truth)],
         ["95 % intervals of coefficients that hold the truth", ">= 90 %", f.covered(ended)],
         ["outside, disturbances: refused or better", ">= 90 %", f.share(foreign, f.honest)],
         ["held-out error made worse", "0", f.share(ended, f.worse)],
@@ -226,3 +225,136 @@ def _rightness(score: Score) -> str:
         if question(score):
             return word
     return "no" if f.changed(score) else "-"
+
+
+Runs = Mapping[str, Mapping[str, Score]]
+"""By the name of a variant, its scores by case."""
+
+
+def ablation(runs: Runs) -> str:
+    """Write one line a variant, over the cases that came to an end in all of them."""
+    ended = [{name for name, s in scores.items() if not s.error} for scores in runs.values()]
+    common = set.intersection(*ended) if ended else set()
+    head = ["", "cases", "one effect", "from a textbook", "two", "three", "outside", "claimed"]
+    rows = [
+        _row(label, [scores[name] for name in sorted(common)]) for label, scores in runs.items()
+    ]
+    return markdown([*head, "worse", "simulations", "95 % at most"], rows)
+
+
+def _row(label: str, scores: list[Score]) -> list[str]:
+    """Rates of what is right, of free curves near the truth, and of what is claimed of nothing."""
+    seen = f.detectable(scores)
+    nothing = [s for s in scores if not s.true]
+    return [
+        label,
+        str(len(scores)),
+        f.share(f.kinds(seen, "single", "coloured"), f.right),
+        f.share(f.kinds(seen, "textbook"), f.right),
+        f.share(f.kinds(seen, "pair"), f.right),
+        f.share(f.kinds(seen, "triple"), f.right),
+        f.share(f.kinds(seen, "outside"), f.near_truth),
+        f.share(nothing, f.changed),
+        f.share(scores, f.worse),
+        f.median((s.simulations for s in scores), ".0f"),
+        f.most_of(s.simulations for s in scores),
+    ]
+
+
+def holds(score: Score) -> bool:
+    """Tell whether what was said of a case is right.
+
+    Nothing may be claimed of a case without an effect, nor held-out data be followed worse than
+    before; an effect must have one of its names, or be the same model on the data. Where the
+    library cannot express the truth, anything that follows held-out data no worse is right.
+    """
+    if score.error or f.worse(score):
+        return False
+    if not score.true:
+        return not f.changed(score)
+    return f.right(score) or score.kind == "outside"
+
+
+def compare_runs(old: Mapping[str, Score], new: Mapping[str, Score]) -> tuple[str, int]:
+    """Compare the cases that both have.
+
+    Returns
+    -------
+    str
+        A line for each case that is no longer right, with what was said then and now, the names of
+        those that have become right, and the counts.
+    int
+        How many are no longer right.
+    """
+    both = [name for name in old if name in new]
+    lost = [name for name in both if holds(old[name]) and not holds(new[name])]
+    won = [name for name in both if holds(new[name]) and not holds(old[name])]
+    lines = [
+        line
+        for name in lost
+        for line in (f"was {one_line(old[name])}", f"is  {one_line(new[name])}", "")
+    ]
+    lines += [f"now right: {name}" for name in won]
+    right = sum(holds(old[name]) for name in both), sum(holds(new[name]) for name in both)
+    lines.append(
+        f"{len(both)} cases in both: right {right[0]} -> {right[1]}, "
+        f"no longer right {len(lost)}, now right {len(won)}"
+    )
+    return "\n".join(lines), len(lost)
+
+
+EXPLANATION = """\
+A case counts as detectable if the true structure, refitted, lowers the sum of squares (in standard
+deviations of the noise) by at least 40. A name is right if it is the effect's own, an algebraic
+alias of it, or if the structure refitted to the outputs without noise misses them by less than 0.1
+sigma ("numerical"); the bar counts all three. Near the limit of detection that is easily met, and
+a form with more coefficients may hold the true one as a special case; "strictly" only counts other
+names that also carry 96 % of what the effect changes, with no more coefficients than it has. A
+site is right if it is that of one of the effect's algebraic names. Held-out errors are root mean
+squares in standard deviations of the noise; the oracle is the true structure refitted, or the truth
+itself where the library cannot express it. "From a textbook" are effects that were chosen by
+physics, whether the library has their form or not. Where the verdict is "found", the sets of
+effects that hold 90 % of the probability should hold the truth, by its own name or an algebraic
+alias, in about as many cases. Thresholds may be tuned on the systems of the first table, never on
+those of the second.
+"""
+
+
+VARIANTS = """\
+The same cases in every line. Names are right as above; "outside" counts what the library cannot
+express and a free curve brought to within 1.5 times the truth's held-out error, "claimed" effects
+where nothing is missing but noise or a disturbance, "worse" a held-out error that grew.
+"""
+
+
+def page(scores: Sequence[Score], runs: Runs) -> str:
+    """Write the page.
+
+    Parameters
+    ----------
+    scores
+        Every scored case, in any order.
+    runs
+        Of variants of the search that are compared; empty for none.
+
+    Returns
+    -------
+    str
+        Markdown.
+    """
+    ordered = sorted(scores, key=lambda s: (s.split != "tune", s.system, s.kind, s.name))
+    parts = ["# Closed-loop benchmark", EXPLANATION]
+    for split, title in (("tune", "Systems tuned on"), ("report", "Systems only reported on")):
+        own = [s for s in ordered if s.split == split]
+        if own:
+            parts += [f"## {title}", f"{', '.join(sorted({s.system for s in own}))}."]
+            parts += [bars(own), "By likelihood ratio, one effect:", by_ratio(own)]
+            parts += ["Outside the library, and disturbances:", verdicts(own)]
+            parts += ["Systems, one effect, detectable:", by_system(own)]
+    if runs:
+        parts += ["## Parts of the search switched off", VARIANTS, ablation(runs)]
+    parts += ["## Every case", every_case(ordered)]
+    failed = [s for s in ordered if s.error]
+    if failed:
+        parts += ["## Failures", failures(failed)]
+    return "\n\n".join(part.rstrip() for part in parts) + "\n"
