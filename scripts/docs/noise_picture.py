@@ -10,7 +10,7 @@ from docs.svg import Axes, document, text
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from bench_process_noise import made_problem
+from benches.process_noise import made_problem
 
 import cluster_est as ce
 from workers.messages import FloatArray

@@ -11,7 +11,7 @@ from docs.svg import Axes, document, text
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from bench_shooting import SYSTEMS, made_problem
+from benches.shooting import SYSTEMS, made_problem
 
 import cluster_est as ce
 from cluster_est.problem.search_space.space import make_space

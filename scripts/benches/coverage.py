@@ -1,11 +1,9 @@
 """How often 95 % intervals hold the truth, on simulated repetitions of the same experiments.
 
-    python scripts/bench_coverage.py [--repetitions N] [--profiles N] [--bootstraps N] [--draws N]
-
 The data are exact mass-spring-damper responses (linear systems, solved by matrix exponentials, not
 by the project) with noise; they are fitted through the FMU in configs/models. For intervals from
-derivatives the noise is white, or an autoregression of first order (`--noises`), in as many
-experiments as `--experiments` says; beside them stands how often they would hold the truth if the
+derivatives the noise is white, or an autoregression of first order (`noises`), in as many
+experiments as `experiments` says; beside them stands how often they would hold the truth if the
 noise were taken for white. The share of intervals that hold the truth should be between 90 and
 99 %. What comes out are counts: they do not depend on the machine.
 """
@@ -13,34 +11,49 @@ noise were taken for white. The share of intervals that hold the truth should be
 from __future__ import annotations
 
 import argparse
-import os
 from collections import defaultdict
-from collections.abc import Iterable
-from pathlib import Path
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.signal import lsim
 from scipy.special import stdtrit
 
+from benches import Row
+from benches.common import MODELS
 from cluster_est import Experiment, Input, LeastSquares, Model, Output, Parameter, Problem, Solver
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.methods.base import Solution
 from cluster_est.problem.search_space.space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
-from cluster_est.uncertainty import UncertaintySettings, assess, bootstrap, profiles
+from cluster_est.uncertainty import UncertaintySettings, assess, profiles
 from workers.messages import FloatArray
 
-FMU = Path(__file__).parent.parent / "configs" / "models" / "mass_spring_damper.fmu"
+OPTIONS = {"repetitions": 200, "profiles": 200, "noises": [0.0, 0.5, 0.9], "experiments": [4, 20]}
+FMU = MODELS / "mass_spring_damper.fmu"
 TRUTH = {"m": 1.2, "k": 30.0, "c": 0.6}
 STEP = 0.04
 NOISE = 0.02
-LEAST, MOST = 0.90, 0.99
 REFIT = LeastSquares(differences="forward", trials=2)
 
 Hits = dict[str, list[bool]]
+
+
+def rows(options: argparse.Namespace) -> Iterator[Row]:
+    """A row for each kind of interval and parameter, with the standard error of the share."""
+    kinds: dict[str, Hits] = {}
+    for correlation in options.noises:
+        for count in options.experiments:
+            name = f"noise {correlation:g}, {count} experiments"
+            own, white = covariance_hits(options.repetitions, count, correlation=correlation)
+            kinds |= {name: own, f"{name}, as if white": white}
+    kinds["profile"] = profile_hits(options.profiles)
+    for kind, found in kinds.items():
+        for label, held in found.items():
+            share = float(np.mean(held))
+            error = float(np.sqrt(max(share * (1.0 - share), 1e-9) / len(held)))
+            yield {"intervals": kind, "parameter": label, "held": sum(held), "of": len(held),
+                   "share": share, "its error": error}  # fmt: skip
 
 
 def response(times: FloatArray, force: FloatArray, x0: float) -> FloatArray:
@@ -135,63 +148,3 @@ def profile_hits(repetitions: int, experiments: int = 4, samples: int = 60) -> H
         for profile in profiles(runner, space, solution, REFIT, settings):
             hits[profile.label].append(profile.lower <= truth[profile.label] <= profile.upper)
     return hits
-
-
-def bootstrap_hits(
-    repetitions: int, draws: int, experiments: int = 20, samples: int = 30
-) -> dict[str, Hits]:
-    """Whether the three kinds of bootstrap interval do."""
-    runner, found, truth = fitted(repetitions, experiments, samples, seed=3)
-    hits: dict[str, Hits] = defaultdict(lambda: defaultdict(list))
-    settings = UncertaintySettings(bootstrap=draws)
-    for r, (space, solution) in enumerate(found):
-        generator = np.random.default_rng(r)
-        for each in bootstrap(runner, space, solution, REFIT, settings, generator).intervals:
-            value = truth[each.label]
-            kinds = {
-                "bootstrap": (each.lower, each.upper),
-                "bootstrap percentile": (each.percentile_lower, each.percentile_upper),
-                "bootstrap basic": (each.basic_lower, each.basic_upper),
-            }
-            for kind, (lower, upper) in kinds.items():
-                hits[kind][each.label].append(lower <= value <= upper)
-    return hits
-
-
-def table(hits: dict[str, Hits]) -> Iterable[str]:
-    """A line for each kind of interval and parameter, with the standard error of the share."""
-    yield f"{'intervals':36}{'parameter':>10}{'held':>12}{'share':>16}  90 to 99 %"
-    for kind, found in hits.items():
-        for label, held in found.items():
-            share, count = float(np.mean(held)), len(held)
-            error = float(np.sqrt(max(share * (1.0 - share), 1e-9) / count))
-            inside = "yes" if LEAST <= share <= MOST else "no"
-            counts = f"{sum(held)} of {count}"
-            yield f"{kind:36}{label:>10}{counts:>12}{share:9.1%} +-{error:5.1%}  {inside}"
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repetitions", type=int, default=200)
-    parser.add_argument("--profiles", type=int, default=200)
-    parser.add_argument("--bootstraps", type=int, default=100)
-    parser.add_argument("--draws", type=int, default=400)
-    parser.add_argument("--noises", type=float, nargs="*", default=[0.0, 0.5, 0.9])
-    parser.add_argument("--experiments", type=int, nargs="*", default=[4, 20])
-    asked = parser.parse_args()
-    hits: dict[str, Hits] = {}
-    for correlation in asked.noises:
-        for count in asked.experiments:
-            name = f"noise {correlation:g}, {count} experiments"
-            own, white = covariance_hits(asked.repetitions, count, correlation=correlation)
-            hits |= {name: own, f"{name}, as if white": white}
-    if asked.profiles:
-        hits["profile"] = profile_hits(asked.profiles)
-    if asked.bootstraps:
-        hits |= bootstrap_hits(asked.bootstraps, asked.draws)
-    for line in table(hits):
-        print(line)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,16 +1,13 @@
 """How far one coordinator goes: its memory, its seconds for an iteration, and its cost of a task.
 
-    python scripts/bench_scaling.py --experiments 10000
-    python scripts/bench_scaling.py --virtual 1000 10000
+With `experiments`, shared and local unknowns of so many experiments are fitted with
+`least_squares`, and rows have what each iteration costs the coordinator. Nothing is simulated: a
+formula takes the place of simulations, and the time that it takes is left out.
 
-The first fits shared and local unknowns of many experiments with `least_squares` and says what an
-iteration costs the coordinator. Nothing is simulated: a formula takes the place of simulations, and
-the time that it takes is left out.
-
-The second drives the real runner with workers that are as many as you like and have virtual clocks.
-What the coordinator really works, in seconds of this machine's processor, passes on those clocks
-too, so workers stand idle where it cannot keep up. `--overhead` adds what sending a task costs on a
-cluster, which is not in there.
+With `virtual`, the real runner is driven with workers that are as many as you like and have virtual
+clocks. What the coordinator really works, in seconds of this machine's processor, passes on those
+clocks too, so workers stand idle where it cannot keep up. `overhead` adds what sending a task costs
+on a cluster, in microseconds, which is not in there.
 """
 
 from __future__ import annotations
@@ -19,7 +16,7 @@ import argparse
 import resource
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -27,6 +24,7 @@ from typing import ClassVar
 import numpy as np
 from virtual_executor import VirtualExecutor
 
+from benches import Row
 from cluster_est import Experiment, LeastSquares, Model, Output, Parameter, Problem, Solver
 from cluster_est.methods.base import Ending, Method, Points, Search, Solution
 from cluster_est.problem.search_space.space import SearchSpace, make_space
@@ -38,6 +36,7 @@ from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty import assess
 from workers.messages import FloatArray, Task
 
+OPTIONS = {"experiments": 0, "virtual": [0], "overhead": 0.0}
 TIMES = np.linspace(0.1, 3.0, 20)
 SHARED = 10
 HARMONICS = np.arange(2.0, SHARED + 1.0)
@@ -46,12 +45,35 @@ TASKS_OF_A_WORKER = 30
 EXPERIMENTS = 100
 
 
+def rows(options: argparse.Namespace) -> Iterator[Row]:
+    """Rows of iterations, and a row for each number of workers and time of a simulation."""
+    with one_blas_thread():
+        if options.experiments:
+            yield from fit_many(options.experiments)
+        for workers in filter(None, options.virtual):
+            for seconds in SECONDS:
+                share, cost = busy(workers, seconds, 1e-6 * options.overhead)
+                yield {"workers": workers, "simulation s": seconds, "busy": share,
+                       "coordinator us a task": 1e6 * cost}  # fmt: skip
+
+
 def formula(experiment: int, values: FloatArray) -> FloatArray:
     """gain (sin(w t + f) + sum of a_k sin(k t + k f)) + offset, with a phase f of its own."""
     phase = 0.1 * experiment
     shape = np.sin(values[0] * TIMES + phase)
     shape += values[1:SHARED] @ np.sin(HARMONICS[:, None] * (TIMES + phase))
     return np.asarray(values[SHARED] * shape + values[SHARED + 1])
+
+
+def problem_of(parameters: list[Parameter], measured: list[FloatArray]) -> Problem:
+    """A problem whose model is never simulated, with one output for each experiment."""
+    runs = tuple(
+        Experiment(f"e{e}", 0.0, 3.0, (), (Output("y", TIMES, values),))
+        for e, values in enumerate(measured)
+    )
+    names = tuple(p.name for p in parameters)
+    model = Model("none", b"", "model_exchange", Solver("rk4"), names)
+    return Problem(model, tuple(parameters), runs)
 
 
 def many_experiments(count: int) -> tuple[Problem, Callable[[Task], FloatArray]]:
@@ -67,17 +89,11 @@ def many_experiments(count: int) -> tuple[Problem, Callable[[Task], FloatArray]]
     parameters += [Parameter(f"a{k}", 0.1, -5.0, 5.0) for k in range(1, SHARED)]
     parameters += [Parameter("gain", 1.0, 0.6, 1.4, per="experiment")]  # one in five at a bound
     parameters += [Parameter("offset", 0.1, -10.0, 10.0, per="experiment")]
-    runs = [
-        Experiment(f"e{e}", 0.0, 3.0, (), (Output("y", TIMES, values),))
-        for e, values in enumerate(measured)
-    ]
-    names = tuple(p.name for p in parameters)
-    model = Model("none", b"", "model_exchange", Solver("rk4"), names)
 
     def residuals(task: Task) -> FloatArray:
         return measured[task.experiment] - formula(task.experiment, task.values)
 
-    return Problem(model, tuple(parameters), tuple(runs)), residuals
+    return problem_of(parameters, measured), residuals
 
 
 def memory() -> float:
@@ -85,40 +101,35 @@ def memory() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
 
-def fit_many(count: int) -> None:
-    """Fit many experiments; say what it cost the coordinator."""
+def fit_many(count: int) -> Iterator[Row]:
+    """Fit many experiments: what it costs the coordinator."""
     problem, residuals = many_experiments(count)
-    print(f"{memory():8.2f} GB  data of {count} experiments")
+    yield {"experiments": count, "data GB": memory()}
     space = make_space(problem, tuple(range(count)))
     executor = VirtualExecutor(residuals, lambda task, generator: 1.0, 64, clock=time.process_time)
-    spent: list[tuple[float, int]] = []
+    iterations: list[Row] = []
+    spent = [(0.0, 0)]
 
     def note(line: SearchIteration) -> None:
-        before = spent[-1] if spent else (0.0, 0)
-        spent.append((executor.coordinator, line.evaluations))
-        tasks = (line.evaluations - before[1]) * count
-        print(
-            f"{memory():8.2f} GB  {executor.coordinator - before[0]:6.1f} s, {tasks} tasks; "
-            f"iteration {line.progress.iteration}, cost {line.progress.cost:.9g} "
-            f"{line.progress.ending}"
-        )
+        (seconds, points), now = spent[-1], (executor.coordinator, line.evaluations)
+        spent.append(now)
+        progress = line.progress
+        iterations.append({
+            "iteration": progress.iteration, "cost": progress.cost, "GB": memory(),
+            "coordinator s": now[0] - seconds, "tasks": (now[1] - points) * count,
+        })  # fmt: skip
 
     runner = Runner(executor, note=note)
-    begin = time.process_time()
     (solution,) = runner.run([SearchRequest("fit", LeastSquares(), space)])
-    whole = time.process_time() - begin
+    yield from iterations
     held = np.count_nonzero((solution.x <= space.lower) | (solution.x >= space.upper))
     each = 1e6 * executor.coordinator / runner.simulations
-    print(
-        f"{solution.ending}; {space.size} unknowns, {held} at a bound; the coordinator worked "
-        f"{executor.coordinator:.1f} s, {each:.1f} us for each of {runner.simulations} tasks; the "
-        f"formula took {whole - executor.coordinator:.1f} s"
-    )
     begin = time.process_time()
-    found = assess(space, solution)
-    took, spread = time.process_time() - begin, found.intervals[0].std_error
-    print(f"intervals: {took:.1f} s; w = {solution.x[0]:.6f} +- {spread:.2g}")
-    print(f"{memory():8.2f} GB  at most")
+    assess(space, solution)
+    took = time.process_time() - begin
+    yield {"ending": str(solution.ending), "unknowns": space.size, "at a bound": int(held),
+           "coordinator s": executor.coordinator, "us a task": each, "tasks": runner.simulations,
+           "intervals s": took, "GB": memory()}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -137,12 +148,7 @@ class Wave(Method):
 
 def busy(workers: int, seconds: float, overhead: float) -> tuple[float, float]:
     """The share of busy workers, and the coordinator's seconds for a task."""
-    parameters = tuple(Parameter(f"p{i}", 1.0) for i in range(12))
-    runs = tuple(
-        Experiment(f"e{e}", 0.0, 3.0, (), (Output("y", TIMES, TIMES),)) for e in range(EXPERIMENTS)
-    )
-    names = tuple(p.name for p in parameters)
-    problem = Problem(Model("none", b"", "model_exchange", Solver("rk4"), names), parameters, runs)
+    problem = problem_of([Parameter(f"p{i}", 1.0) for i in range(12)], [TIMES] * EXPERIMENTS)
     space = make_space(problem, tuple(range(EXPERIMENTS)))
     answer = np.ones(len(TIMES))
     answered = 0
@@ -161,35 +167,9 @@ def busy(workers: int, seconds: float, overhead: float) -> tuple[float, float]:
     executor = VirtualExecutor(residuals, duration, workers, clock=clock)
     points = max(1, TASKS_OF_A_WORKER * workers // EXPERIMENTS)
     with tempfile.TemporaryDirectory() as folder:
-        log = EvaluationLog(Path(folder), "none", [(run.id, run.key) for run in runs], {})
+        keys = [(run.id, run.key) for run in problem.experiments]
+        log = EvaluationLog(Path(folder), "none", keys, {})
         runner = Runner(executor, record=log.record)
         runner.run([SearchRequest("wave", Wave(points), space)])
         log.close()
     return executor.busy_share, executor.coordinator / runner.simulations
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--experiments", type=int, help="fit so many experiments")
-    parser.add_argument("--virtual", type=int, nargs="+", help="numbers of workers")
-    parser.add_argument("--overhead", type=float, default=0.0, help="us more for each task")
-    arguments = parser.parse_args()
-    with one_blas_thread():
-        if arguments.experiments:
-            fit_many(arguments.experiments)
-        keep_busy(arguments.virtual or [], 1e-6 * arguments.overhead)
-
-
-def keep_busy(numbers: Sequence[int], overhead: float) -> None:
-    """Say which share of so many workers stays busy."""
-    for workers in numbers:
-        for seconds in SECONDS:
-            share, cost = busy(workers, seconds, overhead)
-            print(
-                f"{workers:6d} workers, simulations of {seconds:4.1f} s: {share:6.1%} busy; the "
-                f"coordinator's work is {1e6 * cost:.0f} us a task"
-            )
-
-
-if __name__ == "__main__":
-    main()

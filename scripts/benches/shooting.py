@@ -2,31 +2,27 @@
 
 A double pendulum and Chua's circuit are chaotic; an inverted pendulum on a cart is unstable, and
 what is known is the force that its controller has put out. The data are SciPy's solutions of the
-same physics, written down in another way, with noise of 1 % of each output's spread. Each start has
-every parameter at half or at one and a half times its true value, drawn at random::
-
-    python scripts/bench_shooting.py [--starts 40] [--only NAME ...] [--single]
-
-Recovered: every parameter within four of its standard errors, none of which is above 5 %.
+same physics, written down in another way, with noise of 1 % of each output's spread. Each of the
+`starts` has every parameter at half or at one and a half times its true value, drawn at random;
+`only` chooses systems, and with `single` whole records are fitted, too. Recovered: every parameter
+within four of its standard errors, none of which is above 5 %.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_continuous_are
 
 import cluster_est as ce
+from benches import Row
+from benches.common import MODELS, Array
 
-Array = NDArray[np.float64]
-MODELS = Path(__file__).resolve().parent.parent / "configs" / "models"
 NOISE = 0.01
 MOST = 0.05
 
@@ -60,20 +56,12 @@ def double_pendulum(generator: np.random.Generator) -> Record:
 
     def rate(_: float, z: Array) -> Array:
         q1, q2, v1, v2 = z
-        mass = np.array(
-            [
-                [(m1 + m2) * l1**2, m2 * l1 * l2 * np.cos(q1 - q2)],
-                [m2 * l1 * l2 * np.cos(q1 - q2), m2 * l2**2],
-            ]
-        )
+        coupling = m2 * l1 * l2 * np.cos(q1 - q2)
+        mass = np.array([[(m1 + m2) * l1**2, coupling], [coupling, m2 * l2**2]])
         turning = m2 * l1 * l2 * np.sin(q1 - q2)
-        force = np.array(
-            [
-                -turning * v2**2 - (m1 + m2) * g * l1 * np.sin(q1),
-                turning * v1**2 - m2 * g * l2 * np.sin(q2),
-            ]
-        )
-        return np.concatenate([[v1, v2], np.linalg.solve(mass, force)])
+        first = -turning * v2**2 - (m1 + m2) * g * l1 * np.sin(q1)
+        second = turning * v1**2 - m2 * g * l2 * np.sin(q2)
+        return np.concatenate([[v1, v2], np.linalg.solve(mass, np.array([first, second]))])
 
     times = np.arange(0.0, 10.001, 0.01)
     begin = np.array([2.0, 2.5, 0.0, 0.0]) + generator.uniform(-0.3, 0.3, 4)
@@ -198,79 +186,48 @@ def made_problem(system: System, seed: int) -> ce.Problem:
     return ce.Problem(model, tuple(parameters), (experiment,))
 
 
-@dataclass(frozen=True)
-class Trial:
-    """The end of one fit."""
-
-    recovered: bool
-    within: float
-    relative: float
-    cost: float
-    simulations: int
-    seconds: float
-    joined: bool | None
-    message: str
+OPTIONS = {"starts": 40, "only": list(SYSTEMS), "single": False}
 
 
-def trial(system: System, seed: int, segments: int | None) -> Trial:
-    """Fit from one start, in segments or not."""
+def rows(options: argparse.Namespace) -> Iterator[Row]:
+    """A row for each system and way."""
+    for name in options.only:
+        system = SYSTEMS[name]
+        ways: dict[str, int | None] = {"segments": system.segments}
+        ways |= {"whole": None} if options.single else {}
+        for way, segments in ways.items():
+            trials = [trial(system, seed, segments) for seed in range(options.starts)]
+            yield {
+                "system": name,
+                "way": way,
+                "recovered": sum(bool(each["recovered"]) for each in trials),
+                "of": len(trials),
+                "joined": sum(bool(each["joined"]) for each in trials),
+                **{k: float(np.median([float(each[k]) for each in trials])) for k in MEDIANS},
+            }
+
+
+MEDIANS = ("cost a sample", "worst error", "simulations", "seconds")
+
+
+def trial(system: System, seed: int, segments: int | None) -> Row:
+    """The end of a fit from one start, in segments or not."""
     problem = made_problem(system, seed)
     begin = time.monotonic()
     result = ce.fit(problem, shooting=None if segments is None else {"segments": segments})
     seconds = time.monotonic() - begin
     values = {e.label: e for e in result.estimates}
-    widest = max(values[n].std_error / abs(true) for n, true in system.parameters.items())
-    errors = {n: abs(values[n].value / true - 1.0) for n, true in system.parameters.items()}
+    pairs = [(values[name], true) for name, true in system.parameters.items()]
+    widest = max(found.std_error / abs(true) for found, true in pairs)
     within = max(
-        abs(values[n].value - true) / values[n].std_error if values[n].std_error > 0.0 else np.inf
-        for n, true in system.parameters.items()
+        abs(found.value - true) / found.std_error if found.std_error > 0.0 else np.inf
+        for found, true in pairs
     )
-    relative = max(errors.values())
-    return Trial(
-        recovered=bool(widest < MOST and within < 4.0),
-        within=float(within),
-        relative=float(relative),
-        cost=result.cost / problem.experiments[0].size,
-        simulations=result.simulated,
-        seconds=seconds,
-        joined=None if result.shooting is None else result.shooting.joined,
-        message=result.message,
-    )
-
-
-def report(name: str, kind: str, trials: Sequence[Trial]) -> str:
-    """One line of the table."""
-    right = sum(t.recovered for t in trials)
-    joined = sum(bool(t.joined) for t in trials)
-    return (
-        f"{name:16s} {kind:9s} {right:3d} of {len(trials)} recovered; joined {joined:3d}; "
-        f"median cost a sample {np.median([t.cost for t in trials]):.3g}; median error "
-        f"{100.0 * np.median([t.relative for t in trials]):.2g} %; simulations "
-        f"{np.median([t.simulations for t in trials]):.0f}; seconds "
-        f"{np.median([t.seconds for t in trials]):.2g}"
-    )
-
-
-def main() -> None:
-    """Print a line for each system and way."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--starts", type=int, default=40)
-    parser.add_argument("--only", nargs="*", default=list(SYSTEMS), choices=list(SYSTEMS))
-    parser.add_argument("--single", action="store_true", help="whole records alone, too")
-    parser.add_argument("--verbose", action="store_true", help="a line for each fit")
-    given = parser.parse_args()
-    for name in given.only:
-        system = SYSTEMS[name]
-        for kind, segments in (("segments", system.segments), ("whole", None)):
-            if segments is None and not given.single:
-                continue
-            trials = []
-            for seed in range(given.starts):
-                trials.append(trial(system, seed, segments))
-                if given.verbose:
-                    print(seed, trials[-1], flush=True)
-            print(report(name, kind, trials), flush=True)
-
-
-if __name__ == "__main__":
-    main()
+    return {
+        "recovered": bool(widest < MOST and within < 4.0),
+        "joined": result.shooting is not None and bool(result.shooting.joined),
+        "cost a sample": result.cost / problem.experiments[0].size,
+        "worst error": max(abs(found.value / true - 1.0) for found, true in pairs),
+        "simulations": result.simulated,
+        "seconds": seconds,
+    }

@@ -1,11 +1,10 @@
 """What it costs to have simulations done elsewhere, by the time that one of them takes.
 
-    python scripts/bench_overhead.py [--seconds 4] [--rounds 3] [--workers 2]
-
-The same tasks go to one core of this process, to processes and to Ray workers by turns. Printed are
-the share of time in which each worker simulates, and how many times as many simulations a second
-are done as on the one core: the median of the rounds. Executors alone are measured here; a fit
-adds what its coordinator needs for a task (see `bench_scaling.py`).
+The same tasks go to one core of this process, to processes and to Ray workers by turns. A row has
+the share of time in which each worker simulates at least, and how many times as many simulations a
+second are done as on the one core: medians of the `rounds`, each with `seconds` of work for one
+core. Executors alone are measured here; a fit adds what its coordinator needs for a task (the bench
+`scaling`).
 """
 
 from __future__ import annotations
@@ -15,36 +14,35 @@ import statistics
 import tempfile
 import time
 from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from build_fmus import build
 
+from benches import Row
+from benches.common import ROOT
 from cluster_est.executors import executor_class
 from cluster_est.executors.base import Executor
 from cluster_est.running.resources import one_blas_thread
 from workers.messages import Experiment, Model, Output, Solver, Task
 
-MODEL = Path(__file__).resolve().parent.parent / "tests" / "fmus" / "lenient_models" / "misbehaves"
+OPTIONS = {"seconds": 4.0, "rounds": 3, "workers": 2}
+MODEL = ROOT / "tests" / "fmus" / "lenient_models" / "misbehaves"
 WANTED = (50e-6, 200e-6, 1e-3, 5e-3, 20e-3, 100e-3)
 FIRST_STEP, END, SAMPLES = 1e-4, 2.0, 21
 AT_ONCE = 400
 """Simulations in one request, where they are short."""
 
 
-def main() -> None:
-    """Print a line for each time of a simulation and each executor."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=4.0, help="of work for one core")
-    parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--workers", type=int, default=2)
-    options = parser.parse_args()
+def rows(options: argparse.Namespace) -> Iterator[Row]:
+    """A row for each time of a simulation and each executor."""
     times = np.linspace(0.0, END, SAMPLES)
     experiments = (Experiment("e", 0.0, END, (), (Output("y", times, np.zeros(SAMPLES)),)),)
     with tempfile.TemporaryDirectory() as folder, one_blas_thread():
         archive = build(MODEL, Path(folder)).read_bytes()
         for wanted in WANTED:
-            compare(model(archive, wanted, experiments), experiments, wanted, options)
+            yield from compare(model(archive, wanted, experiments), experiments, wanted, options)
 
 
 def model(archive: bytes, wanted: float, experiments: tuple[Experiment, ...]) -> Model:
@@ -54,16 +52,15 @@ def model(archive: bytes, wanted: float, experiments: tuple[Experiment, ...]) ->
         parameters, solver = ("rate", "kind", "share", "leak"), Solver("rk4", step, max_steps=10**8)
         return Model("misbehaves.fmu", archive, "model_exchange", solver, parameters)
 
-    executor = executor_class("local").open(with_step(FIRST_STEP), experiments, 1, None)
-    measure(executor, 100)
-    rate, _ = measure(executor, 200)
-    executor.close()
+    with executor_class("local").open(with_step(FIRST_STEP), experiments, 1, None) as executor:
+        measure(executor, 100)
+        rate, _ = measure(executor, 200)
     return with_step(FIRST_STEP / (wanted * rate))
 
 
 def compare(
     model: Model, experiments: tuple[Experiment, ...], wanted: float, options: argparse.Namespace
-) -> None:
+) -> Iterator[Row]:
     """Measure all executors by turns with simulations of one length."""
     counts = {"local": 1, "processes": options.workers, "ray": options.workers}
     opened = {
@@ -84,12 +81,10 @@ def compare(
         executor.close()
     one = statistics.median(rates["local"])
     for name, each in rates.items():
-        print(
-            f"{wanted * 1e3:g} ms, {counts[name]} x {name}: each worker busy at least "
-            f"{100 * statistics.median(shares[name]):.1f} %, "
-            f"{statistics.median(each) / one:.2f} of one local core",
-            flush=True,
-        )
+        yield {"simulation ms": wanted * 1e3, "executor": name, "workers": counts[name],
+               "busy at least": statistics.median(shares[name]),
+               "a second": statistics.median(each),
+               "of one local core": statistics.median(each) / one}  # fmt: skip
 
 
 def measure(executor: Executor, number: int) -> tuple[float, list[float]]:
@@ -113,7 +108,3 @@ def measure(executor: Executor, number: int) -> tuple[float, list[float]]:
     per_worker = [busy[worker] / seconds for worker in busy]
     per_worker += [0.0] * (executor.workers - len(busy))
     return number / seconds, per_worker
-
-
-if __name__ == "__main__":
-    main()

@@ -1,29 +1,26 @@
 """Whether the rate at which a search converges tells how long it still takes. It does not.
 
-    python scripts/bench_convergence_rates.py [--starts 5] [--most 6000]
-
-Each method searches the embedded examples from several starts. After shares of its points, the rate
-so far is extended to the tolerance of the method: of the logarithm of the mesh, simplex or
-population over the second half of the points so far, or, for `least_squares` and `sqp`, of the
-logarithm of the relative fall of the cost over the last iterations. Printed is how often the number
-of points that this predicts is wrong by more than a factor of 1.5.
+Each method searches the embedded examples from several starts (`starts`, five at most, with `most`
+points each). After shares of its points, the rate so far is extended to the tolerance of the
+method: of the logarithm of the mesh, simplex or population over the second half of the points so
+far, or, for `least_squares` and `sqp`, of the logarithm of the relative fall of the cost over the
+last iterations. Counted is how often the number of points that this predicts is wrong by more than
+a factor of 1.5.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 import cluster_est as ce
-from cluster_est.config.build import build_problem
-from cluster_est.config.reader import read_config
+from benches import Row
+from benches.common import EXAMPLES, example
 from cluster_est.methods import METHODS
 from cluster_est.methods.base import Ending
-from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.environment import open_executor
 from cluster_est.running.multistart import Multistart, sample
@@ -31,9 +28,7 @@ from cluster_est.running.records import SearchIteration
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 
-Array = NDArray[np.float64]
-CONFIGS = Path(__file__).parents[1] / "configs"
-EXAMPLES = ("mass_spring_damper", "mass_with_friction", "cascaded_tanks")
+OPTIONS = {"starts": 5, "most": 6000}
 BY_COST = ("least_squares", "sqp")
 BY_SIZE = {"nelder_mead": "damping", "pattern_search": "damping", "cmaes": "step", "de": "step"}
 """The field of `Progress` that shrinks to the tolerance."""
@@ -41,7 +36,27 @@ SIZE_TOLERANCE, COST_TOLERANCE = 1e-6, 1e-10
 SHARES, WRONG = (0.1, 0.25, 0.5, 0.75), 1.5
 
 
-def bounded(problem: Problem) -> Problem:
+def rows(options: argparse.Namespace) -> Iterator[Row]:
+    """A row for each share of the points."""
+    wrong, searches = dict.fromkeys(SHARES, 0), 0
+    for name_of_example in EXAMPLES:
+        problem = bounded(example(name_of_example))
+        for name in (*BY_COST, *BY_SIZE):
+            for start in range(1 if name in ("cmaes", "de") else options.starts):
+                lines = converged(problem, name, start, options.most)
+                searches += bool(lines)
+                for share in SHARES if lines else ():
+                    end = lines[-1].evaluations
+                    known = [each for each in lines if each.evaluations <= share * end]
+                    if known:
+                        left = by_cost(known) if name in BY_COST else by_size(known, name)
+                        ratio = left / (end - known[-1].evaluations)
+                    wrong[share] += not (known and 1.0 / WRONG < ratio < WRONG)
+    for share, count in wrong.items():
+        yield {"after this share of the points": share, "wrong": count, "of searches": searches}
+
+
+def bounded(problem: ce.Problem) -> ce.Problem:
     """Return a problem whose parameters have finite bounds, as samples and populations need."""
     chosen = []
     for p in problem.parameters:
@@ -50,7 +65,7 @@ def bounded(problem: Problem) -> Problem:
     return replace(problem, parameters=tuple(chosen))
 
 
-def converged(problem: Problem, name: str, start: int, most: int) -> list[SearchIteration]:
+def converged(problem: ce.Problem, name: str, start: int, most: int) -> list[SearchIteration]:
     """Return the iterations of a search from a start; none if it does not converge."""
     space = make_space(problem, problem.indices("train"))
     starts = [space.start, *sample(space, 4, Multistart(seed=1))]
@@ -86,31 +101,3 @@ def by_cost(lines: list[SearchIteration]) -> float:
     iterations = np.log(COST_TOLERANCE / falls[-1]) / (0.5 * np.log(falls[-1] / falls[-3]))
     of_each = (known[-1].evaluations - known[0].evaluations) / (len(known) - 1)
     return float(max(iterations, 0.0) * of_each)
-
-
-def main() -> None:
-    """Print the counts."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--starts", type=int, default=5, choices=range(1, 6))
-    parser.add_argument("--most", type=int, default=6000, help="points of a search")
-    given = parser.parse_args()
-    wrong, searches = dict.fromkeys(SHARES, 0), 0
-    for example in EXAMPLES:
-        problem = bounded(build_problem(read_config(CONFIGS / f"{example}.toml"), CONFIGS))
-        for name in (*BY_COST, *BY_SIZE):
-            for start in range(1 if name in ("cmaes", "de") else given.starts):
-                lines = converged(problem, name, start, given.most)
-                searches += bool(lines)
-                for share in SHARES if lines else ():
-                    end = lines[-1].evaluations
-                    known = [each for each in lines if each.evaluations <= share * end]
-                    if known:
-                        left = by_cost(known) if name in BY_COST else by_size(known, name)
-                        ratio = left / (end - known[-1].evaluations)
-                    wrong[share] += not (known and 1.0 / WRONG < ratio < WRONG)
-    for share, count in wrong.items():
-        print(f"after {share:4.0%} of the points: wrong in {count} of {searches} searches")
-
-
-if __name__ == "__main__":
-    main()
