@@ -1,17 +1,13 @@
-"""The picture of the page on multiple shooting: a double pendulum, whole and in segments."""
+"""The pictures of two pages on fits: a double pendulum in segments, and a spring in a wind."""
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-from docs.svg import Axes, document, text
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
+from benches.process_noise import made_problem as windy
 from benches.shooting import SYSTEMS, made_problem
+from docs.svg import Axes, document, text
 
 import cluster_est as ce
 from cluster_est.problem.search_space.space import make_space
@@ -21,17 +17,16 @@ from cluster_est.shooting.segments import cut
 from cluster_est.shooting.settings import Shooting
 from workers.messages import FloatArray
 
-WIDTH, HEIGHT = 860, 560
 SEGMENTS, STOP, THINNED = 20, 10.0, 2
 Curve = tuple[FloatArray, FloatArray]
 
 STYLE = """
 .measured { stroke: var(--edge); stroke-width: 5; fill: none; opacity: 0.55; }
-.cut { stroke: var(--rule); stroke-dasharray: 2 4; fill: none; }
 """
+CUT_STYLE = STYLE + ".cut { stroke: var(--rule); stroke-dasharray: 2 4; fill: none; }\n"
 
 
-def picture() -> str:
+def shooting_picture() -> str:
     """Three panels below each other, as SVG."""
     problem = half_off()
     output = problem.experiments[0].outputs[0]
@@ -54,9 +49,9 @@ def picture() -> str:
     for number, (words, curves) in enumerate(panels):
         parts += panel(40 + 172 * number, words, measured, curves, cuts=number > 0)
     parts += [
-        text(450, HEIGHT - 12, "time in s; angle of the upper rod in rad", anchor="middle"),
+        text(450, 548, "time in s; angle of the upper rod in rad", anchor="middle"),
     ]
-    return document((WIDTH, HEIGHT), "Multiple shooting of a double pendulum", STYLE, parts)
+    return document((860, 560), "Multiple shooting of a double pendulum", CUT_STYLE, parts)
 
 
 def half_off() -> ce.Problem:
@@ -106,3 +101,47 @@ def panel(top: float, words: str, measured: Curve, curves: list[Curve], *, cuts:
     for times, values in curves:
         parts.append(axes.curve(times, np.clip(values, low, high), "line c1"))
     return parts
+
+
+def noise_picture() -> str:
+    """A record with both fits, and what each leaves, as SVG."""
+    parts: list[str] = []
+    for number, (words, noise) in enumerate(
+        (
+            ("Fitted by output errors: one simulation from the start to the end", False),
+            ("Fitted by prediction errors: from each measured time to the next", True),
+        )
+    ):
+        times, measured, followed = fitted(noise=noise)
+        parts += noise_panel(40 + 225 * number, words, (times, measured, followed))
+    parts.append(text(450, 460, "time in s; position and residual in m", anchor="middle"))
+    title = "A spring in an unknown wind, by output errors and by prediction errors"
+    return document((860, 470), title, STYLE, parts)
+
+
+def fitted(*, noise: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Times, what was measured, and what a fit makes of it."""
+    result = ce.fit(windy(4, noise=noise))
+    output = result.problem.experiments[0].outputs[0]
+    path = result.simulations[0].outcome.trajectory
+    assert path is not None
+    return output.times, output.values, path.at("y", output.times)
+
+
+def noise_panel(
+    top: float, words: str, curves: tuple[FloatArray, FloatArray, FloatArray]
+) -> list[str]:
+    """Measured and followed, and below it the residual on the same scale."""
+    times, measured, followed = curves
+    high = 1.15 * float(np.max(np.abs(np.concatenate([measured, followed]))))
+    above = Axes(60, 836, top, top + 104, (0.0, 7.98), (-high, high))
+    below = Axes(60, 836, top + 110, top + 160, (0.0, 7.98), (-0.5 * high, 0.5 * high))
+    return [
+        text(60, top - 10, words, "head"),
+        *above.rules([-0.2, 0.0, 0.2]),
+        above.curve(times, measured, "measured"),
+        above.curve(times, followed, "line c1"),
+        *below.rules([0.0]),
+        below.curve(times, measured - followed, "line c0"),
+        *below.numbers(range(9)[:8]),
+    ]
