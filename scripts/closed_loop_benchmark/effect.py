@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -170,11 +170,6 @@ def _effect(system: str, label: str, given: list[Any]) -> Effect:
     return Effect(label, form, site, tuple(numbers), variable, second, weights, also)
 
 
-def _labels(section: str) -> Mapping[str, list[list[str]]]:
-    found: Mapping[str, list[list[str]]] = _FILE[section]
-    return found
-
-
 _FILE = tomllib.loads(Path(__file__).with_name("effects.toml").read_text(encoding="utf-8"))
 
 SINGLE = _read("single")
@@ -186,5 +181,6 @@ OUTSIDE = _read("outside")
 TEXTBOOK = _read("textbook")
 """Effects that were taken from textbooks of physics, whatever a library has, by system."""
 
-PAIRS, TRIPLES = _labels("pairs"), _labels("triples")
+PAIRS: dict[str, list[list[str]]] = _FILE["pairs"]
+TRIPLES: dict[str, list[list[str]]] = _FILE["triples"]
 """Labels of two and of three that act at once, by system."""

@@ -31,14 +31,14 @@ def detected(score: Score) -> bool:
     return score.detected
 
 
-def exact(score: Score) -> bool:
-    """Tell whether every effect was named as it is called."""
-    return all(score.exact or [])
+def every(mark: str) -> Question:
+    """Return whether every effect of a case has a mark, see `closed_loop_benchmark.naming.Match`."""
+    return lambda score: all(getattr(score, mark) or [])
 
 
-def alias(score: Score) -> bool:
-    """Tell whether every effect got one of its names."""
-    return all(score.alias or [])
+exact, alias = every("exact"), every("alias")
+tied, plausible = every("tied"), every("plausible")
+form_and_site, site, any_site, place = map(every, ("form_and_site", "site", "any_site", "place"))
 
 
 def numerical(score: Score) -> bool:
@@ -64,36 +64,6 @@ def strictly_right(score: Score) -> bool:
 def one_right(score: Score) -> bool:
     """Tell whether at least one effect got one of its names, or the structure is the same model."""
     return any(score.alias or []) or score.numerical
-
-
-def tied(score: Score) -> bool:
-    """Tell whether every effect is among what is as good by 2 units of the criterion."""
-    return all(score.tied or [])
-
-
-def plausible(score: Score) -> bool:
-    """Tell whether every effect is among what is as good by 10 units of the criterion."""
-    return all(score.plausible or [])
-
-
-def form_and_site(score: Score) -> bool:
-    """Tell whether form and site are right, whatever the variable."""
-    return all(score.form_and_site or [])
-
-
-def site(score: Score) -> bool:
-    """Tell whether something was named at the site of each effect, as it is called."""
-    return all(score.site or [])
-
-
-def any_site(score: Score) -> bool:
-    """Tell whether something was named at the site of one of the names of each effect."""
-    return all(score.any_site or [])
-
-
-def place(score: Score) -> bool:
-    """Tell whether something was named at a site of each effect, of the variable it has there."""
-    return all(score.place or [])
 
 
 def near_truth(score: Score) -> bool:

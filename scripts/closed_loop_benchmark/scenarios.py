@@ -12,7 +12,7 @@ measures: no function of inputs or states explains them.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -244,69 +244,34 @@ def scenario(
     return Scenario(name, system, kind, scaled, accepted, size, noise, seed, split, disturbance)
 
 
+def one_each(
+    kind: Kind,
+    effects: Mapping[str, Sequence[Effect]],
+    noises: tuple[Noise, Noise] = WHITE,
+    sizes: Iterable[float] = SIZES,
+) -> list[Scenario]:
+    """One effect at a time, in several sizes and in either noise by turns."""
+    return [
+        scenario(system, kind, f"{effect.label} x{size}", noises[n % 2], [effect], size)
+        for system, own in effects.items()
+        for n, effect in enumerate(own)
+        for size in sizes
+    ]
+
+
 def singles(sizes: Iterable[float] = SIZES) -> list[Scenario]:
     """One effect in white noise, in several sizes."""
-    return [
-        scenario(system, "single", f"{effect.label} x{size}", WHITE[n % 2], [effect], size)
-        for system, effects in SINGLE.items()
-        for n, effect in enumerate(effects)
-        for size in sizes
-    ]
+    return one_each("single", SINGLE, WHITE, sizes)
 
 
-def pairs(sizes: Iterable[float] = (1.0,)) -> list[Scenario]:
-    """Two effects at once."""
+def several(kind: Kind, labels: Mapping[str, list[list[str]]], ending: str = "") -> list[Scenario]:
+    """Two or three effects at once."""
     found = []
-    for system, labels in PAIRS.items():
+    for system, sets in labels.items():
         effects = {effect.label: effect for effect in listed(system)}
-        for two in labels:
-            both = [effects[label] for label in two]
-            found += [
-                scenario(system, "pair", f"{'+'.join(two)} x{size}", WHITE[0], both, size)
-                for size in sizes
-            ]
-    return found
-
-
-def coloured(sizes: Iterable[float] = (0.25,)) -> list[Scenario]:
-    """Every fourth effect, in noise that is correlated."""
-    return [
-        scenario(system, "coloured", f"{effect.label} x{size}", COLOURED[n % 2], [effect], size)
-        for system, effects in SINGLE.items()
-        for n, effect in enumerate(effects[::4])
-        for size in sizes
-    ]
-
-
-def outside(sizes: Iterable[float] = (1.0,)) -> list[Scenario]:
-    """Effects that no library of forms has."""
-    return [
-        scenario(system, "outside", f"{effect.label} x{size}", WHITE[0], [effect], size)
-        for system, effects in OUTSIDE.items()
-        for effect in effects
-        for size in sizes
-    ]
-
-
-def textbook(sizes: Iterable[float] = (0.25, 1.0)) -> list[Scenario]:
-    """Effects that were chosen by physics, not from a library."""
-    return [
-        scenario(system, "textbook", f"{effect.label} x{size}", WHITE[n % 2], [effect], size)
-        for system, effects in TEXTBOOK.items()
-        for n, effect in enumerate(effects)
-        for size in sizes
-    ]
-
-
-def triples() -> list[Scenario]:
-    """Three effects at once."""
-    found = []
-    for system, labels in TRIPLES.items():
-        effects = {effect.label: effect for effect in listed(system)}
-        found += [
-            scenario(system, "triple", "+".join(three), WHITE[0], [effects[e] for e in three])
-            for three in labels
-        ]
+        for own in sets:
+            name = f"{'+'.join(own)}{ending}"
+            found.append(scenario(system, kind, name, WHITE[0], [effects[e] for e in own]))
     return found
 
 
@@ -360,13 +325,14 @@ def clean(repeats: int = 7) -> list[Scenario]:
 
 def all_scenarios() -> list[Scenario]:
     """Return the whole benchmark."""
+    some = {system: effects[::4] for system, effects in SINGLE.items()}
     return [
         *singles(),
-        *pairs(),
-        *triples(),
-        *coloured(),
-        *outside(),
-        *textbook(),
+        *several("pair", PAIRS, " x1.0"),
+        *several("triple", TRIPLES),
+        *one_each("coloured", some, COLOURED, (0.25,)),
+        *one_each("outside", OUTSIDE, (WHITE[0], WHITE[0]), (1.0,)),
+        *one_each("textbook", TEXTBOOK, WHITE, (0.25, 1.0)),
         *disturbed(),
         *noisy(),
         *clean(),
