@@ -43,40 +43,37 @@ OPTIONS = {"every": 1, "processes": 2, "out": "design.jsonl"}
 NEAR = 10.0
 """Difference of the criterion within which models are rivals: less than very strong evidence."""
 KINDS = ("single", "coloured", "textbook")
-QUESTIONS = {
-    "alone": "truth named alone after the designed experiment",
-    "told": "the same but for rivals that it would not tell, as the design said",
-    "simplest": "the same, and for models with more coefficients",
-    "random_alone": "truth named alone after a random experiment",
-    "random_told": "the same but for those rivals",
-    "random_simplest": "the same, and for models with more coefficients",
-}
+QUESTIONS = (
+    "truth named alone",
+    "the same but for rivals that it would not tell, as the design said",
+    "the same, and for models with more coefficients",
+)
 
 
 @dataclass(frozen=True)
 class RivalsScore:
     """One case: who was near before, after the designed experiment, and after a random one.
 
-    `before`, `designed` and `random` hold the names of the models within `NEAR` of the best;
-    `alone` says whether the truth is the only one of them, `told` whether all others are such that
-    the design said that it would not tell them apart, `simplest` whether all others are such, or
-    have more coefficients, so that they may hold the truth as a special case. `predicted` and
-    `came` are evidence for the true model against each rival.
+    Attributes
+    ----------
+    before, designed, random
+        The names of the models within `NEAR` of the best.
+    told, random_told
+        Whether the truth is the only one of them; whether all others are such that the design said
+        that it would not tell them apart; whether all others are such, or have more coefficients,
+        so that they may hold the truth as a special case.
+    predicted, came
+        Evidence for the true model against each rival.
     """
 
     name: str
     before: list[str] = field(default_factory=list)
     designed: list[str] = field(default_factory=list)
     random: list[str] = field(default_factory=list)
-    alone: bool = False
-    told: bool = False
-    simplest: bool = False
-    random_alone: bool = False
-    random_told: bool = False
-    random_simplest: bool = False
+    told: tuple[bool, ...] = ()
+    random_told: tuple[bool, ...] = ()
     predicted: list[float] = field(default_factory=list)
     came: list[float] = field(default_factory=list)
-    simulations: int = 0
     error: str = ""
 
 
@@ -96,8 +93,7 @@ def rows(options: argparse.Namespace) -> Iterator[Row]:
             file.flush()
             error = score.error.splitlines()[-1] if score.error else ""
             yield {"case": score.name, "near before": len(score.before),
-                   "designed": len(score.designed), "alone": score.alone,
-                   "random": len(score.random), "random alone": score.random_alone,
+                   "designed": len(score.designed), "random": len(score.random),
                    "error": error}  # fmt: skip
     yield from summary(read(path))
 
@@ -130,7 +126,6 @@ def _rivals_of(case: Scenario) -> RivalsScore:
     designed = measured(data, found.experiment, 1)
     drawn = measured(data, random[len(random) // 2].candidate.experiment, 2)
     loops = [again(problem, each) for each in (designed, drawn)]
-    after, random_after = map(near, loops)
     same = {
         row.rival for row in found.evidence if row.true_model in truth and row.evidence < TOLD_APART
     }
@@ -138,17 +133,10 @@ def _rivals_of(case: Scenario) -> RivalsScore:
     return RivalsScore(
         case.name,
         before,
-        after,
-        random_after,
-        alone=only(after, case, set()),
-        told=only(after, case, same),
-        simplest=only(after, case, same | larger(loops[0], case)),
-        random_alone=only(random_after, case, set()),
-        random_told=only(random_after, case, same),
-        random_simplest=only(random_after, case, same | larger(loops[1], case)),
-        predicted=predicted,
-        came=came,
-        simulations=found.simulated,
+        *map(near, loops),
+        *(told_apart(each, case, same) for each in loops),
+        predicted,
+        came,
     )
 
 
@@ -174,17 +162,17 @@ def _in_words(label: str) -> str:
     return in_words(normal(form, site, own))
 
 
-def only(names: Sequence[str], case: Scenario, same: set[str]) -> bool:
-    """Whether the true model is near, and nothing else but it and `same`."""
+def told_apart(loop: LoopResult, case: Scenario, same: set[str]) -> tuple[bool, ...]:
+    """Whether the true model is near, and nothing else; but `same`; but those and larger ones."""
+    names = near(loop)
     true = [name for name in names if is_true_name(name, case)]
-    return bool(true) and all(name in true or name in same for name in names)
-
-
-def larger(loop: LoopResult, case: Scenario) -> set[str]:
-    """Names of the models that have more coefficients than the true one."""
     sizes = {model.name: len(model.values) for model in loop.competing}
-    true = [size for name, size in sizes.items() if is_true_name(name, case)]
-    return {name for name, size in sizes.items() if true and size > min(true)}
+    least = min((size for name, size in sizes.items() if is_true_name(name, case)), default=np.inf)
+    larger = {name for name, size in sizes.items() if size > least}
+    return tuple(
+        bool(true) and all(name in true or name in allowed for name in names)
+        for allowed in (set(), same, same | larger)
+    )
 
 
 def again(problem: Problem, experiment: Experiment) -> LoopResult:
@@ -229,9 +217,10 @@ def summary(scores: Sequence[RivalsScore]) -> Iterator[Row]:
     rivals = [score for score in scores if score.designed]
     yield {"cases": len(scores), "failed": sum(bool(score.error) for score in scores),
            "with the truth among rivals": len(rivals)}  # fmt: skip
-    for key, what in QUESTIONS.items():
-        right = sum(getattr(score, key) for score in rivals)
-        yield {"question": what, "cases": right, "share": right / max(len(rivals), 1)}
+    for i, question in enumerate(QUESTIONS):
+        yield {"afterwards": question, "of": len(rivals),
+               "designed": sum(score.told[i] for score in rivals),
+               "random": sum(score.random_told[i] for score in rivals)}  # fmt: skip
     predicted = np.array([p for score in rivals for p in score.predicted])
     came = np.array([c for score in rivals for c in score.came])
     told = predicted >= TOLD_APART

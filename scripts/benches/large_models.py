@@ -2,9 +2,9 @@
 
 A mass on a spring, an electric ladder network (50 states) and a building of 100 rooms (200), each
 of which lacks one effect; each with five training experiments of 1,000 samples and one held out.
-The data come from SciPy's integrators and the equations here, with noise. Each model (`only`) has a
-process of its own. A row has what the screening of the declared model's residual took, the peak of
-the memory up to then, and what came first beside what is missing.
+The data are simulations with the effect, and noise. Each model (`only`) has a process of its own. A
+row has what the screening of the declared model's residual took, the peak of the memory up to then,
+and what came first beside what is missing.
 """
 
 from __future__ import annotations
@@ -14,12 +14,11 @@ import multiprocessing
 import resource
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 import cluster_est as ce
 from benches import Row
@@ -28,142 +27,79 @@ from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
 from cluster_est.closed_loop.screening.screen import screen
 from cluster_est.closed_loop.selection.declared_model import fit_declared
 from cluster_est.closed_loop.workbench import FitStart
-from workers.messages import FloatArray, Role
 
-OPTIONS = {"only": ["spring", "ladder", "building"]}
-SAMPLES, NOISE = 1000, 0.01
-ROLES: tuple[Role, ...] = (*("train",) * 5, "test")
+SAMPLES, NOISE, RECORDS = 1000, 0.01, 6
 HELD = 25
 """Samples for which an input is held."""
-
-Rates = Callable[[FloatArray, FloatArray], FloatArray]
 
 
 @dataclass(frozen=True)
 class LargeModel:
-    """A model as equations in C and in NumPy, and what the one in C lacks.
+    """A model, the range of each of its inputs, and what it lacks.
 
     Attributes
     ----------
-    step
-        Between samples.
-    parameters
-        True values by name.
-    inputs
-        The range of each.
-    states, outputs
-        Names; an output "y_X" shows the state X.
-    equations
-        In C, of the model that lacks the effect.
-    rates
-        Of the states with the effect: f(x, u).
-    missing
-        The effect, in words.
+    site, form, strength
+        The effect that is missing, and its coefficient.
     """
 
-    name: str
-    step: float
-    parameters: dict[str, float]
-    inputs: dict[str, tuple[float, float]]
-    states: tuple[str, ...]
-    outputs: tuple[str, ...]
-    equations: tuple[str, ...]
-    rates: Rates
-    missing: str
-
-    @property
-    def times(self) -> FloatArray:
-        return np.asarray(np.arange(SAMPLES) * self.step, float)
-
-    def archive(self) -> bytes:
-        """The FMU."""
-        written = WrittenModel(
-            self.name, self.parameters, list(self.inputs), self.states, self.outputs,
-            self.equations, float(self.times[-1]), self.step, 0.1,
-        )  # fmt: skip
-        with tempfile.TemporaryDirectory() as folder:
-            return written.build(Path(folder)).read_bytes()
+    written: WrittenModel
+    ranges: dict[str, tuple[float, float]]
+    site: str
+    form: str
+    strength: float
 
 
 def spring() -> LargeModel:
     """A mass on a spring that lacks a drag."""
-
-    def rates(x: FloatArray, u: FloatArray) -> FloatArray:
-        return np.array([x[1], u[0] - 4.0 * x[0] - 0.4 * x[1] - 0.3 * x[1] * abs(x[1])])
-
     equations = ("der_x = M(v)", "der_v = M(F) - M(k) * M(x) - M(c) * M(v)")
     given = {"k": 4.0, "c": 0.4}
-    return LargeModel("spring", 0.05, given, {"F": (-4.0, 4.0)}, ("x", "v"), ("x",), equations,
-                      rates, "quadratic at der(v)")  # fmt: skip
+    model = WrittenModel("spring", given, ("F",), ("x", "v"), ("x",), equations, 49.95, 0.05, 0.1)
+    return LargeModel(model, {"F": (-4.0, 4.0)}, "der(v)", "quadratic", 0.3)
 
 
 def ladder() -> LargeModel:
     """Sections of a coil and a capacitor each; the 13th capacitor lacks a leak that is cubic."""
-    count, leaking = 25, 13
-
-    def rates(x: FloatArray, u: FloatArray) -> FloatArray:
-        i, v = x[:count], x[count:]
-        before = np.concatenate([u, v[:-1]])
-        after = np.append(i[1:], v[-1] / 1.2)
-        found = np.concatenate([(before - v - 0.05 * i) / 0.8, (i - after) / 0.8])
-        found[count + leaking - 1] -= 0.15 * v[leaking - 1] ** 3
-        return found
-
+    count = 25
     coils, capacitors = [], []
     for j in range(1, count + 1):
         before = "source" if j == 1 else f"u{j - 1}"
         after = f"M(i{j + 1})" if j < count else f"M(u{j}) / M(load)"
         coils.append(f"der_i{j} = (M({before}) - M(u{j}) - M(R) * M(i{j})) / M(L)")
         capacitors.append(f"der_u{j} = (M(i{j}) - {after}) / M(C)")
-    states = tuple(f"{kind}{j}" for kind in "iu" for j in range(1, count + 1))
+    states = [f"{kind}{j}" for kind in "iu" for j in range(1, count + 1)]
     given = {"R": 0.05, "L": 0.8, "C": 0.8, "load": 1.2}
-    return LargeModel("ladder", 0.1, given, {"source": (-2.0, 2.0)}, states,
-                      ("u5", "u13", "u20", "u25"), (*coils, *capacitors), rates,
-                      f"cubic at der(u{leaking})")  # fmt: skip
+    shown, equations = ("u5", "u13", "u20", "u25"), (*coils, *capacitors)
+    model = WrittenModel("ladder", given, ("source",), states, shown, equations, 99.9, 0.1, 0.1)
+    return LargeModel(model, {"source": (-2.0, 2.0)}, "der(u13)", "cubic", 0.15)
 
 
 def building() -> LargeModel:
     """A hundred rooms, each with its walls, in four heated zones; one lacks a loss."""
-    side, lossy = 10, 44
+    side = 10
     rooms = range(side * side)
-    beside = [
-        [r for r, ok in ((n - 1, n % side), (n + 1, (n + 1) % side), (n - side, n >= side),
-                         (n + side, n < side * (side - 1))) if ok]
-        for n in rooms
-    ]  # fmt: skip
-    zone = [2 * (n // side >= side // 2) + (n % side >= side // 2) for n in rooms]
-    outside = np.array([4 - len(own) for own in beside], float)
-    joined = np.zeros((len(rooms), len(rooms)))
-    for n, own in enumerate(beside):
-        joined[n, own] = 1.0
-        joined[n, n] = -len(own)
-    heated = np.array(zone)
-
-    def rates(x: FloatArray, u: FloatArray) -> FloatArray:
-        air, wall = x[: len(rooms)], x[len(rooms) :]
-        found = 0.25 * (joined @ air) + 0.5 * (wall - air) + 0.1 * outside * (u[0] - air)
-        found += u[1 + heated]
-        found[lossy] -= 0.02 * air[lossy] * abs(air[lossy])
-        walls = 0.1 * (air - wall) + 0.02 * (u[0] - wall)
-        return np.concatenate([found, walls])
-
     airs, walls = [], []
-    for n, own in enumerate(beside):
-        flow = " + ".join(f"M(T{r}) - M(T{n})" for r in own)
+    for n in rooms:
+        row, column = divmod(n, side)
+        beside = [n - 1] * (column > 0) + [n + 1] * (column < side - 1)
+        beside += [n - side] * (row > 0) + [n + side] * (row < side - 1)
+        zone = 2 * (row >= side // 2) + (column >= side // 2)
+        flow = " + ".join(f"M(T{r}) - M(T{n})" for r in beside)
         airs.append(
             f"der_T{n} = M(between) * ({flow}) + M(inner) * (M(W{n}) - M(T{n})) + "
-            f"{outside[n]:.1f} * M(window) * (M(Tout) - M(T{n})) + M(zone{zone[n]})"
+            f"{4 - len(beside)}.0 * M(window) * (M(Tout) - M(T{n})) + M(zone{zone})"
         )
         walls.append(f"der_W{n} = M(store) * (M(T{n}) - M(W{n})) + M(outer) * (M(Tout) - M(W{n}))")
-    states = tuple(f"{kind}{n}" for kind in "TW" for n in rooms)
+    states = [f"{kind}{n}" for kind in "TW" for n in rooms]
     given = {"between": 0.25, "inner": 0.5, "window": 0.1, "store": 0.1, "outer": 0.02}
-    inputs = {"Tout": (-8.0, 8.0), **{f"zone{z}": (0.0, 2.0) for z in range(4)}}
-    shown = tuple(f"T{n}" for n in range(0, side * side, 11))
-    return LargeModel("building", 0.1, given, inputs, states, shown, (*airs, *walls), rates,
-                      f"quadratic at der(T{lossy})")  # fmt: skip
+    ranges = {"Tout": (-8.0, 8.0), **{f"zone{z}": (0.0, 2.0) for z in range(4)}}
+    shown, equations = [f"T{n}" for n in rooms[::11]], (*airs, *walls)
+    model = WrittenModel("building", given, [*ranges], states, shown, equations, 99.9, 0.1, 0.1)
+    return LargeModel(model, ranges, "der(T44)", "quadratic", 0.02)
 
 
 MODELS = {"spring": spring, "ladder": ladder, "building": building}
+OPTIONS = {"only": list(MODELS)}
 
 
 def rows(options: argparse.Namespace) -> Iterator[Row]:
@@ -177,8 +113,7 @@ def rows(options: argparse.Namespace) -> Iterator[Row]:
 def screened(name: str) -> Row:
     """Screen one model."""
     model = MODELS[name]()
-    problem = make_problem(model, model.archive())
-    with open_workbench(LoopRequest(problem)) as bench:
+    with open_workbench(LoopRequest(made_problem(model))) as bench:
         fitted = fit_declared(bench, FitStart(bench.problem, {}))
         begin = time.perf_counter()
         screening = screen(bench, fitted, 1)
@@ -186,55 +121,48 @@ def screened(name: str) -> Row:
     best = screening.ranking.leaders(screening.ranking.plain, 1)[0]
     first = screening.ranking.trials[best].candidate
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return {"model": name, "states": len(model.states), "candidates": screening.count,
+    return {"model": name, "states": len(model.written.states), "candidates": screening.count,
             "seconds": seconds, "peak MB": peak, "first": f"{first.form.name} at {first.site}",
-            "missing": model.missing}  # fmt: skip
+            "missing": f"{model.form} at {model.site}"}  # fmt: skip
 
 
-def simulate(model: LargeModel, number: int) -> tuple[tuple[ce.Input, ...], FloatArray]:
-    """The inputs of an experiment, held for a while, and the true outputs, (samples, outputs)."""
-    random = np.random.default_rng([17, number])
-    times = model.times
-    given = {
-        name: np.repeat(random.uniform(*ends, SAMPLES // HELD), HELD)
-        for name, ends in model.inputs.items()
-    }
-    held = np.array(list(given.values()))
-    states = np.zeros((SAMPLES, len(model.states)))
-    for first in range(0, SAMPLES, HELD):
-        last = min(first + HELD, SAMPLES - 1)
-        u = held[:, first]
-        found = solve_ivp(
-            lambda _, x, u=u: model.rates(x, u),
-            (times[first], times[last]),
-            states[first],
-            t_eval=times[first : last + 1],
-            rtol=1e-8,
-            atol=1e-9,
-        )
-        states[first : last + 1] = found.y.T
-    inputs = tuple(ce.Input(name, times, values, "hold") for name, values in given.items())
-    return inputs, states[:, [model.states.index(name) for name in model.outputs]]
-
-
-def make_problem(model: LargeModel, archive: bytes) -> ce.Problem:
+def made_problem(model: LargeModel) -> ce.Problem:
     """The declared model with noisy data, its parameters some way off."""
+    written, times = model.written, model.written.step * np.arange(SAMPLES)
+    with tempfile.TemporaryDirectory() as folder:
+        archive = written.build(Path(folder)).read_bytes()
     solver = ce.Solver("dormand_prince", rtol=1e-6, atol=1e-8)
-    fmu = ce.Model(model.name, archive, "model_exchange", solver, tuple(model.parameters))
+    names = tuple(written.parameters)
+    fmu = ce.Model(written.name, archive, "model_exchange", solver, names)
+    blank = tuple(ce.Output(f"y_{name}", times, np.zeros(SAMPLES)) for name in written.outputs)
+    runs = []
+    for number in range(RECORDS):
+        random = np.random.default_rng([17, number])
+        inputs = tuple(
+            ce.Input(name, times, np.repeat(random.uniform(*ends, SAMPLES // HELD), HELD), "hold")
+            for name, ends in model.ranges.items()
+        )
+        role = "train" if number < RECORDS - 1 else "test"
+        stop = float(times[-1])
+        runs.append(ce.Experiment(f"e{number}", 0.0, stop, inputs, blank, role=role))  # type: ignore[arg-type]
+    true = [ce.Parameter(name, value) for name, value in written.parameters.items()]
+    true.append(ce.Parameter("more.k", model.strength))
+    effects = (ce.Effect("more", model.site, model.form),)
+    curves = [
+        [each.outcome.trajectory.at(f"y_{name}", times) for name in written.outputs]  # type: ignore[union-attr]
+        for each in ce.simulate(ce.Problem(fmu, tuple(true), tuple(runs), effects=effects))
+    ]
+    sigmas = NOISE * np.std(curves, axis=(0, 2))
+    experiments = []
+    for number, (run, curve) in enumerate(zip(runs, curves, strict=True)):
+        noise = np.random.default_rng([18, number]).standard_normal((len(blank), SAMPLES))
+        outputs = tuple(
+            replace(output, values=values + sigma * own, sigma=float(sigma))
+            for output, values, sigma, own in zip(blank, curve, sigmas, noise, strict=True)
+        )
+        experiments.append(replace(run, outputs=outputs))
     parameters = tuple(
         ce.Parameter(name, 1.15 * value, 0.1 * value, 10.0 * value)
-        for name, value in model.parameters.items()
+        for name, value in written.parameters.items()
     )
-    runs = [simulate(model, number) for number in range(len(ROLES))]
-    sigmas = NOISE * np.std([curves for _, curves in runs], axis=(0, 1))
-    experiments = []
-    for number, ((inputs, curves), role) in enumerate(zip(runs, ROLES, strict=True)):
-        noise = np.random.default_rng([18, number]).standard_normal(curves.shape)
-        noisy = (curves + sigmas * noise).T
-        outputs = tuple(
-            ce.Output(f"y_{name}", model.times, values, float(sigma))
-            for name, values, sigma in zip(model.outputs, noisy, sigmas, strict=True)
-        )
-        stop = float(model.times[-1])
-        experiments.append(ce.Experiment(f"e{number}", 0.0, stop, inputs, outputs, role=role))
     return ce.Problem(fmu, parameters, tuple(experiments))

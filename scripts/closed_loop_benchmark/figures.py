@@ -32,7 +32,7 @@ def detected(score: Score) -> bool:
 
 
 def every(mark: str) -> Question:
-    """Return whether every effect of a case has a mark, see `closed_loop_benchmark.naming.Match`."""
+    """Ask whether every effect of a case has a mark of `closed_loop_benchmark.naming.Match`."""
     return lambda score: all(getattr(score, mark) or [])
 
 

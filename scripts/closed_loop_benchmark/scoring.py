@@ -20,44 +20,6 @@ from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.results.result import Result
 from cluster_est.results.tables.row_types import Estimate
 
-
-def coverage(data: Data, result: LoopResult) -> tuple[int, int]:
-    """Count the 95 % intervals that hold the truth, and all that there are.
-
-    Of effects that were named as they are called. Left out are variations of parameters, whose
-    strength hangs on the value that the parameter has where they do nothing, and coefficients
-    without an interval: held ones, and those at a bound.
-    """
-    held = [low <= true <= high for true, low, high in _intervals(data, result)]
-    return sum(held), len(held)
-
-
-def _intervals(data: Data, result: LoopResult) -> Iterator[tuple[float, float, float]]:
-    for number, effect in enumerate(data.scenario.effects):
-        if effect.kind == "parameter":
-            continue
-        try:
-            added, values = translate(effect, number)
-        except KeyError:  # the library has no such form
-            continue
-        called = normal(added.form, added.site, added.variables)
-        for named in result.effects:
-            if normal(named.form, named.site, named.variables) == called:
-                yield from _of_one(named, values)
-
-
-def _of_one(named: NamedEffect, values: dict[str, float]) -> Iterator[tuple[float, float, float]]:
-    for estimate in named.coefficients:
-        low, high = _bounds(estimate)
-        name = estimate.label.rpartition(".")[2]
-        if name in values and math.isfinite(low) and math.isfinite(high) and low < high:
-            yield values[name], low, high
-
-
-def _bounds(estimate: Estimate) -> tuple[float, float]:
-    return (math.nan, math.nan) if estimate.at_bound else (estimate.lower95, estimate.upper95)
-
-
 SAME_MODEL = 0.1
 """Two structures are the same model on the data if their outputs differ by less, in sigmas."""
 
@@ -304,3 +266,40 @@ def _sum_of_squares(result: LoopResult) -> float:
 def _parameter_error(data: Data, found: dict[str, float]) -> float:
     logs = [np.log(found[name] / true) for name, true in data.true_parameters.items()]
     return float(np.sqrt(np.mean(np.square(logs))))
+
+
+def coverage(data: Data, result: LoopResult) -> tuple[int, int]:
+    """Count the 95 % intervals that hold the truth, and all that there are.
+
+    Of effects that were named as they are called. Left out are variations of parameters, whose
+    strength hangs on the value that the parameter has where they do nothing, and coefficients
+    without an interval: held ones, and those at a bound.
+    """
+    held = [low <= true <= high for true, low, high in _intervals(data, result)]
+    return sum(held), len(held)
+
+
+def _intervals(data: Data, result: LoopResult) -> Iterator[tuple[float, float, float]]:
+    for number, effect in enumerate(data.scenario.effects):
+        if effect.kind == "parameter":
+            continue
+        try:
+            added, values = translate(effect, number)
+        except KeyError:  # the library has no such form
+            continue
+        called = normal(added.form, added.site, added.variables)
+        for named in result.effects:
+            if normal(named.form, named.site, named.variables) == called:
+                yield from _of_one(named, values)
+
+
+def _of_one(named: NamedEffect, values: dict[str, float]) -> Iterator[tuple[float, float, float]]:
+    for estimate in named.coefficients:
+        low, high = _bounds(estimate)
+        name = estimate.label.rpartition(".")[2]
+        if name in values and math.isfinite(low) and math.isfinite(high) and low < high:
+            yield values[name], low, high
+
+
+def _bounds(estimate: Estimate) -> tuple[float, float]:
+    return (math.nan, math.nan) if estimate.at_bound else (estimate.lower95, estimate.upper95)
