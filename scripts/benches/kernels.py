@@ -93,11 +93,11 @@ def driven_model(interface: str, solver: str) -> Model:
 def beside_c(interface: str, solver: str, c_loop: Callable[..., int] | None, rounds: int) -> Row:
     """The kernel, and where given the same loop in C on an instance of its own."""
     model = driven_model(interface, solver)
-    ours = simulator(FMU, model, DRIVEN)
+    ours, theirs = simulator(FMU, model, DRIVEN), simulator(FMU, model, DRIVEN)
     runs: dict[str, Callable[[], object]] = {"kernel": lambda: ours.run(0, POINTS)}
     outputs = np.zeros(COUNT)
     if c_loop is not None:
-        runs["C"] = in_c(simulator(FMU, model, DRIVEN), c_loop, outputs)
+        runs["C"] = in_c(theirs, c_loop, outputs)
     medians = by_turns(runs, rounds)
     row: Row = {"what": f"{interface}, {solver}", "kernel us": medians["kernel"] * 1e6 / BATCH}
     if c_loop is not None:

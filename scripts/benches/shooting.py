@@ -186,6 +186,7 @@ def made_problem(system: System, seed: int) -> ce.Problem:
     return ce.Problem(model, tuple(parameters), (experiment,))
 
 
+MEDIANS = ("cost a sample", "worst error", "simulations", "seconds")
 OPTIONS = {"starts": 40, "only": list(SYSTEMS), "single": False}
 
 
@@ -205,9 +206,6 @@ def rows(options: argparse.Namespace) -> Iterator[Row]:
                 "joined": sum(bool(each["joined"]) for each in trials),
                 **{k: float(np.median([float(each[k]) for each in trials])) for k in MEDIANS},
             }
-
-
-MEDIANS = ("cost a sample", "worst error", "simulations", "seconds")
 
 
 def trial(system: System, seed: int, segments: int | None) -> Row:
