@@ -172,10 +172,13 @@ def run(cases: Sequence[Scenario], options: argparse.Namespace) -> Iterator[Scor
 
     portions = divide(cases, options.processes)
     with ThreadPoolExecutor(options.processes) as threads:
-        for portion in portions:
-            threads.submit(run_portion, portion).add_done_callback(lambda _: scores.put(None))
-        for _ in portions:
+        ended = [threads.submit(run_portion, portion) for portion in portions]
+        for each in ended:
+            each.add_done_callback(lambda _: scores.put(None))
+        for _ in ended:
             yield from iter(scores.get, None)
+        for each in ended:
+            each.result()  # an error in a thread must not go unseen
 
 
 def divide(cases: Sequence[Scenario], processes: int) -> list[list[Scenario]]:
