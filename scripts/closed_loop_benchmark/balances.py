@@ -79,7 +79,6 @@ def circuit_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 RESONANT_CIRCUIT = System(
     name="resonant_circuit",
-    interface="model_exchange",
     split="report",
     states=("i", "u"),
     inputs=("e",),
@@ -169,7 +168,6 @@ def room_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 ROOM = System(
     name="room",
-    interface="model_exchange",
     split="tune",
     states=("T_room", "T_wall"),
     inputs=("P", "T_out"),
@@ -216,7 +214,6 @@ def kiln_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 KILN = System(
     name="kiln",
-    interface="model_exchange",
     split="tune",
     states=("T_plate", "T_charge"),
     inputs=("power", "T_ambient"),
@@ -265,7 +262,6 @@ def tank_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 CASCADED_TANKS = System(
     name="cascaded_tanks",
-    interface="model_exchange",
     split="tune",
     states=("h1", "h2"),
     inputs=("u",),
@@ -322,7 +318,6 @@ def reactor_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 STIRRED_TANK_REACTOR = System(
     name="stirred_tank_reactor",
-    interface="model_exchange",
     split="report",
     states=("c", "T"),
     inputs=("flow", "T_coolant"),
@@ -386,7 +381,6 @@ def body_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 PHARMACOKINETICS = System(
     name="pharmacokinetics",
-    interface="model_exchange",
     split="tune",
     states=("gut", "central", "tissue"),
     inputs=("oral", "infusion"),
@@ -441,7 +435,6 @@ def chemostat_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 CHEMOSTAT = System(
     name="chemostat",
-    interface="model_exchange",
     split="report",
     states=("X", "S"),
     inputs=("D", "S_in"),

@@ -29,7 +29,6 @@ def spring_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 MASS_SPRING_DAMPER = System(
     name="mass_spring_damper",
-    interface="model_exchange",
     split="tune",
     states=("x", "v"),
     inputs=("F",),
@@ -65,7 +64,6 @@ def pendulum_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 PENDULUM = System(
     name="pendulum",
-    interface="model_exchange",
     split="tune",
     states=("angle", "speed"),
     inputs=("torque",),
@@ -109,7 +107,6 @@ def car_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 QUARTER_CAR = System(
     name="quarter_car",
-    interface="model_exchange",
     split="report",
     states=("z_body", "v_body", "z_wheel", "v_wheel"),
     inputs=("road",),
@@ -150,7 +147,6 @@ def motor_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 DC_MOTOR = System(
     name="dc_motor",
-    interface="model_exchange",
     split="tune",
     states=("i", "w"),
     inputs=("V",),
@@ -198,7 +194,6 @@ def belt_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 DC_MOTOR_BELT = System(
     name="dc_motor_belt",
-    interface="model_exchange",
     split="tune",
     states=("i", "w_motor", "twist", "w_load"),
     inputs=("V", "T_load"),
@@ -251,7 +246,6 @@ def shaft_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 TWO_MASS_DRIVE = System(
     name="two_mass_drive",
-    interface="model_exchange",
     split="report",
     states=("twist", "w_motor", "w_load"),
     inputs=("torque",),
@@ -314,7 +308,6 @@ def crane_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 GANTRY_CRANE = System(
     name="gantry_crane",
-    interface="model_exchange",
     split="tune",
     states=("x", "v", "phi", "w"),
     inputs=("F",),
@@ -362,7 +355,6 @@ def cylinder_runs(time: Array, random: np.random.Generator) -> list[Run]:
 
 HYDRAULIC_CYLINDER = System(
     name="hydraulic_cylinder",
-    interface="model_exchange",
     split="report",
     states=("x", "v", "p"),
     inputs=("u", "F_load"),

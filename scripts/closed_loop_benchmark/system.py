@@ -89,7 +89,6 @@ class System:
     """
 
     name: str
-    interface: Interface
     split: Split
     states: tuple[str, ...]
     inputs: tuple[str, ...]
@@ -100,6 +99,7 @@ class System:
     interval: float
     samples: int
     excitation: Excitation
+    interface: Interface = "model_exchange"
     constants: Mapping[str, float] = field(default_factory=dict)
     unknown_starts: tuple[str, ...] = ()
     start_error: float = 0.1
