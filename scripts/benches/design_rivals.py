@@ -125,7 +125,7 @@ def _rivals_of(case: Scenario) -> RivalsScore:
     random = ranked([c for c in found.candidates if c.candidate.origin == "random"])
     designed = measured(data, found.experiment, 1)
     drawn = measured(data, random[len(random) // 2].candidate.experiment, 2)
-    loops = [again(problem, each) for each in (designed, drawn)]
+    after, random_after = again(problem, designed), again(problem, drawn)
     same = {
         row.rival for row in found.evidence if row.true_model in truth and row.evidence < TOLD_APART
     }
@@ -133,8 +133,10 @@ def _rivals_of(case: Scenario) -> RivalsScore:
     return RivalsScore(
         case.name,
         before,
-        *map(near, loops),
-        *(told_apart(each, case, same) for each in loops),
+        near(after),
+        near(random_after),
+        told_apart(after, case, same),
+        told_apart(random_after, case, same),
         predicted,
         came,
     )
