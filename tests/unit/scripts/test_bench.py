@@ -44,6 +44,7 @@ def test_a_history_keeps_the_rows_of_every_run_with_date_commit_and_options(coun
     bench.main(["start", "--most", "1", "--history", str(folder)])
     rows = pq.read_table(folder / "start.parquet").to_pylist()
     assert [row["number"] for row in rows] == [0, 1, None, 0, None]
+    assert [row["sizes"] for row in rows] == [None, None, "[0.5]", None, "[0.5]"]
     assert {row["options"] for row in rows} == {
         "most=2 sizes=[0.5] loud=False",
         "most=1 sizes=[0.5] loud=False",
