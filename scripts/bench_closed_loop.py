@@ -15,26 +15,23 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import os
-import threading
+import queue
 import time
 import traceback
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from multiprocessing.process import BaseProcess
-from multiprocessing.queues import SimpleQueue
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
-from closed_loop_benchmark.comparison import compare_runs
-from closed_loop_benchmark.data import make
+from closed_loop_benchmark.data import make, make_problem
 from closed_loop_benchmark.oracle import ask
-from closed_loop_benchmark.page import page
-from closed_loop_benchmark.problem import make_problem
 from closed_loop_benchmark.scenarios import Kind, Scenario, all_scenarios
 from closed_loop_benchmark.scoring import Score, blank, score
 from closed_loop_benchmark.system import Split
 from closed_loop_benchmark.systems import SYSTEMS
-from closed_loop_benchmark.table import one_line
+from closed_loop_benchmark.tables import compare_runs, one_line, page
 
 from cluster_est.closed_loop.loop import close_loop
 from cluster_est.closed_loop.settings import LoopSettings
@@ -61,9 +58,8 @@ def main() -> int:
         done = {name: known for name, known in done.items() if not known.error}
     cases = [case for case in choose(options) if case.name not in done]
     print(f"{len(cases)} cases to run, {len(done)} in {options.out} already", flush=True)
-    plan = Plan(time.time() + options.seconds, settings_of(options))
     with options.out.open("a", encoding="utf-8") as file:
-        for one in run(cases, options.processes, plan):
+        for one in run(cases, options):
             file.write(one.to_json() + "\n")
             file.flush()
             print(one_line(one), flush=True)
@@ -153,50 +149,36 @@ def choose(options: argparse.Namespace) -> list[Scenario]:
     return cases[:: options.every]
 
 
-@dataclass(frozen=True)
-class Plan:
-    """When no case begins any more, and the settings of every loop."""
-
-    deadline: float
-    settings: LoopSettings
-
-
-@dataclass(frozen=True)
-class Report:
-    """What a process says: that it begins with a case, or what came of it."""
-
-    process: int
-    case: Scenario
-    score: Score | None = None
-
-
-def run(cases: Sequence[Scenario], processes: int, plan: Plan) -> Iterator[Score]:
+def run(cases: Sequence[Scenario], options: argparse.Namespace) -> Iterator[Score]:
     """Run cases in some processes, and give the score of each as it ends.
 
-    All cases of a system run in one process, which keeps what it has compiled for them. A case in
-    which a process dies has an error as its score; what that process had left is not run.
+    All cases of a portion run in one process, which keeps what it has compiled for their system. A
+    case in which a process dies has an error as its score; what its portion had left is not run.
     """
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
-    context = multiprocessing.get_context("spawn")
-    # Simple ones send at once: what a process says before it dies must not be lost.
-    portions, reports = context.SimpleQueue(), context.SimpleQueue()
-    workers: dict[int, BaseProcess] = {
-        n: context.Process(target=work, args=(n, portions, reports, plan), daemon=True)
-        for n in range(processes)
-    }
-    for worker in workers.values():
-        worker.start()
-    everything = [*divide(cases, processes), *([[]] * processes)]
-    # In a thread, because a queue blocks while it is full, and the reports must be read meanwhile.
-    feeder = threading.Thread(target=_feed, args=(portions, everything), daemon=True)
-    feeder.start()
-    yield from gather(workers, reports)
+    deadline, settings = time.time() + options.seconds, settings_of(options)
+    scores: queue.SimpleQueue[Score | None] = queue.SimpleQueue()
 
+    def run_portion(portion: Sequence[Scenario]) -> None:
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
+            for case in portion:
+                if time.time() > deadline:
+                    return
+                try:
+                    scores.put(process.submit(run_case, case, settings).result())
+                except BrokenProcessPool as error:
+                    scores.put(blank(make(case), f"the process died: {error}"))
+                    return
 
-def _feed(portions: SimpleQueue[list[Scenario]], everything: list[list[Scenario]]) -> None:
-    """Hand out all portions."""
-    for portion in everything:
-        portions.put(portion)
+    portions = divide(cases, options.processes)
+    with ThreadPoolExecutor(options.processes) as threads:
+        ended = [threads.submit(run_portion, portion) for portion in portions]
+        for each in ended:
+            each.add_done_callback(lambda _: scores.put(None))
+        for _ in ended:
+            yield from iter(scores.get, None)
+        for each in ended:
+            each.result()  # an error in a thread must not go unseen
 
 
 def divide(cases: Sequence[Scenario], processes: int) -> list[list[Scenario]]:
@@ -206,35 +188,6 @@ def divide(cases: Sequence[Scenario], processes: int) -> list[list[Scenario]]:
     whole = [[case for case in cases if case.system == system] for system in systems]
     portions = [own[part::parts] for own in whole for part in range(parts)]
     return sorted((p for p in portions if p), key=len, reverse=True)
-
-
-def work(number: int, portions: Any, reports: Any, plan: Plan) -> None:
-    """Run portion after portion, until an empty one."""
-    while portion := portions.get():
-        for case in portion:
-            if time.time() > plan.deadline:
-                return
-            reports.put(Report(number, case))
-            reports.put(Report(number, case, run_case(case, plan.settings)))
-
-
-def gather(workers: dict[int, BaseProcess], reports: Any) -> Iterator[Score]:
-    """Give the scores that arrive until all processes have ended."""
-    busy: dict[int, Scenario] = {}
-    ended = False
-    while not ended:
-        # Looked at before the queue, or the last report might come in between.
-        ended = not any(worker.is_alive() for worker in workers.values())
-        while not reports.empty():
-            report = reports.get()
-            if report.score is None:
-                busy[report.process] = report.case
-            else:
-                busy.pop(report.process, None)
-                yield report.score
-        time.sleep(0.0 if ended else 0.1)
-    for number, case in busy.items():
-        yield blank(make(case), f"the process died with exit code {workers[number].exitcode}")
 
 
 def run_case(case: Scenario, settings: LoopSettings) -> Score:

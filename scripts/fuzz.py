@@ -27,9 +27,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent.parent))
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
-from fuzzing.base import Input
+from fuzzing.base import Input, Verdict, judge, write
 from fuzzing.inputs import INPUTS
-from fuzzing.judge import Verdict, judge, write
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
 CHUNK = 250

@@ -21,11 +21,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from measured_league.cases import LeagueCase, all_cases
-from measured_league.convert import convert
-from measured_league.judging import read_judgements
-from measured_league.page import write_page
-from measured_league.running import DATA, Kind, run_cases
+from measured_league.cases import LeagueCase, all_cases, convert
+from measured_league.page import read_judgements, write_page
+from measured_league.runs import DATA, Kind, run_cases
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

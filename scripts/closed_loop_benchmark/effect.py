@@ -1,10 +1,12 @@
-"""An undeclared effect: what it is called, where it acts and its numbers."""
+"""Undeclared effects: what they are called, where they act, and their numbers (`effects.toml`)."""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from closed_loop_benchmark.system import System
 
@@ -147,3 +149,39 @@ def _synonyms(name: Name) -> Iterable[Name]:
     for group in SYNONYMS:
         if name.form in group:
             yield from (name._replace(form=form) for form in sorted(group - {name.form}))
+
+
+FILE = tomllib.loads(Path(__file__).with_name("effects.toml").read_text(encoding="utf-8"))
+
+
+def _read(section: str) -> dict[str, tuple[Effect, ...]]:
+    """Read the effects of a section of the file, by system."""
+    return {
+        system: tuple(_effect(system, label, given) for label, given in own.items())
+        for system, own in FILE[section].items()
+    }
+
+
+def _effect(system: str, label: str, given: list[Any]) -> Effect:
+    form, site, numbers, *variables = given
+    variable, second = [*variables, "", ""][:2]
+    also = tuple(Name(*name) for name in FILE["also"].get(system, {}).get(label, ()))
+    weights: tuple[float, ...] = (1.0,)
+    if site.startswith("pair "):
+        one, other = FILE["inertias"][system]
+        weights = (1.0 / one, -1.0 / other)
+    return Effect(label, form, site, tuple(numbers), variable, second, weights, also)
+
+
+SINGLE = _read("single")
+"""Effects of forms that a library should have, by system."""
+
+OUTSIDE = _read("outside")
+"""Effects of forms that no library has, by system."""
+
+TEXTBOOK = _read("textbook")
+"""Effects that were taken from textbooks of physics, whatever a library has, by system."""
+
+PAIRS: dict[str, list[list[str]]] = FILE["pairs"]
+TRIPLES: dict[str, list[list[str]]] = FILE["triples"]
+"""Labels of two and of three that act at once, by system."""

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 from scipy.stats import beta
 
+from closed_loop_benchmark.naming import accepted_names, is_true
 from closed_loop_benchmark.scoring import Score
 
 DETECTABLE = 40.0
@@ -30,14 +31,14 @@ def detected(score: Score) -> bool:
     return score.detected
 
 
-def exact(score: Score) -> bool:
-    """Tell whether every effect was named as it is called."""
-    return all(score.exact or [])
+def every(mark: str) -> Question:
+    """Ask whether every effect of a case has a mark of `closed_loop_benchmark.naming.Match`."""
+    return lambda score: all(getattr(score, mark) or [])
 
 
-def alias(score: Score) -> bool:
-    """Tell whether every effect got one of its names."""
-    return all(score.alias or [])
+exact, alias = every("exact"), every("alias")
+tied, plausible = every("tied"), every("plausible")
+form_and_site, site, any_site, place = map(every, ("form_and_site", "site", "any_site", "place"))
 
 
 def numerical(score: Score) -> bool:
@@ -63,36 +64,6 @@ def strictly_right(score: Score) -> bool:
 def one_right(score: Score) -> bool:
     """Tell whether at least one effect got one of its names, or the structure is the same model."""
     return any(score.alias or []) or score.numerical
-
-
-def tied(score: Score) -> bool:
-    """Tell whether every effect is among what is as good by 2 units of the criterion."""
-    return all(score.tied or [])
-
-
-def plausible(score: Score) -> bool:
-    """Tell whether every effect is among what is as good by 10 units of the criterion."""
-    return all(score.plausible or [])
-
-
-def form_and_site(score: Score) -> bool:
-    """Tell whether form and site are right, whatever the variable."""
-    return all(score.form_and_site or [])
-
-
-def site(score: Score) -> bool:
-    """Tell whether something was named at the site of each effect, as it is called."""
-    return all(score.site or [])
-
-
-def any_site(score: Score) -> bool:
-    """Tell whether something was named at the site of one of the names of each effect."""
-    return all(score.any_site or [])
-
-
-def place(score: Score) -> bool:
-    """Tell whether something was named at a site of each effect, of the variable it has there."""
-    return all(score.place or [])
 
 
 def near_truth(score: Score) -> bool:
@@ -128,6 +99,16 @@ def much_worse(score: Score) -> bool:
 def honest(score: Score) -> bool:
     """Tell whether nothing was added, or what was added improves the held-out error."""
     return not changed(score) or score.after < score.before
+
+
+def has_probabilities(score: Score) -> bool:
+    """Tell whether a case has probabilities, and a true structure among the library's."""
+    return bool(score.likely) and score.has_oracle
+
+
+def holds_truth(score: Score) -> bool:
+    """Tell whether the truth is among the likely sets, by a name or an algebraic alias."""
+    return any(is_true(names, accepted_names()[score.name]) for names in score.likely or [])
 
 
 def gap(score: Score) -> float:

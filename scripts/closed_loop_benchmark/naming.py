@@ -1,11 +1,14 @@
-"""Compare what a method has named with what is truly missing."""
+"""Names of effects, written in one way, and what a method has named beside what is missing."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
+from itertools import permutations
 
 from closed_loop_benchmark.effect import Name
+from closed_loop_benchmark.scenarios import all_scenarios
 
 BENCHMARK_NAMES = {
     "clip_above": "saturation",
@@ -107,3 +110,41 @@ def compare(
 
 def _difference(variable: str) -> str:
     return "-".join(sorted(part.strip() for part in variable.split("-")))
+
+
+def in_words(name: Name) -> str:
+    """Write a name for a table."""
+    return (
+        f"{name.form}({name.variable}) at {name.site}"
+        if name.variable
+        else (f"{name.form} at {name.site}")
+    )
+
+
+def label_in_words(label: str) -> str:
+    """Write the label of a candidate, "coulomb(w) at der(v)", as a name for a table."""
+    called, _, site = label.partition(" at ")
+    form, _, variables = called.removesuffix(")").partition("(")
+    return in_words(normal(form, site, tuple(filter(None, variables.split(", ")))))
+
+
+def is_true(named: Sequence[str], accepted: Sequence[Sequence[str]]) -> bool:
+    """Tell whether a set of effects is the true one, each by one of its accepted names."""
+    if len(named) != len(accepted):
+        return False
+    return any(
+        all(name in names for name, names in zip(order, accepted, strict=True))
+        for order in permutations(named)
+    )
+
+
+@cache
+def accepted_names() -> dict[str, list[list[str]]]:
+    """Return, for each case, the names of each true effect, in words."""
+    return {
+        case.name: [
+            [in_words(normal(n.form, n.site, (n.variable,))) for n in names]
+            for names in case.accepted
+        ]
+        for case in all_scenarios()
+    }

@@ -1,25 +1,38 @@
-"""The cases of the benchmark, and the data of each.
+"""The cases of the benchmark: what is missing in each, in what noise, under what disturbance.
 
     from closed_loop_benchmark.data import make
     from closed_loop_benchmark.scenarios import all_scenarios
 
     data = make(all_scenarios()[0])
 
-A case is deterministic: its seed follows from its name.
+A case is deterministic: its seed follows from its name. Disturbances are pushes that nobody
+measures: no function of inputs or states explains them.
 """
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from closed_loop_benchmark.disturbances import DISTURBANCES, PROCESS_NOISE, Disturbance
-from closed_loop_benchmark.effect import Effect, Name, names
-from closed_loop_benchmark.effects import OUTSIDE, PAIRS, SINGLE, TEXTBOOK, TRIPLES
-from closed_loop_benchmark.system import Split
+import numpy as np
+
+from closed_loop_benchmark import waveforms
+from closed_loop_benchmark.effect import (
+    FILE,
+    OUTSIDE,
+    PAIRS,
+    SINGLE,
+    TEXTBOOK,
+    TRIPLES,
+    Effect,
+    Name,
+    names,
+)
+from closed_loop_benchmark.system import Array, Run, Split, System
 from closed_loop_benchmark.systems import SYSTEMS
+from closed_loop_benchmark.truth import Push
 
 Kind = Literal[
     "single",
@@ -119,69 +132,34 @@ def scenario(
     return Scenario(name, system, kind, scaled, accepted, size, noise, seed, split, disturbance)
 
 
+def one_each(
+    kind: Kind,
+    effects: Mapping[str, Sequence[Effect]],
+    noises: tuple[Noise, Noise] = WHITE,
+    sizes: Iterable[float] = SIZES,
+) -> list[Scenario]:
+    """One effect at a time, in several sizes and in either noise by turns."""
+    return [
+        scenario(system, kind, f"{effect.label} x{size}", noises[n % 2], [effect], size)
+        for system, own in effects.items()
+        for n, effect in enumerate(own)
+        for size in sizes
+    ]
+
+
 def singles(sizes: Iterable[float] = SIZES) -> list[Scenario]:
     """One effect in white noise, in several sizes."""
-    return [
-        scenario(system, "single", f"{effect.label} x{size}", WHITE[n % 2], [effect], size)
-        for system, effects in SINGLE.items()
-        for n, effect in enumerate(effects)
-        for size in sizes
-    ]
+    return one_each("single", SINGLE, WHITE, sizes)
 
 
-def pairs(sizes: Iterable[float] = (1.0,)) -> list[Scenario]:
-    """Two effects at once."""
+def several(kind: Kind, labels: Mapping[str, list[list[str]]], ending: str = "") -> list[Scenario]:
+    """Two or three effects at once."""
     found = []
-    for system, labels in PAIRS.items():
+    for system, sets in labels.items():
         effects = {effect.label: effect for effect in listed(system)}
-        for two in labels:
-            both = [effects[label] for label in two]
-            found += [
-                scenario(system, "pair", f"{'+'.join(two)} x{size}", WHITE[0], both, size)
-                for size in sizes
-            ]
-    return found
-
-
-def coloured(sizes: Iterable[float] = (0.25,)) -> list[Scenario]:
-    """Every fourth effect, in noise that is correlated."""
-    return [
-        scenario(system, "coloured", f"{effect.label} x{size}", COLOURED[n % 2], [effect], size)
-        for system, effects in SINGLE.items()
-        for n, effect in enumerate(effects[::4])
-        for size in sizes
-    ]
-
-
-def outside(sizes: Iterable[float] = (1.0,)) -> list[Scenario]:
-    """Effects that no library of forms has."""
-    return [
-        scenario(system, "outside", f"{effect.label} x{size}", WHITE[0], [effect], size)
-        for system, effects in OUTSIDE.items()
-        for effect in effects
-        for size in sizes
-    ]
-
-
-def textbook(sizes: Iterable[float] = (0.25, 1.0)) -> list[Scenario]:
-    """Effects that were chosen by physics, not from a library."""
-    return [
-        scenario(system, "textbook", f"{effect.label} x{size}", WHITE[n % 2], [effect], size)
-        for system, effects in TEXTBOOK.items()
-        for n, effect in enumerate(effects)
-        for size in sizes
-    ]
-
-
-def triples() -> list[Scenario]:
-    """Three effects at once."""
-    found = []
-    for system, labels in TRIPLES.items():
-        effects = {effect.label: effect for effect in listed(system)}
-        found += [
-            scenario(system, "triple", "+".join(three), WHITE[0], [effects[e] for e in three])
-            for three in labels
-        ]
+        for own in sets:
+            name = f"{'+'.join(own)}{ending}"
+            found.append(scenario(system, kind, name, WHITE[0], [effects[e] for e in own]))
     return found
 
 
@@ -235,13 +213,14 @@ def clean(repeats: int = 7) -> list[Scenario]:
 
 def all_scenarios() -> list[Scenario]:
     """Return the whole benchmark."""
+    some = {system: effects[::4] for system, effects in SINGLE.items()}
     return [
         *singles(),
-        *pairs(),
-        *triples(),
-        *coloured(),
-        *outside(),
-        *textbook(),
+        *several("pair", PAIRS, " x1.0"),
+        *several("triple", TRIPLES),
+        *one_each("coloured", some, COLOURED, (0.25,)),
+        *one_each("outside", OUTSIDE, (WHITE[0], WHITE[0]), (1.0,)),
+        *one_each("textbook", TEXTBOOK, WHITE, (0.25, 1.0)),
         *disturbed(),
         *noisy(),
         *clean(),
@@ -265,3 +244,72 @@ def subset() -> list[Scenario]:
     """Return a few cases of many sorts, for a test that must not take long."""
     known = {case.name: case for case in all_scenarios()}
     return [known[name] for name in SUBSET]
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """A random push on the rate of a state, another one in every run.
+
+    Attributes
+    ----------
+    label
+        Short name, unique in a system.
+    state
+        Its rate is pushed.
+    size
+        Of the push, in units of the rate.
+    shape
+        A few short "kicks", smooth "gusts", long stretches of "presence" and absence, or "white"
+        noise, held for a sample.
+    """
+
+    label: str
+    state: str
+    size: float
+    shape: Literal["kicks", "gusts", "presence", "white"]
+
+
+DISTURBANCES = {
+    system: tuple(Disturbance(label, *given) for label, given in own.items())
+    for system, own in FILE["disturbances"].items()
+}
+PROCESS_NOISE = {
+    system: Disturbance("process", *given, "white")
+    for system, given in FILE["process_noise"].items()
+}
+"""A random walk in a state: some two or three times the noise of the sensors, at the outputs."""
+
+
+def push(
+    disturbance: Disturbance, system: System, runs: Sequence[Run], random: np.random.Generator
+) -> Push:
+    """Draw a disturbance for every run of a system."""
+    shapes = {"kicks": _kicks, "gusts": _gusts, "presence": _presence, "white": _white}
+    columns = [shapes[disturbance.shape](system.times, random) for _ in runs]
+    return Push(disturbance.state, disturbance.size * np.column_stack(columns))
+
+
+def _kicks(time: Array, random: np.random.Generator) -> Array:
+    """Return five rectangular pulses of random strength and sign."""
+    found, duration = np.zeros_like(time), time[-1]
+    for _ in range(5):
+        start = random.uniform(0.05, 0.9) * duration
+        end = start + random.uniform(0.01, 0.06) * duration
+        strength = random.choice([-1.0, 1.0]) * random.uniform(0.5, 1.2)
+        found += strength * ((time >= start) & (time < end))
+    return found
+
+
+def _gusts(time: Array, random: np.random.Generator) -> Array:
+    """Return smooth noise of about fifteen swings a run."""
+    return waveforms.noise(time, random, 15.0 / time[-1])
+
+
+def _presence(time: Array, random: np.random.Generator) -> Array:
+    """Return about eight stretches of either one or zero."""
+    return np.asarray(waveforms.binary(time, random, time[-1] / 8.0) > 0, dtype=float)
+
+
+def _white(time: Array, random: np.random.Generator) -> Array:
+    """Return independent normal values."""
+    return random.normal(size=time.size)

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
-from closed_loop_benchmark.coverage import coverage
-from closed_loop_benchmark.data import Data
+from closed_loop_benchmark.data import Data, run_name
 from closed_loop_benchmark.effect import Name
-from closed_loop_benchmark.naming import Match, compare, normal
-from closed_loop_benchmark.oracle import Oracle, count_free
-from closed_loop_benchmark.problem import run_name
-from closed_loop_benchmark.refit import refit
+from closed_loop_benchmark.naming import Match, compare, in_words, label_in_words, normal
+from closed_loop_benchmark.oracle import Oracle, count_free, refit, translate
 from cluster_est import Problem
 from cluster_est.closed_loop.findings.effects import NamedEffect, Verdict
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.results.result import Result
+from cluster_est.results.tables.row_types import Estimate
 
 SAME_MODEL = 0.1
 """Two structures are the same model on the data if their outputs differ by less, in sigmas."""
@@ -67,7 +66,7 @@ class Score:
         Root mean square of the logarithmic error of the declared parameters.
     covered, intervals
         How many 95 % intervals of coefficients hold the truth, of how many; see
-        `closed_loop_benchmark.coverage`.
+        `coverage`.
     simulations, seconds, failures
         What it took.
     structures
@@ -239,22 +238,6 @@ def missed(data: Data, fitted: Result) -> float:
     return refit(_without_noise(data, fitted.problem), fitted.x, held_out=False).train
 
 
-def in_words(name: Name) -> str:
-    """Write a name for a table."""
-    return (
-        f"{name.form}({name.variable}) at {name.site}"
-        if name.variable
-        else (f"{name.form} at {name.site}")
-    )
-
-
-def label_in_words(label: str) -> str:
-    """Write the label of a candidate, "coulomb(w) at der(v)", as a name for a table."""
-    called, _, site = label.partition(" at ")
-    form, _, variables = called.removesuffix(")").partition("(")
-    return in_words(normal(form, site, tuple(filter(None, variables.split(", ")))))
-
-
 def _without_noise(data: Data, problem: Problem) -> Problem:
     """Put the true outputs in the place of the measured ones, outliers included."""
     true = {run_name(n, run): run.true_outputs for n, run in enumerate(data.experiments)}
@@ -283,3 +266,40 @@ def _sum_of_squares(result: LoopResult) -> float:
 def _parameter_error(data: Data, found: dict[str, float]) -> float:
     logs = [np.log(found[name] / true) for name, true in data.true_parameters.items()]
     return float(np.sqrt(np.mean(np.square(logs))))
+
+
+def coverage(data: Data, result: LoopResult) -> tuple[int, int]:
+    """Count the 95 % intervals that hold the truth, and all that there are.
+
+    Of effects that were named as they are called. Left out are variations of parameters, whose
+    strength hangs on the value that the parameter has where they do nothing, and coefficients
+    without an interval: held ones, and those at a bound.
+    """
+    held = [low <= true <= high for true, low, high in _intervals(data, result)]
+    return sum(held), len(held)
+
+
+def _intervals(data: Data, result: LoopResult) -> Iterator[tuple[float, float, float]]:
+    for number, effect in enumerate(data.scenario.effects):
+        if effect.kind == "parameter":
+            continue
+        try:
+            added, values = translate(effect, number)
+        except KeyError:  # the library has no such form
+            continue
+        called = normal(added.form, added.site, added.variables)
+        for named in result.effects:
+            if normal(named.form, named.site, named.variables) == called:
+                yield from _of_one(named, values)
+
+
+def _of_one(named: NamedEffect, values: dict[str, float]) -> Iterator[tuple[float, float, float]]:
+    for estimate in named.coefficients:
+        low, high = _bounds(estimate)
+        name = estimate.label.rpartition(".")[2]
+        if name in values and math.isfinite(low) and math.isfinite(high) and low < high:
+            yield values[name], low, high
+
+
+def _bounds(estimate: Estimate) -> tuple[float, float]:
+    return (math.nan, math.nan) if estimate.at_bound else (estimate.lower95, estimate.upper95)

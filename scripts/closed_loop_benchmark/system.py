@@ -89,7 +89,6 @@ class System:
     """
 
     name: str
-    interface: Interface
     split: Split
     states: tuple[str, ...]
     inputs: tuple[str, ...]
@@ -100,6 +99,7 @@ class System:
     interval: float
     samples: int
     excitation: Excitation
+    interface: Interface = "model_exchange"
     constants: Mapping[str, float] = field(default_factory=dict)
     unknown_starts: tuple[str, ...] = ()
     start_error: float = 0.1
@@ -121,6 +121,11 @@ class System:
     def spread(self, parameter: str) -> float:
         """Return the largest relative error of a parameter's start value."""
         return self.spreads.get(parameter, 0.25)
+
+
+def measured(*places: int) -> Equations:
+    """Return the readings of sensors that show some of the states as they are."""
+    return lambda x, u, p: tuple(x[place] for place in places)
 
 
 def make_run(

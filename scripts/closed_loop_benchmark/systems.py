@@ -6,15 +6,27 @@ used in co-simulation only: on them a method has inputs, outputs and parameters 
 
 from __future__ import annotations
 
-from closed_loop_benchmark.plants.biological import CHEMOSTAT, PHARMACOKINETICS
-from closed_loop_benchmark.plants.crane import GANTRY_CRANE
-from closed_loop_benchmark.plants.drives import DC_MOTOR, DC_MOTOR_BELT, TWO_MASS_DRIVE
-from closed_loop_benchmark.plants.electrical import BATTERY, RESONANT_CIRCUIT
-from closed_loop_benchmark.plants.hydraulic import HYDRAULIC_CYLINDER
-from closed_loop_benchmark.plants.kiln import KILN
-from closed_loop_benchmark.plants.mechanical import MASS_SPRING_DAMPER, PENDULUM, QUARTER_CAR
-from closed_loop_benchmark.plants.process import CASCADED_TANKS, STIRRED_TANK_REACTOR
-from closed_loop_benchmark.plants.thermal import ROOM, THERMAL_TWO_NODE
+from closed_loop_benchmark.balances import (
+    BATTERY,
+    CASCADED_TANKS,
+    CHEMOSTAT,
+    KILN,
+    PHARMACOKINETICS,
+    RESONANT_CIRCUIT,
+    ROOM,
+    STIRRED_TANK_REACTOR,
+    THERMAL_TWO_NODE,
+)
+from closed_loop_benchmark.mechanical import (
+    DC_MOTOR,
+    DC_MOTOR_BELT,
+    GANTRY_CRANE,
+    HYDRAULIC_CYLINDER,
+    MASS_SPRING_DAMPER,
+    PENDULUM,
+    QUARTER_CAR,
+    TWO_MASS_DRIVE,
+)
 from closed_loop_benchmark.system import Run, System
 
 __all__ = ["SYSTEMS", "Run", "System"]

@@ -2,8 +2,8 @@
 
 All runs of a system are integrated at once by the classic Runge-Kutta method with steps much
 shorter than the sampling interval. Inputs are linear between samples. Undeclared effects at inputs
-act on the signals beforehand, those at outputs afterwards, all others on the rates and parameters
-within each step.
+act on the signals beforehand, those at outputs afterwards, all others are hooked into the rates and
+parameters within each step.
 """
 
 from __future__ import annotations
@@ -13,9 +13,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from closed_loop_benchmark import hooks
 from closed_loop_benchmark.effect import Effect
-from closed_loop_benchmark.signal_forms import INPUT_FORMS, OUTPUT_FORMS
+from closed_loop_benchmark.forms import (
+    INPUT_FORMS,
+    MEMORIES,
+    OUTPUT_FORMS,
+    PARAMETER_LAWS,
+    RATE_LAWS,
+    Law,
+    Value,
+)
 from closed_loop_benchmark.system import Array, Run, System
 
 
@@ -95,7 +102,7 @@ def lay_out(
     halves = 2 * system.substeps  # the integration looks at the middle of each step too
     times = refine(system.times, halves)
     inputs = refine(np.stack([run.inputs for run in runs], axis=-1), halves)
-    for effect in (e for e in effects if e.kind == "input" and not hooks.acts_inside(e)):
+    for effect in (e for e in effects if e.kind == "input" and not acts_inside(e)):
         place, none = system.inputs.index(effect.targets[0]), np.zeros(0)
         inputs[:, place] = INPUT_FORMS[effect.form](effect.numbers, times, inputs[:, place], none)
     signals = refine(np.stack([run.signals for run in runs], axis=-1), halves)
@@ -128,15 +135,15 @@ def integrate(
         At every step: time first, runs last. Memories of effects stand behind the states; inputs
         are as they act on the system.
     """
-    active = hooks.make_hooks(system, effects)
+    active = make_hooks(system, effects)
     n_states, step = len(system.states), 2.0 * (course.times[1] - course.times[0])
 
-    def moment(place: int, x: Array) -> hooks.Moment:
+    def moment(place: int, x: Array) -> Moment:
         inputs, signals = list(course.inputs[place]), course.signals[place]
-        return hooks.Moment(course.times[place], x, inputs, signals, list(values))
+        return Moment(course.times[place], x, inputs, signals, list(values))
 
     def flow(place: int, x: Array) -> Array:
-        found = hooks.rates(system, active, moment(place, x))
+        found = rates(system, active, moment(place, x))
         found[:n_states] += course.pushes[place]
         return found
 
@@ -147,7 +154,7 @@ def integrate(
     outputs = np.empty((count, len(system.outputs), len(runs)))
     for n in range(count):
         now = moment(2 * n, x)
-        hooks.change_inputs_and_parameters(active, now)
+        change_inputs_and_parameters(active, now)
         states[n] = x
         inputs[n] = now.inputs
         outputs[n] = system.readings(x[:n_states], now.inputs, now.parameters)
@@ -163,3 +170,130 @@ def _step(flow: Callable[[int, Array], Array], place: int, x: Array, h: float) -
     k3 = flow(place + 1, x + 0.5 * h * k2)
     k4 = flow(place + 2, x + h * k3)
     return x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+
+
+SMALLEST_FACTOR = 0.02
+"""No effect may turn a parameter negative."""
+
+
+@dataclass
+class Moment:
+    """All values at one time, the states' memories behind the states; a column for each run."""
+
+    time: float
+    states: Array
+    inputs: list[Value]
+    signals: Array
+    parameters: list[Value]
+
+
+Reader = Callable[[Moment], Value]
+
+
+@dataclass(frozen=True)
+class Hook:
+    """An effect made ready for a system.
+
+    Attributes
+    ----------
+    effect, law
+        What acts, and how.
+    targets
+        Places of the input, the parameter or the states that it acts on.
+    first, second
+        Read the variables of the law.
+    memory
+        Row of the memory behind the states.
+    """
+
+    effect: Effect
+    law: Law
+    targets: tuple[int, ...]
+    first: Reader
+    second: Reader
+    memory: int
+
+    def value(self, moment: Moment) -> Value:
+        """Evaluate the law."""
+        z = moment.states[self.memory]
+        v, w = self.first(moment), self.second(moment)
+        return self.law(self.effect.numbers, moment.time, v, w, z)
+
+    def memory_rate(self, moment: Moment) -> Value:
+        """Evaluate the rate of the memory, which is zero for most."""
+        rate = MEMORIES.get(self.effect.form)
+        if rate is None:
+            return 0.0
+        return rate(self.effect.numbers, self.first(moment), moment.states[self.memory])
+
+
+def make_hooks(system: System, effects: Sequence[Effect]) -> list[Hook]:
+    """Return the hooks of those effects that act within a step."""
+    inside = [e for e in effects if acts_inside(e)]
+    return [_make_hook(system, e, len(system.states) + n) for n, e in enumerate(inside)]
+
+
+def acts_inside(effect: Effect) -> bool:
+    """Tell whether an effect depends on the states or changes their equations."""
+    return effect.kind in ("der", "pair", "parameter") or (
+        effect.kind == "input" and bool(effect.variable)
+    )
+
+
+def change_inputs_and_parameters(hooks: Sequence[Hook], moment: Moment) -> None:
+    """Let the effects at inputs and parameters act, in their order."""
+    for hook in hooks:
+        if hook.effect.kind == "input":
+            (place,) = hook.targets
+            moment.inputs[place] = moment.inputs[place] + hook.value(moment)
+        elif hook.effect.kind == "parameter":
+            (place,) = hook.targets
+            factor = np.maximum(1.0 + hook.value(moment), SMALLEST_FACTOR)
+            moment.parameters[place] = moment.parameters[place] * factor
+
+
+def rates(system: System, hooks: Sequence[Hook], moment: Moment) -> Array:
+    """Return the rates of all states and memories."""
+    change_inputs_and_parameters(hooks, moment)
+    own = moment.states[: len(system.states)]
+    found = np.zeros_like(moment.states)
+    for place, rate in enumerate(system.rates(own, moment.inputs, moment.parameters)):
+        found[place] = rate
+    for hook in hooks:
+        found[hook.memory] = hook.memory_rate(moment)
+        if hook.effect.kind in ("der", "pair"):
+            value = hook.value(moment)
+            for place, weight in zip(hook.targets, hook.effect.weights, strict=True):
+                found[place] += weight * value
+    return found
+
+
+def _make_hook(system: System, effect: Effect, memory: int) -> Hook:
+    law = (PARAMETER_LAWS if effect.kind == "parameter" else RATE_LAWS)[effect.form]
+    listed = {
+        "input": system.inputs,
+        "parameter": (*system.parameters, *system.constants),
+    }.get(effect.kind, system.states)
+    targets = tuple(listed.index(target) for target in effect.targets)
+    # A product at an input is one of the input itself and a variable.
+    second = effect.targets[0] if effect.kind == "input" else effect.second
+    return Hook(
+        effect, law, targets, reader(system, effect.variable), reader(system, second), memory
+    )
+
+
+def reader(system: System, name: str) -> Reader:
+    """Return a function that reads a state, input, signal or a difference "a-b" of two."""
+    if not name:
+        return lambda moment: 0.0
+    if "-" in name:
+        left, right = (reader(system, part) for part in name.split("-"))
+        return lambda moment: left(moment) - right(moment)
+    if name in system.states:
+        row = system.states.index(name)
+        return lambda moment: moment.states[row]
+    if name in system.inputs:
+        row = system.inputs.index(name)
+        return lambda moment: moment.inputs[row]
+    row = system.signals.index(name)
+    return lambda moment: moment.signals[row]

@@ -1,19 +1,13 @@
-"""Draw the shapes of the forms for the docs: what each makes of a signal, or adds.
-
-    python scripts/docs/form_pictures.py
-
-Writes cluster_est/docs/form_shapes.svg from the library's own equations, with coefficients that
-show the shape. The file has colours for a light and for a dark page.
-"""
+"""The picture of the forms: what each makes of a signal, or adds, by the library's equations."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import sympy as sp
+from docs.svg import document
 
 from cluster_est.closed_loop.candidates.own_states import own_states_of
 from workers.effects.expression import parse
@@ -21,21 +15,12 @@ from workers.effects.forms import FORMS, EffectForm
 from workers.effects.memory import MEMORIES, SampledSignal
 from workers.messages import FloatArray
 
-ROOT = Path(__file__).resolve().parents[2]
-OUT = ROOT / "cluster_est" / "docs" / "form_shapes.svg"
 COLUMNS, TILE, DRAWN, HEAD = 8, 104, 84, 34
 
 STYLE = """
-text { font: 11px system-ui, sans-serif; fill: var(--ink); text-anchor: middle; }
-.head { font: 600 13px system-ui, sans-serif; text-anchor: start; }
-svg { --ink: #24292f; --page: #ffffff; --rule: #d0d7de; --line: #0969da; --given: #8c959f; }
-@media (prefers-color-scheme: dark) {
-  svg { --ink: #e6edf3; --page: #0d1117; --rule: #3d444d; --line: #58a6ff; --given: #7d8590; }
-}
-.page { fill: var(--page); }
-.rule { stroke: var(--rule); fill: none; }
-.given { stroke: var(--given); stroke-width: 1.2; stroke-dasharray: 3 3; fill: none; }
-.line { stroke: var(--line); stroke-width: 2; fill: none; stroke-linejoin: round; }
+text { font-size: 11px; text-anchor: middle; }
+.head { font-size: 13px; text-anchor: start; }
+.given { stroke: var(--edge); stroke-width: 1.2; stroke-dasharray: 3 3; fill: none; }
 """
 
 Values = Mapping[str, float]
@@ -113,12 +98,6 @@ class Tile:
     without: FloatArray | None = None
 
 
-def main() -> None:
-    """Write the picture."""
-    OUT.write_text(picture(), encoding="utf-8")
-    print(OUT.relative_to(ROOT).as_posix(), f"{OUT.stat().st_size / 1e3:.0f} kB")
-
-
 def picture() -> str:
     """All groups of shapes as SVG."""
     parts, top = [], 0.0
@@ -129,14 +108,8 @@ def picture() -> str:
             row, column = divmod(number, COLUMNS)
             parts.append(drawn(tile, TILE * column, top + TILE * row))
         top += TILE * -(-len(tiles) // COLUMNS)
-    width, height = TILE * COLUMNS + 8, round(top + 8)
-    head = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" '
-        f'width="{width}" height="{height}" role="img">'
-    )
-    page = f'<rect class="page" width="{width}" height="{height}" rx="6"/>'
-    title = "<title>Shapes of the forms of effects</title>"
-    return "\n".join([head, title, f"<style>{STYLE}</style>", page, *parts, "</svg>"]) + "\n"
+    size = TILE * COLUMNS + 8, round(top + 8)
+    return document(size, "Shapes of the forms of effects", STYLE, parts)
 
 
 def groups() -> list[tuple[str, list[Tile]]]:
@@ -226,11 +199,7 @@ def drawn(tile: Tile, left: float, top: float) -> str:
     parts = [
         f'<path class="rule" d="M{across - 44} {middle}h88M{across} {middle - 38}v76"/>',
         "" if tile.without is None else path(tile.without, "given"),
-        path(tile.y, "line"),
+        path(tile.y, "line c0"),
         f'<text x="{across}" y="{top + TILE - 8:.0f}">{tile.name}</text>',
     ]
     return "\n".join(part for part in parts if part)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""Draw the pictures of five pages: costs, a cluster, a held input, segments, process noise.
+"""Draw the pictures of pages that need no run: costs, a cluster, a held input, segments, forms.
 
     python scripts/docs/page_pictures.py
 
@@ -13,7 +13,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from docs import cluster_picture, cost_picture, noise_picture, shooting_picture, step_picture
+from docs import cluster_picture, cost_picture, form_pictures, step_picture
+from docs.fit_pictures import noise_picture, shooting_picture
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "cluster_est" / "docs"
@@ -21,15 +22,15 @@ PICTURES = {
     "costs_and_limits": cost_picture.picture,
     "cluster_layout": cluster_picture.picture,
     "held_input": step_picture.picture,
-    "multiple_shooting": shooting_picture.picture,
-    "process_noise": noise_picture.picture,
+    "multiple_shooting": shooting_picture,
+    "process_noise": noise_picture,
 }
 """By the names of their files."""
 
 
 def main() -> None:
     """Write the pictures."""
-    for name, picture in PICTURES.items():
+    for name, picture in (PICTURES | {"form_shapes": form_pictures.picture}).items():
         path = DOCS / f"{name}.svg"
         path.write_text(picture(), encoding="utf-8")
         print(path.relative_to(ROOT).as_posix(), f"{path.stat().st_size / 1e3:.0f} kB")

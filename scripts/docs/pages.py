@@ -1,4 +1,8 @@
-"""The pages of the reference as Markdown, from the code: keys, forms, commands, Python."""
+"""The pages of the reference as Markdown, from the code: keys, forms, commands, Python.
+
+It is a hook of mkdocs: the pages are made at the time of the build. In the repository a page of the
+same name says so, so that links lead somewhere there too.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin
 
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
@@ -234,3 +240,21 @@ def cell(text: str) -> str:
 def _anchor(title: str) -> str:
     """As the toc extension makes it of a heading."""
     return re.sub(r"[^\w\s-]", "", title).strip().lower().replace(" ", "-")
+
+
+PAGES = {
+    "keys.md": keys_page,
+    "forms.md": forms_page,
+    "commands.md": commands_page,
+    "python.md": python_page,
+}
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Put them in the place of the files that only say where they are made."""
+    for name, page in PAGES.items():
+        stand_in = files.get_file_from_path(name)
+        if stand_in is not None:
+            files.remove(stand_in)
+        files.append(File.generated(config, name, content=page()))
+    return files

@@ -1,8 +1,8 @@
-"""What the pictures of the pages share: colours for a light and a dark page, text, axes."""
+"""What the pictures share: colours for a light and a dark page, text, axes, measured records."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -107,18 +107,55 @@ class Axes:
         """A line that keeps each value until the next."""
         return self.curve(np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1], kind)
 
-    def rules(self, ticks: Iterable[float]) -> list[str]:
+    def rules(
+        self, ticks: Iterable[float], shown: Callable[[float], str] = "{:g}".format
+    ) -> list[str]:
         """Horizontal lines with their numbers at the left."""
         found = []
         for tick in ticks:
             y = self.down(tick)
             found.append(f'<path class="rule" d="M{self.left} {y:.1f}H{self.right}"/>')
-            found.append(text(self.left - 8, y + 4, f"{tick:g}", anchor="end"))
+            found.append(text(self.left - 8, y + 4, shown(tick), anchor="end"))
         return found
 
-    def numbers(self, ticks: Iterable[float]) -> list[str]:
+    def numbers(
+        self, ticks: Iterable[float], shown: Callable[[float], str] = "{:g}".format
+    ) -> list[str]:
         """Numbers below the horizontal axis."""
         return [
-            text(self.across(tick), self.bottom + 18, f"{tick:g}", anchor="middle")
+            text(self.across(tick), self.bottom + 18, shown(tick), anchor="middle")
             for tick in ticks
         ]
+
+
+RECORD_STYLE = """
+.measured { stroke: var(--ink); stroke-width: 3.4; stroke-linecap: round; fill: none; }
+.thin { stroke-width: 1.6; fill: none; }
+.dashed { stroke-dasharray: 6 3; }
+"""
+
+
+def legend(x: float, y: float, curves: Mapping[str, str], apart: float) -> list[str]:
+    """What the curves of a record are: dots are measured, then names by the kind of a curve."""
+    parts = [f'<path class="measured" d="M{x} {y - 5}h0m8 0h0m8 0h0"/>']
+    parts.append(text(x + 26, y, "measured", "plain"))
+    for number, (kind, name) in enumerate(curves.items()):
+        at = x + 112 + apart * number
+        parts.append(f'<path class="{kind}" d="M{at} {y - 5}h22"/>')
+        parts.append(text(at + 28, y, name, "plain"))
+    return parts
+
+
+def record(
+    upper: Axes,
+    lower: Axes,
+    times: FloatArray,
+    measured: FloatArray,
+    curves: Mapping[str, FloatArray],
+) -> list[str]:
+    """What was measured with the curves through it, and below what each of them leaves of it."""
+    return [
+        upper.dots(times, measured, "measured"),
+        *(upper.curve(times, values, kind) for kind, values in curves.items()),
+        *(lower.curve(times, measured - values, kind) for kind, values in curves.items()),
+    ]

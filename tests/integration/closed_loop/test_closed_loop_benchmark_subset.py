@@ -3,9 +3,8 @@
 from functools import cache
 
 import pytest
-from closed_loop_benchmark.data import Data, make
+from closed_loop_benchmark.data import Data, make, make_problem
 from closed_loop_benchmark.naming import compare, normal
-from closed_loop_benchmark.problem import make_problem
 from closed_loop_benchmark.scenarios import subset
 
 import cluster_est as ce

@@ -4,9 +4,8 @@ import itertools
 from pathlib import Path
 
 import pytest
-from fuzzing.base import CHECK, FIT, Input
+from fuzzing.base import CHECK, FIT, Input, judge, write
 from fuzzing.inputs import INPUTS
-from fuzzing.judge import judge, write
 from hypothesis import HealthCheck, given, settings
 
 

@@ -4,8 +4,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from docs.picture import picture
-from docs.report_pictures import pictures
+from docs.run_pictures import closed_loop, pictures
 from support.problems.springs import ROOT
 
 from cluster_est.cli import main
@@ -68,7 +67,7 @@ def test_the_pictures_are_drawn_from_the_run(run):
     docs = ROOT / "cluster_est" / "docs"
     committed = (docs / "closed_loop.svg").read_text(encoding="utf-8")
     for said in ("found: der(v) += -k * tanh(v / width)", "0.0337 before, 0.0018 after"):
-        assert said in picture(run)
+        assert said in closed_loop(run)
         assert said in committed
     drawn = dict(pictures(run))
     assert sorted(drawn) == ["report_curves", "report_errors", "report_search", "report_shape"]

@@ -1,8 +1,8 @@
 from itertools import product
 
-import bench_coverage
 import numpy as np
 import pytest
+from benches import coverage
 from support.problems.springs import FMU, TRUE, spring_problem
 from support.thinning import thinned
 from support.truth.exact_linear import position
@@ -114,10 +114,10 @@ class TestCoverage:
     experiments, 217 to 237 do with one of 0.998; intervals half as wide again hold 239."""
 
     def test_of_intervals_from_derivatives(self):
-        hits, _ = bench_coverage.covariance_hits(60)
+        hits, _ = coverage.covariance_hits(60)
         assert sum(hits["x0"]) <= 237
         assert sum(hits["x0"]) >= 217
         binomial(hits, 50 / 60, 1.0)
 
     def test_of_profiles(self):
-        binomial(bench_coverage.profile_hits(20, experiments=2, samples=40), 15 / 20, 1.0)
+        binomial(coverage.profile_hits(20, experiments=2, samples=40), 15 / 20, 1.0)

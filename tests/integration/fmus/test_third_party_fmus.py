@@ -3,10 +3,10 @@
 import fmpy
 import numpy as np
 import pytest
-from fmu_trials.curve import compare_curves, trial
 from scipy.integrate import solve_ivp
 from support.simulated import answers
 from support.third_party import third_party_fmus
+from try_fmus import compare_curves, trial
 
 from workers.fmu.description import describe
 from workers.messages import Experiment, Input, Limits, Model, Output, Solver, Task

@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from closed_loop_benchmark.data import draw_noise, make
-from closed_loop_benchmark.effect import Effect, Name, names
-from closed_loop_benchmark.effects import OUTSIDE, PAIRS, SINGLE, TEXTBOOK
+from closed_loop_benchmark.effect import OUTSIDE, PAIRS, SINGLE, TEXTBOOK, Effect, Name, names
+from closed_loop_benchmark.forms import backlash, delay, hysteresis, lag, mode, rate_limit
 from closed_loop_benchmark.scenarios import Noise, all_scenarios, singles
-from closed_loop_benchmark.signal_forms import backlash, delay, hysteresis, lag, mode, rate_limit
 from closed_loop_benchmark.system import Array, Run, System
 from closed_loop_benchmark.systems import SYSTEMS
 from closed_loop_benchmark.truth import simulate

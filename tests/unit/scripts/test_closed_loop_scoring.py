@@ -4,19 +4,15 @@ from math import comb, nan
 
 import pytest
 from closed_loop_benchmark import figures
-from closed_loop_benchmark.comparison import compare_runs, holds
-from closed_loop_benchmark.coverage import coverage
-from closed_loop_benchmark.data import Data, make
-from closed_loop_benchmark.effect import Name
-from closed_loop_benchmark.effects import SINGLE
-from closed_loop_benchmark.likely import has_probabilities, holds_truth
+from closed_loop_benchmark.data import Data, make, make_problem
+from closed_loop_benchmark.effect import SINGLE, Name
+from closed_loop_benchmark.figures import has_probabilities, holds_truth
 from closed_loop_benchmark.naming import compare, normal
 from closed_loop_benchmark.oracle import ask, translate, true_values, with_effects
-from closed_loop_benchmark.page import page
-from closed_loop_benchmark.problem import make_problem
 from closed_loop_benchmark.scenarios import all_scenarios
-from closed_loop_benchmark.scoring import Score, blank, score
+from closed_loop_benchmark.scoring import Score, blank, coverage, score
 from closed_loop_benchmark.systems import SYSTEMS
+from closed_loop_benchmark.tables import compare_runs, holds, page
 from support.thinning import thinned
 
 import cluster_est as ce

@@ -2,9 +2,25 @@ import math
 import tomllib
 
 import pytest
-from measured_league.cases import all_cases, changed, textbook_config
-from measured_league.convert import CONVERSIONS, convert, with_logarithm
-from measured_league.figures import (
+from measured_league.cases import (
+    CONVERSIONS,
+    all_cases,
+    changed,
+    convert,
+    textbook_config,
+    with_logarithm,
+)
+from measured_league.page import (
+    CaseJudgements,
+    Judgement,
+    Rightness,
+    made_worse,
+    near_textbook,
+    page_text,
+    read_judgements,
+    says_so,
+)
+from measured_league.runs import (
     CaseFigures,
     LoopFigures,
     NamedEffect,
@@ -12,8 +28,6 @@ from measured_league.figures import (
     effect_name,
     pooled,
 )
-from measured_league.judging import CaseJudgements, Judgement, Rightness, read_judgements
-from measured_league.page import made_worse, near_textbook, page_text, says_so
 
 from cluster_est.config.reader import parse_config
 

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from bench_progress import CASES, Case, run
+from benches.progress import CASES, Case, run
 
 from cluster_est.methods import METHODS
 

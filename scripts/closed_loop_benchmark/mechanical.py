@@ -1,0 +1,371 @@
+"""Systems that move: masses and a pendulum, drives, a crane, a hydraulic cylinder."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from closed_loop_benchmark import waveforms as wave
+from closed_loop_benchmark.system import Array, Role, Run, System, Values, make_run, measured
+
+
+def spring_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
+    """Newton's law for a mass on a spring and a damper."""
+    (position, velocity), (force,), (mass, stiffness, damping) = x, u, p
+    return velocity, (force - stiffness * position - damping * velocity) / mass
+
+
+def spring_runs(time: Array, random: np.random.Generator) -> list[Run]:
+    """Excite around the resonance at 0.8 Hz, strongly and gently."""
+    rest = {"x": 0.0, "v": 0.0}
+    return [
+        make_run("multisine", "train", [6.0 * wave.multisine(time, random, 0.1, 2.0)], rest),
+        make_run("held steps", "train", [4.0 * wave.held(time, random, 1.0)], rest),
+        make_run("chirp", "train", [2.0 * wave.chirp(time, 0.1, 2.0)], rest),
+        make_run("binary", "train", [5.0 * wave.binary(time, random, 0.4)], rest),
+        make_run("triangle", "test", [5.0 * wave.triangle(time, 1.7)], rest),
+        make_run("noise", "test", [4.0 * wave.noise(time, random, 1.0)], rest),
+    ]
+
+
+MASS_SPRING_DAMPER = System(
+    name="mass_spring_damper",
+    split="tune",
+    states=("x", "v"),
+    inputs=("F",),
+    outputs=("y",),
+    parameters={"m": 1.2, "k": 30.0, "c": 0.6},
+    rates=spring_rates,
+    readings=measured(0),
+    interval=0.02,
+    samples=500,
+    excitation=spring_runs,
+    drives=(("F", "v"),),
+)
+
+
+def pendulum_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
+    """Angular momentum about the pivot."""
+    (angle, speed), (torque,), (inertia, gravity, friction) = x, u, p
+    return speed, (torque - gravity * np.sin(angle) - friction * speed) / inertia
+
+
+def pendulum_runs(time: Array, random: np.random.Generator) -> list[Run]:
+    """Excite around the swing at 0.7 Hz, up to about one radian."""
+    rest, swung = {"angle": 0.0, "speed": 0.0}, {"angle": 0.5, "speed": 0.0}
+    return [
+        make_run("multisine", "train", [0.45 * wave.multisine(time, random, 0.1, 1.5)], rest),
+        make_run("held steps", "train", [0.9 * wave.held(time, random, 1.2)], rest),
+        make_run("chirp", "train", [0.3 * wave.chirp(time, 0.1, 1.5)], swung),
+        make_run("binary", "train", [0.25 * wave.binary(time, random, 0.3)], rest),
+        make_run("triangle", "test", [0.6 * wave.triangle(time, 2.9)], rest),
+        make_run("noise", "test", [0.35 * wave.noise(time, random, 0.9)], swung),
+    ]
+
+
+PENDULUM = System(
+    name="pendulum",
+    split="tune",
+    states=("angle", "speed"),
+    inputs=("torque",),
+    outputs=("y",),
+    parameters={"J": 0.11, "G": 2.1, "b": 0.05},
+    rates=pendulum_rates,
+    readings=measured(0),
+    interval=0.04,
+    samples=400,
+    excitation=pendulum_runs,
+    drives=(("torque", "speed"),),
+)
+
+
+def car_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
+    """Newton's law for body and wheel; `lift` is what the suspension does to the body."""
+    body, body_speed, wheel, wheel_speed = x
+    wheel_mass, spring, damper, tyre, body_mass = p
+    lift = spring * (wheel - body) + damper * (wheel_speed - body_speed)
+    grip = tyre * (u[0] - wheel)
+    return body_speed, lift / body_mass, wheel_speed, (grip - lift) / wheel_mass
+
+
+def car_readings(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
+    """Measure the velocity of the body and the travel of the suspension."""
+    return x[1], x[0] - x[2]
+
+
+def car_runs(time: Array, random: np.random.Generator) -> list[Run]:
+    """Drive over roads with bumps of centimetres, up to the wheel's hop at 10 Hz."""
+    rest = dict.fromkeys(("z_body", "v_body", "z_wheel", "v_wheel"), 0.0)
+    return [
+        make_run("multisine", "train", [0.03 * wave.multisine(time, random, 0.4, 8.0, 20)], rest),
+        make_run("ramps", "train", [0.06 * wave.ramps(time, random, 0.12)], rest),
+        make_run("chirp", "train", [0.012 * wave.chirp(time, 0.5, 12.0)], rest),
+        make_run("noise", "train", [0.05 * wave.noise(time, random, 2.0)], rest),
+        make_run("triangle", "test", [0.05 * wave.triangle(time, 0.7)], rest),
+        make_run("gentle noise", "test", [0.03 * wave.noise(time, random, 3.0)], rest),
+    ]
+
+
+QUARTER_CAR = System(
+    name="quarter_car",
+    split="report",
+    states=("z_body", "v_body", "z_wheel", "v_wheel"),
+    inputs=("road",),
+    outputs=("velocity", "travel"),
+    parameters={"m_wheel": 36.0, "k_spring": 1.8e4, "c_damper": 1.4e3, "k_tyre": 1.7e5},
+    constants={"m_body": 300.0},
+    rates=car_rates,
+    readings=car_readings,
+    interval=0.01,
+    samples=500,
+    excitation=car_runs,
+    drives=(("road", "v_wheel"),),
+)
+
+
+def motor_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
+    """Kirchhoff's law for the armature, Newton's for the rotor."""
+    (current, speed), (voltage,), (resistance, inductance, constant, inertia, friction) = x, u, p
+    back_emf = constant * speed
+    return (
+        (voltage - resistance * current - back_emf) / inductance,
+        (constant * current - friction * speed) / inertia,
+    )
+
+
+def motor_runs(time: Array, random: np.random.Generator) -> list[Run]:
+    """Reverse the motor often, at large and small voltages."""
+    rest = {"i": 0.0, "w": 0.0}
+    return [
+        make_run("multisine", "train", [7.0 * wave.multisine(time, random, 0.5, 10.0)], rest),
+        make_run("held steps", "train", [10.0 * wave.held(time, random, 0.15)], rest),
+        make_run("binary", "train", [3.0 * wave.binary(time, random, 0.06)], rest),
+        make_run("noise", "train", [6.0 * wave.noise(time, random, 4.0)], rest),
+        make_run("triangle", "test", [8.0 * wave.triangle(time, 0.5)], rest),
+        make_run("chirp", "test", [5.0 * wave.chirp(time, 0.5, 8.0)], rest),
+    ]
+
+
+DC_MOTOR = System(
+    name="dc_motor",
+    split="tune",
+    states=("i", "w"),
+    inputs=("V",),
+    outputs=("current", "speed"),
+    parameters={"R": 1.1, "L": 0.012, "K": 0.055, "J": 4.5e-4, "b": 2.5e-4},
+    rates=motor_rates,
+    readings=measured(0, 1),
+    interval=4e-3,
+    samples=500,
+    excitation=motor_runs,
+    drives=(("V", "i"),),
+)
+
+
+def belt_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
+    """Motor and load, each pulling at the belt."""
+    current, motor, twist, load = x
+    voltage, brake = u
+    resistance, inductance, constant, rotor, rotor_friction, spring, damper, mass, friction = p
+    pull = spring * twist + damper * (motor - load)
+    return (
+        (voltage - resistance * current - constant * motor) / inductance,
+        (constant * current - rotor_friction * motor - pull) / rotor,
+        motor - load,
+        (pull - friction * load - brake) / mass,
+    )
+
+
+def belt_runs(time: Array, random: np.random.Generator) -> list[Run]:
+    """Drive and brake at once."""
+    rest = dict.fromkeys(("i", "w_motor", "twist", "w_load"), 0.0)
+    brake = 0.08 * wave.held(time, random, 0.25)
+    stir = 0.05 * wave.multisine(time, random, 0.5, 15.0)
+    return [
+        make_run(
+            "multisine", "train", [7.0 * wave.multisine(time, random, 0.5, 25.0, 20), brake], rest
+        ),
+        make_run("held steps", "train", [9.0 * wave.held(time, random, 0.15), stir], rest),
+        make_run("binary", "train", [3.0 * wave.binary(time, random, 0.05), brake[::-1]], rest),
+        make_run("noise", "train", [6.0 * wave.noise(time, random, 5.0), stir[::-1]], rest),
+        make_run("triangle", "test", [8.0 * wave.triangle(time, 0.4), 0.5 * brake], rest),
+        make_run("chirp", "test", [5.0 * wave.chirp(time, 0.5, 12.0), stir - brake], rest),
+    ]
+
+
+DC_MOTOR_BELT = System(
+    name="dc_motor_belt",
+    split="tune",
+    states=("i", "w_motor", "twist", "w_load"),
+    inputs=("V", "T_load"),
+    outputs=("current", "speed", "load_speed"),
+    parameters={
+        "R": 1.1,
+        "L": 6e-3,
+        "K": 0.055,
+        "J_motor": 1.1e-4,
+        "b_motor": 1e-4,
+        "k_belt": 1.8,
+        "d_belt": 6e-3,
+        "J_load": 4.5e-4,
+        "b_load": 4e-4,
+    },
+    rates=belt_rates,
+    readings=measured(0, 1, 3),
+    interval=4e-3,
+    samples=500,
+    excitation=belt_runs,
+    drives=(("V", "i"), ("T_load", "w_load")),
+)
+
+
+def shaft_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
+    """Two inertias that twist a shaft."""
+    (twist, motor, load), (torque,) = x, u
+    motor_inertia, load_inertia, spring, damper, motor_friction, load_friction = p
+    slip = motor - load
+    through = spring * twist + damper * slip
+    return (
+        slip,
+        (torque - motor_friction * motor - through) / motor_inertia,
+        (through - load_friction * load) / load_inertia,
+    )
+
+
+def shaft_runs(time: Array, random: np.random.Generator) -> list[Run]:
+    """Excite up to the torsional resonance at 6 Hz."""
+    rest = {"twist": 0.0, "w_motor": 0.0, "w_load": 0.0}
+    return [
+        make_run("multisine", "train", [3.0 * wave.multisine(time, random, 0.3, 8.0, 20)], rest),
+        make_run("held steps", "train", [4.0 * wave.held(time, random, 0.3)], rest),
+        make_run("binary", "train", [1.2 * wave.binary(time, random, 0.1)], rest),
+        make_run("noise", "train", [3.0 * wave.noise(time, random, 2.0)], rest),
+        make_run("triangle", "test", [3.5 * wave.triangle(time, 0.9)], rest),
+        make_run("chirp", "test", [2.0 * wave.chirp(time, 0.3, 6.0)], rest),
+    ]
+
+
+TWO_MASS_DRIVE = System(
+    name="two_mass_drive",
+    split="report",
+    states=("twist", "w_motor", "w_load"),
+    inputs=("torque",),
+    outputs=("motor_speed", "load_speed"),
+    parameters={
+        "J_motor": 0.022,
+        "J_load": 0.045,
+        "k_shaft": 22.0,
+        "d_shaft": 0.06,
+        "b_motor": 0.015,
+        "b_load": 0.045,
+    },
+    rates=shaft_rates,
+    readings=measured(1, 2),
+    interval=0.01,
+    samples=500,
+    excitation=shaft_runs,
+    drives=(("torque", "w_motor"),),
+)
+
+
+GRAVITY = 9.81
+
+
+def crane_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
+    """Newton's law for the trolley and, along the rope's normal, for the load."""
+    (_, speed, angle, turning), (force,) = x, u
+    trolley, load, rope, friction, damping = p
+    sine, cosine = np.sin(angle), np.cos(angle)
+    joint = damping * turning / rope
+    driven = (
+        force
+        - friction * speed
+        + load * rope * turning**2 * sine
+        + load * GRAVITY * sine * cosine
+        + joint * cosine
+    )
+    acceleration = driven / (trolley + load * sine**2)
+    swing = -(acceleration * cosine + GRAVITY * sine + joint / load) / rope
+    return speed, acceleration, turning, swing
+
+
+def crane_runs(time: Array, random: np.random.Generator) -> list[Run]:
+    """Drive to and fro, slowly and near the frequency of the swing, 0.6 Hz."""
+    rest = dict.fromkeys(("x", "v", "phi", "w"), 0.0)
+
+    def run(waveform: str, role: Role, force: Array, angle: float = 0.0) -> Run:
+        # without a mean, or the trolley would leave the rail
+        return make_run(waveform, role, [force - force.mean()], {**rest, "phi": angle})
+
+    return [
+        run("multisine", "train", 14.0 * wave.multisine(time, random, 0.1, 2.0)),
+        run("held steps", "train", 16.0 * wave.held(time, random, 0.8)),
+        run("binary", "train", 8.0 * wave.binary(time, random, 0.4), 0.25),
+        run("noise", "train", 12.0 * wave.noise(time, random, 1.0)),
+        run("triangle", "test", 14.0 * wave.triangle(time, 2.7), 0.25),
+        run("chirp", "test", 12.0 * wave.chirp(time, 0.1, 2.0)),
+    ]
+
+
+GANTRY_CRANE = System(
+    name="gantry_crane",
+    split="tune",
+    states=("x", "v", "phi", "w"),
+    inputs=("F",),
+    outputs=("position", "angle"),
+    parameters={
+        "m_trolley": 6.0,
+        "m_load": 2.0,
+        "l_rope": 0.8,
+        "b_trolley": 8.0,
+        "d_pivot": 0.05,
+    },
+    rates=crane_rates,
+    readings=measured(0, 2),
+    interval=0.02,
+    samples=500,
+    excitation=crane_runs,
+)
+
+
+def cylinder_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
+    """Newton's law for the mass, and the oil's compression; pressures in MPa."""
+    (position, speed, pressure), (opening, load) = x, u
+    mass, friction, spring, oil, gain, area, supply = p
+    flow = gain * opening * np.sqrt(np.maximum(supply - np.sign(opening) * pressure, 0.0))
+    force = 1e6 * area * pressure - load - friction * speed - spring * position
+    return speed, force / mass, oil * (flow - area * speed)
+
+
+def cylinder_runs(time: Array, random: np.random.Generator) -> list[Run]:
+    """Move the valve slowly and quickly, against a force that changes."""
+    rest = dict.fromkeys(("x", "v", "p"), 0.0)
+
+    def run(waveform: str, role: Role, opening: Array) -> Run:
+        return make_run(waveform, role, [opening, 400.0 * wave.held(time, random, 0.4)], rest)
+
+    return [
+        run("multisine", "train", 0.6 * wave.multisine(time, random, 0.5, 8.0)),
+        run("held steps", "train", 0.9 * wave.held(time, random, 0.12)),
+        run("binary", "train", 0.45 * wave.binary(time, random, 0.08)),
+        run("noise", "train", 0.6 * wave.noise(time, random, 3.0)),
+        run("triangle", "test", 0.8 * wave.triangle(time, 0.45)),
+        run("chirp", "test", 0.6 * wave.chirp(time, 0.5, 8.0)),
+    ]
+
+
+HYDRAULIC_CYLINDER = System(
+    name="hydraulic_cylinder",
+    split="report",
+    states=("x", "v", "p"),
+    inputs=("u", "F_load"),
+    outputs=("position", "pressure"),
+    parameters={"mass": 50.0, "b": 800.0, "k": 2e4, "E": 1.25e5, "q": 1.4e-4},
+    constants={"area": 1.2e-3, "p_supply": 7.0},
+    rates=cylinder_rates,
+    readings=measured(0, 2),
+    interval=5e-3,
+    samples=500,
+    excitation=cylinder_runs,
+    drives=(("F_load", "v"),),
+    substeps=20,
+)

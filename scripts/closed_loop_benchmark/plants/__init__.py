@@ -1,1 +1,0 @@
-"""The systems of the benchmark, a file for each field of engineering."""

@@ -1,1 +1,0 @@
-"""Trials of FMUs from elsewhere: check, curve and fit of each, in processes of their own."""
