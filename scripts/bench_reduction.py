@@ -19,9 +19,9 @@ from typing import ClassVar
 from bench_sensitivities import make_problem
 from fmus.build import build
 
-from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.fit import fit
 from cluster_est.methods.populations.differential_evolution import DifferentialEvolution
+from cluster_est.problem.costs import SumSquared
 from cluster_est.running.records import Budget
 from cluster_est.running.resources import Resources
 from workers.messages import Reduction

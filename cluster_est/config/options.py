@@ -6,13 +6,12 @@ import dataclasses
 from typing import Any, TypeVar, get_type_hints
 
 from cluster_est.config.reader import Config
-from cluster_est.costs import ALIASES as COST_ALIASES
-from cluster_est.costs import COSTS, Cost
-from cluster_est.costs.total import TotalCost
 from cluster_est.errors import ConfigError, ProblemError
 from cluster_est.methods import ALIASES, METHODS, Method
 from cluster_est.plug_in import check_option
-from cluster_est.priors import PRIORS, Prior
+from cluster_est.problem.costs import ALIASES as COST_ALIASES
+from cluster_est.problem.costs import COSTS, Cost, TotalCost
+from cluster_est.problem.priors import PRIORS, Prior
 from cluster_est.running.resources import Resources
 from workers.fmu.description import nearest
 from workers.messages import Limits

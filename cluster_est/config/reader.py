@@ -43,11 +43,11 @@ from cluster_est.config.sections.sections import (
 )
 from cluster_est.config.sections.value_files import VALUE_FILES, with_values_of_files
 from cluster_est.config.text import override, unfilled
-from cluster_est.costs import ALIASES as COST_ALIASES
-from cluster_est.costs import COSTS
 from cluster_est.errors import ConfigError
 from cluster_est.executors import EXECUTORS
 from cluster_est.methods import ALIASES, METHODS
+from cluster_est.problem.costs import ALIASES as COST_ALIASES
+from cluster_est.problem.costs import COSTS
 from cluster_est.problem.tables.measured import (
     missing_time,
     relative_without_sigma,

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from cluster_est.config.reader import Config
-from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.preflight.subject import CheckFinding, CheckVerdict, listed
+from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.idle_inputs import driven_or_constant, idle_inputs, stays
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.tables.jumps import after_jumps, jump_findings, samples_after

@@ -6,7 +6,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import minimize_scalar
 from scipy.stats import norm
 
-from cluster_est.costs import ALIASES, COSTS
+from cluster_est.problem.costs import ALIASES, COSTS
 
 # "rho(z)" as the documentation of scipy.optimize.least_squares writes them
 RHO = {

@@ -5,13 +5,13 @@ import pytest
 from support.problems.curves import Curves
 from support.problems.seen_springs import with_outputs
 
-from cluster_est.costs import COSTS
 from cluster_est.errors import ProblemError
 from cluster_est.fit import FitPlan, check_search
 from cluster_est.methods import METHODS
 from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.priors import LogNormalPrior, NormalPrior
+from cluster_est.problem.costs import COSTS
 from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.priors import LogNormalPrior, NormalPrior
 from cluster_est.uncertainty import UncertaintySettings, examine, linearise, profiles
 
 TIMES = np.linspace(0.0, 1.0, 400)
