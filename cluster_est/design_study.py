@@ -11,7 +11,8 @@ from typing import Any
 
 from cluster_est.config.build import build_problem
 from cluster_est.config.limits_file import read_limits, with_named_targets
-from cluster_est.config.reader import Config, EffectSection, read_config
+from cluster_est.config.reader import read_config
+from cluster_est.config.sections import Config, EffectSection
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.experiment_design.design import make_design
 from cluster_est.experiment_design.findings.result import DesignResult

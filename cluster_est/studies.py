@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cluster_est.config.build import build_problem
-from cluster_est.config.options import build_method, build_resources
-from cluster_est.config.reader import Config, read_config
+from cluster_est.config.choices import build_method, build_resources
+from cluster_est.config.reader import read_config
+from cluster_est.config.sections import Config
 from cluster_est.errors import BudgetError, ProblemError, UnwritableError
 from cluster_est.fit import FitPlan, check_search, fit_in
 from cluster_est.problem.search_space.space import make_space

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from cluster_est.config.build import build_problem
-from cluster_est.config.options import build_method, build_resources
+from cluster_est.config.choices import build_method, build_resources
 from cluster_est.config.reader import read_config
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import SearchSpace, make_space

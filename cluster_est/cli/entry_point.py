@@ -23,7 +23,7 @@ from cluster_est.cli.commands import run_command
 from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.parent_process import address_space, end, tell_of_fmu
 from cluster_est.cli.parser import parse
-from cluster_est.config.text import with_lines
+from cluster_est.config.config_text import with_lines
 from cluster_est.errors import ClusterEstError
 from cluster_est.running.interrupts import terminations
 from workers import caches

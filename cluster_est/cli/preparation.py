@@ -11,8 +11,8 @@ from rich.console import Console
 from cluster_est.cli.display.run import number, print_table, say
 from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.terminal import complain, say_if_compiled_first
-from cluster_est.config.options import build_resources
-from cluster_est.config.reader import Config
+from cluster_est.config.choices import build_resources
+from cluster_est.config.sections import Config
 from cluster_est.drafting.mismatches import unit_mismatches
 from cluster_est.errors import ModelError
 from cluster_est.preflight import (

@@ -15,7 +15,7 @@ from rich.console import Console
 from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.terminal import complain
 from cluster_est.config.build import build_problem
-from cluster_est.config.options import build_resources
+from cluster_est.config.choices import build_resources
 from cluster_est.config.reader import read_config
 from cluster_est.errors import RunFolderError
 from cluster_est.fit import simulate as run_simulate

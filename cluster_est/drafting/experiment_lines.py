@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
-from cluster_est.config.text import FILL_IN
+from cluster_est.config.config_text import FILL_IN
 from cluster_est.drafting.candidates import MOST_LISTED, ParameterCandidate
 from cluster_est.drafting.columns import TIMES, TableColumn, fold, split_unit
 from cluster_est.drafting.draft import ConfigDraft, DraftExperiment

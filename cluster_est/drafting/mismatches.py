@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from cluster_est.config.reader import Config
+from cluster_est.config.sections import Config
 from cluster_est.drafting.columns import split_suffix, split_unit
 from cluster_est.problem.tables.units import UnitConversion, conversion, same_unit
 from workers.fmu.description import ModelDescription

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from cluster_est.config.build import build_problem
-from cluster_est.config.reader import EffectSection, parse_config
+from cluster_est.config.reader import parse_config
+from cluster_est.config.sections import EffectSection
 from cluster_est.errors import RunFolderError
 from cluster_est.export.repaired_model import EstimatedValue, RepairedModel, ReportedError
 from cluster_est.problem.parameter import Parameter

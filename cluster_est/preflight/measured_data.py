@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.config.reader import Config
+from cluster_est.config.sections import Config
 from cluster_est.preflight.subject import CheckFinding, CheckVerdict, listed
 from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.idle_inputs import driven_or_constant, idle_inputs, stays

@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from cluster_est.config.build import build_problem
-from cluster_est.config.options import build_resources
+from cluster_est.config.choices import build_resources
 from cluster_est.config.reader import read_config
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.executors.log_replay import simulation_key

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cluster_est.config.options import build_resources
+from cluster_est.config.choices import build_resources
 from cluster_est.errors import (
     ClusterEstError,
     ConfigError,

@@ -17,7 +17,7 @@ from support.problems.springs import ROOT
 import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.cli.parser import parse
-from cluster_est.config.options import build_method
+from cluster_est.config.choices import build_method
 from cluster_est.config.reader import parse_config
 from cluster_est.methods import METHODS
 from cluster_est.problem.costs import COSTS

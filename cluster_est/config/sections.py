@@ -1,4 +1,4 @@
-"""Every key of a config file, once: its type, its default and a line that says what it is."""
+"""The keys of a config, section by section, as pydantic models."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, PrivateAttr, Strict
 from pydantic_core import PydanticCustomError
 
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.config.sections.experiment import ExperimentDefaultsSection, ExperimentSection
+from cluster_est.config.experiment_keys import ExperimentDefaultsSection, ExperimentSection
 from cluster_est.executors import EXECUTORS
 from cluster_est.problem.costs import COSTS
 from cluster_est.problem.effects.table_values import Monotone
@@ -34,7 +34,9 @@ def _level(value: Any) -> Any:
 
 
 Level = Annotated[list[Pair], BeforeValidator(_level)]
-Name = Annotated[str, Field(min_length=1)]
+
+TimeBase = Literal["measured", "union", "simulated", "both"]
+Normalise = Literal["sigma", "max", "range"]
 
 
 class CostSection(ConfigSection):
@@ -47,7 +49,7 @@ class CostSection(ConfigSection):
         description='"module:name" of a Python function whose numbers take the place of the '
         "residuals; needs --allow-code",
     )
-    time_base: Literal["measured", "union", "simulated", "both"] = Field(
+    time_base: TimeBase = Field(
         "measured",
         description="measured: each output at its own times; union: at the times of all outputs; "
         "simulated: every step seconds; both: union and simulated",
@@ -55,7 +57,7 @@ class CostSection(ConfigSection):
     step: Finite | None = Field(
         None, gt=0.0, description="seconds of the simulated time base; default: model.step"
     )
-    normalise: Literal["sigma", "max", "range"] = Field(
+    normalise: Normalise = Field(
         "sigma",
         description="what residuals are divided by: sigma, or the measured signal's largest "
         "absolute value or range",

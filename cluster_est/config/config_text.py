@@ -1,4 +1,4 @@
-"""The text of a config: where keys stand, what replaces them, what is said of them."""
+"""The text of a config: read as TOML, its keys with their lines, what replaces them."""
 
 from __future__ import annotations
 
@@ -11,6 +11,45 @@ from typing import Any
 
 from cluster_est.errors import ConfigError
 from workers.fmu.description import nearest
+
+
+def read_toml(path: Path, missing: str) -> tuple[str, dict[str, Any]]:
+    """Return the text of a file and the tree that it is.
+
+    Parameters
+    ----------
+    path
+        Of a config, a sweep or limits.
+    missing
+        Opens the message where there is no such file.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read, or is not TOML.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        return text, tomllib.loads(text)
+    except FileNotFoundError:
+        raise ConfigError(f"{missing} {path}; check the path") from None
+    except UnicodeDecodeError as error:
+        if path.suffix.lower() == ".fmu":
+            raise ConfigError(
+                f"{path}: must be a config but is an FMU; write one with cluster-est init"
+            ) from None
+        raise ConfigError(
+            f"{path}: must be text in UTF-8 but is not ({error.reason} at byte {error.start}); "
+            "save it as UTF-8"
+        ) from None
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: must be a file that can be read but cannot be ({error.strerror}); check "
+            "the path"
+        ) from error
+    except (ValueError, RecursionError) as error:  # tomllib lets more out than its own error
+        raise ConfigError(f"{path}: must be TOML but is not: {error}; mend that line") from None
+
 
 _NAME = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""
 _KEY = rf"{_NAME}(?:\s*\.\s*{_NAME})*"

@@ -1,11 +1,14 @@
-"""Method, cost and resources of a config."""
+"""What a config chooses by name: method, cost, priors, resources, and Python functions."""
 
 from __future__ import annotations
 
 import dataclasses
+import re
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
-from cluster_est.config.reader import Config
+from cluster_est.config.sections import Config
 from cluster_est.errors import ConfigError, ProblemError
 from cluster_est.methods import ALIASES, METHODS, Method
 from cluster_est.plug_in import check_option
@@ -14,8 +17,9 @@ from cluster_est.problem.costs import COSTS, Cost, TotalCost
 from cluster_est.problem.priors import PRIORS, Prior
 from cluster_est.running.resources import Resources
 from workers.fmu.description import nearest
-from workers.messages import Limits
+from workers.messages import Limits, UserFunction
 from workers.messages.checks import shown
+from workers.residuals.functions import load
 
 
 def build_resources(config: Config) -> Resources:
@@ -94,3 +98,54 @@ def _with_options(kind: type[Kind], options: dict[str, Any], where: str) -> Kind
         least = fields[key].metadata.get("least")
         check_option(f"{where}.{key}", value, hints[key], least, ConfigError)
     return kind(**options)
+
+
+_NAMED = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+
+
+@dataclass(frozen=True)
+class UserCode:
+    """Finds functions.
+
+    Attributes
+    ----------
+    base
+        The config's folder, where their files may be.
+    allowed
+        Whether they may run.
+    """
+
+    base: Path
+    allowed: bool
+
+    def function(self, text: str, where: str, *, equality: bool = False) -> UserFunction:
+        """Find the function "module:name".
+
+        It is in MODULE.py beside the config, whose text is sent to the workers, or in a module that
+        is installed on each of them.
+
+        Raises
+        ------
+        ConfigError
+            If it is not written so, or code is not allowed.
+        ModelError
+            If there is no such function.
+        """
+        if not _NAMED.fullmatch(text):
+            raise ConfigError(f'{where}: must be "module:name" but is {text!r}')
+        if not self.allowed:
+            raise ConfigError(
+                f"{where}: {text!r} is Python code, which runs only where it is allowed; if you "
+                "trust this config and its code, add --allow-code"
+            )
+        module, name = text.split(":")
+        file = self.base / f"{module}.py"
+        source = ""
+        if file.is_file():
+            try:
+                source = file.read_text(encoding="utf-8")
+            except (OSError, UnicodeDecodeError) as error:
+                raise ConfigError(f"{where}: {file} cannot be read ({error}); mend it") from error
+        found = UserFunction(module, name, source, equality)
+        load(found)
+        return found
