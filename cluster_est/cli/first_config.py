@@ -9,8 +9,9 @@ from rich.console import Console
 
 from cluster_est.cli.display.run import say
 from cluster_est.cli.exit_codes import ExitCode
-from cluster_est.drafting import draft, read_mapping, write
 from cluster_est.errors import ConfigError
+from cluster_est.preflight.draft import draft, read_mapping
+from cluster_est.preflight.draft_text import open_lines, write
 from cluster_est.toml import dotted
 from cluster_est.whole_files import write_output
 
@@ -26,13 +27,13 @@ def init(options: Namespace) -> int:
         )
     found = draft(options.fmu, options.data, read_mapping(options.map))
     text = write(found, out.parent)
-    write_output(out, text.toml.encode())
+    write_output(out, text.encode())
     console = Console()
-    for number, line in text.open:
+    for number, line in open_lines(text):
         say(console, f"{out}, line {number}: fill in {line.partition('  # ')[0]}")
     for name in dict.fromkeys(name for run in found.runs for name in run.missing_inputs):
         where = ", ".join(repr(run.id) for run in found.runs if name in run.missing_inputs)
-        lines = enumerate(text.toml.splitlines(), 1)
+        lines = enumerate(text.splitlines(), 1)
         place = next(
             (n for n, line in lines if f'{dotted("inputs", name)} = "COLUMN"' in line), None
         )

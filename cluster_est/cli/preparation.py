@@ -12,18 +12,11 @@ from cluster_est.cli.display.run import number, print_table, say
 from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.terminal import complain, say_if_compiled_first
 from cluster_est.config.choices import build_resources
-from cluster_est.config.sections import Config
-from cluster_est.drafting.mismatches import unit_mismatches
 from cluster_est.errors import ModelError
-from cluster_est.preflight import (
-    SECONDS,
-    CheckFinding,
-    CheckPage,
-    CheckVerdict,
-    bare_problem,
-    run_checks,
-    sigma_findings,
-)
+from cluster_est.preflight.all_checks import SECONDS, run_checks
+from cluster_est.preflight.data_checks import sigma_findings
+from cluster_est.preflight.subject import CheckPage, bare_problem
+from cluster_est.preflight.unit_checks import unit_findings
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import make_space
 from cluster_est.results.output_errors import Simulation
@@ -31,7 +24,6 @@ from cluster_est.results.tables.rows import constraints_at_start
 from cluster_est.run_folder.run_identity import RunKind
 from cluster_est.running.resources import Resources
 from cluster_est.studies import read_run
-from cluster_est.toml import dotted
 
 
 def print_page(console: Console, page: CheckPage) -> None:
@@ -124,26 +116,15 @@ def check(options: Namespace) -> int:
     print_model(console, problem, f"method {config.method.name}")
     say_if_compiled_first()
     page = run_checks(problem, resources, seconds)
-    declared = [*sigma_findings(config, problem.describe()), *_units(config, problem)]
+    declared = [
+        *sigma_findings(config, problem.describe()),
+        *unit_findings(config, problem.describe()),
+    ]
     page = replace(page, findings=(*page.findings, *declared))
     if page.simulations:
         print_check(console, problem, page.simulations)
     print_page(console, page)
     return _verdict(page)
-
-
-def _units(config: Config, problem: Problem) -> list[CheckFinding]:
-    """A line for each column whose name says another unit than its variable has."""
-    return [
-        CheckFinding(
-            CheckVerdict.PROBLEM,
-            "units",
-            f"column '{m.column}' is given to {m.variable}, which is in {m.wanted}, as it is",
-            f"{dotted('columns', m.column)} = {{ factor = {m.change.factor:.12g}, "
-            f"offset = {m.change.offset:.12g} }}; with factor = 1 alone if the name is wrong",
-        )
-        for m in unit_mismatches(config, problem.describe())
-    ]
 
 
 def _verdict(page: CheckPage) -> int:

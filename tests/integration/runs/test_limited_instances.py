@@ -31,7 +31,7 @@ from support.run_folders import facts, rows
 from cluster_est import Problem, fit
 from cluster_est.cli import main
 from cluster_est.errors import ProblemError, UnsuitableExecutorError
-from cluster_est.preflight.bare_fmu import bare_problem
+from cluster_est.preflight.subject import bare_problem
 from cluster_est.running.resources import Resources
 from cluster_est.running.trials.reset_policy import open_with_reset
 from workers.evaluate import Evaluator

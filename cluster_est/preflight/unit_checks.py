@@ -1,7 +1,8 @@
-"""Checks of sizes: signals and times that seem to be in another unit than the model's.
+"""Checks of units: columns, signals and times that seem to be in another one than the model's.
 
-The evidence is an error: read in the other unit, the data must lie close to the simulation at the
-start values, and far from it as they are. A start that is far off gives no evidence, and no alarm.
+The name of a column may say so. Else the evidence is an error: read in the other unit, the data
+must lie close to the simulation at the start values, and far from it as they are. A start that is
+far off gives no evidence, and no alarm.
 """
 
 from __future__ import annotations
@@ -11,14 +12,64 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cluster_est.preflight.subject import CheckFinding, CheckSubject, CheckVerdict, unanswered
-from cluster_est.problem.tables.units import UnitConversion, likely_conversions
+from cluster_est.config.sections import Config
+from cluster_est.preflight.subject import CheckFinding, CheckSubject, fault, note, unanswered
+from cluster_est.preflight.table_columns import split_suffix, split_unit
+from cluster_est.problem.tables.units import (
+    UnitConversion,
+    conversion,
+    likely_conversions,
+    same_unit,
+)
 from cluster_est.problem.tables.unused import TableSource
 from cluster_est.results.output_errors import Simulation
 from cluster_est.toml import dotted
+from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Input
 from workers.probes.variants import SimulatedVariant, VariantProbe
 from workers.process.trial import NoAnswer
+
+LEAST_LETTERS = 2
+"""Of a unit at the end of a name: "x_m" may be a measured x, "x_mm" is not."""
+
+
+def unit_findings(config: Config, description: ModelDescription) -> list[CheckFinding]:
+    """Return a line for each column whose name says another unit than its variable has.
+
+    Each column is named once, whatever the number of experiments that have it. One with an entry
+    under `columns` in the config is left out, and so is one whose unit is not known.
+    """
+    pairs = dict.fromkeys(
+        pair
+        for experiment in config.experiments
+        for pair in [
+            ("time", experiment.time),
+            *((name, each.column) for name, each in experiment.inputs.items()),
+            *((name, each.column) for name, each in experiment.outputs.items()),
+        ]
+        if pair[1] not in experiment.columns
+    )
+    lines = []
+    for variable, named in pairs:
+        found, column = description.variables.get(variable), named or ""
+        wanted = "s" if found is None else found.unit
+        unit = _unit(column, wanted)
+        change = conversion(unit, wanted) if unit and wanted else None
+        if change is None or change == UnitConversion(1.0) or same_unit(unit, wanted):
+            continue
+        said = f"column '{column}' is given to {variable}, which is in {wanted}, as it is"
+        do = f"{dotted('columns', column)} = {{ factor = {change.factor:.12g}, "
+        do += f"offset = {change.offset:.12g} }}; with factor = 1 alone if the name is wrong"
+        lines.append(fault("units", said, do))
+    return lines
+
+
+def _unit(column: str, wanted: str) -> str:
+    """Return the unit in a column's name; at its end only one that can hardly be a word."""
+    unit = split_unit(column)[1]
+    found = None if unit or not wanted else split_suffix(column, wanted)
+    return unit if found is None or len(found[1]) < LEAST_LETTERS else found[1]
+
 
 FAR, NEAR = 0.7, 0.5
 """Errors over the signal's spread: as it is read, and in the other unit."""
@@ -95,7 +146,7 @@ def _output_line(
             f"{found.wanted} is {1.0 / change.factor:.4g} {found.unit}"
         )
     said += f": the column seems to be in {found.unit}"
-    return CheckFinding(CheckVerdict.NOTE, f"unit of {name}", said, _column(change))
+    return note(f"unit of {name}", said, _column(change))
 
 
 def _column(change: UnitConversion) -> str:
@@ -197,7 +248,7 @@ def _inputs(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[Ch
         far = f", in place of {as_is:.2g}" if np.isfinite(as_is) else ""
         said = f"{chosen.said}: the error at the start values is then {errors[best]:.2g} of what "
         said += f"the outputs move by{far}"
-        return [CheckFinding(CheckVerdict.NOTE, chosen.check, said, chosen.do)]
+        return [note(chosen.check, said, chosen.do)]
     before = None if seen is None else SimulatedVariant(seen.times, seen.values)
     return _jumpy(subject, before, list(zip(variants, found, strict=False)))
 
@@ -230,7 +281,7 @@ def _jumpy(
                     "seconds: only then does the simulation change from sample to sample as the "
                     "data do"
                 )
-                return [CheckFinding(CheckVerdict.NOTE, variant.check, said, variant.do)]
+                return [note(variant.check, said, variant.do)]
     return []
 
 

@@ -10,9 +10,8 @@ import numpy as np
 
 from cluster_est.executors import executor_class
 from cluster_est.executors.backlog import BATCH_SECONDS
-from cluster_est.preflight.measured_data import data_findings
-from cluster_est.preflight.misread_units import misread_units
-from cluster_est.preflight.parameters import bounds, corners, effects
+from cluster_est.preflight.data_checks import data_findings
+from cluster_est.preflight.parameter_checks import bounds, corners, effects
 from cluster_est.preflight.repeatability import (
     Remedy,
     instances,
@@ -28,11 +27,15 @@ from cluster_est.preflight.subject import (
     CheckFinding,
     CheckPage,
     CheckSubject,
-    CheckVerdict,
     TimeBudget,
+    fault,
     listed,
+    not_done,
+    note,
+    passed,
     unanswered,
 )
+from cluster_est.preflight.unit_checks import misread_units
 from cluster_est.problem.effects.sensors import sensor_outputs
 from cluster_est.problem.problem import Problem
 from cluster_est.results.initial_errors import (
@@ -79,11 +82,8 @@ def at_rest(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[Ch
         f"equilibrium; the measured {output.variable} moves by {f'{far:.3g} {unit}'.strip()}"
     )
     return [
-        CheckFinding(
-            CheckVerdict.NOTE,
-            "start",
-            said,
-            f"{free_start_advice(subject.problem)}; or give the input that moves it",
+        note(
+            "start", said, f"{free_start_advice(subject.problem)}; or give the input that moves it"
         )
     ]
 
@@ -100,7 +100,7 @@ def starts_elsewhere(
     if not found:
         return []
     said = f"{found[0].sentence}, at the start values"
-    return [CheckFinding(CheckVerdict.NOTE, "start", said, free_start_advice(subject.problem))]
+    return [note("start", said, free_start_advice(subject.problem))]
 
 
 def _though(experiment: Experiment) -> str:
@@ -171,7 +171,7 @@ def _few_simulations(seconds: float) -> list[CheckFinding]:
         "unknowns or more secant_updates = 20 beside them; for methods de, pso and ga "
         "early_end = true"
     )
-    return [CheckFinding(CheckVerdict.OK, "few simulations", said, do)]
+    return [passed("few simulations", said, do)]
 
 
 def _one_measured(subject: CheckSubject) -> CheckFinding:
@@ -193,7 +193,7 @@ def _time(subject: CheckSubject, seconds: float, count: int) -> CheckFinding:
         do = f'executor.name = "processes" and executor.workers = {cores}, or "ray" for a cluster'
     else:
         do = ""
-    return CheckFinding(CheckVerdict.OK, "cost", said, do)
+    return passed("cost", said, do)
 
 
 def _shown(seconds: float) -> str:
@@ -206,16 +206,16 @@ def _memory(subject: CheckSubject, found: SimulationCost) -> CheckFinding:
     if found.leak is None or (found.count < LEAST_COUNT and found.leak < 50.0 * LEAK):
         said = f"{found.count} simulations are too few to see a leak"
         do = "give it more time with --seconds"
-        return CheckFinding(CheckVerdict.NOT_DONE, "memory", said, do)
+        return not_done("memory", said, do)
     if found.leak < LEAK:
-        return CheckFinding(CheckVerdict.OK, "memory", f"no leak in {found.count} simulations")
+        return passed("memory", f"no leak in {found.count} simulations")
     said = f"leaks {found.leak / 1024:.3g} kB a simulation"
     lasts = subject.growth / found.leak
     if subject.in_process:
         do = 'executor.name = "processes", whose processes are replaced as they grow'
-        return CheckFinding(CheckVerdict.NOTE, "memory", said, do)
+        return note("memory", said, do)
     said += f"; its process is replaced after about {lasts:.3g} of them (executor.growth)"
-    return CheckFinding(CheckVerdict.NOTE, "memory", said)
+    return note("memory", said)
 
 
 SECONDS = 4.0
@@ -270,7 +270,7 @@ def run_checks(
     if seconds == 0.0:
         description.check_platform(problem.model.interface)
         said = "everything was read, and nothing was simulated"
-        return CheckPage((*data, CheckFinding(CheckVerdict.NOT_DONE, "simulates", said, _MORE)), ())
+        return CheckPage((*data, not_done("simulates", said, _MORE)), ())
     # before the time of the checks begins: Ray takes a second to import
     in_process = executor_class(resources.executor).in_process
     model = resources.limited(problem.model)
@@ -299,7 +299,7 @@ def run_checks(
             page = run_checks(smaller, resources, left, declared=False, open_bench=open_bench)
             return replace(page, findings=(*page.findings, refused_parameters(cure.refused)))
         findings = [
-            CheckFinding(CheckVerdict.OK, "loads", "it can be loaded and instantiated"),
+            passed("loads", "it can be loaded and instantiated"),
             *bounds(subject),
             *data,
             *_simulation_findings(subject, simulations, cure),
@@ -351,7 +351,7 @@ def _most_telling(simulations: list[Simulation]) -> Simulation:
 
 def _not_loaded(stopped: NoAnswer) -> CheckFinding:
     do = "check that it does not wait for a licence or a window" if stopped.late else ""
-    return CheckFinding(CheckVerdict.PROBLEM, "loads", stopped.message, do)
+    return fault("loads", stopped.message, do)
 
 
 def _simulate(subject: CheckSubject) -> list[Simulation]:
@@ -384,21 +384,19 @@ def _simulation_findings(
         outcome = simulation.outcome
         name = f"experiment {subject.problem.experiments[simulation.experiment].id}"
         if outcome.status is Status.NOT_RUN:
-            lines.append(CheckFinding(CheckVerdict.NOT_DONE, name, outcome.message, _MORE))
+            lines.append(not_done(name, outcome.message, _MORE))
         elif outcome.status is Status.TIMEOUT:
             said = f"at the start values {outcome.message}"
-            lines.append(
-                CheckFinding(CheckVerdict.PROBLEM, name, said, f"if it is only slow: {_MORE}")
-            )
+            lines.append(fault(name, said, f"if it is only slow: {_MORE}"))
         elif not outcome.ok:
             said = f"at the start values: {outcome.status}: {outcome.message}"
             do = _advice(outcome)
             if cure.step is not None and simulation is simulations[0]:
                 do = f"model.step = {cure.step:.3g}, with which it ends well"
-            lines.append(CheckFinding(CheckVerdict.PROBLEM, name, said, do))
+            lines.append(fault(name, said, do))
     if successful:
         said = f"{len(successful)} of {len(simulations)} experiments, at the start values"
-        lines.append(CheckFinding(CheckVerdict.OK, "simulates", said))
+        lines.append(passed("simulates", said))
     return lines
 
 

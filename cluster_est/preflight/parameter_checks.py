@@ -11,8 +11,11 @@ from cluster_est.methods.derivatives.differences import relative_noise
 from cluster_est.preflight.subject import (
     CheckFinding,
     CheckSubject,
-    CheckVerdict,
+    fault,
     listed,
+    not_done,
+    note,
+    passed,
     unanswered,
 )
 from cluster_est.problem.idle_inputs import silent_inputs, stays
@@ -42,7 +45,7 @@ def effects(subject: CheckSubject) -> list[CheckFinding]:
         return []
     if not subject.repeats:
         said = "not moved: one simulation after the other differs, whatever is moved"
-        return [CheckFinding(CheckVerdict.NOT_DONE, "parameters", said)]
+        return [not_done("parameters", said)]
     points = np.array([_moved(subject, column, CHANGE) for column, _ in unknowns])
     probe = MovementProbe(*subject.probe_arguments, points, max(subject.budget.left / 2.0, 0.1))
     found = subject.ask(probe, 2, subject.budget.left)
@@ -65,7 +68,7 @@ def effects(subject: CheckSubject) -> list[CheckFinding]:
         said = f"{len(alive)} of {len(names)} act on the outputs: moved by 1 % of its size, "
         said += f"{most} changes them by {alive[most]:.2g} of theirs"
         said += f", {least} by {alive[least]:.2g}" if least != most else ""
-        lines.append(CheckFinding(CheckVerdict.OK, "parameters", said))
+        lines.append(passed("parameters", said))
         lines += _steps(subject, unknowns[names.index(most)][0])
     if len(found) < len(names):
         left = f"{len(names) - len(found)} of {len(names)} were not moved"
@@ -115,13 +118,7 @@ def _dead(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
     if subject.declared:
         do = "fixed = true, or remove it, or measure what it acts on"
         return [
-            CheckFinding(
-                CheckVerdict.PROBLEM,
-                f"parameter {name}",
-                said,
-                f"{dotted('parameters', name)}.{do}",
-            )
-            for name in names
+            fault(f"parameter {name}", said, f"{dotted('parameters', name)}.{do}") for name in names
         ]
     if not names:
         return []
@@ -132,7 +129,7 @@ def _dead(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
         do = "what the FMU shows in its default experiment does not determine them"
     said = f"the outputs do not depend on {listed(names)} at the start values"
     said += f", with nothing at the inputs {listed(open_)}" if open_ else ""
-    return [CheckFinding(CheckVerdict.NOTE, "dead parameters", said, do)]
+    return [note("dead parameters", said, do)]
 
 
 def _waiting(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
@@ -148,29 +145,20 @@ def _waiting(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
         while_ = f"while inputs {listed(silent)} have no data"
     said = f"the outputs do not depend on {listed(names)} {while_}"
     do = f'{dotted("inputs", silent[0])} = "COLUMN" in the experiments, then check again'
-    return [CheckFinding(CheckVerdict.PROBLEM, "parameters", said, do)]
+    return [fault("parameters", said, do)]
 
 
 def _faint(name: str, size: float) -> CheckFinding:
     if size == UNKNOWN:
         said = "does not act in one experiment, and there was no time to try all others"
-        return CheckFinding(
-            CheckVerdict.NOT_DONE, f"parameter {name}", said, "give it more time with --seconds"
-        )
+        return not_done(f"parameter {name}", said, "give it more time with --seconds")
     said = f"hardly acts: moved by 1 % of its size it changes the outputs by {size:.2g} of theirs"
-    return CheckFinding(
-        CheckVerdict.NOTE,
-        f"parameter {name}",
-        said,
-        f"another {dotted('parameters', name)}.start, or fix it",
-    )
+    return note(f"parameter {name}", said, f"another {dotted('parameters', name)}.start, or fix it")
 
 
 def _failed(name: str, said: str) -> CheckFinding:
     do = f"another {dotted('parameters', name)}.start or narrower bounds"
-    return CheckFinding(
-        CheckVerdict.NOTE, f"parameter {name}", f"moved by 1 % of its size: {said}", do
-    )
+    return note(f"parameter {name}", f"moved by 1 % of its size: {said}", do)
 
 
 def _steps(subject: CheckSubject, column: int) -> list[CheckFinding]:
@@ -191,10 +179,10 @@ def _steps(subject: CheckSubject, column: int) -> list[CheckFinding]:
     usual = math.sqrt(relative_noise(subject.problem.model.solver))
     if least <= max(usual, STEPS[-1]):
         said = f"slopes hold down to relative steps of {least:.0e}; a fit takes {usual:.0e}"
-        return [CheckFinding(CheckVerdict.OK, "differences", said)]
+        return [passed("differences", said)]
     said = f"slopes by {subject.space.unknowns[column].label} hold down to relative steps of "
     do = f"method.options.relative_step = {10.0 * least:.0e}, or a tighter model.rtol"
-    return [CheckFinding(CheckVerdict.NOTE, "differences", f"{said}{least:.0e} only", do)]
+    return [note("differences", f"{said}{least:.0e} only", do)]
 
 
 def bounds(subject: CheckSubject) -> list[CheckFinding]:
@@ -215,17 +203,17 @@ def _outside(subject: CheckSubject, parameter: Parameter) -> list[CheckFinding]:
     lines = []
     if not parameter.expression and not low <= parameter.start <= high:
         said = f"starts at {parameter.start:g} but {allowed}"
-        lines.append(CheckFinding(CheckVerdict.PROBLEM, where, said, f"another {key}.start"))
+        lines.append(fault(where, said, f"another {key}.start"))
     if not parameter.fixed and (
         (math.isfinite(parameter.lower) and parameter.lower < low)
         or (math.isfinite(parameter.upper) and parameter.upper > high)
     ):
         said = f"has bounds [{parameter.lower:g}, {parameter.upper:g}] but {allowed}"
-        lines.append(CheckFinding(CheckVerdict.NOTE, where, said, f"{key}.bounds within those"))
+        lines.append(note(where, said, f"{key}.bounds within those"))
     if parameter.unit and variable.unit and parameter.unit != variable.unit:
         said = f"is given in {parameter.unit} but the FMU counts in {variable.unit}"
         do = f"check {key}.start and bounds, which are in the FMU's unit"
-        lines.append(CheckFinding(CheckVerdict.NOTE, where, said, do))
+        lines.append(note(where, said, do))
     return lines
 
 
@@ -244,8 +232,7 @@ def corners(subject: CheckSubject) -> list[CheckFinding]:
     if isinstance(found, NoAnswer):
         return [unanswered("bounds", found)]
     lines = [
-        CheckFinding(
-            CheckVerdict.NOTE,
+        note(
             "bounds",
             f"with all parameters at their {name} bounds: {each}",
             "narrower bounds; a search steps back from such points, but they cost it time",
@@ -256,7 +243,7 @@ def corners(subject: CheckSubject) -> list[CheckFinding]:
     tried = [name for name, _ in named[: len(found)]]
     if tried and not lines:
         said = f"it can be simulated with all parameters at their {' and '.join(tried)} bounds"
-        lines.append(CheckFinding(CheckVerdict.OK, "bounds", said))
+        lines.append(passed("bounds", said))
     left = [name for name, _ in named[len(found) :]]
     if left:
         said = f"not simulated with all parameters at their {' and '.join(left)} bounds"

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cluster_est.config.sections import Config
-from cluster_est.preflight.subject import CheckFinding, CheckVerdict, listed
+from cluster_est.preflight.subject import CheckFinding, listed, note, passed
 from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.idle_inputs import driven_or_constant, idle_inputs, stays
 from cluster_est.problem.problem import Problem
@@ -55,11 +55,11 @@ def _inputs_without_data(problem: Problem, description: ModelDescription) -> lis
         count = len(problem.experiments)
         if len(ids) < count:
             said = f"has no data in {len(ids)} of {count} experiments: it stays at {value} there"
-            lines.append(CheckFinding(CheckVerdict.OK, f"input {name}", said))
+            lines.append(passed(f"input {name}", said))
             continue
         said = f"has no data: it stays at {value}"
         do = driven_or_constant(name)
-        lines.append(CheckFinding(CheckVerdict.NOTE, f"input {name}", said, do))
+        lines.append(note(f"input {name}", said, do))
     return lines
 
 
@@ -78,17 +78,12 @@ def _bridged(problem: Problem, description: ModelDescription) -> list[CheckFindi
         "mend the column, leave the gap out with rows or windows, or set interpolation = "
         '"hold" if the signal keeps its value until the next sample'
     )
-    return [
-        CheckFinding(CheckVerdict.NOTE, f"input {name}", said, do)
-        for name, (_, said) in worst.items()
-    ]
+    return [note(f"input {name}", said, do) for name, (_, said) in worst.items()]
 
 
 def _stand_ins(problem: Problem) -> list[CheckFinding]:
     """Return a line for each number in the data that hardly is a measurement."""
-    return [
-        CheckFinding(CheckVerdict.NOTE, "missing", said, do) for said, do in problem.data_findings
-    ]
+    return [note("missing", said, do) for said, do in problem.data_findings]
 
 
 def _outlying(problem: Problem) -> list[CheckFinding]:
@@ -110,7 +105,7 @@ def _outlying(problem: Problem) -> list[CheckFinding]:
                 else f", which needs {dotted('sigma', name)},"
             )
             do = f'if they are faults of the sensor: cost.name = "huber"{needs} counts them less'
-            lines.append(CheckFinding(CheckVerdict.NOTE, f"output {name}", said, do))
+            lines.append(note(f"output {name}", said, do))
     return lines
 
 
@@ -137,7 +132,7 @@ def _answers(experiment: Experiment, output: Output) -> npt.NDArray[np.bool_]:
 def _jumping(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
     """Return a line for each input that jumps, and is interpolated by straight lines."""
     return [
-        CheckFinding(CheckVerdict.NOTE, "jumps", said, remedy)
+        note("jumps", said, remedy)
         for said, remedy in jump_findings(problem.experiments, description.holds, problem.columns)
     ]
 
@@ -157,8 +152,7 @@ def _rounded(problem: Problem) -> list[CheckFinding]:
             ):
                 worst[output.variable] = times, step, each
     return [
-        CheckFinding(
-            CheckVerdict.NOTE,
+        note(
             f"output {name}",
             f"its values in experiment {each.id} are whole steps of {step:.3g}: rounding alone "
             f"makes an error of {step / ROUNDING:.3g}, {times:.2g} times the sigma that is given",
@@ -229,7 +223,7 @@ def sigma_findings(config: Config, description: ModelDescription) -> list[CheckF
         said = f"is given for {where}, where it then is 1{unit}"
         key = dotted("sigma", name)
         do = f"{key} = NUMBER, the standard deviation of its noise, or no sigma at all"
-        lines.append(CheckFinding(CheckVerdict.NOTE, "sigma", said, do))
+        lines.append(note("sigma", said, do))
     return lines
 
 
