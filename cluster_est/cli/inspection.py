@@ -27,21 +27,19 @@ def show(options: Namespace) -> int:
 
 def report(options: Namespace) -> int:
     """Write the report of a run or of a sweep."""
-    from cluster_est import report as reports  # not everybody wants to wait for Jinja
+    # not everybody wants to wait for Jinja
+    from cluster_est.report.page import write_report
+    from cluster_est.report.sweep_page import is_sweep, write_sweep_report
 
-    folder, out = options.run_folder, options.out
-    is_sweep = reports.is_sweep(folder)
-    path = (
-        reports.write_sweep_report(folder, out) if is_sweep else reports.write_report(folder, out)
-    )
-    say(Console(), f"report: {path}")
+    write = write_sweep_report if is_sweep(options.run_folder) else write_report
+    say(Console(), f"report: {write(options.run_folder, options.out)}")
     return ExitCode.DONE
 
 
 def watch(options: Namespace) -> int:
     """Follow a run until it ends."""
     from cluster_est.cli.display.watch_table import WatchTable
-    from cluster_est.report.watch import follow
+    from cluster_est.report.run_follower import follow
 
     with WatchTable(Console()) as table:
         follow(options.run_folder, options.every, table.show, html=options.html)

@@ -50,7 +50,7 @@ def report(result: Result | LoopResult, path: str | Path) -> Path:
     RunFolderError
         If it cannot be written.
     """
-    from cluster_est.report import write_report
+    from cluster_est.report.page import write_report
 
     path = as_path(path, "path", ProblemError)
     with tempfile.TemporaryDirectory() as folder:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 
 class RunStatus(enum.StrEnum):
@@ -34,22 +33,8 @@ def run_worth(status: str, doubts: Sequence[str]) -> RunWorth:
     status
         Of the run.
     doubts
-        See `doubts_of`.
+        What is doubtful of its solution, as its run.json or the summary of a sweep says it.
     """
     if status != RunStatus.DONE:
         return RunWorth.BAD
     return RunWorth.DOUBTFUL if doubts else RunWorth.GOOD
-
-
-def doubts_of(facts: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return what is doubtful of a fit by its run.json; earlier versions know its intervals alone.
-
-    Parameters
-    ----------
-    facts
-        Of run.json.
-    """
-    if "doubts" in facts:
-        return tuple(facts["doubts"] or ())
-    narrow = (facts.get("residuals") or {}).get("too_narrow")
-    return ("its intervals are too narrow",) if narrow else ()

@@ -86,10 +86,7 @@ def _line(row: dict[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class RunState:
-    """The state of a whole run, see `RunSnapshot`; `search` is one of those under way.
-
-    What versions before did not write is as if there were one search and nobody knew the time left.
-    """
+    """The state of a whole run, see `RunSnapshot`; `search` is one of those under way."""
 
     search: str
     evaluations: int
@@ -98,13 +95,13 @@ class RunState:
     busy: int
     workers: int
     seconds: float
-    phase: str = ""
-    ended: int = 0
-    searches: int = 1
-    left: float = math.nan
-    waiting: int = 0
-    at_most: bool = True
-    pace: float = math.nan
+    phase: str
+    ended: int
+    searches: int
+    left: float
+    waiting: int
+    at_most: bool
+    pace: float
 
 
 @dataclass(frozen=True)
@@ -181,11 +178,11 @@ class ProgressTail:
                 return None
             if "now" in row:
                 for name in ("left", "pace"):
-                    row[name] = math.nan if row.get(name) is None else float(row[name])
+                    row[name] = math.nan if row[name] is None else float(row[name])
                 self.state = RunState(row.pop("now"), **row)
                 return None
             for name in ("cost", "violation"):
                 row[name] = math.nan if row[name] is None else float(row[name])
             return IterationLine(**row)
-        except (ValueError, TypeError, KeyError, AttributeError):  # of another version
+        except (ValueError, TypeError, KeyError, AttributeError):  # no line of such a file
             return None

@@ -17,8 +17,7 @@ from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.executors.log_replay import simulation_key
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.variables import coefficient_names
-from cluster_est.run_folder.evaluation_log import read_log
-from cluster_est.run_folder.log_segment import logged_cost, residuals_hash
+from cluster_est.run_folder.log_segment import logged_cost, read_log, residuals_hash
 from cluster_est.run_folder.reading import is_ended, read_config_text, read_facts
 from cluster_est.running.trials.reset_policy import recorded
 from workers.fmu.description import nearest
@@ -133,12 +132,12 @@ def read_logged(run_folder: Path, number: int) -> LoggedSimulation:
     return replace(
         LoggedSimulation(number, *small),
         key=row["key"],
-        want=cast(Want, row.get("want") or "residuals"),
+        want=cast(Want, row["want"]),
         values=np.array(row["values"], dtype=np.float64),
         effects=tuple(row["effects"]),
         residuals=None if residuals is None else np.array(residuals, dtype=np.float64),
-        residuals_hash=row.get("residuals_hash"),
-        bound=math.inf if row.get("bound") is None else row["bound"],
+        residuals_hash=row["residuals_hash"],
+        bound=math.inf if row["bound"] is None else row["bound"],
     )
 
 

@@ -81,11 +81,6 @@ def _difference(out: Path, facts: dict[str, Any], identity: RunIdentity) -> str:
     for experiment in problem.experiments:
         if known.get(experiment.id) != experiment.key:
             return f"the data of experiment {experiment.id!r} were others then"
-    if (facts.get("sensitivities") or {}).get("carry"):  # of versions that decided this by a clock
-        return (
-            "an earlier version had found sensitivities to be quicker and took them, which now "
-            'method.options.differences = "sensitivities" has to say'
-        )
     return _different_version(facts.get("versions", {}))
 
 

@@ -22,7 +22,7 @@ from cluster_est.config.reader import read_config
 from cluster_est.config.sections import Config
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.run_folder.folder import BEGUN
-from cluster_est.run_folder.judgement import RunStatus, doubts_of
+from cluster_est.run_folder.judgement import RunStatus
 from cluster_est.run_folder.reading import (
     read_config_text,
     read_facts,
@@ -426,7 +426,7 @@ def _row(out: Path, run: SweepRun, state: str, axes: list[str]) -> dict[str, Any
         return row
     facts = read_facts(out / run.name)
     errors = facts.get("rmse_over_sigma") or {}
-    row |= {"message": facts.get("message") or "", "doubts": "; ".join(doubts_of(facts))}
+    row |= {"message": facts.get("message") or "", "doubts": "; ".join(facts.get("doubts") or ())}
     row |= {key: facts.get(key) for key in ("cost_before", "cost")}
     row |= {f"rmse_{role}": errors.get(role) for role in ("train", "test")}
     counts = ("iterations", "evaluations", "simulations", "failures", "seconds", "seed", "started")

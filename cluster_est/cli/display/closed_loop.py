@@ -178,7 +178,7 @@ def print_loop(console: Console, run: StoredRun) -> None:
     for effect in facts["effects"]:
         _print_effect(console, effect, too_narrow=narrow)
     choices = [facts[key] for key in ("likely", "resampled") if facts.get(key)]
-    for said in ["", *choices] if choices else []:  # runs of earlier versions do not say
+    for said in ["", *choices] if choices else []:
         tell(console, said)
     _print_parameters(console, run.tables["parameters"], too_narrow=narrow)
     _print_errors(console, run.tables["errors"], facts)
@@ -195,18 +195,17 @@ def print_loop(console: Console, run: StoredRun) -> None:
 
 def _failed(facts: Facts) -> str:
     """How many simulations failed, and how many of these with effects that were only tried."""
-    failed, tried = facts["failures"], facts.get("failures_in_search", 0)
+    failed, tried = facts["failures"], facts["failures_in_search"]
     if not tried:
         return f"{failed} failed"
     which = "all" if tried == failed else str(tried)
     return f"{failed} failed, {which} while effects were tried"
 
 
-def _print_effect(console: Console, effect: Facts, *, too_narrow: bool = False) -> None:
+def _print_effect(console: Console, effect: Facts, *, too_narrow: bool) -> None:
     say(console, "")
-    named = effect.get("words") or effect["family"]  # runs of earlier versions have no words
-    say(console, f"effect {effect['name']} ({named}) at {effect['site']}")
-    tell(console, f"  {effect.get('sentence') or effect['equation']}")
+    say(console, f"effect {effect['name']} ({effect['words']}) at {effect['site']}")
+    tell(console, f"  {effect['sentence']}")
     narrow = " (too narrow)" if too_narrow else ""
     for name, row in effect["parameters"].items():
         held = " (held)" if row["fixed"] else f"   95 %{narrow}: {_range(row)}"
@@ -225,7 +224,7 @@ def _print_effect(console: Console, effect: Facts, *, too_narrow: bool = False) 
 
 
 def _range(row: Facts) -> str:
-    if row.get("at_bound"):  # runs of earlier versions do not say
+    if row["at_bound"]:
         return f"at its {row['at_bound']} bound"
     low, high = row["lower95"], row["upper95"]
     if low is None or high is None:
@@ -240,7 +239,7 @@ def _differs(other: Facts) -> bool:
 
 def _alternative(other: Facts) -> str:
     """An alternative, and the experiment that would tell it apart."""
-    text = f"{other.get('words') or other['form']} at {other['site']}: {other['equation']}"
+    text = f"{other['words']} at {other['site']}: {other['equation']}"
     if other["criterion"] is not None:
         text += f" (criterion {other['criterion']:+.1f})"
     known = other["time"] is not None and other["difference"] is not None

@@ -11,8 +11,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from cluster_est.report.numbers import count, duration
-from cluster_est.report.watch import RunView, SearchView
+from cluster_est.report.number_text import count, duration
+from cluster_est.report.run_follower import RunView, SearchView
 from cluster_est.run_folder.progress_file import RunState
 from cluster_est.run_folder.progress_text import left_of_step, pace_of, what_is_done
 

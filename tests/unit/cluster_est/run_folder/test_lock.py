@@ -10,7 +10,7 @@ import pytest
 from filelock import UnixFileLock
 
 from cluster_est.errors import RunFolderError
-from cluster_est.report.watch import RunFollower
+from cluster_est.report.run_follower import RunFollower
 from cluster_est.run_folder.folder import check_free
 from cluster_est.run_folder.lock import LOCK, SWEEP_OWNER, RunLock, lock, locked_by_sweep
 from cluster_est.run_folder.reading import left_alone

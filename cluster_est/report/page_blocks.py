@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from cluster_est.report.drawing import Chart
+from cluster_est.report.charts import Chart
 
 Tone = Literal["", "good", "bad", "faint"]
 
@@ -42,6 +43,9 @@ class TableCell:
     text: str
     tone: Tone = ""
     code: bool = False
+
+
+TableLine = tuple[str | TableCell, ...]
 
 
 @dataclass(frozen=True)
@@ -146,14 +150,21 @@ class ReportSection:
     blocks: tuple[Block, ...]
 
 
-def columns(*names: str) -> tuple[ReportColumn, ...]:
-    """Columns by their names; "#name" is a numeric one."""
-    return tuple(ReportColumn(name.removeprefix("#"), name.startswith("#")) for name in names)
+def table(
+    names: Sequence[str], rows: Iterable[TableLine], caption: str = "", *, folded: bool = False
+) -> TableBlock:
+    """A table; the column "#name" is a numeric one, and a text is a plain cell."""
+    columns = tuple(ReportColumn(name.removeprefix("#"), name.startswith("#")) for name in names)
+    cells = (
+        tuple(each if isinstance(each, TableCell) else TableCell(each) for each in row)
+        for row in rows
+    )
+    return TableBlock(columns, tuple(cells), caption, folded)
 
 
-def cells(*texts: str | TableCell) -> tuple[TableCell, ...]:
-    """A row."""
-    return tuple(text if isinstance(text, TableCell) else TableCell(text) for text in texts)
+def code(text: str) -> TableCell:
+    """A cell with a name of the FMU, or an equation."""
+    return TableCell(text, code=True)
 
 
 def with_unit(name: str, unit: str) -> str:

@@ -7,13 +7,13 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cluster_est.errors import RunFolderError
 from cluster_est.report.activity import ActivityTail, FailureGroup
-from cluster_est.report.folder import RUNNING
 from cluster_est.report.page import write_report
+from cluster_est.run_folder.judgement import RunStatus
 from cluster_est.run_folder.progress_file import PROGRESS, IterationLine, ProgressTail, RunState
 from cluster_est.run_folder.reading import is_ended, left_alone, read_facts
 
@@ -68,7 +68,7 @@ class RunView:
 
     @property
     def ended(self) -> bool:
-        return self.status != RUNNING
+        return self.status != RunStatus.RUNNING
 
 
 class RunFollower:
@@ -169,7 +169,7 @@ def follow(path: Path, every: float, show: Callable[[RunView], None], *, html: b
         if html and (view.ended or now - written >= max(every, HTML_SECONDS)):
             problem = _refresh(follower, max(every, HTML_SECONDS))
             written = time.monotonic()
-        show(view if not problem else RunView(**{**vars(view), "problem": problem}))
+        show(replace(view, problem=problem))
         if view.ended:
             follower.check()
             return

@@ -9,7 +9,9 @@ import numpy as np
 
 from cluster_est.closed_loop.findings.words.numbers import NO_ALTERNATIVE, percent
 from cluster_est.closed_loop.screening.evidence import CandidateStage
-from cluster_est.report.blocks import (
+from cluster_est.report.charts import Band, Bars, Chart, Dots, ErrorBars, Line, Mark, Plot, Scale
+from cluster_est.report.number_text import beside, digits, interval
+from cluster_est.report.page_blocks import (
     Block,
     FigureBlock,
     ItemsBlock,
@@ -17,14 +19,13 @@ from cluster_est.report.blocks import (
     SourceBlock,
     TableBlock,
     TableCell,
+    TableLine,
     TextBlock,
-    cells,
-    columns,
+    code,
+    table,
     with_unit,
 )
-from cluster_est.report.drawing import Band, Bars, Chart, Dots, ErrorBars, Line, Mark, Plot, Scale
-from cluster_est.report.folder import ReportedRun, Row
-from cluster_est.report.numbers import beside, digits, interval
+from cluster_est.report.reported_run import ReportedRun, Row
 from workers.messages import FloatArray
 
 MARGIN = 1.5
@@ -86,7 +87,7 @@ def _evidence(row: Row, floor: float, ceiling: float) -> tuple[list[Mark], Float
     return [*marks], np.concatenate([low, high])
 
 
-COEFFICIENTS = columns("coefficient", "#value", "#95 % interval", "unit", "")
+COEFFICIENTS = ("coefficient", "#value", "#95 % interval", "unit", "")
 
 
 def effects(run: ReportedRun) -> ReportSection:
@@ -105,11 +106,8 @@ def effects(run: ReportedRun) -> ReportSection:
                 "Not accepted; what follows shows where to look, not what is missing.", "faint"
             )
         )
-        rows = [
-            cells(TableCell(e["site"], code=True), e["form"], TableCell(e["equation"], code=True))
-            for e in rejected
-        ]
-        blocks.append(TableBlock(columns("site", "form", "equation"), tuple(rows)))
+        rows = [(code(e["site"]), e["form"], code(e["equation"])) for e in rejected]
+        blocks.append(table(("site", "form", "equation"), rows))
     title = "What the model lacked" if run.is_loop else "Effects that were declared"
     return ReportSection("effects", title, tuple(blocks))
 
@@ -120,22 +118,15 @@ def _effect(run: ReportedRun, effect: Row) -> list[Block]:
         low, high = row["lower95"], row["upper95"]
         width = high - low if low is not None and high is not None else 0.0
         said = "held" if row["fixed"] else "not determined" if low is None else ""
-        if row.get("at_bound"):  # runs of earlier versions do not say
+        if row["at_bound"]:
             said = f"at its {row['at_bound']} bound"
-        rows.append(
-            cells(
-                TableCell(name, code=True),
-                beside(row["value"], width),
-                interval(low, high),
-                row["unit"],
-                TableCell(said, "faint"),
-            )
-        )
+        numbers = beside(row["value"], width), interval(low, high)
+        rows.append((code(name), *numbers, row["unit"], TableCell(said, "faint")))
     blocks: list[Block] = [
-        TextBlock(f"{effect['name']}: {_words(effect)} at {effect['site']}", kind="heading"),
+        TextBlock(f"{effect['name']}: {effect['words']} at {effect['site']}", kind="heading"),
         TextBlock(effect["equation"], kind="equation"),
-        *([TextBlock(effect["sentence"])] if effect.get("sentence") else []),
-        TableBlock(COEFFICIENTS, tuple(rows)),
+        TextBlock(effect["sentence"]),
+        table(COEFFICIENTS, rows),
     ]
     evidence = tuple(effect.get("evidence") or ())
     blocks += [ItemsBlock(evidence)] if evidence else []
@@ -145,11 +136,6 @@ def _effect(run: ReportedRun, effect: Row) -> list[Block]:
         blocks.append(TextBlock("This run's folder holds no shapes to draw.", "faint"))
     blocks.append(SourceBlock("As a block for a config", effect["config"]))
     return blocks
-
-
-def _words(effect: Row) -> str:
-    """Its name; runs of earlier versions have only that of a family."""
-    return str(effect.get("words") or effect["family"])
 
 
 def _shapes(rows: Sequence[Row]) -> list[Block]:
@@ -162,19 +148,19 @@ def _shapes(rows: Sequence[Row]) -> list[Block]:
 def _declared(run: ReportedRun, name: str, shapes: Sequence[Row]) -> list[Block]:
     """An effect that the config declares: its coefficients and its shapes."""
     own = [row for row in run.tables["parameters"] if row["parameter"].startswith(f"{name}.")]
-    rows = tuple(
-        cells(
-            TableCell(row["label"].removeprefix(f"{name}."), code=True),
+    rows = [
+        (
+            code(row["label"].removeprefix(f"{name}.")),
             beside(row["value"], row["upper95"] - row["lower95"]),
             interval(row["lower95"], row["upper95"]),
             row["unit"],
             TableCell("held" if row["estimated_on"] == "known" else "", "faint"),
         )
         for row in own
-    )
+    ]
     places = ", ".join(dict.fromkeys(row["part"] for row in shapes))
-    table = TableBlock(COEFFICIENTS, rows)
-    return [TextBlock(f"{name} at {places}", kind="heading"), table, *_shapes(shapes)]
+    heading = TextBlock(f"{name} at {places}", kind="heading")
+    return [heading, table(COEFFICIENTS, rows), *_shapes(shapes)]
 
 
 def candidates(run: ReportedRun) -> ReportSection:
@@ -200,15 +186,15 @@ def candidates(run: ReportedRun) -> ReportSection:
 
 def _compared(run: ReportedRun) -> list[Block]:
     """The structures that each step refitted, the best first."""
-    names = columns("structure", "#gap closed", "#criterion", "#probability", "#chosen", "")
+    names = ("structure", "#gap closed", "#criterion", "#probability", "#chosen", "")
     said = [run.facts[key] for key in ("likely", "resampled") if run.facts.get(key)]
     blocks: list[Block] = [TextBlock(f"{each[:1].upper()}{each[1:]}.") for each in said]
     rows = [row for row in run.tables["structures"] if row["effects"]]  # not the declared model
     for step in sorted({row["step"] for row in rows}):
         own = [row for row in rows if row["step"] == step]
         lines = [
-            cells(
-                TableCell(" + ".join(row["effects"]), code=True),
+            (
+                code(" + ".join(row["effects"])),
                 _closed(row),
                 digits(row["criterion"], 4),
                 _share(row, "probability"),
@@ -219,7 +205,7 @@ def _compared(run: ReportedRun) -> list[Block]:
             for row in own
         ]  # fmt: skip
         caption = f"Step {step}: {len(own)} sets of effects refitted"
-        blocks.append(TableBlock(names, tuple(lines), caption, folded=True))
+        blocks.append(table(names, lines, caption, folded=True))
     return blocks
 
 
@@ -230,8 +216,8 @@ def _closed(row: Row) -> str:
 
 
 def _share(row: Row, name: str) -> str:
-    """A probability of a set of effects; runs of earlier versions have none."""
-    share = row.get(name)
+    """A probability of a set of effects, where it has one."""
+    share = row[name]
     if share is None or share != share:
         return ""
     return percent(share).replace(" %", "\u2009%")
@@ -249,52 +235,36 @@ def _rank(row: Row) -> tuple[int, float, float]:
 
 
 def _ranked(step: int, rows: list[Row]) -> TableBlock:
-    names = columns("site", "form", "of", "stage", "#explained", "#log₁₀ p", "#criterion", "")
+    names = ("site", "form", "of", "stage", "#explained", "#log₁₀ p", "#criterion", "")
     lines = [
-        cells(
-            TableCell(row["site"], code=True),
+        (
+            code(row["site"]),
             row["form"],
-            TableCell(", ".join(row["variables"] or ()), code=True),
+            code(", ".join(row["variables"] or ())),
             TableCell(row["stage"], "good" if row["stage"] == CandidateStage.ACCEPTED else ""),
             f"{100.0 * row['explained']:.1f}\u2009%",
             digits(row["log_p"] / np.log(10.0), 4),
             digits(row["criterion"], 4),
-            TableCell(_confounded(row["imitated_by"]), "faint"),
+            TableCell(f"confounded with {each}" if (each := row["imitated_by"]) else "", "faint"),
         )
         for row in rows
     ]
-    return TableBlock(names, tuple(lines), f"Step {step}: {len(rows)} candidates", folded=True)
-
-
-def _confounded(parameter: str) -> str:
-    return f"confounded with {parameter}" if parameter else ""
+    return table(names, lines, f"Step {step}: {len(rows)} candidates", folded=True)
 
 
 def _rivals(effect: Row) -> Block:
     others = effect.get("alternatives") or []
     if not others:
         return TextBlock(f"{effect['name']}: {NO_ALTERNATIVE}.")
-    names = columns("cannot be told apart", "equation", "#criterion", "differ most at", "#by")
-    chosen = cells(
-        TableCell(f"{effect.get('words') or effect['form']} at {effect['site']} (chosen)"),
-        TableCell(effect["equation"], code=True), "0", "", "",
-    )  # fmt: skip
-    lines = [chosen]
+    names = ("cannot be told apart", "equation", "#criterion", "differ most at", "#by")
+    chosen = f"{effect['words']} at {effect['site']} (chosen)"
+    lines: list[TableLine] = [(chosen, code(effect["equation"]), "0", "", "")]
     for other in others:
         at, by = "", ""
         if other["experiment"] and other["time"] is not None and other["difference"] is not None:
             at = f"{other['output']} of {other['experiment']}, {digits(other['time'])} s"
             by = f"{digits(other['difference'], 2)} times the noise"
-        criterion = other["criterion"]
-        lines.append(
-            cells(
-                f"{other.get('words') or other['form']} at {other['site']}",
-                TableCell(other["equation"], code=True),
-                "" if criterion is None else ("+" if criterion >= 0 else "") + digits(criterion, 3),
-                at,
-                by,
-            )
-        )
-    return TableBlock(
-        names, tuple(lines), f"{effect['name']}: {len(lines)} that explain the data alike"
-    )
+        criterion, said = other["criterion"], f"{other['words']} at {other['site']}"
+        worse = "" if criterion is None else ("+" if criterion >= 0 else "") + digits(criterion, 3)
+        lines.append((said, code(other["equation"]), worse, at, by))
+    return table(names, lines, f"{effect['name']}: {len(lines)} that explain the data alike")

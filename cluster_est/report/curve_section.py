@@ -11,11 +11,16 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from cluster_est.report.blocks import CurvePanel, PanelsBlock, ReportSection, TextBlock, with_unit
-from cluster_est.report.drawing import Band, Chart, Dots, Line, Mark, Plot, Rules, Scale
-from cluster_est.report.drawing.time_unit import TimeUnit, time_unit
-from cluster_est.report.folder import ReportedRun, Row
-from cluster_est.report.numbers import count, digits
+from cluster_est.report.charts import Band, Chart, Dots, Line, Mark, Plot, Rules, Scale
+from cluster_est.report.number_text import TimeUnit, count, digits, time_unit
+from cluster_est.report.page_blocks import (
+    CurvePanel,
+    PanelsBlock,
+    ReportSection,
+    TextBlock,
+    with_unit,
+)
+from cluster_est.report.reported_run import ReportedRun, Row
 from workers.messages import FloatArray, IntArray
 
 
@@ -283,7 +288,7 @@ def _parts(table: pa.Table | None) -> dict[Key, pa.Table]:
 
 
 def _column(table: pa.Table, name: str) -> FloatArray:
-    """A column with NaN for what is not there; runs of older versions have no curves before."""
+    """A column with NaN for what is not there."""
     if name not in table.column_names:
         return np.full(table.num_rows, np.nan)
     return np.asarray(pc.cast(table[name], pa.float64()).to_numpy(), np.float64)

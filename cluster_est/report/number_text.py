@@ -1,8 +1,10 @@
-"""Numbers as a person reads them: no more digits than they are worth."""
+"""Numbers as a person reads them: no more digits than they are worth, times in fit units."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import final
 
 MINUS, NONE = "\u2212", "\u2013"
 FIXED_FROM, FIXED_TO = 1e-4, 1e6
@@ -72,3 +74,27 @@ def duration(seconds: float) -> str:
 
 def _signed(text: str) -> str:
     return text.replace("-", MINUS)
+
+
+@final
+@dataclass(frozen=True)
+class TimeUnit:
+    """A unit of time: how it is written, and its seconds."""
+
+    name: str
+    seconds: float
+
+
+UNITS = (
+    (0.1, TimeUnit("ms", 1e-3)),
+    (300.0, TimeUnit("s", 1.0)),
+    (5.0 * 3600.0, TimeUnit("min", 60.0)),
+    (4.0 * 86400.0, TimeUnit("h", 3600.0)),
+)
+"""Each with the span in seconds up to which it is used."""
+DAYS = TimeUnit("days", 86400.0)
+
+
+def time_unit(span: float) -> TimeUnit:
+    """The unit for times that span so many seconds."""
+    return next((unit for most, unit in UNITS if span <= most), DAYS)

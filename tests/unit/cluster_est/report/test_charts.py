@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 from support.drawn import UNITS, Figures, points
 from support.reported import HOSTILE
 
-from cluster_est.report.drawing import (
+from cluster_est.report.charts import (
     Band,
     Bars,
     Cells,
@@ -20,8 +20,16 @@ from cluster_est.report.drawing import (
     Rules,
     Scale,
 )
-from cluster_est.report.numbers import beside, compact, count, digits, duration, interval, percent
-from cluster_est.report.sections.curves import column_of, extremes
+from cluster_est.report.curve_section import column_of, extremes
+from cluster_est.report.number_text import (
+    beside,
+    compact,
+    count,
+    digits,
+    duration,
+    interval,
+    percent,
+)
 
 X = np.linspace(0.0, 1.0, 11)
 UNIT = Scale(0.0, 1.0)

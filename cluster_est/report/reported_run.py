@@ -10,6 +10,7 @@ from typing import Any
 import pyarrow as pa
 
 from cluster_est.report.activity import LogActivity, read_activity
+from cluster_est.run_folder.judgement import RunStatus
 from cluster_est.run_folder.progress_file import PROGRESS, ProgressTail
 from cluster_est.run_folder.reading import (
     is_ended,
@@ -20,8 +21,6 @@ from cluster_est.run_folder.reading import (
 )
 
 Row = Mapping[str, Any]
-RUNNING = "running"
-"""The status in run.json of a run that has not ended."""
 SMALL = (
     "parameters", "errors", "constraints", "starts", "minima", "front", "correlations",
     "directions", "profiles", "intervals", "searches", "workers", "findings", "structures",
@@ -67,7 +66,7 @@ class ReportedRun:
     @property
     def is_running(self) -> bool:
         """True while the run has not ended, as far as it has said."""
-        return self.status == RUNNING
+        return self.status == RunStatus.RUNNING
 
     @property
     def finished(self) -> bool:
@@ -116,11 +115,12 @@ def read_run(path: Path, activity: LogActivity | None = None) -> ReportedRun:
     """
     facts = read_facts(path)
     tables = {name: _rows(path, name) for name in SMALL}
-    if facts["status"] == RUNNING:  # tables of an earlier run in a folder that is taken up again
+    running = facts["status"] == RunStatus.RUNNING
+    if running:  # tables of an earlier run in a folder that is taken up again
         tables = dict.fromkeys(SMALL, ())
     progress = ProgressTail(path / PROGRESS)
     tables["progress"] = tuple(vars(line) for line in progress.new())
-    if facts["status"] != RUNNING:
+    if not running:
         progress.check()
     tables["searches"] = tables["searches"] or tables["progress"]
     curves = bool(tables["parameters"])

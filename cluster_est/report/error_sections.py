@@ -1,19 +1,29 @@
-"""How large the errors are beside the noise: the headline of a run, and its first picture."""
+"""How large the errors are: beside the noise at the head of a page, and in tables."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import repeat
 from typing import Any, Literal
 
 import numpy as np
 
-from cluster_est.report.blocks import FigureBlock
-from cluster_est.report.drawing import Chart, Dots, Line, Mark, Plot, Rules, Scale
-from cluster_est.report.drawing.chart import gutter
-from cluster_est.report.folder import ReportedRun, Row
-from cluster_est.report.numbers import digits
+from cluster_est.report.charts import Dots, Line, Mark, Rules, Scale, row_chart
+from cluster_est.report.number_text import count, digits, percent
+from cluster_est.report.page_blocks import (
+    Block,
+    FigureBlock,
+    ReportSection,
+    TableBlock,
+    TableCell,
+    TextBlock,
+    Tone,
+    code,
+    table,
+)
+from cluster_est.report.reported_run import ReportedRun, Row
 
 MOST_ROWS = 24
 """Rows of the picture that are one output of one experiment each; else each is of an output."""
@@ -44,17 +54,8 @@ class ErrorSizes:
 
     def of(self, chosen: Sequence[int], when: When) -> float:
         """Root mean square over the samples of some rows; NaN where one of them failed."""
-        chosen = [i for i in chosen if self.rows[i]["samples"]]
-        rows = [self.rows[i] for i in chosen]
-        samples = sum(row["samples"] for row in rows)
-        if not samples:
-            return math.nan
-        name = "normalised" if self.is_noise else "relative"
-        sizes = [
-            row[f"{name}_{when}"] / self.divisors[i] for i, row in zip(chosen, rows, strict=True)
-        ]
-        squares = sum(row["samples"] * s**2 for row, s in zip(rows, sizes, strict=True))
-        return math.sqrt(squares / samples)
+        name = f"{'normalised' if self.is_noise else 'relative'}_{when}"
+        return _pooled([self.rows[i] for i in chosen], name, [self.divisors[i] for i in chosen])
 
     def of_role(self, role: str) -> list[int]:
         """The rows of training or of held-out experiments."""
@@ -141,17 +142,14 @@ def error_picture(run: ReportedRun) -> FigureBlock | None:
     across = Scale.around(before[before > 0.0], after[after > 0.0], ends, may_be_log=True)
     title = f"Error before and after, over {sizes.measure}"
     names = list(groups)
-    upright = Scale(len(names) - 0.5, -0.5)
-    plot = Plot(title, "", across, upright, marks, max(60, ROW_PIXELS * len(names)), names)
     note = f"Before: {run.before}."
     if sizes.is_noise:
         note += " A model that lacks nothing comes near the line of the noise."
     if sizes.is_noise and "estimated" in sizes.measure:
         note += " The noise of an output is estimated over all training experiments together."
     below = f"error over {sizes.measure}"
-    return FigureBlock(
-        "before-and-after", title, Chart((plot,), below, gutter=gutter(names), zooms=False), note
-    )
+    chart = row_chart(title, below, across, marks, names, height=ROW_PIXELS)
+    return FigureBlock("before-and-after", title, chart, note)
 
 
 def _groups(sizes: ErrorSizes) -> dict[str, list[int]]:
@@ -170,3 +168,66 @@ def _groups(sizes: ErrorSizes) -> dict[str, list[int]]:
 
 def _known(sizes: ErrorSizes, chosen: Sequence[int]) -> bool:
     return not math.isnan(sizes.of(chosen, "after"))
+
+
+ROLES = {"train": "training", "test": "held out"}
+MOST_OPEN = 24
+"""Rows of the table by experiment that are not folded."""
+
+
+def errors(run: ReportedRun) -> ReportSection:
+    """A table by output, and one by output and experiment."""
+    rows = run.tables["errors"]
+    if not rows:
+        return ReportSection("errors", "Errors", ())
+    blocks: list[Block] = [
+        TextBlock(
+            f"Root mean square of measured less simulated. Before: {run.before}. Of the signal: "
+            "the error after as a share of the measured signal's standard deviation."
+        )
+    ]
+    outputs = list(dict.fromkeys((row["output"], row["role"]) for row in rows))
+    if len(rows) > len(outputs):
+        own = [[r for r in rows if (r["output"], r["role"]) == key] for key in outputs]
+        blocks.append(_table("By output, over all experiments", own, pooled=True))
+    folded = len(rows) > MOST_OPEN
+    blocks.append(_table("By experiment", [[row] for row in rows], folded=folded))
+    return ReportSection("errors", "Errors before and after", tuple(blocks))
+
+
+def _table(
+    caption: str, groups: Sequence[Sequence[Row]], *, pooled: bool = False, folded: bool = False
+) -> TableBlock:
+    first = "#experiments" if pooled else "experiment"
+    sizes = "#before", "#after", "unit", "#change", "#of the signal", "#samples"
+    lines = []
+    for group in groups:
+        before, after = (_pooled(group, f"rmse_{when}") for when in ("before", "after"))
+        who = str(len(group)) if pooled else str(group[0]["experiment"])
+        of = code(group[0]["output"]), TableCell(ROLES.get(str(group[0]["role"]), ""), "faint")
+        samples = sum(row["samples"] for row in group)
+        change = _change(before, after) if samples else TableCell("")
+        share = percent(_pooled(group, "relative_after"))
+        errors = digits(before), digits(after), group[0]["unit"]
+        lines.append((*of, who, *errors, change, share, count(samples)))
+    return table(("output", "", first, *sizes), lines, caption, folded=folded)
+
+
+def _pooled(rows: Sequence[Row], name: str, divisors: Sequence[float] = ()) -> float:
+    """Root mean square over the samples of some rows, each over its divisor; NaN without any."""
+    sizes = [
+        (row["samples"], row[name] / divisor)
+        for row, divisor in zip(rows, divisors or repeat(1.0), strict=False)
+        if row["samples"]  # others have no error, and have not failed
+    ]
+    squares, samples = sum(n * size**2 for n, size in sizes), sum(n for n, _ in sizes)
+    return math.sqrt(squares / samples) if samples else math.nan
+
+
+def _change(before: float, after: float) -> TableCell:
+    if math.isnan(before) or math.isnan(after) or before <= 0.0:
+        return TableCell("failed", "bad") if math.isnan(after) else TableCell("")
+    share = after / before - 1.0
+    tone: Tone = "good" if share < -0.005 else "bad" if share > 0.005 else "faint"
+    sign = "+" if share > 0.0 else ""
+    return TableCell(f"{sign}{percent(share)}" if abs(share) >= 5e-4 else "none", tone)

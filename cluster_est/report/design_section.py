@@ -9,17 +9,10 @@ import numpy as np
 
 from cluster_est.closed_loop.findings.words.numbers import percent
 from cluster_est.experiment_design.findings.sentences import times
-from cluster_est.report.blocks import (
-    Block,
-    FigureBlock,
-    ReportSection,
-    TableBlock,
-    TableCell,
-    columns,
-)
-from cluster_est.report.drawing import Band, Chart, Line, Mark, Plot, Scale
-from cluster_est.report.folder import ReportedRun, Row
-from cluster_est.report.numbers import digits
+from cluster_est.report.charts import Band, Chart, Line, Mark, Plot, Scale
+from cluster_est.report.number_text import digits
+from cluster_est.report.page_blocks import Block, FigureBlock, ReportSection, code, table
+from cluster_est.report.reported_run import ReportedRun, Row
 from workers.messages import FloatArray
 
 MOST_MODELS = 5
@@ -106,31 +99,28 @@ def _models(run: ReportedRun) -> list[Block]:
         return []
     first = models[0]["model"]
     return [
-        TableBlock(
-            columns("if this is right", "#now", "#after it", "#a random input", "#a recorded one"),
-            tuple(
+        table(
+            ("if this is right", "#now", "#after it", "#a random input", "#a recorded one"),
+            [
                 (
-                    TableCell(row["model"], code=True),
+                    code(row["model"]),
                     *(
-                        TableCell("" if math.isnan(row[key]) else percent(row[key]))
+                        "" if math.isnan(row[key]) else percent(row[key])
                         for key in ("before", "after", "random", "recorded")
                     ),
                 )
                 for row in models
-            ),
+            ],
             "The probability that each model is expected to have if it is the right one, among "
             "itself and the rivals that some input tells from it",
         ),
-        TableBlock(
-            columns("rival", "#after it", "#a random input", "#at best"),
-            tuple(
-                (
-                    TableCell(row["rival"], code=True),
-                    *(TableCell(times(row[key])) for key in ("evidence", "random", "best")),
-                )
+        table(
+            ("rival", "#after it", "#a random input", "#at best"),
+            [
+                (code(row["rival"]), *(times(row[key]) for key in ("evidence", "random", "best")))
                 for row in evidence
                 if row["true_model"] == first
-            ),
+            ],
             f"How many times less likely each rival will be, if {first} is right",
         ),
     ]
@@ -138,21 +128,20 @@ def _models(run: ReportedRun) -> list[Block]:
 
 def _parameters(run: ReportedRun) -> list[Block]:
     return [
-        TableBlock(
-            columns("parameter", "#value", "#standard error now", "#after it", "#a random input"),
-            tuple(
-                (
-                    TableCell(row["label"], code=True),
-                    *(
-                        TableCell(digits(row[key]))
-                        for key in ("value", "std_error_before", "std_error_after", "random")
-                    ),
-                )
+        table(
+            ("parameter", "#value", "#standard error now", "#after it", "#a random input"),
+            [
+                (code(row["label"]), digits(row["value"]), *_errors(row))
                 for row in run.tables["precision"]
-            ),
+            ],
             "What the experiment is expected to do to the parameters",
         )
     ]
+
+
+def _errors(row: Row) -> list[str]:
+    """The standard error now, after the experiment, and after a random input."""
+    return [digits(row[key]) for key in ("std_error_before", "std_error_after", "random")]
 
 
 def _predictions(run: ReportedRun) -> list[Block]:
@@ -160,19 +149,9 @@ def _predictions(run: ReportedRun) -> list[Block]:
     if not rows:
         return []
     return [
-        TableBlock(
-            columns("predicted", "of", "#standard deviation now", "#after it", "#a random input"),
-            tuple(
-                (
-                    TableCell(row["output"], code=True),
-                    TableCell(row["experiment"]),
-                    *(
-                        TableCell(digits(row[key]))
-                        for key in ("std_error_before", "std_error_after", "random")
-                    ),
-                )
-                for row in rows
-            ),
+        table(
+            ("predicted", "of", "#standard deviation now", "#after it", "#a random input"),
+            [(code(row["output"]), row["experiment"], *_errors(row)) for row in rows],
             "What the experiment is expected to do to predictions: what the uncertainty of the "
             "parameters makes of them, as a root mean square over the samples",
         )

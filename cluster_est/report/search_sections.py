@@ -1,4 +1,4 @@
-"""The section on the search: convergence, starts, profiles, fronts."""
+"""How a run went: its searches, what its workers did, what failed, and where it all comes from."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ from itertools import pairwise
 import numpy as np
 
 from cluster_est.closed_loop.stages import stage_title
-from cluster_est.report.blocks import (
+from cluster_est.report.activity import busy_shares, without_breaks
+from cluster_est.report.charts import Cells, Chart, Dots, Line, Plot, Rules, Scale, row_chart
+from cluster_est.report.number_text import count, digits, duration, percent, time_unit
+from cluster_est.report.page_blocks import (
     Block,
     FigureBlock,
     ReportSection,
-    TableBlock,
+    SourceBlock,
     TableCell,
+    TableLine,
     TextBlock,
-    cells,
-    columns,
+    code,
+    table,
 )
-from cluster_est.report.drawing import Chart, Dots, Line, Plot, Rules, Scale
-from cluster_est.report.drawing.chart import gutter
-from cluster_est.report.folder import ReportedRun, Row
-from cluster_est.report.numbers import digits
+from cluster_est.report.reported_run import ReportedRun, Row
 
 MOST_LINES = 40
 """Searches that are drawn: the best ones."""
@@ -61,23 +62,17 @@ def _steps(run: ReportedRun) -> list[Block]:
     place = np.arange(len(best), dtype=float)
     marks = [
         Dots(name, ink, closed[chosen], place[chosen])
-        for chosen, name, ink in (
-            (~accepted, "refitted", "faint"),
-            (accepted, "accepted", "after"),
-        )
+        for chosen, name, ink in ((~accepted, "refitted", "faint"), (accepted, "accepted", "after"))
         if len(best) and chosen.any()
     ]
     if not marks:
         return []
     names = [f"{row['step']}: {' + '.join(row['effects'])}" for row in best]
     across = Scale.around(closed, np.array([0.0, 100.0]))
-    upright = Scale(len(best) - 0.5, -0.5)
     shown = "" if len(best) == len(rows) else f", the best {len(best)} of {len(rows)}"
     title = f"What each set of effects closed of the gap between error and noise{shown}"
-    plot = Plot(title, "", across, upright, marks, max(60, 20 * len(best)), names)
     below = "% of the gap that is closed, in training"
-    chart = Chart((plot,), below, gutter=gutter(names), zooms=False)
-    return [FigureBlock("steps", title, chart, STEPS_NOTE)]
+    return [FigureBlock("steps", title, row_chart(title, below, across, marks, names), STEPS_NOTE)]
 
 
 def _convergence(run: ReportedRun) -> list[Block]:
@@ -148,11 +143,11 @@ def _all_searches(run: ReportedRun) -> list[Block]:
     return [FigureBlock("convergence", title, chart, note)]
 
 
-def _plot(title: str, label: str, marks: Sequence[Line | Dots], height: int = 260) -> Plot:
+def _plot(title: str, label: str, marks: Sequence[Line | Dots]) -> Plot:
     """A plot around lines and dots, logarithmic upwards where the values span much."""
     x = Scale.around(*(mark.x for mark in marks))
     y = Scale.around(*(mark.y for mark in marks), may_be_log=True)
-    return Plot(title, label, x, y, marks, height)
+    return Plot(title, label, x, y, marks, 260)
 
 
 def _starts(run: ReportedRun) -> list[Block]:
@@ -185,19 +180,14 @@ def _minima(run: ReportedRun, starts: Sequence[Row]) -> list[Block]:
     counts = Counter(row["minimum"] for row in starts)
     labels = list(dict.fromkeys(row["label"] for row in run.tables["minima"]))[:6]
     values = {(row["point"], row["label"]): row["value"] for row in run.tables["minima"]}
-    lines = [
-        cells(
-            str(p),
-            digits(cost, 6),
-            str(counts[p]),
-            *(digits(values.get((p, label))) for label in labels),
-        )
+    lines: list[TableLine] = [
+        (str(p), digits(cost, 6), str(counts[p]), *(digits(values.get((p, n))) for n in labels))
         for p, cost in points.items()
     ]
     if counts[-1]:
-        lines.append(cells(TableCell("none", "bad"), "", str(counts[-1]), *("" for _ in labels)))
-    names = columns("minimum", "#cost", "#starts", *(f"#{label}" for label in labels))
-    return [TableBlock(names, tuple(lines), "Minima that were reached")] if lines else []
+        lines.append((TableCell("none", "bad"), "", str(counts[-1]), *("" for _ in labels)))
+    names = ("minimum", "#cost", "#starts", *(f"#{label}" for label in labels))
+    return [table(names, lines, "Minima that were reached")] if lines else []
 
 
 def _profiles(run: ReportedRun) -> list[Block]:
@@ -233,3 +223,99 @@ def _front(run: ReportedRun) -> list[Block]:
     title = f"Front of {len(points)} points"
     plot = _plot(title, "second objective", marks)
     return [FigureBlock("front", title, Chart((plot,), "first objective", legend=False))]
+
+
+BINS, MOST_WORKERS = 160, 64
+
+
+def workers(run: ReportedRun) -> ReportSection:
+    """A time line, a table of workers, and failures by their reasons."""
+    blocks = [*_failures(run), *_time_line(run), *_table(run)]
+    return ReportSection("workers", "Workers and failures", tuple(blocks))
+
+
+def _failures(run: ReportedRun) -> list[Block]:
+    found = run.activity.failures
+    if not found:
+        return [TextBlock("No simulation failed.")] if run.activity.simulations else []
+    names = ("#times", "status", "reason", "experiments", "#first ID")
+    rows = tuple(
+        (
+            count(each.count),
+            each.status,
+            each.message or "no message",
+            ", ".join(each.experiments[:4]) + (" …" if len(each.experiments) > 4 else ""),
+            str(each.first),
+        )
+        for each in found
+    )
+    hint = TextBlock("To run one again: cluster-est replay RUN ID.", "faint")
+    return [table(names, rows, "Simulations that failed", folded=len(rows) > 20), hint]
+
+
+def _time_line(run: ReportedRun) -> list[Block]:
+    activity = run.activity
+    if not len(activity.ended):
+        return []
+    activity, idle = without_breaks(activity)
+    edges, shares = busy_shares(activity, BINS)
+    order = sorted(range(len(activity.workers)), key=lambda i: activity.workers[i])[:MOST_WORKERS]
+    names = [activity.workers[i] for i in order]
+    shown = "" if len(order) == len(activity.workers) else f", {len(order)} of them"
+    cut = f"; breaks of {duration(idle)} are cut out" if idle else ""
+    title = f"When the workers were busy{shown}{cut}"
+    unit = time_unit(float(edges[-1]))
+    seconds = edges / unit.seconds
+    below = f"{unit.name} since the first simulation began; the darker, the busier"
+    across = Scale.around(seconds, margin=0.0)
+    marks = [Cells("busy", "after", seconds, shares[order])]
+    height = max(22, min(44, 400 // len(order)))
+    chart = row_chart(title, below, across, marks, names, height=height, least=0, legend=False)
+    return [FigureBlock("time-line", title, chart)]
+
+
+def _table(run: ReportedRun) -> list[Block]:
+    lines = [
+        (
+            code(row["worker"]),
+            count(row["simulations"]),
+            count(row["failures"]),
+            duration(row["busy_seconds"]),
+            percent(row["busy_seconds"] / row["seconds"] if row["seconds"] else None),
+        )
+        for row in run.tables["workers"]
+    ]
+    names = ("worker", "#simulations", "#failed", "#busy", "#of the time")
+    return [table(names, lines, "Workers", folded=len(lines) > 12)] if lines else []
+
+
+def provenance(run: ReportedRun) -> ReportSection:
+    """Model, hashes, seed, versions, data and the resolved config."""
+    facts = run.facts
+    fmu = facts.get("fmu") or {}
+    known = [
+        ("FMU", fmu.get("name")),
+        ("its SHA-256", fmu.get("sha256")),
+        ("interface", str(fmu.get("interface") or "").replace("_", " ")),
+        ("solver", fmu.get("solver")),
+        ("config hash", facts.get("config_hash")),
+        ("seed", facts.get("seed")),
+        ("started", facts.get("started")),
+        ("format", facts.get("format")),
+    ]
+    rows = [(k, code(str(v))) for k, v in known if v not in (None, "")]
+    blocks: list[Block] = [table(("", ""), rows)]
+    versions, experiments = facts.get("versions") or {}, facts.get("experiments") or {}
+    for names, pairs, caption in (
+        (("software", "version"), sorted(versions.items()), "Versions"),
+        (
+            ("experiment", "hash"),
+            experiments.items(),
+            f"Hashes of the {len(experiments)} experiments",
+        ),
+    ):
+        if lines := [(str(k), code(str(v))) for k, v in pairs]:
+            blocks.append(table(names, lines, caption, folded=True))
+    if run.config:
+        blocks.append(SourceBlock("The config, with every default", run.config))
+    return ReportSection("provenance", "Where this comes from", tuple(blocks))
