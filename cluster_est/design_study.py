@@ -25,13 +25,13 @@ from cluster_est.experiment_design.request import (
 )
 from cluster_est.experiment_design.targets import PredictionTarget
 from cluster_est.problem.problem import Problem
-from cluster_est.run_folder.reading import (
+from cluster_est.run_folder.logged_simulation import config_base
+from cluster_est.run_folder.run_files import (
     check_has_estimates,
     read_config_text,
     read_facts,
     read_run_table,
 )
-from cluster_est.run_folder.replay import config_base
 from cluster_est.run_folder.run_identity import UNHASHED, RunIdentity, RunKind
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.studies import ConfiguredRun

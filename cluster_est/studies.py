@@ -22,8 +22,8 @@ from cluster_est.fit import FitPlan, check_search, fit_in
 from cluster_est.problem.search_space.space import make_space
 from cluster_est.results.result import Result
 from cluster_est.run_folder.context import Existing, RunContext
-from cluster_est.run_folder.folder import RunResult
-from cluster_est.run_folder.judgement import RunStatus
+from cluster_est.run_folder.run_files import RunStatus
+from cluster_est.run_folder.run_folder import RunResult
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from cluster_est.running.environment import RunEnvironment, WorkerSource
 from cluster_est.running.interrupts import stopped_by

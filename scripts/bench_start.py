@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PROGRAM = (sys.executable, "-m", "cluster_est.cli")
+PROGRAM = (sys.executable, "-m", "cluster_est")
 
 
 @dataclass(frozen=True)

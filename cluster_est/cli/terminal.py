@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from cluster_est.cli.display.run import say
+from cluster_est.cli.printing import say
 from cluster_est.problem.effects.process_noise import noise_names
 from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.progress_text import left_of_step, pace_of, what_is_done

@@ -25,7 +25,7 @@ from cluster_est.report.page_blocks import Tone
 from cluster_est.report.parameter_sections import parameters, sensitivity
 from cluster_est.report.reported_run import ReportedRun, read_run
 from cluster_est.report.search_sections import provenance, search, workers
-from cluster_est.run_folder.judgement import RunStatus, run_worth
+from cluster_est.run_folder.run_files import RunStatus, run_worth
 from cluster_est.whole_files import ELSEWHERE, write_whole
 
 

@@ -10,9 +10,9 @@ from typing import Any
 import pyarrow as pa
 
 from cluster_est.report.activity import LogActivity, read_activity
-from cluster_est.run_folder.judgement import RunStatus
 from cluster_est.run_folder.progress_file import PROGRESS, ProgressTail
-from cluster_est.run_folder.reading import (
+from cluster_est.run_folder.run_files import (
+    RunStatus,
     is_ended,
     read_config_text,
     read_facts,

@@ -13,9 +13,8 @@ from pathlib import Path
 from cluster_est.errors import RunFolderError
 from cluster_est.report.activity import ActivityTail, FailureGroup
 from cluster_est.report.page import write_report
-from cluster_est.run_folder.judgement import RunStatus
 from cluster_est.run_folder.progress_file import PROGRESS, IterationLine, ProgressTail, RunState
-from cluster_est.run_folder.reading import is_ended, left_alone, read_facts
+from cluster_est.run_folder.run_files import RunStatus, is_ended, left_alone, read_facts
 
 RATE_SECONDS = 15.0
 """Over which the rate of simulations is taken."""

@@ -23,8 +23,7 @@ from cluster_est.report.page_blocks import (
     table,
 )
 from cluster_est.report.reported_run import Row
-from cluster_est.run_folder.judgement import RunWorth, run_worth
-from cluster_est.run_folder.reading import read_run_table
+from cluster_est.run_folder.run_files import RunWorth, read_run_table, run_worth
 
 SUMMARY, PAGE = "summary.parquet", "report.html"
 PARAMETER = "parameter "

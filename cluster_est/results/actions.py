@@ -31,7 +31,7 @@ def save(result: Result | LoopResult, folder: str | Path, *, overwrite: bool) ->
         If the folder holds something already or cannot be written.
     """
     from cluster_est.results.result import Result
-    from cluster_est.run_folder.folder import RunFolder
+    from cluster_est.run_folder.run_folder import RunFolder
     from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 
     path = as_path(folder, "folder", ProblemError)
@@ -77,8 +77,8 @@ def export(
     ClusterEstError
         If nothing is asked for, or a file cannot be written.
     """
-    from cluster_est.export.repair import repaired
     from cluster_est.export.repaired_fmu.fmu import FmuOptions
+    from cluster_est.export.repaired_model import repaired
     from cluster_est.export.write import ExportRequest, check_request, write_forms
     from cluster_est.results.result import Result
 

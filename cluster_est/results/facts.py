@@ -13,7 +13,7 @@ from cluster_est.results.initial_errors import initial_notes
 from cluster_est.results.observation import observation_notes
 from cluster_est.results.output_errors import worse_than_constants
 from cluster_est.results.solver_error.measure import solver_facts
-from cluster_est.results.tables.row_types import Estimate
+from cluster_est.results.tables import Estimate
 from cluster_est.statistics.residual_findings import (
     OutputDiagnostics,
     ResidualDiagnostics,

@@ -7,11 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from cluster_est.errors import RunFolderError
-from cluster_est.run_folder.folder import check_free
-from cluster_est.run_folder.judgement import RunStatus
 from cluster_est.run_folder.log_segment import read_segment, segments
 from cluster_est.run_folder.progress_file import PROGRESS, ProgressTail
-from cluster_est.run_folder.reading import read_config_text, read_facts, read_run_columns
+from cluster_est.run_folder.run_files import (
+    RunStatus,
+    read_config_text,
+    read_facts,
+    read_run_columns,
+)
+from cluster_est.run_folder.run_folder import check_free
 from cluster_est.run_folder.run_identity import DECISIVE, FORMAT, UNHASHED, RunIdentity, versions
 
 ENDS = ("parameters", "ranking", "next_input")

@@ -21,15 +21,15 @@ from cluster_est.config.config_text import read_toml
 from cluster_est.config.reader import read_config
 from cluster_est.config.sections import Config
 from cluster_est.errors import ConfigError, RunFolderError
-from cluster_est.run_folder.folder import BEGUN
-from cluster_est.run_folder.judgement import RunStatus
-from cluster_est.run_folder.reading import (
+from cluster_est.run_folder.resume import is_whole
+from cluster_est.run_folder.run_files import (
+    RunStatus,
     read_config_text,
     read_facts,
     read_run_table,
     write_run_columns,
 )
-from cluster_est.run_folder.resume import is_whole
+from cluster_est.run_folder.run_folder import BEGUN
 from cluster_est.run_folder.run_identity import RunIdentity, versions
 from cluster_est.settings import ConfigSection, checked
 from cluster_est.toml import inline

@@ -30,7 +30,7 @@ from cluster_est.report.parameter_sections import sensitivity
 from cluster_est.report.reported_run import ReportedRun, read_run
 from cluster_est.report.search_sections import search
 from cluster_est.report.sweep_page import SUMMARY, errors, is_sweep
-from cluster_est.run_folder.reading import read_run_table
+from cluster_est.run_folder.run_files import read_run_table
 
 DOCS = Path(__file__).resolve().parents[2] / "cluster_est" / "docs"
 WIDTH = 820

@@ -7,7 +7,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from cluster_est.cli.exit_codes import ExitCode
+from cluster_est.cli.parent_process import ExitCode
 
 PROGRAM = [sys.executable, "-c", "from cluster_est.cli import run; run()"]
 

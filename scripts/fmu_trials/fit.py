@@ -12,7 +12,7 @@ import tomli_w
 
 from cluster_est.methods.base import Ending
 from cluster_est.preflight.draft import candidates
-from cluster_est.run_folder.reading import read_facts
+from cluster_est.run_folder.run_files import read_facts
 from fmu_trials.commands import CommandEnd, run_command
 from fmu_trials.curve import Array, Trial, referred
 

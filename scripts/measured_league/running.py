@@ -12,7 +12,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from cluster_est.run_folder.judgement import RunStatus
+from cluster_est.run_folder.run_files import RunStatus
 from measured_league.cases import LeagueCase, textbook_config
 from measured_league.convert import convert
 

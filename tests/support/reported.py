@@ -7,7 +7,7 @@ from pathlib import Path
 from support.problems.springs import spring_problem
 
 from cluster_est.fit import fit
-from cluster_est.run_folder.folder import RunFolder
+from cluster_est.run_folder.run_folder import RunFolder
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 
 HOSTILE = '</script><img src=x onerror="alert(1)"><b>&amp;'

@@ -21,9 +21,13 @@ from cluster_est.export.repaired_fmu.compiler import (
     compile_library,
     find_compiler,
 )
-from cluster_est.export.repaired_fmu.description import identifier, model_description, with_step
-from cluster_est.export.repaired_fmu.layout import WrapperLayout, lay_out
+from cluster_est.export.repaired_fmu.fmi2_description import (
+    identifier,
+    model_description,
+    with_step,
+)
 from cluster_est.export.repaired_fmu.step_error import StepErrors, measure_step
+from cluster_est.export.repaired_fmu.wrapper_layout import WrapperLayout, lay_out
 from cluster_est.export.repaired_model import RepairedModel, describe_repair
 from cluster_est.run_folder.run_identity import versions
 from cluster_est.whole_files import ELSEWHERE, write_whole, writing

@@ -13,7 +13,7 @@ from support.spoiled import spoiled_fmu, write_input
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.cli.preparation import print_page
+from cluster_est.cli.check_command import print_page
 from cluster_est.errors import ModelError
 from cluster_est.preflight.all_checks import costs, run_checks
 from cluster_est.preflight.data_checks import data_findings

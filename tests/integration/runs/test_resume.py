@@ -323,7 +323,7 @@ def test_kills_at_any_instant_change_no_bit(finished, tmp_path):
     arguments = ["method.name=de", "budget.evaluations=800"]
     (code, whole), again = finished(*arguments), tmp_path / "run"
     how = ["--resume", "--no-report", *arguments]
-    command = [sys.executable, "-m", "cluster_est.cli", "fit", SPRING, *how]
+    command = [sys.executable, "-m", "cluster_est", "fit", SPRING, *how]
     generator = np.random.default_rng(5)
     statuses = []
     for _ in range(3):

@@ -11,15 +11,15 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 from rich.console import Console
 
-from cluster_est.cli.display.closed_loop import print_any_run
-from cluster_est.cli.display.run import say
-from cluster_est.cli.estimate import EXIT_CODES
+from cluster_est.cli.printed_runs import print_any_run
+from cluster_est.cli.printing import say
+from cluster_est.cli.run_commands import EXIT_CODES
 from cluster_est.cli.terminal import complain, say_if_compiled_first, terminal_listener
 from cluster_est.design_study import ConfiguredDesign, read_design
 from cluster_est.errors import RunFolderError
 from cluster_est.experiment_design.findings.sentences import STEM, TABLE
 from cluster_est.run_folder.context import Existing
-from cluster_est.run_folder.reading import read_facts, read_run_columns
+from cluster_est.run_folder.run_files import read_facts, read_run_columns
 from cluster_est.studies import Destination, do_run
 from cluster_est.whole_files import write_output
 

@@ -1,18 +1,18 @@
-"""Tables for a terminal."""
+"""A run in a terminal: sentences, numbers, tables without lines, and the tables of a fit."""
 
 from __future__ import annotations
 
 import math
 import textwrap
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
 from cluster_est.errors import RunFolderError
-from cluster_est.run_folder.reading import StoredRun, left_alone, read_stored_run
+from cluster_est.run_folder.run_files import Rows, StoredRun, left_alone, read_stored_run
 
 SHOWN = (
     "parameters", "errors", "constraints", "intervals", "front", "starts", "minima", "ranking",
@@ -54,7 +54,7 @@ def print_run(console: Console, run: StoredRun) -> None:
         say(console, f"tables: {run.path}/*.parquet")
 
 
-def print_iterations(console: Console, run_folder: Path, search: str | None = None) -> None:
+def print_iterations(console: Console, run_folder: Path, search: str | None) -> None:
     """Print the iteration table of one search, of the best start if none is named.
 
     Raises
@@ -73,18 +73,13 @@ def print_iterations(console: Console, run_folder: Path, search: str | None = No
 
         raise RunFolderError(f"{run_folder}: has no search {search!r}{nearest(search, names)}")
     chosen = [row for row in rows if row["search"] == search]
-    header = ["iteration", "F-count", "f(x)", "max constraint", "step", "optimality"]
-    print_table(
+    print_rows(
         console,
-        header,
-        [
-            (
-                str(row["iteration"]) if not row["ending"] else row["ending"],
-                str(row["evaluations"]),
-                *(_blank(row[key]) for key in ("cost", "violation", "step", "optimality")),
-            )
-            for row in chosen
-        ],
+        chosen,
+        ("iteration", lambda row: row["ending"] or str(row["iteration"])),
+        ("F-count", "evaluations"),
+        *((name, _blank(key)) for name, key in (("f(x)", "cost"), ("max constraint", "violation"))),
+        *((name, _blank(name)) for name in ("step", "optimality")),
     )
 
 
@@ -96,97 +91,68 @@ def _final_rank(row: dict[str, Any]) -> tuple[float, float]:
     return (violation if violation > TOLERANCE else 0.0, row["cost"])
 
 
-def _blank(value: float | None) -> str:
-    return "" if value is None or math.isnan(value) else f"{value:.6g}"
+def _blank(key: str) -> Cell:
+    return lambda row: "" if row[key] is None or math.isnan(row[key]) else f"{row[key]:.6g}"
 
 
-def _print_parameters(
-    console: Console, rows: list[dict[str, Any]], *, too_narrow: bool, interrupted: bool
-) -> None:
+def _print_parameters(console: Console, rows: Rows, *, too_narrow: bool, interrupted: bool) -> None:
     """Print values and intervals; the latter with a word where the residuals deny them."""
     # without a single interval in a run that was cut short, none was computed
     computed = not interrupted or not all(math.isnan(row["lower95"]) for row in rows)
     column = "95 % interval (too narrow)" if too_narrow else "95 % interval"
-    header = ["parameter", "value", column, "unit", "start", "on", ""]
-    print_table(
+    print_rows(
         console,
-        header,
-        [
-            (
-                row["label"],
-                number(row["value"]),
-                interval(row) if computed else "",
-                row["unit"],
-                number(row["start"]),
-                row["estimated_on"],
-                f"at its {row['at_bound']} bound" if row["at_bound"] else "",
-            )
-            for row in rows
-        ],
+        rows,
+        ("parameter", "label"),
+        ("value", numbers("value")),
+        (column, lambda row: interval(row) if computed else ""),
+        ("unit", "unit"),
+        ("start", numbers("start")),
+        ("on", "estimated_on"),
+        ("", at_bound),
     )
 
 
-def _print_errors(console: Console, rows: list[dict[str, Any]], missing: str) -> None:
-    header = ["experiment", "role", "output", "samples", "RMSE before", "after", "unit", "relative"]
-    print_table(
+def _print_errors(console: Console, rows: Rows, missing: str) -> None:
+    print_rows(
         console,
-        header,
-        [
-            (
-                row["experiment"],
-                row["role"],
-                row["output"],
-                str(row["samples"]),
-                number(row["rmse_before"], missing),
-                number(row["rmse_after"], missing),
-                row["unit"],
-                _percent(row["relative_after"]),
-            )
-            for row in rows
-        ],
+        rows,
+        *((name, name) for name in ("experiment", "role", "output", "samples")),
+        ("RMSE before", numbers("rmse_before", missing)),
+        ("after", numbers("rmse_after", missing)),
+        ("unit", "unit"),
+        ("relative", lambda row: _percent(row["relative_after"])),
     )
 
 
-def _print_constraints(console: Console, rows: list[dict[str, Any]]) -> None:
+def _print_constraints(console: Console, rows: Rows) -> None:
     if rows:
-        header = ["constraint", "must be", "before", "after", ""]
-        print_table(
+        print_rows(
             console,
-            header,
-            [
-                (
-                    row["constraint"],
-                    row["kind"],
-                    number(row["before"]),
-                    number(row["after"]),
-                    "" if row["satisfied"] else "violated",
-                )
-                for row in rows
-            ],
+            rows,
+            ("constraint", "constraint"),
+            ("must be", "kind"),
+            ("before", numbers("before")),
+            ("after", numbers("after")),
+            ("", lambda row: "" if row["satisfied"] else "violated"),
         )
 
 
-def _print_intervals(console: Console, rows: list[dict[str, Any]]) -> None:
+def _print_intervals(console: Console, rows: Rows) -> None:
     """Intervals that took refits."""
     if rows:
-        header = ["parameter", "from", "confidence", "lower", "upper"]
-        print_table(
+        print_rows(
             console,
-            header,
-            [
-                (
-                    row["label"],
-                    row["source"],
-                    f"{100 * row['confidence']:.4g} %",
-                    row["open_lower"] or _blank(row["lower"]),
-                    row["open_upper"] or _blank(row["upper"]),
-                )
-                for row in rows
-            ],
+            rows,
+            ("parameter", "label"),
+            ("from", "source"),
+            ("confidence", lambda row: f"{100 * row['confidence']:.4g} %"),
+            ("lower", lambda row: row["open_lower"] or _blank("lower")(row)),
+            ("upper", lambda row: row["open_upper"] or _blank("upper")(row)),
         )
 
 
-def _print_front(console: Console, rows: list[dict[str, Any]]) -> None:
+def _print_front(console: Console, rows: Rows) -> None:
     """The ends of a front of several objectives, and how many points lie between."""
     objectives = {row["point"]: row["objectives"] for row in rows}
     if objectives:
@@ -196,9 +162,7 @@ def _print_front(console: Console, rows: list[dict[str, Any]]) -> None:
         say(console, f"front of {len(objectives)} points, objectives {spans}: front.parquet")
 
 
-def _print_minima(
-    console: Console, starts: list[dict[str, Any]], minima: list[dict[str, Any]]
-) -> None:
+def _print_minima(console: Console, starts: Rows, minima: Rows) -> None:
     """Print the number of starts that reached each minimum."""
     if not starts:
         return
@@ -208,6 +172,29 @@ def _print_minima(
     if counts[-1]:
         rows.append(("none", "", str(counts[-1])))
     print_table(console, ["minimum", "cost", f"starts of {len(starts)}"], rows)
+
+
+Cell = Callable[[dict[str, Any]], str]
+"""What stands in a column of a row."""
+
+
+def print_rows(console: Console, rows: Rows, *columns: tuple[str, str | Cell]) -> None:
+    """A table of rows: for each column its name, and a key of the rows or what makes its cells."""
+    print_table(
+        console,
+        [name for name, _ in columns],
+        [[str(row[of]) if isinstance(of, str) else of(row) for _, of in columns] for row in rows],
+    )
+
+
+def numbers(key: str, missing: str = "failed") -> Cell:
+    """A column of numbers of six digits."""
+    return lambda row: number(row[key], missing)
+
+
+def at_bound(row: dict[str, Any]) -> str:
+    """Whether a value stands at a bound."""
+    return f"at its {row['at_bound']} bound" if row["at_bound"] else ""
 
 
 def print_table(console: Console, header: list[str], rows: Iterable[Iterable[str]]) -> None:

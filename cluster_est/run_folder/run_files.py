@@ -1,7 +1,8 @@
-"""The files of a run folder, read back."""
+"""The files of a run folder, read back, and what a run is worth by them."""
 
 from __future__ import annotations
 
+import enum
 import io
 import json
 import tomllib
@@ -14,9 +15,43 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from cluster_est.errors import RunFolderError
-from cluster_est.run_folder.judgement import RunStatus
 from cluster_est.run_folder.lock import is_left
 from cluster_est.whole_files import MEND, SEAL, is_damaged, is_sealed, sealed, write_whole
+
+
+class RunStatus(enum.StrEnum):
+    """The state of a run, as run.json says it."""
+
+    RUNNING = "running"
+    DONE = "done"
+    NOT_CONVERGED = "not converged"
+    INTERRUPTED = "interrupted"
+    FAILED = "failed"
+
+
+class RunWorth(enum.StrEnum):
+    """What a run is worth."""
+
+    GOOD = "good"
+    DOUBTFUL = ""
+    """It ended with a solution, and says what is doubtful of it."""
+    BAD = "bad"
+
+
+def run_worth(status: str, doubts: Sequence[str]) -> RunWorth:
+    """Judge a fit by how it ended and by what is doubtful of its solution.
+
+    Parameters
+    ----------
+    status
+        Of the run.
+    doubts
+        What is doubtful of its solution, as its run.json or the summary of a sweep says it.
+    """
+    if status != RunStatus.DONE:
+        return RunWorth.BAD
+    return RunWorth.DOUBTFUL if doubts else RunWorth.GOOD
+
 
 Rows = list[dict[str, Any]]
 CHECKSUM = "checksum"

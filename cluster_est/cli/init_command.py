@@ -7,8 +7,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from cluster_est.cli.display.run import say
-from cluster_est.cli.exit_codes import ExitCode
+from cluster_est.cli.parent_process import ExitCode
+from cluster_est.cli.printing import say
 from cluster_est.errors import ConfigError
 from cluster_est.preflight.draft import draft, read_mapping
 from cluster_est.preflight.draft_text import open_lines, write

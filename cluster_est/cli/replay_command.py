@@ -1,15 +1,35 @@
-"""Replays and lists of failures in a terminal."""
+"""The command replay, and the list of failures that `show` prints for it."""
 
 from __future__ import annotations
 
+from argparse import Namespace
 from pathlib import Path
 
 from rich.console import Console
 
-from cluster_est.cli.display.run import number, print_table, say
+from cluster_est.cli.parent_process import ExitCode
+from cluster_est.cli.printing import number, print_table, say
 from cluster_est.run_folder.log_segment import logged_cost
-from cluster_est.run_folder.replay import LoggedSimulation, ReplayRequest, comparison, read_failures
+from cluster_est.run_folder.logged_simulation import (
+    LoggedSimulation,
+    ReplayRequest,
+    comparison,
+    prepare,
+    read_failures,
+    read_logged,
+)
+from cluster_est.run_folder.logged_simulation import replay as run_replay
 from workers.messages import Outcome
+
+
+def replay(options: Namespace) -> int:
+    """Run one logged simulation again, in a process of its own that shows the FMU's messages."""
+    logged = read_logged(options.run_folder, options.number)
+    question = prepare(options.run_folder, logged, options.config, allow_code=options.allow_code)
+    print_question(Console(), logged, question)
+    outcome = run_replay(question)
+    print_answer(Console(), logged, outcome)
+    return ExitCode.NO_SOLUTION if outcome.failed else ExitCode.DONE
 
 
 def print_question(console: Console, logged: LoggedSimulation, question: ReplayRequest) -> None:

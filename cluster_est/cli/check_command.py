@@ -1,4 +1,4 @@
-"""The command before a run: check."""
+"""The command check: what is wrong with a config, its data and its FMU."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import replace
 
 from rich.console import Console
 
-from cluster_est.cli.display.run import number, print_table, say
-from cluster_est.cli.exit_codes import ExitCode
+from cluster_est.cli.parent_process import ExitCode
+from cluster_est.cli.printing import number, print_table, say
 from cluster_est.cli.terminal import complain, say_if_compiled_first
 from cluster_est.config.choices import build_resources
 from cluster_est.errors import ModelError
@@ -20,7 +20,7 @@ from cluster_est.preflight.unit_checks import unit_findings
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import make_space
 from cluster_est.results.output_errors import Simulation
-from cluster_est.results.tables.rows import constraints_at_start
+from cluster_est.results.tables import constraints_at_start
 from cluster_est.run_folder.run_identity import RunKind
 from cluster_est.running.resources import Resources
 from cluster_est.studies import read_run

@@ -1,8 +1,9 @@
-"""The table that `watch` shows and updates."""
+"""The command watch: a table of a run, updated until it ends."""
 
 from __future__ import annotations
 
 import math
+from argparse import Namespace
 from types import TracebackType
 from typing import Self
 
@@ -11,14 +12,22 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from cluster_est.cli.parent_process import ExitCode
 from cluster_est.report.number_text import count, duration
-from cluster_est.report.run_follower import RunView, SearchView
+from cluster_est.report.run_follower import RunView, SearchView, follow
 from cluster_est.run_folder.progress_file import RunState
 from cluster_est.run_folder.progress_text import left_of_step, pace_of, what_is_done
 
 MOST_SEARCHES, MOST_FAILURES = 12, 5
 QUIET_SECONDS = 30.0
 """After these it is worth a sentence that nothing comes."""
+
+
+def watch(options: Namespace) -> int:
+    """Follow a run until it ends."""
+    with WatchTable(Console()) as table:
+        follow(options.run_folder, options.every, table.show, html=options.html)
+    return ExitCode.DONE
 
 
 class WatchTable:

@@ -1,4 +1,4 @@
-"""The findings of a closed loop in a terminal."""
+"""A run of any kind in a terminal: a fit, a closed loop, a sensitivity analysis, a design."""
 
 from __future__ import annotations
 
@@ -9,10 +9,22 @@ from typing import Any
 
 from rich.console import Console
 
-from cluster_est.cli.display.run import SHOWN, interval, number, print_run, print_table, say, tell
+from cluster_est.cli.printing import (
+    SHOWN,
+    Cell,
+    at_bound,
+    interval,
+    number,
+    numbers,
+    print_rows,
+    print_run,
+    print_table,
+    say,
+    tell,
+)
 from cluster_est.closed_loop.findings.words.numbers import NO_ALTERNATIVE, percent
 from cluster_est.experiment_design.findings.sentences import times
-from cluster_est.run_folder.reading import StoredRun, read_stored_run
+from cluster_est.run_folder.run_files import Rows, StoredRun, read_stored_run
 
 
 def print_design(console: Console, run: StoredRun) -> None:
@@ -30,64 +42,52 @@ def print_design(console: Console, run: StoredRun) -> None:
     )
     models = run.tables["probabilities"]
     if models:
-        print_table(
+        print_rows(
             console,
-            ["if this is right, its probability", "now", "after it", "after a random input"],
-            [
-                (row["model"], *(_percent(row[name]) for name in ("before", "after", "random")))
-                for row in models
-            ],
+            models,
+            ("if this is right, its probability", "model"),
+            ("now", _percents("before")),
+            ("after it", _percents("after")),
+            ("after a random input", _percents("random")),
         )
         first = models[0]["model"]
-        print_table(
+        print_rows(
             console,
-            [f"rival of {first}", "expected to be less likely by", "after a random input"],
-            [
-                (row["rival"], times(row["evidence"]), times(row["random"]))
-                for row in run.tables["evidence"]
-                if row["true_model"] == first
-            ],
+            [row for row in run.tables["evidence"] if row["true_model"] == first],
+            (f"rival of {first}", "rival"),
+            ("expected to be less likely by", lambda row: times(row["evidence"])),
+            ("after a random input", lambda row: times(row["random"])),
         )
-    print_table(
+    then = (
+        ("after it", numbers("std_error_after", "")),
+        ("after a random input", numbers("random", "")),
+    )
+    print_rows(
         console,
-        ["parameter", "unit", "value", "std error now", "after it", "after a random input"],
-        [
-            (
-                row["label"],
-                row["unit"],
-                number(row["value"], ""),
-                *(
-                    number(row[name], "")
-                    for name in ("std_error_before", "std_error_after", "random")
-                ),
-            )
-            for row in run.tables["precision"]
-        ],
+        run.tables["precision"],
+        ("parameter", "label"),
+        ("unit", "unit"),
+        ("value", numbers("value", "")),
+        ("std error now", numbers("std_error_before", "")),
+        *then,
     )
     if run.tables["prediction_precision"]:
-        print_table(
+        print_rows(
             console,
-            ["predicted", "of", "unit", "std deviation now", "after it", "after a random input"],
-            [
-                (
-                    row["output"],
-                    row["experiment"],
-                    row["unit"],
-                    *(
-                        number(row[name], "")
-                        for name in ("std_error_before", "std_error_after", "random")
-                    ),
-                )
-                for row in run.tables["prediction_precision"]
-            ],
+            run.tables["prediction_precision"],
+            ("predicted", "output"),
+            ("of", "experiment"),
+            ("unit", "unit"),
+            ("std deviation now", numbers("std_error_before", "")),
+            *then,
         )
     for note in facts["notes"][1:]:
         say(console, f"note: {note}")
     say(console, f"tables: {run.path}/*.parquet")
 
 
-def _percent(value: float) -> str:
-    return "" if math.isnan(value) else percent(value)
+def _percents(key: str) -> Cell:
+    return lambda row: "" if math.isnan(row[key]) else percent(row[key])
 
 
 def print_sensitivity(console: Console, run: StoredRun) -> None:
@@ -103,22 +103,15 @@ def print_sensitivity(console: Console, run: StoredRun) -> None:
         f"{facts['simulations']} simulations ({facts['failures']} failed), "
         f"{facts['seconds']:.1f} s",
     )
-    rows = run.tables["ranking"]
-    header = ["parameter", found["ranks"], "+-", "seen, in sigmas", "collinearity"]
-    print_table(
+    print_rows(
         console,
-        [*header, "estimate"],
-        [
-            (
-                row["label"],
-                number(row["value"], "none"),
-                number(row["half_width"], ""),
-                number(row["size"], ""),
-                _index(row["collinearity"]),
-                _together(row["position"], row["together"]),
-            )
-            for row in rows
-        ],
+        run.tables["ranking"],
+        ("parameter", "label"),
+        (found["ranks"], numbers("value", "none")),
+        ("+-", numbers("half_width", "")),
+        ("seen, in sigmas", numbers("size", "")),
+        ("collinearity", lambda row: _index(row["collinearity"])),
+        ("estimate", lambda row: _together(row["position"], row["together"])),
     )
     for note in facts.get("notes") or []:
         say(console, f"note: {note}")
@@ -253,31 +246,21 @@ def _alternative(other: Facts) -> str:
     return text
 
 
-def _print_parameters(console: Console, rows: list[dict[str, Any]], *, too_narrow: bool) -> None:
+def _print_parameters(console: Console, rows: Rows, *, too_narrow: bool) -> None:
     """Print values and intervals; the last ones with a word where the residuals deny them."""
     found = "95 % interval (too narrow)" if too_narrow else "95 % interval"
-    header = ["parameter", "before", "95 % interval", "after", found, "unit", "on", ""]
-    print_table(
+    print_rows(
         console,
-        header,
-        [
-            (
-                row["label"],
-                _or_blank(row["value_before"]),
-                _before(row),
-                number(row["value"]),
-                interval(row),
-                row["unit"],
-                row["estimated_on"],
-                f"at its {row['at_bound']} bound" if row["at_bound"] else "",
-            )
-            for row in rows
-        ],
+        rows,
+        ("parameter", "label"),
+        ("before", numbers("value_before", "")),
+        ("95 % interval", _before),
+        ("after", numbers("value")),
+        (found, interval),
+        ("unit", "unit"),
+        ("on", "estimated_on"),
+        ("", at_bound),
     )
-
-
-def _or_blank(value: float) -> str:
-    return "" if math.isnan(value) else number(value)
 
 
 def _before(row: dict[str, Any]) -> str:
@@ -285,28 +268,23 @@ def _before(row: dict[str, Any]) -> str:
     return "" if math.isnan(low) or math.isnan(high) else f"{low:.5g} .. {high:.5g}"
 
 
-def _print_errors(console: Console, rows: list[dict[str, Any]], facts: Facts) -> None:
-    over = facts["errors_over"]
+def _print_errors(console: Console, rows: Rows, facts: Facts) -> None:
     lines = [
-        (
-            row["experiment"],
-            row["role"],
-            row["output"],
+        [
+            *(row[name] for name in ("experiment", "role", "output")),
             str(row["samples"]),
-            _error(row, "rmse_before"),
-            _error(row, "rmse_after"),
+            *(_error(row, f"rmse_{when}") for when in ("before", "after")),
             row["unit"],
-            _over_noise(row, "before"),
-            _over_noise(row, "after"),
-        )
+            *(_over_noise(row, when) for when in ("before", "after")),
+        ]
         for row in rows
     ]
     for role, total in facts["errors"].items():
         if any(row["role"] == role for row in rows):
             pair = number(total["before"], UNKNOWN), number(total["after"], UNKNOWN)
-            lines.append(("all", role, "", "", "", "", "", *pair))
+            lines.append(["all", role, *[""] * 5, *pair])
     header = ["experiment", "role", "output", "samples", "RMSE before", "after", "unit"]
-    print_table(console, [*header, f"over {over} before", "after"], lines)
+    print_table(console, [*header, f"over {facts['errors_over']} before", "after"], lines)
     say(console, "")
 
 

@@ -1,4 +1,4 @@
-"""The commands on a run folder: show, report, watch, replay and export."""
+"""The commands on a run folder: show, report and export."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from argparse import Namespace
 
 from rich.console import Console
 
-from cluster_est.cli.display.closed_loop import print_any_run
-from cluster_est.cli.display.run import print_iterations, say
-from cluster_est.cli.exit_codes import ExitCode
+from cluster_est.cli.parent_process import ExitCode
+from cluster_est.cli.printed_runs import print_any_run
+from cluster_est.cli.printing import print_iterations, say
 
 
 def show(options: Namespace) -> int:
     """Print the tables of a run, what failed in it, or one search's iterations."""
     run_folder = options.run_folder
     if options.failures:
-        from cluster_est.cli.display.replay import print_failures
+        from cluster_est.cli.replay_command import print_failures
 
         print_failures(Console(), run_folder)
     elif options.iterations or options.search is not None:
@@ -34,30 +34,6 @@ def report(options: Namespace) -> int:
     write = write_sweep_report if is_sweep(options.run_folder) else write_report
     say(Console(), f"report: {write(options.run_folder, options.out)}")
     return ExitCode.DONE
-
-
-def watch(options: Namespace) -> int:
-    """Follow a run until it ends."""
-    from cluster_est.cli.display.watch_table import WatchTable
-    from cluster_est.report.run_follower import follow
-
-    with WatchTable(Console()) as table:
-        follow(options.run_folder, options.every, table.show, html=options.html)
-    return ExitCode.DONE
-
-
-def replay(options: Namespace) -> int:
-    """Run one logged simulation again, in a process of its own that shows the FMU's messages."""
-    from cluster_est.cli.display.replay import print_answer, print_question
-    from cluster_est.run_folder.replay import prepare, read_logged
-    from cluster_est.run_folder.replay import replay as run_replay
-
-    logged = read_logged(options.run_folder, options.number)
-    question = prepare(options.run_folder, logged, options.config, allow_code=options.allow_code)
-    print_question(Console(), logged, question)
-    outcome = run_replay(question)
-    print_answer(Console(), logged, outcome)
-    return ExitCode.NO_SOLUTION if outcome.failed else ExitCode.DONE
 
 
 def export(options: Namespace) -> int:

@@ -17,11 +17,10 @@ import pyarrow as pa
 
 from cluster_est.errors import RunFolderError, UnwritableError
 from cluster_est.run_folder.evaluation_log import EvaluationLog
-from cluster_est.run_folder.judgement import RunStatus
 from cluster_est.run_folder.lock import LOCK, OWNER, RunLock
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.run_folder.progress_file import PROGRESS, ProgressFile
-from cluster_est.run_folder.reading import CHECKSUM, may_be_resumed, write_run_columns
+from cluster_est.run_folder.run_files import CHECKSUM, RunStatus, may_be_resumed, write_run_columns
 from cluster_est.run_folder.run_identity import FORMAT, RunIdentity, RunKind, versions
 from cluster_est.running.records import RunSnapshot, SearchIteration, TaskOrigin
 from cluster_est.running.trials.reset_policy import ResetDecision
