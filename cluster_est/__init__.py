@@ -103,7 +103,7 @@ _MODULES = {
     "cluster_est.problem.tables.files": ("read_table",),
     "cluster_est.residual_function": ("residuals",),
     "cluster_est.results.result": ("Result",),
-    "cluster_est.results.tables": ("Estimate",),
+    "cluster_est.results.fit_tables": ("Estimate",),
     "cluster_est.running.multistart": ("Multistart",),
     "cluster_est.running.records": ("Budget",),
     "cluster_est.running.resources": ("Resources",),

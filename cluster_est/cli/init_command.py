@@ -1,8 +1,9 @@
-"""The command that writes a first config: init."""
+"""The command init: a first config for an FMU and measured tables."""
 
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -10,7 +11,7 @@ from rich.console import Console
 from cluster_est.cli.parent_process import ExitCode
 from cluster_est.cli.printing import say
 from cluster_est.errors import ConfigError
-from cluster_est.preflight.draft import draft, read_mapping
+from cluster_est.preflight.draft import draft
 from cluster_est.preflight.draft_text import open_lines, write
 from cluster_est.toml import dotted
 from cluster_est.whole_files import write_output
@@ -44,3 +45,28 @@ def init(options: Namespace) -> int:
         )
     say(console, f"{out} is written; look through it, then: cluster-est check {out}")
     return ExitCode.DONE
+
+
+def read_mapping(texts: Sequence[str]) -> dict[str, str]:
+    """Read `VARIABLE=COLUMN` arguments.
+
+    Raises
+    ------
+    ConfigError
+        If one is something else, or a variable is there twice.
+    """
+    found: dict[str, str] = {}
+    for text in texts:
+        name, equals, column = (part.strip() for part in text.partition("="))
+        if not equals or not name or not column:
+            raise ConfigError(
+                f"--map: must be VARIABLE=COLUMN but is {text!r}; write it as in "
+                "--map u='Voltage (V)'"
+            )
+        if name in found:
+            raise ConfigError(
+                f"--map: {name} must be given one column but is given {found[name]!r} and "
+                f"{column!r}; remove one"
+            )
+        found[name] = column
+    return found

@@ -140,17 +140,10 @@ def _check_units(units: Mapping[str, str], description: ModelDescription) -> Non
 
 def _parameter(name: str, section: ParameterSection) -> Parameter:
     return Parameter(
-        name=name,
-        start=0.0 if section.start is None else section.start,
-        lower=section.bounds[0],
-        upper=section.bounds[1],
-        scale=section.scale,
-        fixed=section.fixed,
-        variable=section.variable,
-        per=section.per,
-        unit=section.unit,
-        expression=section.expression,
-        auxiliary=section.auxiliary,
+        name,
+        0.0 if section.start is None else section.start,
+        *section.bounds,
+        **section.model_dump(exclude={"start", "bounds", "prior"}),
         prior=build_prior(section.prior, f"{dotted('parameters', name)}.prior"),
     )
 
@@ -252,6 +245,7 @@ def _check_shared(where: str, given: OutputSection, first: OutputSection) -> Non
 
 
 def _declared(section: EffectSection) -> DeclaredEffect:
+    where = f"effects.{section.name or section.form}"
     return DeclaredEffect(
         section.name,
         section.site,
@@ -260,17 +254,8 @@ def _declared(section: EffectSection) -> DeclaredEffect:
         tuple(section.variables),
         {
             name: DeclaredCoefficient(
-                start=chosen.start,
-                bounds=chosen.bounds,
-                scale=chosen.scale,
-                fixed=chosen.fixed,
-                neutral=chosen.neutral,
-                per=chosen.per,
-                unit=chosen.unit,
-                prior=build_prior(
-                    chosen.prior,
-                    f"effects.{section.name or section.form}.parameters.{name}.prior",
-                ),
+                **chosen.model_dump(exclude={"prior"}),
+                prior=build_prior(chosen.prior, f"{where}.parameters.{name}.prior"),
             )
             for name, chosen in section.parameters.items()
         },

@@ -25,7 +25,7 @@ from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.parameter_constraints import label_of
 from cluster_est.problem.variables import coefficient_names
-from cluster_est.results.tables import Estimate
+from cluster_est.results.fit_tables import Estimate
 from cluster_est.run_folder.logged_simulation import config_base
 from cluster_est.run_folder.run_files import (
     check_has_estimates,

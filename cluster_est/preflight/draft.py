@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cluster_est.errors import ConfigError, DataError, ModelError
+from cluster_est.errors import DataError, ModelError
 from cluster_est.preflight.table_columns import ColumnMatch, TableColumns, match, read_columns, same
 from workers.fmu.description import ModelDescription, describe, nearest
 from workers.fmu.variable import ModelVariable
@@ -18,31 +18,6 @@ TIME = "time"
 """Stands for the time, whatever the FMU calls it."""
 MOST_COLUMNS = 30
 """Columns in a message."""
-
-
-def read_mapping(texts: Sequence[str]) -> dict[str, str]:
-    """Read `VARIABLE=COLUMN` arguments.
-
-    Raises
-    ------
-    ConfigError
-        If one is something else, or a variable is there twice.
-    """
-    found: dict[str, str] = {}
-    for text in texts:
-        name, equals, column = (part.strip() for part in text.partition("="))
-        if not equals or not name or not column:
-            raise ConfigError(
-                f"--map: must be VARIABLE=COLUMN but is {text!r}; write it as in "
-                "--map u='Voltage (V)'"
-            )
-        if name in found:
-            raise ConfigError(
-                f"--map: {name} must be given one column but is given {found[name]!r} and "
-                f"{column!r}; remove one"
-            )
-        found[name] = column
-    return found
 
 
 def check_variables(mapping: Mapping[str, str], description: ModelDescription) -> None:

@@ -15,9 +15,8 @@ from cluster_est.run_folder.run_files import (
     RunStatus,
     is_ended,
     read_config_text,
-    read_facts,
     read_run_columns,
-    read_run_table,
+    read_stored_run,
 )
 
 Row = Mapping[str, Any]
@@ -113,11 +112,10 @@ def read_run(path: Path, activity: LogActivity | None = None) -> ReportedRun:
     RunFolderError
         If it is none, or one of its tables is damaged.
     """
-    facts = read_facts(path)
-    tables = {name: _rows(path, name) for name in SMALL}
-    running = facts["status"] == RunStatus.RUNNING
-    if running:  # tables of an earlier run in a folder that is taken up again
-        tables = dict.fromkeys(SMALL, ())
+    stored = read_stored_run(path, SMALL)
+    facts, running = stored.facts, stored.facts["status"] == RunStatus.RUNNING
+    # while it runs, tables are those of an earlier run in a folder that is taken up again
+    tables = {name: () if running else tuple(rows) for name, rows in stored.tables.items()}
     progress = ProgressTail(path / PROGRESS)
     tables["progress"] = tuple(vars(line) for line in progress.new())
     if not running:
@@ -135,11 +133,6 @@ def read_run(path: Path, activity: LogActivity | None = None) -> ReportedRun:
         activity=activity or read_activity(path / "evaluations", ended=is_ended(facts)),
         predictions=_table(path / "predictions.parquet") if curves else None,
     )
-
-
-def _rows(path: Path, name: str) -> tuple[Row, ...]:
-    file = path / f"{name}.parquet"
-    return tuple(read_run_table(file)) if file.is_file() else ()
 
 
 def _table(path: Path) -> pa.Table | None:

@@ -37,17 +37,11 @@ class ProgressFile:
     def iteration(self, iteration: SearchIteration) -> None:
         """A new line of a search's iteration table."""
         progress = iteration.progress
-        line = _line(
-            {
-                "search": iteration.search,
-                "iteration": progress.iteration,
-                "cost": progress.cost,
-                "violation": progress.violation,
-                "ending": progress.ending,
-                "evaluations": iteration.evaluations,
-            }
-        )
-        self._last[iteration.search] = line
+        row = IterationLine(
+            iteration.search, progress.iteration, progress.cost, progress.violation,
+            progress.ending, iteration.evaluations,
+        )  # fmt: skip
+        self._last[iteration.search] = line = _line(vars(row))
         self._write(line)
 
     def show(self, snapshot: RunSnapshot) -> None:

@@ -10,7 +10,7 @@ from closed_loop_benchmark.naming import normal
 from closed_loop_benchmark.oracle import translate
 from cluster_est.closed_loop.findings.effects import NamedEffect
 from cluster_est.closed_loop.findings.result import LoopResult
-from cluster_est.results.tables import Estimate
+from cluster_est.results.fit_tables import Estimate
 
 
 def coverage(data: Data, result: LoopResult) -> tuple[int, int]:

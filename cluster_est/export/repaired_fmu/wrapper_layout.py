@@ -41,26 +41,9 @@ class TranslatedVariable:
     starts: tuple[float, ...]
 
 
-@dataclass(frozen=True)
-class FlatDescription:
-    """A description in which each variable is one of FMI 2.0.
-
-    Attributes
-    ----------
-    description
-        With references of the exported FMU.
-    translated
-        In the order of their first references.
-    left_out
-        Names of variables that FMI 2.0 cannot express.
-    """
-
-    description: ModelDescription
-    translated: tuple[TranslatedVariable, ...] = ()
-    left_out: tuple[str, ...] = ()
-
-
-def flatten(description: ModelDescription, structure: Mapping[str, int]) -> FlatDescription:
+def flatten(
+    description: ModelDescription, structure: Mapping[str, int]
+) -> tuple[ModelDescription, tuple[TranslatedVariable, ...], tuple[str, ...]]:
     """Give each element of an array a reference, and leave out what FMI 2.0 has no type for.
 
     A description of FMI 2.0 stays as it is.
@@ -69,9 +52,15 @@ def flatten(description: ModelDescription, structure: Mapping[str, int]) -> Flat
     ----------
     structure
         Values of structural parameters that differ from their start values.
+
+    Returns
+    -------
+    description, translated, left_out
+        With references of the exported FMU; in the order of their first references; names of
+        variables that FMI 2.0 cannot express.
     """
     if description.version == "2.0":
-        return FlatDescription(description)
+        return description, (), ()
     groups: dict[int, list[ModelVariable]] = {}
     for variable in description.variables.values():
         groups.setdefault(variable.reference, []).append(variable)
@@ -94,9 +83,7 @@ def flatten(description: ModelDescription, structure: Mapping[str, int]) -> Flat
             kept[v.name] = replace(v, reference=first + v.element, start=start)
     ordered = {name: kept[name] for name in description.variables if name in kept}
     translated.sort(key=lambda each: each.first)
-    return FlatDescription(
-        replace(description, variables=ordered), tuple(translated), tuple(left_out)
-    )
+    return replace(description, variables=ordered), tuple(translated), tuple(left_out)
 
 
 def _expressible(elements: list[ModelVariable]) -> bool:
@@ -242,10 +229,11 @@ def lay_out(repair: RepairedModel) -> WrapperLayout:
         If an effect is at an input that is not real, or the run needs a variable that FMI 2.0
         cannot say.
     """
-    flat = flatten(repair.description, dict(repair.problem.model.structure))
-    _check_needed(repair, flat.left_out)
-    repair = replace(repair, description=flat.description)
-    description, exchange = repair.description, repair.problem.model.interface == "model_exchange"
+    structure = dict(repair.problem.model.structure)
+    description, translated, left_out = flatten(repair.description, structure)
+    _check_needed(repair, left_out)
+    repair = replace(repair, description=description)
+    exchange = repair.problem.model.interface == "model_exchange"
     effects = repair.effects
     memories = [i for i, e in enumerate(effects) if e.form.memory and e.site.kind == "input"]
     outputs = [i for i, e in enumerate(effects) if e.site.kind == "output"]
@@ -267,16 +255,11 @@ def lay_out(repair: RepairedModel) -> WrapperLayout:
     row = tuple(dict.fromkeys(n for n in needed if n not in columns))
     layout = WrapperLayout(
         repair, exchange, inputs, sum(v.is_continuous for v in inputs), signals, tuple(memories),
-        tuple(inner), tuple(outputs), compiled, row, tuple(known), added, (), (),
+        tuple(inner), tuple(outputs), compiled, row, tuple(known), added, (), (), translated,
+        left_out,
     )  # fmt: skip
     answered, affected = _answered(layout)
-    return replace(
-        layout,
-        answered=answered,
-        affected=affected,
-        translated=flat.translated,
-        left_out=flat.left_out,
-    )
+    return replace(layout, answered=answered, affected=affected)
 
 
 def _signals(

@@ -31,7 +31,7 @@ from cluster_est.closed_loop.findings.words.known_units import KnownUnits
 from cluster_est.closed_loop.findings.words.laws import Law, law_of
 from cluster_est.closed_loop.findings.words.mathematics import mathematics_of
 from cluster_est.closed_loop.findings.words.physics import PlacedLaw, physics_of
-from cluster_est.results.tables import EffectCurve
+from cluster_est.results.fit_tables import EffectCurve
 from workers.effects.expression import parse
 from workers.effects.site import bracketed, difference, is_difference, own_variable
 from workers.fmu.description import ModelDescription

@@ -172,6 +172,13 @@ class EffectCurve:
     positive: str = ""
 
 
+OF_INTERVALS = (
+    "at_bound", "std_error", "lower95", "upper95", "error_white", "error_autoregression",
+    "error_experiments",
+)  # fmt: skip
+"""What an estimate has of the interval of its unknown."""
+
+
 def estimates(
     space: SearchSpace,
     solution: Solution,
@@ -180,54 +187,21 @@ def estimates(
     found: Sequence[ConfidenceInterval],
 ) -> list[Estimate]:
     """The values that were searched for, with their intervals."""
+    rows = []
     steps = solution.difference_steps
-    return [
-        _estimate(
-            space,
-            solution,
-            i,
-            found[i],
-            role=role,
-            units=units,
-            difference_step=np.nan if steps is None else steps[i],
+    for i, unknown in enumerate(space.unknowns):
+        value = unknown.to_physical(float(solution.x[i]))
+        rows.append(
+            replace(
+                _known(unknown.parameter, units, value, role),
+                label=unknown.label,
+                scope=unknown.scope or "shared",
+                start=unknown.start,
+                difference_step=np.nan if steps is None else float(steps[i]),
+                **{name: getattr(found[i], name) for name in OF_INTERVALS},
+            )
         )
-        for i in range(space.size)
-    ]
-
-
-def _estimate(
-    space: SearchSpace,
-    solution: Solution,
-    i: int,
-    interval: ConfidenceInterval,
-    *,
-    role: str,
-    units: dict[str, str],
-    difference_step: float,
-) -> Estimate:
-    unknown = space.unknowns[i]
-    parameter = unknown.parameter
-    return Estimate(
-        label=unknown.label,
-        parameter=parameter.name,
-        variable=parameter.target,
-        unit=parameter.unit or units.get(parameter.target, ""),
-        scope=unknown.scope or "shared",
-        value=unknown.to_physical(float(solution.x[i])),
-        start=unknown.start,
-        lower=parameter.lower,
-        upper=parameter.upper,
-        scale=parameter.scale,
-        at_bound=interval.at_bound,
-        std_error=interval.std_error,
-        lower95=interval.lower95,
-        upper95=interval.upper95,
-        error_white=interval.error_white,
-        error_autoregression=interval.error_autoregression,
-        error_experiments=interval.error_experiments,
-        difference_step=float(difference_step),
-        estimated_on=role,
-    )
+    return rows
 
 
 def derived(
