@@ -13,8 +13,7 @@ from rich.console import Console
 
 from cluster_est.cli.printed_runs import print_any_run
 from cluster_est.cli.printing import say
-from cluster_est.cli.run_commands import EXIT_CODES
-from cluster_est.cli.terminal import complain, say_if_compiled_first, terminal_listener
+from cluster_est.cli.terminal import EXIT_CODES, complain, say_if_compiled_first, terminal_listener
 from cluster_est.design_study import ConfiguredDesign, read_design
 from cluster_est.errors import RunFolderError
 from cluster_est.experiment_design.findings.sentences import STEM, TABLE

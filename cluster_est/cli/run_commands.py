@@ -18,6 +18,7 @@ from cluster_est.cli.parent_process import ExitCode
 from cluster_est.cli.printed_runs import print_any_run
 from cluster_est.cli.printing import number, print_table, say
 from cluster_est.cli.terminal import (
+    EXIT_CODES,
     complain,
     say_if_compiled_first,
     say_if_filter_compiled_first,
@@ -31,7 +32,7 @@ from cluster_est.fit import simulate as run_simulate
 from cluster_est.problem.problem import Problem
 from cluster_est.results.curves import residual_table, trajectory_table
 from cluster_est.run_folder.context import Existing
-from cluster_est.run_folder.run_files import RunStatus, check_has_estimates, read_run_table
+from cluster_est.run_folder.run_files import check_has_estimates, read_run_table
 from cluster_est.run_folder.run_identity import RunKind
 from cluster_est.studies import Destination, do_run, read_run
 from cluster_est.sweep.matrix import SUCCESS, SUMMARY
@@ -60,14 +61,6 @@ def _cells(row: dict[str, Any]) -> list[str]:
 
 def _shown(value: float | None) -> str:
     return "" if value is None else number(value)
-
-
-EXIT_CODES = {
-    RunStatus.DONE: ExitCode.DONE,
-    RunStatus.NOT_CONVERGED: ExitCode.NO_SOLUTION,
-    RunStatus.FAILED: ExitCode.NO_SOLUTION,
-    RunStatus.INTERRUPTED: ExitCode.INTERRUPTED,
-}
 
 
 def fit(options: Namespace) -> int:

@@ -14,10 +14,12 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from cluster_est.cli.parent_process import ExitCode
 from cluster_est.cli.printing import say
 from cluster_est.problem.effects.process_noise import noise_names
 from cluster_est.problem.problem import Problem
-from cluster_est.run_folder.progress_text import left_of_step, pace_of, what_is_done
+from cluster_est.run_folder.run_files import RunStatus
+from cluster_est.run_folder.run_progress import left_of_step, pace_of, what_is_done
 from cluster_est.running.records import Budget, RunSnapshot, Show
 from cluster_est.running.resources import Resources
 from cluster_est.studies import Listener
@@ -32,6 +34,13 @@ FIRST = (
     "the loops that call the FMU are compiled for this machine first, which takes about half a "
     "minute of one core; later runs find them ready"
 )
+
+EXIT_CODES = {
+    RunStatus.DONE: ExitCode.DONE,
+    RunStatus.NOT_CONVERGED: ExitCode.NO_SOLUTION,
+    RunStatus.FAILED: ExitCode.NO_SOLUTION,
+    RunStatus.INTERRUPTED: ExitCode.INTERRUPTED,
+}
 
 
 class ProgressLine:

@@ -371,8 +371,7 @@ def repaired(
     problem: Problem,
     estimates: Sequence[Estimate],
     experiment: str | None,
-    run: str = "result",
-    errors: Sequence[Row] = (),
+    errors: Sequence[Row],
     *,
     fitted: bool = False,
 ) -> RepairedModel:
@@ -386,8 +385,6 @@ def repaired(
         What was found for it.
     experiment
         As of `gather`.
-    run
-        The name that takes the place of the folder's.
     errors
         Rows of the table of errors.
     fitted
@@ -395,7 +392,7 @@ def repaired(
     """
     rows = {each.label: dataclasses.asdict(each) for each in estimates}
     chosen = _experiment(problem, experiment)
-    repair = ParameterReader(problem, problem.describe(), rows, chosen).repair(run)
+    repair = ParameterReader(problem, problem.describe(), rows, chosen).repair("result")
     return _with_errors(repair, errors, fitted=fitted)
 
 

@@ -10,7 +10,6 @@ from typing import Any
 import pyarrow as pa
 
 from cluster_est.report.activity import LogActivity, read_activity
-from cluster_est.run_folder.progress_file import PROGRESS, ProgressTail
 from cluster_est.run_folder.run_files import (
     RunStatus,
     is_ended,
@@ -18,6 +17,7 @@ from cluster_est.run_folder.run_files import (
     read_run_columns,
     read_stored_run,
 )
+from cluster_est.run_folder.run_progress import PROGRESS, ProgressTail
 
 Row = Mapping[str, Any]
 SMALL = (

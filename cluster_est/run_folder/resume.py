@@ -8,7 +8,6 @@ from typing import Any
 
 from cluster_est.errors import RunFolderError
 from cluster_est.run_folder.log_segment import read_segment, segments
-from cluster_est.run_folder.progress_file import PROGRESS, ProgressTail
 from cluster_est.run_folder.run_files import (
     RunStatus,
     read_config_text,
@@ -17,6 +16,7 @@ from cluster_est.run_folder.run_files import (
 )
 from cluster_est.run_folder.run_folder import check_free
 from cluster_est.run_folder.run_identity import DECISIVE, FORMAT, UNHASHED, RunIdentity, versions
+from cluster_est.run_folder.run_progress import PROGRESS, ProgressTail
 
 ENDS = ("parameters", "ranking", "next_input")
 """Tables of which every run that has ended has one."""

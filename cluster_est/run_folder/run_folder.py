@@ -19,9 +19,9 @@ from cluster_est.errors import RunFolderError, UnwritableError
 from cluster_est.run_folder.evaluation_log import EvaluationLog
 from cluster_est.run_folder.lock import LOCK, OWNER, RunLock
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
-from cluster_est.run_folder.progress_file import PROGRESS, ProgressFile
 from cluster_est.run_folder.run_files import CHECKSUM, RunStatus, may_be_resumed, write_run_columns
 from cluster_est.run_folder.run_identity import FORMAT, RunIdentity, RunKind, versions
+from cluster_est.run_folder.run_progress import PROGRESS, ProgressFile
 from cluster_est.running.records import RunSnapshot, SearchIteration, TaskOrigin
 from cluster_est.running.trials.reset_policy import ResetDecision
 from cluster_est.whole_files import AGAIN, ELSEWHERE, SEAL, sealed, write_whole, writing
@@ -186,7 +186,7 @@ class RunFolder:
         rows = [{"worker": name, **numbers} for name, numbers in sorted(self._workers.items())]
         self._table("workers", [row | {"seconds": seconds} for row in rows])
 
-    def abandon(self, reason: str, status: RunStatus = RunStatus.FAILED) -> None:
+    def abandon(self, reason: str, status: RunStatus) -> None:
         """Close the log of a run that ended without a result, and say so as far as that goes."""
         with suppress(UnwritableError):  # what could not be written is simulated again
             self._log.close()
