@@ -189,11 +189,7 @@ _SIGNAL_KEYS = (
     *("lower", "upper", "step_response", "tracking", "final"),
     *("tolerance", "between", "samples", "scale", "experiments"),
 )
-_KEYS = {
-    "expression": ("scale",),
-    "signal": _SIGNAL_KEYS,
-    "function": ("equality", "experiments"),
-}
+_KEYS = {"expression": ("scale",), "signal": _SIGNAL_KEYS, "function": ("equality", "experiments")}
 """Of each kind of constraint."""
 
 

@@ -350,11 +350,9 @@ def compared_at(
         return tuple(outputs)
     union = np.unique(np.concatenate([np.zeros(0), *(output.times for output in outputs)]))
     simulated = snapped(simulated, union)
-    wanted = {
-        "union": union,
-        "simulated": simulated,
-        "both": np.union1d(union, simulated),
-    }[time_base]
+    wanted = {"union": union, "simulated": simulated, "both": np.union1d(union, simulated)}[
+        time_base
+    ]
     pairs = zip(outputs, interpolations, strict=True)
     return tuple(_at(output, how, wanted) for output, how in pairs)
 

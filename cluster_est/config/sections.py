@@ -34,6 +34,7 @@ def _level(value: Any) -> Any:
 
 
 Level = Annotated[list[Pair], BeforeValidator(_level)]
+Bounds = Annotated[tuple[float, float], Strict(False)]
 
 TimeBase = Literal["measured", "union", "simulated", "both"]
 Normalise = Literal["sigma", "max", "range"]
@@ -113,7 +114,7 @@ class ConstraintSection(ConfigSection):
     )
     final: Finite | None = Field(None, description="value at the end of the simulation")
     tolerance: Finite = Field(0.0, ge=0.0, description="how far it may be off; 0: an equality")
-    between: Annotated[tuple[Finite, Finite], Strict(False)] | None = Field(
+    between: Pair | None = Field(
         None, description="[from, to] seconds; default: the whole simulation"
     )
     samples: Samples = Field(200, description="times at which the signal is checked, evenly spaced")
@@ -156,7 +157,7 @@ class MapSection(ConfigSection):
     start: Finite | list[Finite] = Field(
         description="where the estimation starts: a number, or one for each point"
     )
-    bounds: Annotated[tuple[float, float], Strict(False)] = Field(
+    bounds: Bounds = Field(
         (float("-inf"), float("inf")),
         description="[lower, upper] of every value; with slope_change of the first one, and of "
         "what the others may differ from it by in one interval",
@@ -235,9 +236,7 @@ class ParameterSection(ConfigSection):
         None,
         description="where the estimation starts, in the FMU's unit; needed but for an expression",
     )
-    bounds: Annotated[tuple[float, float], Strict(False)] = Field(
-        (float("-inf"), float("inf")), description="[lower, upper]"
-    )
+    bounds: Bounds = Field((float("-inf"), float("inf")), description="[lower, upper]")
     scale: Literal["linear", "log"] = Field("linear", description="log: methods see ln(value)")
     fixed: bool = Field(False, description="keep it at its start")
     variable: str = Field("", description="the FMU's name for it; default: the key")
@@ -265,7 +264,7 @@ class CoefficientSection(ConfigSection):
     start: Finite | None = Field(
         None, description="where the estimation starts; default: the value that does nothing"
     )
-    bounds: Annotated[tuple[float, float], Strict(False)] | None = Field(
+    bounds: Bounds | None = Field(
         None,
         description="[lower, upper]; default: what physics allows, and for a time constant, a "
         "width, a speed or a frequency a thousandth of its start at least",
@@ -302,8 +301,7 @@ class EffectSection(ConfigSection):
     )
     equation: str = Field("", description="instead of form: an equation in the FMU's names")
     reaction: str = Field(
-        "",
-        description="of an equation at a pair: what is added to the second state's derivative",
+        "", description="of an equation at a pair: what is added to the second state's derivative"
     )
     parameters: dict[str, CoefficientSection] = Field(
         default_factory=dict, description="its coefficients = { start, bounds, ... }"
@@ -317,7 +315,7 @@ class EffectSection(ConfigSection):
     monotone: Monotone = Field(
         "", description="of a free curve: increasing or decreasing: a constraint, as of a map"
     )
-    bounds: Annotated[tuple[float, float], Strict(False)] | None = Field(
+    bounds: Bounds | None = Field(
         None,
         description="[lower, upper] of every value of a free curve, as of a map; default: none",
     )

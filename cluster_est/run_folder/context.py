@@ -5,7 +5,6 @@ from __future__ import annotations
 import enum
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from cluster_est.errors import ClusterEstError, ExecutorError, UnwritableError
@@ -160,12 +159,7 @@ class RunContext:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
         """Say in the run folder how a run ended that did not end by itself."""
         if self.folder is not None and error is not None:
             reason, status = _ending(error)
