@@ -38,7 +38,7 @@ def report(options: Namespace) -> int:
 
 def export(options: Namespace) -> int:
     """Write what a run has found, in the forms that are asked for."""
-    from cluster_est.export.repaired_fmu.fmu import FmuOptions
+    from cluster_est.export.repaired_fmu import FmuOptions
     from cluster_est.export.write import ExportRequest
     from cluster_est.export.write import export as run_export  # SymPy takes long to import
 

@@ -18,8 +18,8 @@ from sympy.printing.precedence import precedence
 from sympy.printing.str import StrPrinter
 
 from cluster_est.errors import ConfigError
-from cluster_est.export.repaired_fmu.compiler import PLATFORMS
-from cluster_est.export.repaired_fmu.fmu import FmuOptions, write_fmu
+from cluster_est.export.compiler import PLATFORMS
+from cluster_est.export.repaired_fmu import FmuOptions, write_fmu
 from cluster_est.export.repaired_model import EstimatedValue, RepairedModel, describe_repair, gather
 from cluster_est.whole_files import ELSEWHERE, write_whole
 from workers.effects.definition import SIGNAL, TIME, EffectDefinition, variable_symbol

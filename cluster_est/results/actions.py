@@ -77,7 +77,7 @@ def export(
     ClusterEstError
         If nothing is asked for, or a file cannot be written.
     """
-    from cluster_est.export.repaired_fmu.fmu import FmuOptions
+    from cluster_est.export.repaired_fmu import FmuOptions
     from cluster_est.export.repaired_model import repaired
     from cluster_est.export.write import ExportRequest, check_request, write_forms
     from cluster_est.results.result import Result
