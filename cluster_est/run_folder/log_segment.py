@@ -12,7 +12,7 @@ import io
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -262,22 +262,16 @@ def _schema(part: pa.Buffer) -> pa.Schema:
     return schema.with_metadata(kept or None)
 
 
-def read_segment(path: Path, visit: Callable[[int, pa.RecordBatch], None]) -> SegmentReader:
-    """Go through the batches of a segment that are as they were written.
+Batches = list[tuple[int, pa.RecordBatch]]
+"""The batches of a segment that are as they were written, each with where it begins."""
 
-    Parameters
-    ----------
-    path
-        Of the segment.
-    visit
-        Called with the position at which a batch begins, and the batch.
-    """
+
+def read_segment(path: Path) -> tuple[SegmentReader, Batches]:
+    """Go through a whole segment."""
     reader = SegmentReader()
     with pa.OSFile(str(path)) as opened:
         content = opened.read_buffer()
-    for position, batch in reader.batches(content):
-        visit(position, batch)
-    return reader
+    return reader, list(reader.batches(content))
 
 
 def read_log(folder: Path, *, ended: bool = False) -> pa.Table:
@@ -303,8 +297,9 @@ def read_log(folder: Path, *, ended: bool = False) -> pa.Table:
     if not paths:
         raise RunFolderError(f"{folder}: must hold evaluation segments but holds none")
     for path in paths:
-        reader = read_segment(path, lambda _, batch: batches.append(batch))
+        reader, found = read_segment(path)
         reader.check(path, ended=ended)
+        batches += [batch for _, batch in found]
         if reader.torn:
             warnings.warn(f"{path}: its torn end was dropped", stacklevel=2)
     if not batches:
@@ -318,13 +313,11 @@ def mend(path: Path) -> SegmentReader:
     A torn segment is cut back to its last whole batch, and ended there. A kill in the middle of
     this loses nothing: only what cannot be believed goes.
     """
-    kept: list[pa.RecordBatch] = []
-    reader = read_segment(path, lambda *_: None)
+    reader, found = read_segment(path)
     if reader.schema is None:
         path.unlink()
     elif reader.damaged:
-        read_segment(path, lambda _, batch: kept.append(batch))
-        _rewrite(path, reader.schema, kept)
+        _rewrite(path, reader.schema, [batch for _, batch in found])
     else:
         _end_at(path, reader.end)
     return reader
@@ -346,9 +339,9 @@ def slim(path: Path) -> None:
 
     Its batches are joined: many that were written as they came take more room than their rows.
     """
-    kept: list[pa.RecordBatch] = []
-    reader = read_segment(path, lambda _, batch: kept.append(_without(batch)))
+    reader, found = read_segment(path)
     if reader.schema is not None:
+        kept = [_without(batch) for _, batch in found]
         table = pa.Table.from_batches(kept, reader.schema).combine_chunks()
         _rewrite(path, reader.schema, table.to_batches(max_chunksize=ROWS_PER_BATCH))
 

@@ -53,15 +53,12 @@ class LoggedOutcomes(OutcomeSource):
         self._schemas: dict[int, pa.Schema] = {}
         begins, keys, whole = [0], [np.zeros(0, f"S{KEY_LENGTH + 2}")], [np.zeros(0, bool)]
         for number, path in enumerate(paths):
-
-            def visit(position: int, batch: pa.RecordBatch, number: int = number) -> None:
+            for position, batch in read_segment(path)[1]:
                 self._schemas.setdefault(number, batch.schema)
                 self._batches.append((number, position))
                 begins.append(begins[-1] + batch.num_rows)
                 keys.append(_keys(batch))
                 whole.append(_whole(batch))
-
-            read_segment(path, visit)
         self._begins = np.array(begins)
         self._whole: IntArray = np.concatenate(whole)
         found: IntArray = np.concatenate(keys)

@@ -42,7 +42,7 @@ def is_whole(out: Path) -> bool:
         for path in out.glob("*.parquet"):
             read_run_columns(path)
         for path in segments(out / "evaluations"):
-            read_segment(path, lambda *_: None).check(path, ended=True)
+            read_segment(path)[0].check(path, ended=True)
     except RunFolderError:
         return False
     return True

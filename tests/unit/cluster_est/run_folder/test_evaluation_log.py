@@ -293,9 +293,8 @@ def written(folder: Path) -> bytes:
 
 
 def found_in(path: Path) -> tuple[list[str], SegmentReader]:
-    found: list[str] = []
-    reader = read_segment(path, lambda _, batch: found.extend(map(repr, batch.to_pylist())))
-    return found, reader
+    reader, batches = read_segment(path)
+    return [repr(row) for _, batch in batches for row in batch.to_pylist()], reader
 
 
 @pytest.mark.parametrize("kind", KINDS)
