@@ -13,13 +13,11 @@ from rich.console import Console
 
 from cluster_est.cli.printed_runs import print_any_run
 from cluster_est.cli.printing import say
-from cluster_est.cli.terminal import EXIT_CODES, complain, say_if_compiled_first, terminal_listener
+from cluster_est.cli.terminal import EXIT_CODES, run_as_told, say_if_compiled_first, say_report
 from cluster_est.design_study import ConfiguredDesign, read_design
 from cluster_est.errors import RunFolderError
 from cluster_est.experiment_design.findings.sentences import STEM, TABLE
-from cluster_est.run_folder.context import Existing
 from cluster_est.run_folder.run_files import read_facts, read_run_columns
-from cluster_est.studies import Destination, do_run
 from cluster_est.whole_files import write_output
 
 
@@ -35,20 +33,15 @@ def design(options: Namespace) -> int:
         options.predict,
         allow_code=options.allow_code,
     )
-    existing = Existing.OVERWRITE if options.overwrite else Existing.REFUSE
-    existing = Existing.RESUME if options.resume else existing
     say_if_compiled_first()
-    to = Destination(folder, existing, report=not options.no_report)
-    end = do_run(run, to, terminal_listener())
+    end = run_as_told(run, folder, options)
     if end.stopped:
-        complain(end.stopped)
         return EXIT_CODES[end.status]
     content = io.BytesIO()
     pacsv.write_csv(read_run_columns(folder / "next_input.parquet"), content)
     write_output(out, content.getvalue())
     print_any_run(Console(), folder)
-    if (folder / "report.html").is_file():
-        say(Console(), f"report: {folder / 'report.html'}")
+    say_report(folder)
     say(Console(), f"next experiment: {out}; write what you measure into its empty columns, and")
     say(Console(), "add it to the config:\n")
     block = read_facts(folder)["design"]["block"]

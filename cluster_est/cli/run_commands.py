@@ -16,12 +16,14 @@ from rich.console import Console
 
 from cluster_est.cli.parent_process import ExitCode
 from cluster_est.cli.printed_runs import print_any_run
-from cluster_est.cli.printing import number, print_table, say
+from cluster_est.cli.printing import Cell, number, print_rows, say
 from cluster_est.cli.terminal import (
     EXIT_CODES,
     complain,
+    run_as_told,
     say_if_compiled_first,
     say_if_filter_compiled_first,
+    say_report,
     terminal_listener,
 )
 from cluster_est.config.build import build_problem
@@ -31,36 +33,42 @@ from cluster_est.errors import RunFolderError
 from cluster_est.fit import simulate as run_simulate
 from cluster_est.problem.problem import Problem
 from cluster_est.results.curves import residual_table, trajectory_table
-from cluster_est.run_folder.context import Existing
-from cluster_est.run_folder.run_files import check_has_estimates, read_run_table
+from cluster_est.run_folder.run_files import Rows, check_has_estimates, read_run_table
 from cluster_est.run_folder.run_identity import RunKind
-from cluster_est.studies import Destination, do_run, read_run
+from cluster_est.studies import read_run
 from cluster_est.sweep.matrix import SUCCESS, SUMMARY
 from cluster_est.sweep.sweep import sweep as run_sweep
 from cluster_est.whole_files import write_output
 
-HEADER = ["run", "status", "cost", "RMSE train", "test", "evaluations", "seconds", ""]
 
-
-def print_sweep(console: Console, out: Path, rows: list[dict[str, Any]], ran: int) -> None:
+def print_sweep(console: Console, out: Path, rows: Rows, ran: int) -> None:
     """Print the number of runs that are done, and a line for each."""
     counts = Counter(row["status"] for row in rows)
     listed = ", ".join(f"{count} {status}" for status, count in counts.items())
     say(console, f"sweep {out}: {len(rows)} runs: {listed}; {ran} of them in this call")
-    print_table(console, HEADER, [_cells(row) for row in rows])
+    print_rows(
+        console,
+        rows,
+        ("run", "run"),
+        ("status", "status"),
+        ("cost", _known("cost")),
+        ("RMSE train", _known("rmse_train")),
+        ("test", _known("rmse_test")),
+        ("evaluations", _known("evaluations")),
+        ("seconds", lambda row: "" if row.get("seconds") is None else f"{row['seconds']:.1f}"),
+        ("", _why),
+    )
     say(console, f"table: {out / SUMMARY}")
 
 
-def _cells(row: dict[str, Any]) -> list[str]:
-    numbers = [_shown(row.get(key)) for key in ("cost", "rmse_train", "rmse_test", "evaluations")]
-    seconds = row.get("seconds")
-    why = (row["message"].splitlines() or [""])[0]
-    why = row["doubts"] if row["status"] == SUCCESS else why
-    return [row["run"], row["status"], *numbers, "" if seconds is None else f"{seconds:.1f}", why]
+def _known(key: str) -> Cell:
+    return lambda row: "" if row.get(key) is None else number(row[key])
 
 
-def _shown(value: float | None) -> str:
-    return "" if value is None else number(value)
+def _why(row: dict[str, Any]) -> str:
+    """What is doubtful of a run, or the first line of why it came to nothing."""
+    said = row["doubts"] if row["status"] == SUCCESS else (row["message"].splitlines() or [""])[0]
+    return str(said)
 
 
 def fit(options: Namespace) -> int:
@@ -80,18 +88,12 @@ def sensitivity(options: Namespace) -> int:
 
 def _run(options: Namespace, kind: RunKind) -> int:
     run = read_run(options.config, options.overrides, kind, allow_code=options.allow_code)
-    existing = Existing.OVERWRITE if options.overwrite else Existing.REFUSE
-    existing = Existing.RESUME if options.resume else existing
-    to = Destination(options.out, existing, report=not options.no_report)
     say_if_compiled_first()
     say_if_filter_compiled_first(run.identity.problem)
-    end = do_run(run, to, terminal_listener())
-    if end.stopped:
-        complain(end.stopped)
-        return EXIT_CODES[end.status]
-    print_any_run(Console(), options.out)
-    if (options.out / "report.html").is_file():
-        say(Console(), f"report: {options.out / 'report.html'}")
+    end = run_as_told(run, options.out, options)
+    if not end.stopped:
+        print_any_run(Console(), options.out)
+        say_report(options.out)
     return EXIT_CODES[end.status]
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 import os
 import time
+from argparse import Namespace
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Self
 
 from rich.console import Console
@@ -17,11 +19,12 @@ from cluster_est.cli.parent_process import ExitCode
 from cluster_est.cli.printing import say
 from cluster_est.problem.effects.process_noise import noise_names
 from cluster_est.problem.problem import Problem
+from cluster_est.run_folder.context import Existing
 from cluster_est.run_folder.run_files import RunStatus
 from cluster_est.run_folder.run_progress import left_of_step, pace_of, what_is_done
 from cluster_est.running.records import Budget, RunSnapshot, Show
 from cluster_est.running.resources import Resources
-from cluster_est.studies import Listener
+from cluster_est.studies import ConfiguredRun, Destination, Listener, RunEnd, do_run
 from workers.kernels.fmi.compiling import compiled_before
 
 SECONDS_BETWEEN = 0.1
@@ -197,6 +200,23 @@ def say_if_filter_compiled_first(problem: Problem) -> None:
             "process noise: its filter is compiled with the first simulation, once on a machine; "
             "that takes a quarter of a minute to a minute"
         )
+
+
+def run_as_told(run: ConfiguredRun, out: Path, options: Namespace) -> RunEnd:
+    """Do a run as the arguments of its command say, and complain where it has no result."""
+    existing = Existing.OVERWRITE if options.overwrite else Existing.REFUSE
+    existing = Existing.RESUME if options.resume else existing
+    to = Destination(out, existing, report=not options.no_report)
+    end = do_run(run, to, terminal_listener())
+    if end.stopped:
+        complain(end.stopped)
+    return end
+
+
+def say_report(run_folder: Path) -> None:
+    """Say where the report of a run stands, if it has one."""
+    if (run_folder / "report.html").is_file():
+        say(Console(), f"report: {run_folder / 'report.html'}")
 
 
 def terminal_listener() -> Listener:
