@@ -310,44 +310,41 @@ def model_description(
     _set_starts(root, layout)
     indices = _add_variables(root, layout)
     _extend_structure(root, layout, indices)
-    ET.indent(root)
-    return bytes(ET.tostring(root, encoding="UTF-8", xml_declaration=True)) + b"\n"
+    return as_document(root)
 
 
 def with_step(document: bytes, step: float) -> bytes:
     """Return the document with a default step size, which many tools take unless told otherwise."""
     root = ET.fromstring(document)
     _default_experiment(root).set("stepSize", repr(step))
+    return as_document(root)
+
+
+def as_document(root: Element) -> bytes:
+    """Return the text of a file of XML."""
     ET.indent(root)
     return bytes(ET.tostring(root, encoding="UTF-8", xml_declaration=True)) + b"\n"
 
 
 def _default_experiment(root: Element) -> Element:
-    before = (
-        "ModelExchange",
-        "CoSimulation",
-        "UnitDefinitions",
-        "TypeDefinitions",
-        "LogCategories",
-    )
-    return _child(root, "DefaultExperiment", before)
+    definitions = ("UnitDefinitions", "TypeDefinitions", "LogCategories")
+    return _child(root, "DefaultExperiment", ("ModelExchange", "CoSimulation", *definitions))
 
 
 def _interfaces(layout: WrapperLayout, old: Element, sources: tuple[str, ...]) -> list[Element]:
-    kept = {flag: old.get(flag, "false") for flag in _FLAGS}
-    kept = {flag: text for flag, text in kept.items() if text in ("true", "1")}
-    kept = {"modelIdentifier": identifier(layout), **kept}
-    if not layout.repair.effects and old.get("providesDirectionalDerivative") in ("true", "1"):
+    kept = {"modelIdentifier": identifier(layout)}
+    kept |= {name: text for name in _FLAGS if (text := old.get(name)) in ("true", "1")}
+    if not layout.repair.effects and flag(old.get("providesDirectionalDerivative")):
         kept["providesDirectionalDerivative"] = "true"
     simulation = Element("CoSimulation", kept)
     simulation.set("canInterpolateInputs", "true")
-    varies = layout.exchange or old.get("canHandleVariableCommunicationStepSize") in ("true", "1")
+    varies = layout.exchange or flag(old.get("canHandleVariableCommunicationStepSize"))
     simulation.set("canHandleVariableCommunicationStepSize", str(varies).lower())
     made = [simulation]
     if layout.exchange:
         exchange = Element("ModelExchange", kept)
         delays = any(e.form.memory for e in layout.repair.effects)
-        unneeded = old.get("completedIntegratorStepNotNeeded") in ("true", "1") and not delays
+        unneeded = flag(old.get("completedIntegratorStepNotNeeded")) and not delays
         exchange.set("completedIntegratorStepNotNeeded", str(unneeded).lower())
         made.insert(0, exchange)
     for element in made:

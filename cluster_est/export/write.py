@@ -19,6 +19,7 @@ from sympy.printing.str import StrPrinter
 
 from cluster_est.errors import ConfigError
 from cluster_est.export.compiler import PLATFORMS
+from cluster_est.export.fmi2_description import as_document
 from cluster_est.export.repaired_fmu import FmuOptions, write_fmu
 from cluster_est.export.repaired_model import EstimatedValue, RepairedModel, describe_repair, gather
 from cluster_est.whole_files import ELSEWHERE, write_whole
@@ -179,8 +180,7 @@ def parameter_set(repair: RepairedModel) -> bytes:
         for name in units:
             unit = SubElement(section, f"{{{COMMON}}}Unit", name=name)
             SubElement(unit, f"{{{COMMON}}}BaseUnit")
-    ET.indent(root)
-    return bytes(ET.tostring(root, encoding="UTF-8", xml_declaration=True)) + b"\n"
+    return as_document(root)
 
 
 def _add(parent: Element, name: str, value: Value, unit: str) -> None:
