@@ -107,7 +107,7 @@ _MODULES = {
     "cluster_est.studies.residual_function": ("residuals",),
     "cluster_est.studies.save_report_export": ("export", "report", "save"),
     "cluster_est.results.result": ("Result",),
-    "cluster_est.results.tables.row_types": ("Estimate",),
+    "cluster_est.results.fit_tables": ("Estimate",),
     "cluster_est.running.multistart": ("Multistart",),
     "cluster_est.running.records": ("Budget",),
     "cluster_est.running.resources": ("Resources",),

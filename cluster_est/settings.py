@@ -15,6 +15,7 @@ from typing import (
     ClassVar,
     Literal,
     Self,
+    TypeVar,
     Union,
     get_args,
     get_origin,
@@ -32,7 +33,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from cluster_est.errors import ProblemError
+from cluster_est.errors import ConfigError, ProblemError
 from workers.fmu.description import nearest
 from workers.messages.checks import shown
 
@@ -105,6 +106,37 @@ class ConfigSection(BaseModel):
     """A section of a config file: strict, frozen, without unknown keys."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+Section = TypeVar("Section", bound=BaseModel)
+
+
+def checked(
+    section: type[Section], raw: dict[str, Any], where: str, root: type[BaseModel] | None = None
+) -> Section:
+    """Return a section of what stands in a file.
+
+    Parameters
+    ----------
+    section
+        Its keys.
+    raw
+        As read from TOML.
+    where
+        Opens each message.
+    root
+        What `raw` is, where the section is only a part of it.
+
+    Raises
+    ------
+    ConfigError
+        With one line for each problem.
+    """
+    try:
+        return section.model_validate(raw)
+    except ValidationError as error:
+        said = error_messages(error, where, raw, root or section)
+        raise ConfigError("\n".join(said)) from None
 
 
 class Settings(ConfigSection):

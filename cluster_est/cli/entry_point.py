@@ -1,5 +1,9 @@
 """The program `cluster-est`: from arguments to a command, and from errors to sentences.
 
+Before a command is loaded, pyarrow makes its first array without pandas, which it would import
+then, to know a column of pandas when it is given one. No command is, and where pandas is installed
+this takes a quarter of a second. Whoever asks pyarrow for pandas later still gets it.
+
 Standard output and error end no command, whoever has stopped reading them: what the system refuses,
 because a pipe is closed or a disk full, is dropped, and the command goes on, for its results stand
 in files.
@@ -12,27 +16,84 @@ import io
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
+from importlib import import_module
+from importlib.abc import MetaPathFinder
 from pathlib import Path
+from types import ModuleType
 from typing import Any, TextIO
 
 import numpy as np
 from rich.console import Console
 from typing_extensions import override
 
-from cluster_est.cli.commands import run_command
-from cluster_est.cli.exit_codes import ExitCode
 from cluster_est.cli.parent_process import (
+    ExitCode,
     address_space,
     end,
     interrupts_can_be_raised,
     tell_of_fmu,
 )
 from cluster_est.cli.parser import parse
-from cluster_est.config.text import with_lines
+from cluster_est.config.config_text import with_lines
 from cluster_est.errors import ClusterEstError
 from cluster_est.running.interrupts import terminations
 from workers import caches
 from workers.fmu.surroundings import before_first_instance
+
+
+class _WithoutPandas(MetaPathFinder):
+    """Finds no pandas, and leaves everything else to others."""
+
+    @override
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> None:
+        if fullname == "pandas":
+            raise ModuleNotFoundError(fullname)
+
+
+def start_arrow() -> None:
+    """Have pyarrow make its first array while pandas cannot be found."""
+    if "pandas" in sys.modules:
+        return
+    import pyarrow as pa
+
+    finder = _WithoutPandas()
+    sys.meta_path.insert(0, finder)
+    try:
+        pa.array([0])
+    finally:
+        sys.meta_path.remove(finder)
+
+
+COMMANDS = {
+    "init": "init_command",
+    "check": "check_command",
+    "fit": "run_commands",
+    "close-loop": "run_commands",
+    "sensitivity": "run_commands",
+    "design": "design_command",
+    "simulate": "run_commands",
+    "show": "folder_commands",
+    "report": "folder_commands",
+    "watch": "watch_command",
+    "export": "folder_commands",
+    "sweep": "run_commands",
+    "replay": "replay_command",
+}
+"""The module of `cluster_est.cli` in which each command is a function of its name."""
+
+
+def run_command(options: Namespace) -> int:
+    """Run the command that was asked for, and return its exit code.
+
+    Its module is imported now: who shows a run need not wait for what a fit needs.
+    """
+    start_arrow()
+    name: str = options.command
+    module = import_module(f"cluster_est.cli.{COMMANDS[name]}")
+    return int(getattr(module, name.replace("-", "_"))(options))
+
 
 LONGEST_LINE = 2000
 

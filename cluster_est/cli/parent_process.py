@@ -11,6 +11,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import ctypes
+import enum
 import math
 import os
 import signal
@@ -186,3 +187,14 @@ def _end_descendants() -> None:
 def _children() -> list[int]:
     tasks = Path(f"/proc/{os.getpid()}/task").glob("*/children")
     return [int(each) for task in tasks for each in task.read_text().split()]
+
+
+class ExitCode(enum.IntEnum):
+    """The exit code of a command."""
+
+    DONE = 0
+    NO_SOLUTION = 1
+    """It ran, but did not reach a solution."""
+    BAD_INPUT = 2
+    """Something must be mended first; a sentence says what."""
+    INTERRUPTED = 130

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import TypeAlias
 
 from workers.fmu.description import nearest
 
@@ -57,7 +58,7 @@ def make_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
 
     _add_init(commands)
-    check = _command(
+    check = _with_config(
         commands,
         "check",
         "say what is wrong with a config, its data and its FMU, or with an FMU alone",
@@ -69,18 +70,16 @@ def make_parser() -> argparse.ArgumentParser:
         default=None,
         help="that all checks share (default 4); 0: only read everything",
     )
-
-    fit = _command(commands, "fit", "estimate the parameters")
-    loop = _command(commands, "close-loop", "find what the model lacks, add it and fit again")
-    ranked = _command(
-        commands, "sensitivity", "rank what is estimated by how much it moves cost and outputs"
-    )
-    for command in (fit, loop, ranked):
+    for name, summary in (
+        ("fit", "estimate the parameters"),
+        ("close-loop", "find what the model lacks, add it and fit again"),
+        ("sensitivity", "rank what is estimated by how much it moves cost and outputs"),
+    ):
+        command = _with_config(commands, name, summary)
         command.add_argument("--out", type=Path, required=True, help="folder to write the run to")
         _add_existing(command)
-
     _add_design(commands)
-    simulate = _command(
+    simulate = _with_config(
         commands,
         "simulate",
         "simulate every experiment, at the start values or as a run has found them",
@@ -91,13 +90,17 @@ def make_parser() -> argparse.ArgumentParser:
     simulate.add_argument(
         "--run", dest="run_folder", type=Path, help="take the values from this run's estimates"
     )
-
-    show = commands.add_parser("show", help="print a run's parameters and errors")
-    show.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
+    show = _with_run(commands.add_parser("show", help="print a run's parameters and errors"))
     show.add_argument("--iterations", action="store_true", help="print the iteration table instead")
     show.add_argument("--failures", action="store_true", help="list what failed, for replay")
     show.add_argument("--search", help="of this search, such as 'start 3'; without: of the best")
-    _add_report(commands)
+    report = _command(
+        commands,
+        "report",
+        "write the report of a run or a sweep, one HTML file that needs no network",
+    )
+    _with_run(report, "folder of the run or of the sweep")
+    report.add_argument("--out", type=Path, help="file to write; without: RUN/report.html")
     _add_watch(commands)
     _add_export(commands)
     _add_sweep(commands)
@@ -106,9 +109,34 @@ def make_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_init(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    summary = "write a first config for an FMU and measured tables"
-    init = commands.add_parser("init", help=summary, description=summary[0].upper() + summary[1:])
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+
+
+def _command(commands: Commands, name: str, summary: str) -> argparse.ArgumentParser:
+    return commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:])
+
+
+def _with_config(
+    commands: Commands, name: str, summary: str, config: str = "the TOML file"
+) -> argparse.ArgumentParser:
+    command = _command(commands, name, summary)
+    command.add_argument("config", metavar="CONFIG", type=Path, help=config)
+    command.add_argument(
+        "overrides", metavar="KEY=VALUE", nargs="*", help="overrides of keys of the config"
+    )
+    _add_allow_code(command)
+    return command
+
+
+def _with_run(
+    command: argparse.ArgumentParser, what: str = "folder of the run"
+) -> argparse.ArgumentParser:
+    command.add_argument("run_folder", metavar="RUN", type=Path, help=what)
+    return command
+
+
+def _add_init(commands: Commands) -> None:
+    init = _command(commands, "init", "write a first config for an FMU and measured tables")
     init.add_argument("fmu", metavar="FMU", type=Path, help="the model")
     init.add_argument(
         "data",
@@ -131,25 +159,9 @@ def _add_init(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     init.add_argument("--overwrite", action="store_true", help="replace that file")
 
 
-def _add_report(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    summary = "write the report of a run or a sweep, one HTML file that needs no network"
-    report = commands.add_parser(
-        "report", help=summary, description=summary[0].upper() + summary[1:]
-    )
-    report.add_argument(
-        "run_folder", metavar="RUN", type=Path, help="folder of the run or of the sweep"
-    )
-    report.add_argument("--out", type=Path, help="file to write; without: RUN/report.html")
-
-
-def _add_design(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def _add_design(commands: Commands) -> None:
     summary = "choose the input of the next experiment, which tells rivals apart or narrows values"
-    design = commands.add_parser(
-        "design", help=summary, description=summary[0].upper() + summary[1:]
-    )
-    design.add_argument(
-        "run_folder", metavar="RUN", type=Path, help="folder of a fit or a closed loop"
-    )
+    design = _with_run(_command(commands, "design", summary), "folder of a fit or a closed loop")
     design.add_argument(
         "overrides",
         metavar="KEY=VALUE",
@@ -174,10 +186,7 @@ def _add_design(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         "given more than once",
     )
     _add_existing(design)
-    design.add_argument(
-        "--config", type=Path, help="the config that the run was made from, if it has moved"
-    )
-    _add_allow_code(design)
+    _add_moved_config(design)
 
 
 def _add_existing(command: argparse.ArgumentParser) -> None:
@@ -191,19 +200,17 @@ def _add_existing(command: argparse.ArgumentParser) -> None:
     command.add_argument("--no-report", action="store_true", help="write no report.html")
 
 
-def _add_watch(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def _add_watch(commands: Commands) -> None:
     summary = "follow a run from another terminal or machine, by its folder alone"
-    watch = commands.add_parser("watch", help=summary, description=summary[0].upper() + summary[1:])
-    watch.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
+    watch = _with_run(_command(commands, "watch", summary))
     watch.add_argument("--html", action="store_true", help="keep RUN/report.html fresh too")
     watch.add_argument(
         "--every", metavar="SECONDS", type=_period, default=1.0, help="between two looks (1)"
     )
 
 
-def _add_sweep(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    summary = "do every fit of a sweep that is not done yet"
-    sweep = commands.add_parser("sweep", help=summary, description=summary[0].upper() + summary[1:])
+def _add_sweep(commands: Commands) -> None:
+    sweep = _command(commands, "sweep", "do every fit of a sweep that is not done yet")
     sweep.add_argument("sweep", metavar="SWEEP", type=Path, help="the TOML file of the sweep")
     sweep.add_argument(
         "--out", type=Path, required=True, help="folder with a run folder for each run"
@@ -214,27 +221,18 @@ def _add_sweep(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
     _add_allow_code(sweep)
 
 
-def _add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def _add_replay(commands: Commands) -> None:
     summary = "run one logged simulation again and show what the FMU says"
-    replay = commands.add_parser(
-        "replay", help=summary, description=summary[0].upper() + summary[1:]
-    )
-    replay.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
+    replay = _with_run(_command(commands, "replay", summary))
     replay.add_argument(
         "number", metavar="ID", type=int, help="row of the log, from 0; see show RUN --failures"
     )
-    replay.add_argument(
-        "--config", type=Path, help="the config that the run was made from, if it has moved"
-    )
-    _add_allow_code(replay)
+    _add_moved_config(replay)
 
 
-def _add_export(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def _add_export(commands: Commands) -> None:
     summary = "write what a run has found: a repaired FMU, a parameter set, equations"
-    export = commands.add_parser(
-        "export", help=summary, description=summary[0].upper() + summary[1:]
-    )
-    export.add_argument("run_folder", metavar="RUN", type=Path, help="folder of the run")
+    export = _with_run(_command(commands, "export", summary))
     export.add_argument(
         "--fmu", type=Path, help="write the FMU with the estimates and effects in it (.fmu)"
     )
@@ -262,25 +260,14 @@ def _add_export(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     export.add_argument(
         "--experiment", metavar="ID", help="whose values, where parameters have one for each"
     )
-    export.add_argument(
+    _add_moved_config(export)
+
+
+def _add_moved_config(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
         "--config", type=Path, help="the config that the run was made from, if it has moved"
     )
-    _add_allow_code(export)
-
-
-def _command(
-    commands: argparse._SubParsersAction[argparse.ArgumentParser],
-    name: str,
-    summary: str,
-    config: str = "the TOML file",
-) -> argparse.ArgumentParser:
-    command = commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:])
-    command.add_argument("config", metavar="CONFIG", type=Path, help=config)
-    command.add_argument(
-        "overrides", metavar="KEY=VALUE", nargs="*", help="overrides of keys of the config"
-    )
     _add_allow_code(command)
-    return command
 
 
 def _add_allow_code(command: argparse.ArgumentParser) -> None:

@@ -5,21 +5,26 @@ from __future__ import annotations
 import math
 import os
 import time
+from argparse import Namespace
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Self
 
 from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from cluster_est.cli.display.run import say
+from cluster_est.cli.parent_process import ExitCode
+from cluster_est.cli.printing import say
 from cluster_est.problem.effects.process_noise import noise_names
 from cluster_est.problem.problem import Problem
-from cluster_est.run_folder.progress_text import left_of_step, pace_of, what_is_done
+from cluster_est.run_folder.context import Existing
+from cluster_est.run_folder.run_files import RunStatus
+from cluster_est.run_folder.run_progress import left_of_step, pace_of, what_is_done
 from cluster_est.running.records import Budget, RunSnapshot, Show
 from cluster_est.running.resources import Resources
-from cluster_est.studies.configured import Listener
+from cluster_est.studies.configured import ConfiguredStudy, Destination, Listener, RunEnd, do_run
 from workers.kernels.fmi.compiling import compiled_before
 
 SECONDS_BETWEEN = 0.1
@@ -31,6 +36,13 @@ FIRST = (
     "the loops that call the FMU are compiled for this machine first, which takes about half a "
     "minute of one core; later runs find them ready"
 )
+
+EXIT_CODES = {
+    RunStatus.DONE: ExitCode.DONE,
+    RunStatus.NOT_CONVERGED: ExitCode.NO_SOLUTION,
+    RunStatus.FAILED: ExitCode.NO_SOLUTION,
+    RunStatus.INTERRUPTED: ExitCode.INTERRUPTED,
+}
 
 
 class ProgressLine:
@@ -188,6 +200,23 @@ def say_if_filter_compiled_first(problem: Problem) -> None:
             "process noise: its filter is compiled with the first simulation, once on a machine; "
             "that takes a quarter of a minute to a minute"
         )
+
+
+def run_as_told(run: ConfiguredStudy, out: Path, options: Namespace) -> RunEnd:
+    """Do a run as the arguments of its command say, and complain where it has no result."""
+    existing = Existing.OVERWRITE if options.overwrite else Existing.REFUSE
+    existing = Existing.RESUME if options.resume else existing
+    to = Destination(out, existing, report=not options.no_report)
+    end = do_run(run, to, terminal_listener())
+    if end.stopped:
+        complain(end.stopped)
+    return end
+
+
+def say_report(run_folder: Path) -> None:
+    """Say where the report of a run stands, if it has one."""
+    if (run_folder / "report.html").is_file():
+        say(Console(), f"report: {run_folder / 'report.html'}")
 
 
 def terminal_listener() -> Listener:

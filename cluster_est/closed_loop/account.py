@@ -35,10 +35,10 @@ from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkben
 from cluster_est.methods.least_squares.method import LeastSquares
 from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.facts import fitted_to_held_out
+from cluster_est.results.fit_tables import EffectCurve
 from cluster_est.results.guarded import GuardedSteps
 from cluster_est.results.initial_errors import InitialError, initial_errors, initial_notes
 from cluster_est.results.result import Result
-from cluster_est.results.tables.row_types import EffectCurve
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty import examine
 

@@ -20,8 +20,8 @@ from cluster_est.closed_loop.synthetic_experiments import (
     with_outputs,
 )
 from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench
-from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
+from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.effects.process_noise import noise_names
 from cluster_est.problem.idle_inputs import silent_notes
 from cluster_est.problem.observed_outputs import NOT_PLAIN

@@ -1,30 +1,48 @@
-"""From a checked config to a problem: reads the FMU and the measured tables."""
+"""From a checked config to a problem: reads the FMU and the measured tables.
+
+Maps become parameters: a table of values over points, smooth and monotone if that is known;
+`cluster_est.problem.effects.table_values` says what smoothness is. Effects bring parameters too.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+from cluster_est.config.choices import UserCode, build_cost, build_prior
 from cluster_est.config.constraints import check_signals, parameter_constraints
-from cluster_est.config.effects import build_effects, build_shared_sensors, with_maps
-from cluster_est.config.experiments import build_experiments
-from cluster_est.config.options import build_cost, build_prior
-from cluster_est.config.reader import Config, ParameterSection, read_config
-from cluster_est.config.reading import find_file
-from cluster_est.config.user_code import UserCode
+from cluster_est.config.experiment_keys import OutputSection
+from cluster_est.config.experiments import build_experiments, find_file
+from cluster_est.config.reader import read_config
+from cluster_est.config.sections import (
+    Config,
+    ConstraintSection,
+    EffectSection,
+    MapSection,
+    ParameterSection,
+)
 from cluster_est.errors import ConfigError, ModelError
+from cluster_est.problem.effects.declared import (
+    DeclaredCoefficient,
+    DeclaredEffect,
+    MadeEffect,
+    make_effect,
+)
+from cluster_est.problem.effects.sensors import shared_sensor
+from cluster_est.problem.effects.table_values import (
+    UNBOUNDED,
+    TableShape,
+    ValueTable,
+    check_table_name,
+)
 from cluster_est.problem.fmu_file import choose_interface
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.variables import check_value
 from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription, describe, describe_model
-from workers.messages import (
-    Interface,
-    Model,
-    Solver,
-    SolverName,
-)
+from workers.messages import Interface, Model, Solver, SolverName
 from workers.messages.checks import as_path, check_flag, check_kind, shown
 from workers.messages.model import check_solver
 
@@ -122,17 +140,10 @@ def _check_units(units: Mapping[str, str], description: ModelDescription) -> Non
 
 def _parameter(name: str, section: ParameterSection) -> Parameter:
     return Parameter(
-        name=name,
-        start=0.0 if section.start is None else section.start,
-        lower=section.bounds[0],
-        upper=section.bounds[1],
-        scale=section.scale,
-        fixed=section.fixed,
-        variable=section.variable,
-        per=section.per,
-        unit=section.unit,
-        expression=section.expression,
-        auxiliary=section.auxiliary,
+        name,
+        0.0 if section.start is None else section.start,
+        *section.bounds,
+        **section.model_dump(exclude={"start", "bounds", "prior"}),
         prior=build_prior(section.prior, f"{dotted('parameters', name)}.prior"),
     )
 
@@ -175,3 +186,164 @@ def _solver(config: Config, interface: Interface) -> Solver:
         name = section.solver
     check_solver(interface, name)
     return Solver(name, section.step, section.rtol, section.atol, section.max_steps)
+
+
+def build_effects(sections: tuple[EffectSection, ...]) -> tuple[MadeEffect, ...]:
+    """The effects of a config, each with its coefficients as parameters.
+
+    Raises
+    ------
+    ConfigError
+        If an effect names both a form and an equation, or neither, or a coefficient that it lacks.
+    EffectError
+        If there is no such form or site.
+    """
+    return tuple(make_effect(_declared(section)) for section in sections)
+
+
+def build_shared_sensors(config: Config) -> tuple[MadeEffect, ...]:
+    """The effects of outputs whose scale or offset is shared, each with its coefficients.
+
+    Raises
+    ------
+    ConfigError
+        If one is shared in some experiments and not in others, or contradicts another key.
+    """
+    outputs: dict[str, OutputSection] = {}
+    for experiment in config.experiments:
+        for name, given in experiment.outputs.items():
+            where = f"experiment {experiment.id!r}.{dotted('outputs', name)}"
+            _check_shared(where, given, outputs.setdefault(name, given))
+    return tuple(
+        shared_sensor(
+            name, scale=given.free_scale == "shared", offset=given.free_offset == "shared"
+        )
+        for name, given in outputs.items()
+        if "shared" in (given.free_scale, given.free_offset)
+    )
+
+
+def _check_shared(where: str, given: OutputSection, first: OutputSection) -> None:
+    """Refuse a shared scale or offset that not all experiments have, or that says nothing."""
+    for key in ("free_scale", "free_offset"):
+        value, elsewhere = getattr(given, key), getattr(first, key)
+        if value != elsewhere and "shared" in (value, elsewhere):
+            raise ConfigError(
+                f'{where}.{key}: must be "shared" in all experiments with this output, or in none, '
+                f"but is {value!r} here and {elsewhere!r} before; write it in experiment_defaults"
+            )
+        if value == "shared" and given.ordinal:
+            raise ConfigError(
+                f'{where}.{key}: must not be "shared" where the output is ordinal, for an order '
+                "says nothing of sizes, but both are given; remove one of the two"
+            )
+    if given.free_offset == "shared" and given.free_scale is True:
+        raise ConfigError(
+            f'{where}.free_offset: must not be "shared" where free_scale is true, for what is '
+            'shared would be scaled otherwise in each experiment; make free_scale "shared" too'
+        )
+
+
+def _declared(section: EffectSection) -> DeclaredEffect:
+    where = f"effects.{section.name or section.form}"
+    return DeclaredEffect(
+        section.name,
+        section.site,
+        section.form,
+        section.equation,
+        tuple(section.variables),
+        {
+            name: DeclaredCoefficient(
+                **chosen.model_dump(exclude={"prior"}),
+                prior=build_prior(chosen.prior, f"{where}.parameters.{name}.prior"),
+            )
+            for name, chosen in section.parameters.items()
+        },
+        section.reaction,
+        TableShape(section.slope_change, section.monotone, section.bounds or UNBOUNDED),
+    )
+
+
+def with_maps(config: Config) -> Config:
+    """Return the config with its maps written out as parameters and constraints.
+
+    Raises
+    ------
+    ConfigError
+        If a map contradicts itself, or takes a name that a parameter has.
+    """
+    if not config.maps:
+        return config
+    parameters, constraints = dict(config.parameters), list(config.constraints)
+    for name, section in config.maps.items():
+        table = _table(name, section)
+        for key, parameter in _parameters(section, table).items():
+            if key in parameters:
+                raise ConfigError(
+                    f"{dotted('maps', name)}: its value {key} must have a name of its own but "
+                    "there is a "
+                    "parameter of that name; rename one of the two"
+                )
+            parameters[key] = parameter
+        if not section.fixed:
+            constraints += [ConstraintSection(expression=text) for text in table.order()]
+    return config.model_copy(
+        update={"parameters": parameters, "constraints": constraints, "maps": {}}
+    )
+
+
+def _table(name: str, section: MapSection) -> ValueTable:
+    """A map as a table of values, checked."""
+    where, count = dotted("maps", name), len(section.points)
+    check_table_name(name, where, "NAME_1, NAME_2, ...")
+    if len(section.variables) != count:
+        raise ConfigError(
+            f"{where}.variables: must be as many as the points, {count}, but are "
+            f"{len(section.variables)}; add or remove some"
+        )
+    if isinstance(section.start, list) and len(section.start) != count:
+        raise ConfigError(
+            f"{where}.start: must be a number, or one for each of the {count} points, but are "
+            f"{len(section.start)}"
+        )
+    starts = section.start if isinstance(section.start, list) else [section.start] * count
+    table = ValueTable(
+        where,
+        f"{name}_",
+        tuple(f"{name}_{i}" for i in range(1, count + 1)),
+        tuple(section.points),
+        tuple(starts),
+        TableShape(section.slope_change, section.monotone, section.bounds),
+    )
+    table.check()
+    return table
+
+
+def _parameters(section: MapSection, table: ValueTable) -> Mapping[str, ParameterSection]:
+    """The parameters of a map, by their names in the config."""
+    names = [name for name in table.values if name is not None]
+    of_values = dict(zip(names, section.variables, strict=True))
+    if section.slope_change is None or section.fixed:
+        starts = zip(names, table.starts, strict=True)
+        return {
+            name: ParameterSection(
+                start=start,
+                bounds=section.bounds,
+                fixed=section.fixed,
+                variable=of_values[name],
+                unit=section.unit,
+            )
+            for name, start in starts
+        }
+    found = {}
+    for each in table.unknowns():
+        known: dict[str, Any] = {"name": "normal", "mean": 0.0, "sd": each.sd}
+        found[each.name] = ParameterSection(
+            start=each.start,
+            bounds=(each.lower, each.upper),
+            auxiliary=True,
+            prior={} if each.sd is None else known,
+        )
+    for name, text in table.expressions():
+        found[name] = ParameterSection(expression=text, variable=of_values[name], unit=section.unit)
+    return found

@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.config.reader import Config, ConstraintSection, StepSection, TrackingSection
-from cluster_est.config.time_base import snapped
-from cluster_est.config.user_code import UserCode
+from cluster_est.config.choices import UserCode
+from cluster_est.config.sections import Config, ConstraintSection, StepSection, TrackingSection
 from cluster_est.errors import ConfigError
 from cluster_est.problem.formulas import ParameterConstraint, parse_constraint
 from workers.fmu.description import ModelDescription, nearest
@@ -83,26 +82,6 @@ def signal_bound(section: ConstraintSection, where: str, start: float, stop: flo
         lower=lower,
         upper=upper,
         scale=section.scale or _magnitude(lower, upper),
-    )
-
-
-def snapped_bound(bound: SignalBound, onto: FloatArray) -> SignalBound:
-    """Put the times of a bound on measured ones, from which they differ by rounding alone.
-
-    Where two fall together, the tighter limits hold; the later ones, where those exclude each
-    other, because limits jump there.
-    """
-    times = snapped(bound.times, onto)
-    first = np.flatnonzero(np.diff(times, prepend=-np.inf) > 0.0)
-    last = np.append(first[1:], len(times)) - 1
-    lower = np.maximum.reduceat(bound.lower, first)
-    upper = np.minimum.reduceat(bound.upper, first)
-    fits = lower <= upper
-    return replace(
-        bound,
-        times=times[first],
-        lower=np.where(fits, lower, bound.lower[last]),
-        upper=np.where(fits, upper, bound.upper[last]),
     )
 
 
@@ -210,11 +189,7 @@ _SIGNAL_KEYS = (
     *("lower", "upper", "step_response", "tracking", "final"),
     *("tolerance", "between", "samples", "scale", "experiments"),
 )
-_KEYS = {
-    "expression": ("scale",),
-    "signal": _SIGNAL_KEYS,
-    "function": ("equality", "experiments"),
-}
+_KEYS = {"expression": ("scale",), "signal": _SIGNAL_KEYS, "function": ("equality", "experiments")}
 """Of each kind of constraint."""
 
 
@@ -254,7 +229,7 @@ def check_signals(config: Config, description: ModelDescription) -> None:
 
 
 def signal_bounds(
-    config: Config, experiment: str, start: float, stop: float, measured: Sequence[Output] = ()
+    config: Config, experiment: str, start: float, stop: float, measured: Sequence[Output]
 ) -> tuple[SignalBound, ...]:
     """Those on signals of one experiment, which is simulated from start to stop.
 

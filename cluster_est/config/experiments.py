@@ -1,26 +1,42 @@
-"""From the experiments of a config to measured signals, constraints and time bases."""
+"""From the experiments of a config to measured signals, constraints and time bases.
+
+The time base says at which times simulated and measured signals are compared. A simulation stands
+exactly on every time that is asked for, so only measured signals are ever interpolated, and the
+number of residuals is the same for every point, whatever the solver does.
+"""
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from cluster_est.config.constraints import constraint_functions, signal_bounds, snapped_bound
-from cluster_est.config.reader import Config, ExperimentSection
-from cluster_est.config.reading import ExperimentReader, find_file
-from cluster_est.config.time_base import compared_at, counted, weighted
-from cluster_est.config.user_code import UserCode
+from cluster_est.config.choices import UserCode
+from cluster_est.config.constraints import constraint_functions, signal_bounds
+from cluster_est.config.experiment_keys import ExperimentSection
+from cluster_est.config.sections import Config, Normalise, TimeBase
 from cluster_est.errors import ConfigError
-from cluster_est.problem.held_out import hold_out
+from cluster_est.problem.held_out import hold_out, within
 from cluster_est.problem.tables.files import MeasuredTable, read_table
-from cluster_est.problem.tables.measured import MeasuredColumns, interval
+from cluster_est.problem.tables.grades import with_grades
+from cluster_est.problem.tables.measured import ColumnChange, MeasuredColumns, interval
 from cluster_est.problem.tables.stand_ins import by_column
 from cluster_est.problem.tables.unused import TableSource
 from cluster_est.settings import MOST_TIMES
 from cluster_est.toml import dotted
 from workers.fmu.description import nearest
-from workers.messages import Curve, Experiment, FloatArray, Input, Output
+from workers.messages import (
+    Curve,
+    Experiment,
+    FloatArray,
+    Input,
+    Interpolation,
+    Output,
+    SignalBound,
+)
 
 
 def build_experiments(
@@ -72,9 +88,8 @@ def _source(
     if section.data is None or not named:
         return []
     path = find_file(section.data, base, config.data_folders, f"experiment {section.id!r}.data")
-    rows = None if section.rows is None else (section.rows[0], section.rows[1])
     missing = tuple(section.missing)
-    raw = MeasuredColumns(tables[path], section.id, rows, missing=missing)
+    raw = MeasuredColumns(tables[path], section.id, section.rows, missing=missing)
     graded = {each.column for each in section.outputs.values() if each.ordinal}
     numbers = {column: raw.column(column) for _, column in named if column not in graded}
     looked_at = [(key, column) for key, column in named if column in numbers]
@@ -86,7 +101,7 @@ def _source(
             path,
             section.time,
             section.sample_time,
-            rows,
+            section.rows,
             used,
             named,
             missing,
@@ -103,14 +118,19 @@ def _experiment(
     tables: dict[Path, MeasuredTable],
 ) -> Experiment:
     where = f"experiment {section.id!r}"
-    reader, times = _read(section, config, base, tables, where)
+    columns, times = _read(section, config, base, tables, where)
     measured: tuple[Output, ...] = ()
     inputs: tuple[Input, ...] = ()
     signals: tuple[Input, ...] = ()
-    if reader is not None and len(times):
-        measured = tuple(reader.output(times, variable) for variable in section.outputs)
-        inputs = tuple(reader.input(times, name) for name in section.inputs)
-        signals = tuple(reader.signal(times, name) for name in section.signals)
+    if columns is not None and len(times):
+        measured = tuple(_output(columns, times, section, name) for name in section.outputs)
+        inputs, signals = (
+            tuple(
+                columns.driving(times, name, each.column, each.interpolation, key)
+                for name, each in given.items()
+            )
+            for key, given in (("inputs", section.inputs), ("signals", section.signals))
+        )
     start, stop = interval(section.start, section.stop, times, measured, where)
     function = config.cost.function
     return Experiment(
@@ -123,7 +143,7 @@ def _experiment(
         role=section.role,
         groups=tuple(section.group.items()),
         signals=signals,
-        curve=None if reader is None else _curve(section, reader, start, stop, where),
+        curve=None if columns is None else _curve(section, columns, start, stop, where),
         bounds=tuple(
             snapped_bound(bound, _within(times, start, stop))
             for bound in signal_bounds(config, section.id, start, stop, measured)
@@ -139,16 +159,39 @@ def _read(
     base: Path,
     tables: dict[Path, MeasuredTable],
     where: str,
-) -> tuple[ExperimentReader | None, FloatArray]:
+) -> tuple[MeasuredColumns | None, FloatArray]:
     """The experiment's table and its times; none where nothing is measured over time."""
     if section.data is None:
         return None, np.zeros(0)
     path = find_file(section.data, base, config.data_folders, f"{where}.data")
     if path not in tables:
         tables[path] = read_table(path, where)
-    reader = ExperimentReader(tables[path], section, where)
-    timed = section.outputs or section.inputs or section.signals
-    return reader, reader.times() if timed else np.zeros(0)
+    changes = {
+        name: ColumnChange(each.factor, each.offset, each.demean)
+        for name, each in section.columns.items()
+    }
+    columns = MeasuredColumns(tables[path], where, section.rows, changes, tuple(section.missing))
+    named = (*section.outputs.values(), *section.inputs.values(), *section.signals.values())
+    if not named:
+        return columns, np.zeros(0)
+    return columns, columns.times(section.time, section.sample_time, named[0].column)
+
+
+def _output(
+    columns: MeasuredColumns, times: FloatArray, section: ExperimentSection, variable: str
+) -> Output:
+    """A signal that the model should follow, where it was measured."""
+    how = section.outputs[variable]
+    if isinstance(how.ordinal, list):
+        columns = with_grades(columns, variable, how.column, how.ordinal)
+    sigma, relative = section.sigma.get(variable, 1.0), section.relative_sigma.get(variable, 0.0)
+    return replace(
+        columns.output(times, variable, how.column, sigma, relative),
+        free_scale=how.free_scale is True,  # shared ones are effects
+        free_offset=how.free_offset is True,
+        detection_limit=how.detection_limit,
+        ordinal=how.ordinal is not False,
+    )
 
 
 def _within(times: FloatArray, start: float, stop: float) -> FloatArray:
@@ -220,7 +263,7 @@ def _simulated(config: Config, start: float, stop: float) -> FloatArray:
 
 
 def _curve(
-    section: ExperimentSection, reader: ExperimentReader, start: float, stop: float, where: str
+    section: ExperimentSection, columns: MeasuredColumns, start: float, stop: float, where: str
 ) -> Curve | None:
     given = section.curve
     if given is None:
@@ -233,7 +276,7 @@ def _curve(
             )
     return Curve(
         variables=tuple(given.columns),
-        points=reader.points(given.columns),
+        points=columns.points(given.columns.values()),
         times=np.unique(np.minimum(np.linspace(start, stop, given.samples), stop)),
         tolerances=tuple(given.tolerance.get(name, 0.0) for name in given.columns),
     )
@@ -248,3 +291,139 @@ def _check_weights(config: Config) -> None:
                 "but is not"
                 f"{nearest(name, sorted(named))}"
             )
+
+
+def find_file(name: str, base: Path, folders: list[str], where: str) -> Path:
+    """Look for a file beside the config, then in the data folders.
+
+    Raises
+    ------
+    ConfigError
+        If it is in none of them; the message lists them all.
+    """
+    tried = []
+    for folder in [".", *folders]:
+        beside, file = os.path.expandvars(folder), os.path.expandvars(name)
+        if "$" in beside + file:
+            tried.append(f"{os.path.join(beside, file)} (which is not set)")
+            continue
+        try:
+            candidate = base / Path(beside).expanduser() / Path(file).expanduser()
+            if candidate.is_file():
+                return candidate
+            shown = os.path.normpath(candidate)
+            tried.append(f"{shown} (a folder)" if candidate.is_dir() else shown)
+        except (OSError, RuntimeError) as error:  # too long, not permitted, ~ of nobody
+            tried.append(f"{file} ({error})")
+    raise ConfigError(
+        f"{where}: there is no file {name!r}; looked for {', '.join(dict.fromkeys(tried))}; "
+        "check the name, or add its folder to data_folders"
+    )
+
+
+ROUNDING = 16.0 * float(np.finfo(float).eps)
+"""Relative difference of times that are the same."""
+
+
+def compared_at(
+    outputs: Sequence[Output],
+    interpolations: Sequence[Interpolation],
+    time_base: TimeBase,
+    simulated: FloatArray,
+) -> tuple[Output, ...]:
+    """Put outputs on a time base.
+
+    Parameters
+    ----------
+    outputs
+        As measured.
+    interpolations
+        Of each between its samples.
+    time_base
+        "measured": each at its own times. "union": each at the times of all of them. "simulated":
+        each at `simulated`. "both": at the union of those. An output counts only from its first to
+        its last sample.
+    simulated : (n,)
+        Times of the simulated time base.
+    """
+    if time_base == "measured":
+        return tuple(outputs)
+    union = np.unique(np.concatenate([np.zeros(0), *(output.times for output in outputs)]))
+    simulated = snapped(simulated, union)
+    wanted = {"union": union, "simulated": simulated, "both": np.union1d(union, simulated)}[
+        time_base
+    ]
+    pairs = zip(outputs, interpolations, strict=True)
+    return tuple(_at(output, how, wanted) for output, how in pairs)
+
+
+def snapped(times: FloatArray, onto: FloatArray) -> FloatArray:
+    """Put times that differ from others by rounding alone on those.
+
+    Else a sample would count twice, or a held one only after the next.
+    """
+    if not len(onto):
+        return times
+    after = np.minimum(np.searchsorted(onto, times), len(onto) - 1)
+    before = np.maximum(after - 1, 0)
+    nearer = np.abs(times - onto[before]) < np.abs(times - onto[after])
+    closest = np.where(nearer, onto[before], onto[after])
+    rounding = ROUNDING * np.max(np.abs(onto))
+    return np.where(np.abs(times - closest) <= rounding, closest, times)
+
+
+def snapped_bound(bound: SignalBound, onto: FloatArray) -> SignalBound:
+    """Put the times of a bound on measured ones, from which they differ by rounding alone.
+
+    Where two fall together, the tighter limits hold; the later ones, where those exclude each
+    other, because limits jump there.
+    """
+    times = snapped(bound.times, onto)
+    first = np.flatnonzero(np.diff(times, prepend=-np.inf) > 0.0)
+    last = np.append(first[1:], len(times)) - 1
+    lower = np.maximum.reduceat(bound.lower, first)
+    upper = np.minimum.reduceat(bound.upper, first)
+    fits = lower <= upper
+    return replace(
+        bound,
+        times=times[first],
+        lower=np.where(fits, lower, bound.lower[last]),
+        upper=np.where(fits, upper, bound.upper[last]),
+    )
+
+
+def _at(output: Output, interpolation: Interpolation, wanted: FloatArray) -> Output:
+    times = output.times
+    if not len(times):
+        return output
+    inside = wanted[(wanted >= times[0]) & (wanted <= times[-1])]
+    if interpolation == "hold":
+        values = output.values[np.searchsorted(times, inside, side="right") - 1]
+    else:
+        values = np.interp(inside, times, output.values)
+    return replace(output, times=inside, values=values)
+
+
+def counted(
+    output: Output, first: float, last: float, windows: Sequence[tuple[float, float]]
+) -> Output:
+    """Keep the samples of an output from first to last and, if there are any, in windows."""
+    keep = (output.times >= first) & (output.times <= last)
+    if windows:
+        keep &= within(output.times, windows)
+    return replace(output, times=output.times[keep], values=output.values[keep])
+
+
+def weighted(output: Output, normalise: Normalise, weight: float) -> Output:
+    """Let an output's squares count as often as its weight says.
+
+    Its residuals are divided by sigma, or by the measured signal's largest absolute value or range,
+    and multiplied by the square root of the weight.
+    """
+    size, relative = output.sigma, output.relative_sigma
+    if normalise != "sigma" and len(output.values):
+        values = output.values
+        size = float(np.ptp(values) if normalise == "range" else np.max(np.abs(values)))
+        relative = 0.0
+    root = float(np.sqrt(weight))
+    return replace(output, sigma=(size or 1.0) / root, relative_sigma=relative / root)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BeforeValidator, Field, ValidationError
+from pydantic import BeforeValidator, Field
 
+from cluster_est.config.config_text import read_toml
 from cluster_est.errors import ConfigError, ProblemError
 from cluster_est.experiment_design.candidates import RECORDED
 from cluster_est.experiment_design.criteria import CRITERIA
@@ -19,7 +19,7 @@ from cluster_est.experiment_design.request import DesignSettings
 from cluster_est.experiment_design.targets import PredictionTarget
 from cluster_est.experiment_design.waveforms import WAVEFORMS
 from cluster_est.problem.tables.files import read_table
-from cluster_est.settings import LARGEST, ConfigSection, Count, Finite, Pair, error_messages, one_of
+from cluster_est.settings import LARGEST, ConfigSection, Count, Finite, Pair, checked, one_of
 from workers.messages import Experiment, Input, Interpolation
 from workers.messages.checks import as_path
 
@@ -253,24 +253,8 @@ def read_limits(path: str | Path) -> LimitsFile:
         If there is no such file, it is not TOML, or something in it is wrong.
     """
     path = as_path(path, "--limits", ConfigError)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-        raw = tomllib.loads(text)
-    except FileNotFoundError:
-        raise ConfigError(f"--limits: there is no file {path}; check the path") from None
-    except OSError as error:
-        raise ConfigError(
-            f"--limits: {path} must be a file that can be read but cannot be ({error.strerror}); "
-            "check the path"
-        ) from error
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{path}: must be TOML but is not: {error}; mend that line") from None
-    try:
-        found = LimitsSections.model_validate(raw)
-    except ValidationError as error:
-        raise ConfigError(
-            "\n".join(error_messages(error, str(path), raw, LimitsSections))
-        ) from None
+    text, raw = read_toml(path, "--limits: there is no file")
+    found = checked(LimitsSections, raw, str(path))
     try:
         return _built(found, text, path.parent)
     except ProblemError as error:

@@ -1,193 +1,49 @@
-"""TOML to the objects of a fit: the only reader of config files.
+"""TOML to a checked config: the only reader of config files.
 
-Its keys stand in `config/sections/`; an unknown key is an error that names the nearest known one.
-
-The keys of `[experiment_defaults]`, which every experiment has unless it says otherwise, are put
-into the experiments of the raw tree before it is checked as a whole, so that nothing else knows of
-them: a run's own config has every experiment with all of its keys.
+Its keys stand in `sections.py`; an unknown key is an error that names the nearest known one. What
+`value_files` hold (SSP parameter sets, or tables) is put into the raw tree before it is checked as
+a whole, so that a run's own config has every number itself. SSP 1.0, System Structure and
+Parameterization (Modelica Association, 2019), section 5.
 """
 
 from __future__ import annotations
 
-import difflib
-import tomllib
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import copy
+import csv
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
-from cluster_est.config.sections.experiment import (
-    ColumnSection,
-    CurveSection,
+from cluster_est.config.config_text import override, read_toml, unfilled
+from cluster_est.config.experiment_keys import (
+    DEFAULTS,
+    SIGMAS,
     ExperimentDefaultsSection,
     ExperimentSection,
-    InputSection,
-    OutputSection,
+    unused_defaults,
+    with_defaults,
 )
-from cluster_est.config.sections.sections import (
-    ClosedLoopSection,
-    CoefficientSection,
-    Config,
-    ConstraintSection,
-    CostSection,
-    EffectSection,
-    ExecutorSection,
-    MapSection,
-    MethodSection,
-    ModelSection,
-    ParameterSection,
-    StepSection,
-    TrackingSection,
-)
-from cluster_est.config.sections.value_files import VALUE_FILES, with_values_of_files
-from cluster_est.config.text import override, unfilled
-from cluster_est.costs import ALIASES as COST_ALIASES
-from cluster_est.costs import COSTS
+from cluster_est.config.sections import Config
 from cluster_est.errors import ConfigError
 from cluster_est.executors import EXECUTORS
 from cluster_est.methods import ALIASES, METHODS
+from cluster_est.problem.costs import ALIASES as COST_ALIASES
+from cluster_est.problem.costs import COSTS
 from cluster_est.problem.tables.measured import (
     missing_time,
     relative_without_sigma,
     sigma_without_output,
 )
-from cluster_est.settings import error_messages
+from cluster_est.settings import checked
 from cluster_est.toml import dotted
 from workers.fmu.description import nearest
-from workers.messages.checks import as_path, as_tuple
+from workers.messages import Value
+from workers.messages.checks import as_path, as_tuple, shown
 
-DEFAULTS = "experiment_defaults"
-SIGNALS = ("inputs", "outputs", "signals")
-"""Tables whose entries are columns; an empty name takes an entry of the defaults away."""
-SIGMAS = ("sigma", "relative_sigma")
-"""Keys of an experiment with a number for each output."""
-TIMES = ("time", "sample_time")
-"""Keys that exclude each other: with one of its own an experiment does not take the other."""
-
-
-def with_defaults(raw: dict[str, Any]) -> dict[str, Any]:
-    """Return a config's tree without defaults, each experiment with what it takes of them.
-
-    Parameters
-    ----------
-    raw
-        As read from TOML. Its table of defaults is valid; whether its experiments are is found out
-        afterwards.
-    """
-    kept = {key: value for key, value in raw.items() if key != DEFAULTS}
-    experiments = raw.get("experiments")
-    if isinstance(experiments, list):
-        defaults = _long_forms(raw[DEFAULTS])
-        kept["experiments"] = [
-            _whole(defaults, _long_forms(own)) if isinstance(own, dict) else own
-            for own in experiments
-        ]
-    return kept
-
-
-def unused_defaults(defaults: dict[str, Any], config: Config) -> Iterator[str]:
-    """Yield a sentence for each name in the defaults that means nothing to any experiment."""
-    outputs = sorted({name for each in config.experiments for name in each.outputs})
-    columns = sorted({name for each in config.experiments for name in _used(each.model_dump())})
-    for key in SIGMAS:
-        for name in defaults.get(key, {}):
-            if name not in outputs:
-                must = "must be named as an output of some experiment but is not"
-                yield f"{DEFAULTS}.{key}.{name}: {must}{_beside(name, outputs)}"
-    for name in defaults.get("columns", {}):
-        if name not in columns:
-            must = "must be named as a column that some experiment uses but is not"
-            yield f"{DEFAULTS}.{dotted('columns', name)}: {must}{_beside(name, columns)}"
-
-
-def _beside(name: str, known: list[str]) -> str:
-    """Return the end of a message: either of two names may be the misspelt one."""
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    if near:
-        return f", only {near[0]!r} is; one of the two names may be wrong"
-    return nearest(name, known)
-
-
-def _long_forms(section: dict[str, Any]) -> dict[str, Any]:
-    """Return the keys of an experiment with tables in the place of their short forms."""
-    found = dict(section)
-    for key in SIGNALS:
-        if isinstance(found.get(key), dict):
-            found[key] = {
-                name: {"column": each} if isinstance(each, str) else each
-                for name, each in found[key].items()
-            }
-    if isinstance(found.get("group"), str):
-        found["group"] = {"": found["group"]}
-    return found
-
-
-def _whole(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """Return an experiment with what it takes of the defaults."""
-    timed = any(key in own for key in TIMES)
-    taken = {k: v for k, v in defaults.items() if not (timed and k in TIMES)}
-    for key in SIGNALS:
-        gone = {name for name, each in _table(own, key).items() if each == {"column": ""}}
-        gone &= set(_table(taken, key))
-        if gone:
-            taken[key] = {name: each for name, each in taken[key].items() if name not in gone}
-            own = own | {key: {name: v for name, v in own[key].items() if name not in gone}}
-    whole: dict[str, Any] = _joined(taken, own)
-    of_outputs = set(_table(whole, "outputs"))
-    for key, known in (*((key, of_outputs) for key in SIGMAS), ("columns", _used(whole))):
-        if key in taken and isinstance(whole[key], dict):
-            kept = {*known, *_table(own, key)}
-            whole[key] = {name: each for name, each in whole[key].items() if name in kept}
-    return whole
-
-
-def _joined(default: Any, own: Any) -> Any:
-    """Return tables joined name by name; of anything else an experiment's own wins."""
-    if not isinstance(default, dict) or not isinstance(own, dict):
-        return own
-    both = {name: _joined(default[name], own[name]) for name in own if name in default}
-    return default | own | both
-
-
-def _table(section: dict[str, Any], key: str) -> dict[str, Any]:
-    found = section.get(key)
-    return found if isinstance(found, dict) else {}
-
-
-def _used(experiment: dict[str, Any]) -> set[str]:
-    """Return the columns that an experiment names."""
-    named = [experiment.get("time")]
-    for key in SIGNALS:
-        named += [_table({"": each}, "").get("column") for each in _table(experiment, key).values()]
-    named += _table(_table(experiment, "curve"), "columns").values()
-    return {name for name in named if isinstance(name, str)}
-
-
-__all__ = [
-    "ClosedLoopSection",
-    "CoefficientSection",
-    "ColumnSection",
-    "Config",
-    "ConstraintSection",
-    "CostSection",
-    "CurveSection",
-    "EffectSection",
-    "ExecutorSection",
-    "ExperimentDefaultsSection",
-    "ExperimentSection",
-    "InputSection",
-    "MapSection",
-    "MethodSection",
-    "ModelSection",
-    "OutputSection",
-    "ParameterSection",
-    "StepSection",
-    "TrackingSection",
-    "parse_config",
-    "read_config",
-]
+VALUE_FILES = "value_files"
 
 
 def read_config(path: str | Path, overrides: Sequence[str] | None = None) -> Config:
@@ -207,27 +63,7 @@ def read_config(path: str | Path, overrides: Sequence[str] | None = None) -> Con
     """
     path = as_path(path, "config", ConfigError)
     changes = as_tuple(() if overrides is None else overrides, str, "overrides", ConfigError)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-        raw = tomllib.loads(text)
-    except FileNotFoundError:
-        raise ConfigError(f"there is no config file {path}; check the path") from None
-    except UnicodeDecodeError as error:
-        if path.suffix.lower() == ".fmu":
-            raise ConfigError(
-                f"{path}: must be a config but is an FMU; write one with cluster-est init"
-            ) from None
-        raise ConfigError(
-            f"{path}: must be text in UTF-8 but is not ({error.reason} at byte {error.start}); "
-            "save it as UTF-8"
-        ) from None
-    except OSError as error:
-        raise ConfigError(
-            f"{path}: must be a file that can be read but cannot be ({error.strerror}); check "
-            "the path"
-        ) from error
-    except (ValueError, RecursionError) as error:  # tomllib lets more out than its own error
-        raise ConfigError(f"{path}: must be TOML but is not: {error}; mend that line") from None
+    text, raw = read_toml(path, "there is no config file")
     for change in changes:
         override(raw, change)
     open_ = list(unfilled(raw, text, str(path)))
@@ -251,12 +87,10 @@ def parse_config(raw: dict[str, Any], where: str) -> Config:
         )
     defaults = raw.get(DEFAULTS, {})
     if DEFAULTS in raw:
-        with _in_words(raw, where):
-            _OnlyDefaults.model_validate(raw)
+        checked(_OnlyDefaults, raw, where, root=Config)
         raw = with_defaults(raw)
-    with _in_words(raw, where):
-        config = Config.model_validate(raw)
-    problems = [*_unknown_names(config), *unused_defaults(defaults, config)]
+    config = checked(Config, raw, where)
+    problems = [*_unknown_names(config), *unused_defaults(defaults, config.experiments)]
     problems += _missing_starts(config)
     constrained = bool(config.constraints or config.cost.function)
     for experiment in config.experiments:
@@ -270,15 +104,6 @@ class _OnlyDefaults(BaseModel):
     """A config of which only the defaults of the experiments are looked at."""
 
     experiment_defaults: ExperimentDefaultsSection
-
-
-@contextmanager
-def _in_words(raw: dict[str, Any], where: str) -> Iterator[None]:
-    """Say what pydantic finds in the words of the config's author."""
-    try:
-        yield
-    except ValidationError as error:
-        raise ConfigError("\n".join(error_messages(error, where, raw, Config))) from None
 
 
 def _unknown_names(config: Config) -> Iterator[str]:
@@ -358,3 +183,190 @@ def _contradictions(experiment: ExperimentSection, *, constrained: bool) -> Iter
             f"{where}.rows: must be [from, to] with from below to but is "
             f"{list(experiment.rows)}; swap them, or remove the key to use all rows"
         )
+
+
+@dataclass(frozen=True)
+class GivenValue:
+    """A value of a file; `unit` is "" where none is given."""
+
+    name: str
+    value: Value
+    unit: str
+    file: str
+
+
+def with_values_of_files(
+    raw: Mapping[str, Any], base: Path
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return a config's tree with the values of the files that it names, and their units.
+
+    A value of a parameter of the config, of a variable of a map, or of an effect's coefficient
+    ("EFFECT.COEFFICIENT"), becomes its start. Any other becomes a known value of all experiments,
+    unless the config has one itself. Of two files the later one counts.
+
+    Parameters
+    ----------
+    raw
+        As read from TOML; it is not changed.
+    base
+        The folder that paths of files start from.
+
+    Raises
+    ------
+    ConfigError
+        If a file is missing, is no list of values, or has some values of a map without a start.
+    """
+    tree = {key: copy.deepcopy(value) for key, value in raw.items() if key != VALUE_FILES}
+    given = {each.name: each for path in _paths(raw, base) for each in _read(path)}
+    if not given:
+        return tree, {}
+    parameters, listed = _inner(tree, "parameters"), tree.get("effects")
+    effects = listed if isinstance(listed, list) else []
+    by_target = {own.get("variable") or name: own for name, own in _tables(parameters.items())}
+    by_effect = {own.get("name") or own.get("form"): own for _, own in _tables(enumerate(effects))}
+    maps = tree.get("maps")
+    of_maps = _into_maps(maps if isinstance(maps, dict) else {}, given)
+    for name, each in given.items():
+        effect, _, coefficient = name.rpartition(".")
+        if name in by_target:
+            by_target[name]["start"] = _start(each)
+        elif name in of_maps:
+            continue
+        elif effect in by_effect:
+            _inner(_inner(by_effect[effect], "parameters"), coefficient)["start"] = _start(each)
+        else:
+            _inner(tree, "values").setdefault(name, each.value)
+    return tree, {name: each.unit for name, each in given.items() if each.unit}
+
+
+def _into_maps(maps: Mapping[str, Any], given: Mapping[str, GivenValue]) -> set[str]:
+    """Put values into the starts of the maps that have these variables; return their names."""
+    found: set[str] = set()
+    for key, own in _tables(maps.items()):
+        variables = own.get("variables")
+        names = variables if isinstance(variables, list) else []
+        there = [name for name in names if name in given]
+        start = own.get("start")
+        before = start if isinstance(start, list) else [start] * len(names)
+        if there and len(before) == len(names):  # else it is refused when the config is checked
+            own["start"] = _starts_of_map(key, dict(zip(names, before, strict=True)), given)
+            found |= set(there)
+    return found
+
+
+def _starts_of_map(
+    key: str, before: Mapping[str, Any], given: Mapping[str, GivenValue]
+) -> list[Any]:
+    """The starts of a map, by its variables, with what the files have in their place."""
+    starts = {n: _start(given[n]) if n in given else start for n, start in before.items()}
+    missing = [name for name, start in starts.items() if start is None]
+    if missing:
+        raise ConfigError(
+            f"{dotted('maps', key)}.start: must be there where the files of values have not all of "
+            "its "
+            f"variables, but is not, and {', '.join(missing)} stand in none; add start"
+        )
+    return list(starts.values())
+
+
+def _tables(sections: Iterable[tuple[Any, Any]]) -> list[tuple[Any, dict[str, Any]]]:
+    """Those that are tables; what is none is refused when the config is checked."""
+    return [(name, each) for name, each in sections if isinstance(each, dict)]
+
+
+def _inner(section: dict[str, Any], key: str) -> dict[str, Any]:
+    """The table under a key, which is made; one of no use where something else stands there."""
+    found = section.setdefault(key, {})
+    return found if isinstance(found, dict) else {}
+
+
+def _start(given: GivenValue) -> float:
+    if isinstance(given.value, bool | str):
+        raise ConfigError(
+            f"{VALUE_FILES}: {given.file}: {given.name} must be a number, because it is estimated, "
+            f"but is {shown(given.value)}; correct it (decimals stand behind a point)"
+        )
+    return float(given.value)
+
+
+def _paths(raw: Mapping[str, Any], base: Path) -> list[Path]:
+    names = raw.get(VALUE_FILES, [])
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise ConfigError(
+            f'{VALUE_FILES}: must be a list of files, like ["values.ssv"], but is {shown(names)}'
+        )
+    paths = [base / name for name in names]
+    for path in paths:
+        if not path.is_file():
+            raise ConfigError(f"{VALUE_FILES}: there is no file {path}; check the name")
+    return paths
+
+
+def _read(path: Path) -> list[GivenValue]:
+    """The values of a file.
+
+    Raises
+    ------
+    ConfigError
+        If it is neither a parameter set nor a table of values.
+    """
+    readers = {".ssv": _parameter_set, ".csv": _csv}
+    if path.suffix.lower() not in readers:
+        raise ConfigError(
+            f"{VALUE_FILES}: {path.name} must end in .ssv or .csv; rename or convert it"
+        )
+    try:
+        return list(readers[path.suffix.lower()](path))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(
+            f"{VALUE_FILES}: {path.name} cannot be read ({error}); check it"
+        ) from error
+
+
+def _parameter_set(path: Path) -> Iterator[GivenValue]:
+    from fmpy.ssp.ssd import read_ssv  # lxml is slow to import
+
+    try:
+        found = read_ssv(str(path)).parameters
+    except Exception as error:  # of whatever kind fmpy and lxml raise
+        why = " ".join(str(error).split())
+        raise ConfigError(
+            f"{VALUE_FILES}: {path.name} must be a parameter set of SSP 1.0 but is not ({why})"
+        ) from error
+    for each in found:
+        value = str(each.value) if each.type == "String" else _value(str(each.value))
+        if each.type == "Boolean":
+            value = each.value in ("true", "1")
+        yield GivenValue(str(each.name), value, each.unit or "", path.name)
+
+
+def _csv(path: Path) -> Iterator[GivenValue]:
+    """Columns name and value, and unit where there is one; others are left alone."""
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        head = file.readline()
+        file.seek(0)
+        rows = csv.DictReader(file, delimiter=";" if ";" in head else ",", skipinitialspace=True)
+        missing = [name for name in ("name", "value") if name not in (rows.fieldnames or ())]
+        if missing:
+            raise ConfigError(
+                f"{VALUE_FILES}: {path.name} must have the columns name and value but has "
+                f"{', '.join(map(str, rows.fieldnames or ())) or 'none'}; name them in row 1"
+            )
+        for row in rows:
+            name, value = (row["name"] or "").strip(), (row["value"] or "").strip()
+            if not name:
+                continue
+            unit = (row.get("unit") or "").strip()
+            yield GivenValue(name, _value(value), unit, path.name)
+
+
+def _value(text: str) -> Value:
+    """A number, true or false, or else a text."""
+    if text in ("true", "false"):
+        return text == "true"
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text

@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from typing_extensions import override
 
-from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import BudgetError, ProblemError
 from cluster_est.experiment_design.candidates import RECORDED, CandidateInput, CandidateMaker
 from cluster_est.experiment_design.criteria import expected_probabilities
@@ -42,6 +41,7 @@ from cluster_est.experiment_design.request import (
 from cluster_est.experiment_design.search import CandidateScorer, ScoredCandidate, ranked, search
 from cluster_est.experiment_design.waveforms import WAVEFORMS
 from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import make_space
 from cluster_est.results.result import Result

@@ -9,12 +9,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.experiment_design.candidates import CandidateInput
 from cluster_est.experiment_design.models import FittedCandidate, PredictedOutput
 from cluster_est.methods.base import TOLERANCE, Evaluation
 from cluster_est.methods.given_points import GivenPoints
+from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.prior_weights import without_priors
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import SearchSpace, make_space

@@ -1,1 +1,5 @@
-"""Export of a run's findings: a repaired FMU, a parameter set, equations to read."""
+"""Export of a run's findings: a repaired FMU, a parameter set, equations to read.
+
+The repaired FMU is the original in a wrapper that adds the effects, as one archive: `c/` has the
+wrapper, and `repaired_fmu.py` puts it together.
+"""

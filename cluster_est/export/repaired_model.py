@@ -1,20 +1,42 @@
-"""A model with the estimates and effects of a run: what every form of export is made from."""
+"""A model with the estimates and effects of a run: what every form of export is made from.
+
+It is gathered from the run's folder, or made of a result in memory.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
 from cluster_est.closed_loop.candidates.equation import equation_text
+from cluster_est.config.build import build_problem
+from cluster_est.config.reader import parse_config
+from cluster_est.config.sections import EffectSection
+from cluster_est.errors import RunFolderError
+from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
-from workers.effects.definition import EffectDefinition
-from workers.fmu.description import ModelDescription
-from workers.messages import Value
+from cluster_est.problem.search_space.parameter_constraints import label_of
+from cluster_est.problem.variables import coefficient_names
+from cluster_est.results.fit_tables import Estimate
+from cluster_est.run_folder.logged_simulation import config_base
+from cluster_est.run_folder.run_files import (
+    check_has_estimates,
+    read_config_text,
+    read_facts,
+    read_run_table,
+)
+from workers.effects.definition import EffectDefinition, define_all
+from workers.effects.units import UNKNOWN, coefficient_units
+from workers.fmu.description import ModelDescription, nearest
+from workers.messages import Experiment, Value
 
 
 @dataclass(frozen=True)
@@ -162,3 +184,266 @@ def _line(found: EstimatedValue, prefix: str = "") -> str:
     unit = f" {found.unit}" if found.unit not in ("", "1") else ""
     interval = f"  ({found.interval})" if found.interval else ""
     return f"  {found.name.removeprefix(prefix)} = {found.value:.6g}{unit}{interval}"
+
+
+MOST_NAMED = 4
+"""Experiments in a note."""
+
+
+@dataclass(frozen=True)
+class ParameterReader:
+    """Looks up values in a run's table of parameters."""
+
+    problem: Problem
+    description: ModelDescription
+    rows: Mapping[str, Row]
+    experiment: Experiment | None
+
+    def repair(self, run: str) -> RepairedModel:
+        """Gather all that the export of a run of this name needs."""
+        problem = self.problem
+        count = len(problem.model.parameters)
+        named = [p for p in problem.parameters if not p.auxiliary]
+        known = dict(self.experiment.values) if self.experiment is not None else {}
+        found = [(p, self._find(p)) for p in named[:count] if p.target not in known]
+        absent = [p.name for p, value in found if value is None]
+        effects, coefficients, left = self._effects(named[count:])
+        absent += [p.name for p in named[count:] if self._find(p) is None]
+        notes = list(left)
+        if absent:
+            notes.append(self._absent(absent))
+        return RepairedModel(
+            run,
+            problem,
+            self.description,
+            effects,
+            coefficients,
+            tuple(value for _, value in found if value is not None),
+            tuple(known.items()),
+            tuple(notes),
+            of_experiments=self._of_experiments(named, effects),
+        )
+
+    def _absent(self, names: Sequence[str]) -> str:
+        """Say which parameters keep their starts, and how to choose the values of an experiment."""
+        one = len(names) == 1
+        targets = {p.name: p.target for p in self.problem.parameters}
+        starts = [self.description.variables.get(targets[name]) for name in names]
+        known = [
+            f"{name} = {start.start:g}"
+            for name, start in zip(names, starts, strict=True)
+            if start is not None and start.start is not None
+        ]
+        ids = [e.id for e in self.problem.experiments]
+        more = ", ..." if len(ids) > MOST_NAMED else ""
+        return (
+            f"{', '.join(names)} {'has' if one else 'have'} a value for each experiment and "
+            f"{'keeps its' if one else 'keep their'} start in the exported FMU"
+            f"{' (' + ', '.join(known) + ')' if known else ''}; choose the values of one with "
+            f"--experiment ID, in Python experiment=ID, of {', '.join(ids[:MOST_NAMED])}{more}"
+        )
+
+    def _of_experiments(
+        self, named: Sequence[Parameter], effects: Sequence[EffectDefinition]
+    ) -> dict[str, dict[str, float]]:
+        """Return the values of each experiment of which all are known."""
+        count = len(self.problem.model.parameters)
+        kept = {f"{e.effect.name}.{c}" for e in effects for c in coefficient_names(e.effect)}
+        own = [p for p in named[count:] if p.name in kept and (p.per or p.expression)]
+        found: dict[str, dict[str, float]] = {}
+        for experiment in self.problem.experiments:
+            reader = replace(self, experiment=experiment)
+            known = dict(experiment.values)
+            wanted = [p for p in (*named[:count], *own) if p.target not in known]
+            values = {p.target: reader._find(p) for p in wanted}
+            there = {name: value.value for name, value in values.items() if value is not None}
+            if len(there) == len(values):
+                found[experiment.id] = there
+        return found
+
+    def _effects(
+        self, parameters: list[Parameter]
+    ) -> tuple[tuple[EffectDefinition, ...], tuple[tuple[EstimatedValue, ...], ...], list[str]]:
+        problem = self.problem
+        kept, coefficients, notes, at = [], [], [], 0
+        for definition in define_all(
+            problem.effects, self.description, problem.model.interface, problem.experiments
+        ):
+            effect = definition.effect
+            own = parameters[at : at + len(definition.coefficients)]
+            at += len(own)
+            if effect.is_noise:
+                notes.append(
+                    f"effect {effect.name!r} is process noise and is left out: the run's errors "
+                    "are those of predictions, and a simulation of the exported model has others"
+                )
+                continue
+            units = coefficient_units(definition, self.description)
+            values = tuple(
+                self._find(p, unit) or EstimatedValue(p.name, unit, p.start)
+                for p, unit in zip(own, units, strict=True)
+            )
+            if definition.is_neutral(np.array([value.value for value in values])):
+                notes.append(f"effect {effect.name!r} does nothing at its values and is left out")
+                continue
+            kept.append(definition)
+            coefficients.append(values)
+        return tuple(kept), tuple(coefficients), notes
+
+    def _find(self, parameter: Parameter, unit: str = "") -> EstimatedValue | None:
+        """The value of a parameter, None if it has one for each experiment and none was chosen."""
+        label = parameter.name
+        if self.experiment is not None:
+            label = label_of(parameter, self.experiment)
+            label = label if label in self.rows else f"{parameter.name}[{self.experiment.id}]"
+            label = label if label in self.rows else parameter.name
+        row = self.rows.get(label)
+        if row is None and (parameter.fixed and not parameter.expression):
+            return EstimatedValue(parameter.target, parameter.unit or unit, parameter.start)
+        if row is None:
+            return None
+        unit = row["unit"] or parameter.unit or unit
+        return EstimatedValue(
+            parameter.target,
+            "" if UNKNOWN in unit else unit,
+            row["value"],
+            row["lower95"] if not row["at_bound"] else math.nan,
+            row["upper95"] if not row["at_bound"] else math.nan,
+            row["lower"],
+            row["upper"],
+        )
+
+
+Row = Mapping[str, Any]
+FITTED = "the original with its parameters fitted"
+"""What the errors of a closed loop before its repair are those of."""
+
+
+def gather(
+    run_folder: Path, config: Path | None, experiment: str | None, *, allow_code: bool
+) -> RepairedModel:
+    """Read what a run was made from and what it has found.
+
+    Parameters
+    ----------
+    run_folder
+        Of a finished fit or closed loop.
+    config
+        The config that it was made from, if that has moved.
+    experiment
+        Whose values are taken, where parameters have one for each; None for shared values alone.
+    allow_code
+        Whether Python functions that the config names may run.
+
+    Raises
+    ------
+    ClusterEstError
+        If the run is not finished, its files are gone, or the FMU is another now.
+    """
+    facts = read_facts(run_folder)
+    table = run_folder / "parameters.parquet"
+    if not table.is_file():
+        check_has_estimates(run_folder)
+        raise RunFolderError(
+            f"{run_folder}: must be the folder of a finished run but is {facts.get('status')!r}; "
+            "finish it with --resume"
+        )
+    if not facts.get("config_hash"):
+        raise RunFolderError(
+            f"{run_folder}: was saved from Python and has no config to be exported from; use "
+            "cluster_est.export(result, ...) there"
+        )
+    problem = _problem(run_folder, facts, config, allow_code=allow_code)
+    _check_same(run_folder, facts, problem)
+    chosen = _experiment(problem, experiment)
+    rows = {row["label"]: row for row in read_run_table(table)}
+    description = problem.describe()
+    repair = ParameterReader(problem, description, rows, chosen).repair(run_folder.resolve().name)
+    path = run_folder / "errors.parquet"
+    errors = read_run_table(path) if path.is_file() else []
+    shapes = run_folder / "shapes.parquet"
+    ranges = _ranges(read_run_table(shapes)) if shapes.is_file() else {}
+    repair = dataclasses.replace(repair, ranges=ranges)
+    return _with_errors(repair, errors, fitted=facts.get("verdict") is not None)
+
+
+def repaired(
+    problem: Problem,
+    estimates: Sequence[Estimate],
+    experiment: str | None,
+    errors: Sequence[Row],
+    *,
+    fitted: bool = False,
+) -> RepairedModel:
+    """The same from a result in memory.
+
+    Parameters
+    ----------
+    problem
+        With all effects.
+    estimates
+        What was found for it.
+    experiment
+        As of `gather`.
+    errors
+        Rows of the table of errors.
+    fitted
+        Whether those before are of a fit: of a closed loop they are.
+    """
+    rows = {each.label: dataclasses.asdict(each) for each in estimates}
+    chosen = _experiment(problem, experiment)
+    repair = ParameterReader(problem, problem.describe(), rows, chosen).repair("result")
+    return _with_errors(repair, errors, fitted=fitted)
+
+
+def _ranges(shapes: Sequence[Row]) -> dict[str, str]:
+    """Return for each effect the range that its variable had in the data."""
+    found = {}
+    for row in shapes:
+        if row["x"] and row["variable"]:
+            unit = row["variable_unit"]
+            unit = f" {unit}" if unit not in ("", "1") else ""
+            low, high = min(row["x"]), max(row["x"])
+            found[row["effect"]] = f"{row['variable']} from {low:.4g} to {high:.4g}{unit}"
+    return found
+
+
+def _with_errors(repair: RepairedModel, errors: Sequence[Row], *, fitted: bool) -> RepairedModel:
+    found = tuple(ReportedError.of(row) for row in errors)
+    without = FITTED if fitted else repair.without
+    return dataclasses.replace(repair, errors=found, without=without)
+
+
+def _problem(run_folder: Path, facts: Row, config: Path | None, *, allow_code: bool) -> Problem:
+    """The problem of the last fit: a closed loop has added effects to that of its config."""
+    path, text = run_folder / "config.toml", read_config_text(run_folder)
+    try:
+        raw = tomllib.loads(text)
+    except ValueError as error:
+        raise RunFolderError(f"{path}: cannot be read ({error}); it belongs to the run") from error
+    resolved = parse_config(raw, str(path))
+    found = [tomllib.loads(effect["config"])["effects"][0] for effect in facts.get("effects", [])]
+    names = {section.name or section.form for section in resolved.effects}
+    added = [EffectSection(**each) for each in found if each["name"] not in names]
+    resolved = resolved.model_copy(update={"effects": [*resolved.effects, *added]})
+    return build_problem(resolved, config_base(run_folder, config), allow_code=allow_code)
+
+
+def _check_same(run_folder: Path, facts: Row, problem: Problem) -> None:
+    then, now = facts["fmu"]["sha256"], problem.model.archive_hash
+    if then != now:
+        raise RunFolderError(
+            f"{run_folder}: {problem.model.name} must be the FMU that the run was made with but "
+            "has changed since; put that one back, or fit again"
+        )
+
+
+def _experiment(problem: Problem, name: str | None) -> Experiment | None:
+    if name is None:
+        return None
+    known = {experiment.id: experiment for experiment in problem.experiments}
+    if name not in known:
+        raise RunFolderError(
+            f"experiment: must be an experiment of the run but is {name!r}{nearest(name, known)}"
+        )
+    return known[name]

@@ -18,10 +18,10 @@ from sympy.printing.precedence import precedence
 from sympy.printing.str import StrPrinter
 
 from cluster_est.errors import ConfigError
-from cluster_est.export.repair import gather
-from cluster_est.export.repaired_fmu.compiler import PLATFORMS
-from cluster_est.export.repaired_fmu.fmu import FmuOptions, write_fmu
-from cluster_est.export.repaired_model import EstimatedValue, RepairedModel, describe_repair
+from cluster_est.export.compiler import PLATFORMS
+from cluster_est.export.fmi2_description import as_document
+from cluster_est.export.repaired_fmu import FmuOptions, write_fmu
+from cluster_est.export.repaired_model import EstimatedValue, RepairedModel, describe_repair, gather
 from cluster_est.whole_files import ELSEWHERE, write_whole
 from workers.effects.definition import SIGNAL, TIME, EffectDefinition, variable_symbol
 from workers.fmu.description import nearest
@@ -180,8 +180,7 @@ def parameter_set(repair: RepairedModel) -> bytes:
         for name in units:
             unit = SubElement(section, f"{{{COMMON}}}Unit", name=name)
             SubElement(unit, f"{{{COMMON}}}BaseUnit")
-    ET.indent(root)
-    return bytes(ET.tostring(root, encoding="UTF-8", xml_declaration=True)) + b"\n"
+    return as_document(root)
 
 
 def _add(parent: Element, name: str, value: Value, unit: str) -> None:
@@ -256,7 +255,7 @@ def export(
     Parameters
     ----------
     run_folder, config, experiment, allow_code
-        See `cluster_est.export.repair.gather`.
+        See `cluster_est.export.repaired_model.gather`.
     wanted
         At least one form.
 

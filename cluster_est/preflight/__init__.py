@@ -1,20 +1,5 @@
-"""Checks of an FMU and a config before a fit.
+"""What comes before a fit: checks of an FMU and a config, and the draft of a first config.
 
-`run_checks` runs them. A check is a function of a `CheckSubject` that returns `CheckFinding`s, and
-an entry in `checks.CHECKS`; it asks the FMU with an `FmuProbe` of `workers`.
+`all_checks.run_checks` runs the checks. A check is a function of a `CheckSubject` that returns
+`CheckFinding`s, and an entry in `CHECKS`; it asks the FMU with an `FmuProbe` of `workers`.
 """
-
-from cluster_est.preflight.bare_fmu import bare_problem
-from cluster_est.preflight.checks import SECONDS, run_checks
-from cluster_est.preflight.measured_data import sigma_findings
-from cluster_est.preflight.subject import CheckFinding, CheckPage, CheckVerdict
-
-__all__ = [
-    "SECONDS",
-    "CheckFinding",
-    "CheckPage",
-    "CheckVerdict",
-    "bare_problem",
-    "run_checks",
-    "sigma_findings",
-]

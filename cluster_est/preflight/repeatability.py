@@ -14,7 +14,11 @@ from cluster_est.preflight.subject import (
     CheckFinding,
     CheckSubject,
     CheckVerdict,
+    fault,
     listed,
+    not_done,
+    note,
+    passed,
     unanswered,
 )
 from cluster_est.problem.problem import Problem
@@ -68,7 +72,7 @@ def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy |
     if again.tobytes() != found.first.tobytes():
         how = f"two fresh {FRESH} differ"
         return [_not_repeatable(subject, again, found.first, how)], None, None
-    same = CheckFinding(CheckVerdict.OK, "repeatable", f"two fresh {FRESH} give the same bits")
+    same = passed("repeatable", f"two fresh {FRESH} give the same bits")
     lines = [same, _reset(subject, found, crash)]
     if found.reset == 0.0:
         return lines + _leftovers(subject), "reset", (begun, found.first)
@@ -84,14 +88,14 @@ def later(subject: CheckSubject, earlier: Earlier) -> list[CheckFinding]:
     wait = max(begun + reset_policy.LATER_SECONDS - time.monotonic(), 0.0)
     if wait > subject.budget.left:
         said = "not tried a second later: there was no time left for it"
-        return [CheckFinding(CheckVerdict.NOT_DONE, "later", said, "more time with --seconds")]
+        return [not_done("later", said, "more time with --seconds")]
     time.sleep(wait)
     found = subject.ask(RepeatProbe(subject.experiment, subject.start, ()), 1)
     if isinstance(found, NoAnswer):
         return [unanswered("later", found)]
     if found.first.tobytes() == first.tobytes():
         said = "a simulation a second later gives the same bits"
-        return [CheckFinding(CheckVerdict.OK, "later", said)]
+        return [passed("later", said)]
     how = "a simulation a second later differs"
     return [_not_repeatable(subject, first, found.first, how)]
 
@@ -111,14 +115,12 @@ def _not_repeatable(
     if len(differing) < len(names):
         they = "it counts" if len(differing) == 1 else "they count"
         do = f"leave out what is not measured (perhaps {they} processor time); else {do}"
-    return CheckFinding(CheckVerdict.PROBLEM, "repeatable", said, do)
+    return fault("repeatable", said, do)
 
 
 def _reset(subject: CheckSubject, found: RepetitionResult, crash: str) -> CheckFinding:
     if found.reset == 0.0:
-        return CheckFinding(
-            CheckVerdict.OK, "reset", "a reset instance gives the same bits as a fresh one"
-        )
+        return passed("reset", "a reset instance gives the same bits as a fresh one")
     how = f"a simulation after a reset fails{f': {crash}' if crash else ''}"
     if found.reset is not None:
         how = f"a reset instance is {found.reset:.2g} of the outputs' size away from a fresh one"
@@ -128,17 +130,15 @@ def _reset(subject: CheckSubject, found: RepetitionResult, crash: str) -> CheckF
     do = 'model.reset = "auto" takes care of it, with a new process for each simulation'
     if subject.in_process:
         do = 'executor.name = "processes", for a new process for each simulation'
-        return CheckFinding(CheckVerdict.PROBLEM, "reset", how, do)
+        return fault("reset", how, do)
     return _reset_advice(subject, "process", how, do)
 
 
 def _reset_advice(subject: CheckSubject, needed: str, how: str, do: str) -> CheckFinding:
     policy = subject.problem.model.reset
     if policy in ("auto", needed, "process"):
-        return CheckFinding(CheckVerdict.NOTE, "reset", how, do)
-    return CheckFinding(
-        CheckVerdict.PROBLEM, "reset", how, f'set model.reset = "{needed}" or "auto"'
-    )
+        return note("reset", how, do)
+    return fault("reset", how, f'set model.reset = "{needed}" or "auto"')
 
 
 def _leftovers(subject: CheckSubject) -> list[CheckFinding]:
@@ -150,8 +150,7 @@ def _leftovers(subject: CheckSubject) -> list[CheckFinding]:
     if found == 0.0:
         return []
     return [
-        CheckFinding(
-            CheckVerdict.NOTE,
+        note(
             "values",
             "values that were set survive a reset; this does no harm where each simulation sets "
             "them again, as in a fit",
@@ -169,13 +168,13 @@ def stop_time(subject: CheckSubject) -> CheckFinding:
     without, told = found
     if without:
         said = "it starts without one" + ("" if told else ", and not with one")
-        return CheckFinding(CheckVerdict.OK, "stop time", said)
+        return passed("stop time", said)
     said = "it can only be initialised with one, which it is told"
     if subject.problem.model.stop_time:
-        return CheckFinding(CheckVerdict.OK, "stop time", said)
+        return passed("stop time", said)
     said += " after a first initialisation that fails"
     do = "model.stop_time = true in a config, for no such failure"
-    return CheckFinding(CheckVerdict.NOTE, "stop time", said, do)
+    return note("stop time", said, do)
 
 
 def instances(subject: CheckSubject) -> CheckFinding:
@@ -184,7 +183,7 @@ def instances(subject: CheckSubject) -> CheckFinding:
     allowed = most if subject.instances is None else min(most, subject.instances)
     if allowed == 1:
         said = "not tried: executor.instances = 1 allows one at once"
-        return CheckFinding(CheckVerdict.OK, "instances", said)
+        return passed("instances", said)
     found = subject.ask(InstanceProbe(allowed), 0, 3.0)
     if isinstance(found, NoAnswer):
         return unanswered("instances", found)
@@ -206,12 +205,12 @@ def _side_by_side(subject: CheckSubject, count: int) -> CheckFinding:
         return _one_only(subject, f"{can_be}, but two of them {DISTURBED}")
     if isinstance(found, NoAnswer) and found.late:
         said = f"{can_be}; whether they disturb each other was not tried: {found.message}"
-        return CheckFinding(CheckVerdict.NOT_DONE, "instances", said, "more time with --seconds")
+        return not_done("instances", said, "more time with --seconds")
     if isinstance(found, NoAnswer) and found.crashed:
         return _one_only(subject, f"{can_be}, but with two of them {found.message}")
     if found is False:
         can_be += ", two of which do not disturb each other"
-    return CheckFinding(CheckVerdict.OK, "instances", can_be)
+    return passed("instances", can_be)
 
 
 def _one_only(subject: CheckSubject, said: str) -> CheckFinding:
@@ -282,8 +281,7 @@ def without_parameters(problem: Problem, names: Sequence[str]) -> Problem:
 
 def refused_parameters(names: Sequence[str]) -> CheckFinding:
     """Return a line for parameters that cannot be set."""
-    return CheckFinding(
-        CheckVerdict.NOTE,
+    return note(
         "parameters",
         f"{listed(names)}: the FMU refuses to be given a value, though its modelDescription.xml "
         "lists a parameter that can be set; checked without",

@@ -7,11 +7,19 @@ choose them: what a clock finds on one machine must not decide what another comp
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.preflight.subject import CheckFinding, CheckSubject, CheckVerdict, unanswered
+from cluster_est.preflight.subject import (
+    CheckFinding,
+    CheckSubject,
+    CheckVerdict,
+    not_done,
+    note,
+    passed,
+    unanswered,
+)
 from cluster_est.toml import dotted
 from workers.messages import FloatArray, Solver
 from workers.probes.probes import SolverProbe, StiffnessProbe
@@ -47,9 +55,9 @@ def sensitivities(subject: CheckSubject) -> list[CheckFinding]:
         f"the time of the {unknowns} that forward differences take"
     )
     if part > CHEAPER:
-        return [CheckFinding(CheckVerdict.OK, "sensitivities", said)]
+        return [passed("sensitivities", said)]
     do = 'method.options.differences = "sensitivities", for least_squares and sqp'
-    return [CheckFinding(CheckVerdict.OK, "sensitivities", said, do)]
+    return [passed("sensitivities", said, do)]
 
 
 TIGHTER = 100.0
@@ -72,7 +80,7 @@ def accuracy(subject: CheckSubject) -> list[CheckFinding]:
         and not subject.description.variable_steps
     ):
         said = "its communication step is fixed, so that it cannot be halved to compare"
-        return [CheckFinding(CheckVerdict.NOT_DONE, "accuracy", said)]
+        return [not_done("accuracy", said)]
     solver = subject.problem.model.solver
     other, how, key = _finer(subject, solver)
     found = subject.ask(SolverProbe(*subject.probe_arguments, other), 6)
@@ -91,37 +99,29 @@ def _judged(subject: CheckSubject, found: FloatArray, how: str, key: str) -> lis
     if moving:
         name, far = max(moving, key=_far)
         said = f"with {how} {name} changes by {far:.2g} of its size, and no output by more"
-        noisy = _against_noise(subject, moving)
-        said += f"; {noisy.said}" if noisy.said else ""
-        bad = far > BAD or noisy.share > NOISE_BAD
+        share, noisy = _against_noise(subject, moving)
+        said += noisy
+        bad = far > BAD or share > NOISE_BAD
         verdict = CheckVerdict.PROBLEM if bad else CheckVerdict.NOTE
-        fine = CheckFinding(CheckVerdict.OK, "accuracy", said)
+        fine = passed("accuracy", said)
         do = key if far < COUNTING else f"{key}; nothing, if it counts steps or calls"
-        good = far < GOOD and noisy.share < NOISE_GOOD
+        good = far < GOOD and share < NOISE_GOOD
         lines.append(fine if good else CheckFinding(verdict, "accuracy", said, do))
     name, far = max(others, key=_far, default=("", 0.0))
     if not far < GOOD:
         said = f"with {how} {name}, which is no continuous output, changes by {far:.2g} of its size"
         do = f"nothing, if it counts steps or calls; else {key}"
-        lines.append(CheckFinding(CheckVerdict.NOTE, "accuracy", said, do))
-    return lines or [CheckFinding(CheckVerdict.OK, "accuracy", f"with {how} no output changes")]
+        lines.append(note("accuracy", said, do))
+    return lines or [passed("accuracy", f"with {how} no output changes")]
 
 
-@dataclass(frozen=True)
-class _NoiseShare:
-    """The largest error of an output over its declared noise, and what is said of it."""
-
-    share: float = 0.0
-    said: str = ""
-
-
-def _against_noise(subject: CheckSubject, errors: list[tuple[str, float]]) -> _NoiseShare:
-    """Compare the errors of outputs with the noise that is declared for them."""
+def _against_noise(subject: CheckSubject, errors: list[tuple[str, float]]) -> tuple[float, str]:
+    """Return the largest error of an output over its declared noise, and what is said of it."""
     experiment = subject.problem.experiments[subject.experiment]
     given = [o for o in experiment.outputs if o.has_sigma and not o.ordinal]
     sigmas = {o.variable: o.sigma for o in given}
     if subject.trajectory is None:
-        return _NoiseShare()
+        return 0.0, ""
     sizes = dict(
         zip(experiment.recorded, np.abs(subject.trajectory).max(axis=0).tolist(), strict=True)
     )
@@ -130,11 +130,9 @@ def _against_noise(subject: CheckSubject, errors: list[tuple[str, float]]) -> _N
     ]
     share, name = max(shares, default=(0.0, ""))
     if not share > 0.0:
-        return _NoiseShare()
-    if share < NOISE_GOOD:
-        return _NoiseShare(share, f"that is {share:.2g} of {dotted('sigma', name)}")
-    said = f"that is {share:.2g} of {dotted('sigma', name)}, which is not small against the noise"
-    return _NoiseShare(share, said)
+        return 0.0, ""
+    small = "" if share < NOISE_GOOD else ", which is not small against the noise"
+    return share, f"; that is {share:.2g} of {dotted('sigma', name)}{small}"
 
 
 def _far(pair: tuple[str, float]) -> float:
@@ -175,8 +173,8 @@ def stiffness(subject: CheckSubject) -> list[CheckFinding]:
         return [unanswered("stiffness", found)]
     if found:
         said = f"the model is stiff: stability shortens the steps of {model.solver.name}"
-        return [CheckFinding(CheckVerdict.NOTE, "stiffness", said, 'model.solver = "cvode"')]
-    return [CheckFinding(CheckVerdict.OK, "stiffness", f"not stiff: {model.solver.name} suits it")]
+        return [note("stiffness", said, 'model.solver = "cvode"')]
+    return [passed("stiffness", f"not stiff: {model.solver.name} suits it")]
 
 
 def derivatives(subject: CheckSubject) -> list[CheckFinding]:
@@ -193,9 +191,9 @@ def derivatives(subject: CheckSubject) -> list[CheckFinding]:
     do = "let no fit rely on them; export it again without, or tell its maker"
     if found.zero:
         said = "directional derivatives are offered, but all are silently 0"
-        return [CheckFinding(CheckVerdict.NOTE, check, said, do)]
+        return [note(check, said, do)]
     if not found.error <= MAX_JACOBIAN_ERROR:  # NaN is no agreement
         said = f"directional derivatives differ from the model's slopes by {found.error:.2g}"
-        return [CheckFinding(CheckVerdict.NOTE, check, f"{said} of the largest", do)]
+        return [note(check, f"{said} of the largest", do)]
     said = f"directional derivatives agree with differences within {found.error:.1g}"
-    return [CheckFinding(CheckVerdict.OK, check, said), *sensitivities(subject)]
+    return [passed(check, said), *sensitivities(subject)]

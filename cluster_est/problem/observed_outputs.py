@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
+from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import Experiment, Output

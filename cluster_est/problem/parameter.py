@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from cluster_est.errors import ProblemError
-from cluster_est.priors import Prior
+from cluster_est.problem.priors import Prior
 from cluster_est.toml import dotted
 from workers.messages.checks import (
     check_choice,

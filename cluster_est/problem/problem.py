@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from cluster_est.costs.base import Cost
-from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.plug_in import check_options
 from cluster_est.problem import display
+from cluster_est.problem.costs import Cost, SumSquared
 from cluster_est.problem.formulas import Formula, ParameterConstraint
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.tables.jumps import jump_findings
@@ -104,7 +103,7 @@ class Problem:
         """Refuse what is of another class than it must be, and make lists tuples."""
         advice = "; make one with read_model(path, parameters)"
         check_kind(self.model, Model, "problem.model", ProblemError, advice)
-        advice = "; import one from cluster_est.costs"
+        advice = "; import one from cluster_est.problem.costs"
         check_kind(self.cost, Cost, "problem.cost", ProblemError, advice)
         check_options(self.cost, "cost.options", ProblemError)
         for key, kind in _LISTS.items():

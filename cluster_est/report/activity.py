@@ -198,12 +198,11 @@ class ActivityTail:
         names = self._names
         for batch in self._tail.new():
             self.counts.add(batch)
-            if "ended" in batch.schema.names:
-                coded = batch.column("worker").dictionary_encode()
-                known = [names.setdefault(w, len(names)) for w in coded.dictionary.to_pylist()]
-                own = np.array(known, np.int64)[np.asarray(coded.indices)]
-                when, seconds = (np.array(batch.column(n)) for n in ("ended", "seconds"))
-                self._parts.append((own, when, seconds))
+            coded = batch.column("worker").dictionary_encode()
+            known = [names.setdefault(w, len(names)) for w in coded.dictionary.to_pylist()]
+            own = np.array(known, np.int64)[np.asarray(coded.indices)]
+            when, seconds = (np.array(batch.column(n)) for n in ("ended", "seconds"))
+            self._parts.append((own, when, seconds))
         if ended:
             self._tail.check_ended()
 

@@ -9,24 +9,21 @@ from pathlib import Path
 
 import numpy as np
 
-from cluster_est.report.blocks import (
+from cluster_est.report.charts import Dots, Mark, Scale, row_chart
+from cluster_est.report.number_text import count, digits, duration
+from cluster_est.report.page import rendered, write_page
+from cluster_est.report.page_blocks import (
     Block,
     FigureBlock,
     ReportSection,
-    TableBlock,
     TableCell,
     TextBlock,
     Tone,
-    cells,
-    columns,
+    code,
+    table,
 )
-from cluster_est.report.drawing import Chart, Dots, Mark, Plot, Scale
-from cluster_est.report.drawing.chart import gutter
-from cluster_est.report.folder import Row
-from cluster_est.report.numbers import count, digits, duration
-from cluster_est.report.page import rendered, write_page
-from cluster_est.run_folder.judgement import RunWorth, run_worth
-from cluster_est.run_folder.reading import read_run_table
+from cluster_est.report.reported_run import Row
+from cluster_est.run_folder.run_files import RunWorth, read_run_table, run_worth
 
 SUMMARY, PAGE = "summary.parquet", "report.html"
 PARAMETER = "parameter "
@@ -99,8 +96,7 @@ def _sentences(rows: Sequence[Row], states: Counter[str]) -> list[str]:
 
 
 def _worth(row: Row) -> RunWorth:
-    """Summaries of earlier versions say nothing of doubts."""
-    return run_worth(row["status"], row.get("doubts") or "")
+    return run_worth(row["status"], row["doubts"])
 
 
 def _value(row: Row, name: str) -> float:
@@ -147,10 +143,7 @@ def _by_run(
     axes = _axes(drawn)
     choices = [", ".join(str(row[axis]) for axis in axes if row[axis]) for row in drawn]
     names = [own or row["run"] for own, row in zip(choices, drawn, strict=True)]
-    upright = Scale(len(names) - 0.5, -0.5)
-    plot = Plot(title, "", across, upright, marks, max(60, 20 * len(names)), names)
-    legend = len(marks) > 1
-    chart = Chart((plot,), below, legend=legend, gutter=gutter(names), zooms=False)
+    chart = row_chart(title, below, across, marks, names, legend=len(marks) > 1)
     return FigureBlock(name, title, chart)
 
 
@@ -183,19 +176,15 @@ def _estimates(rows: Sequence[Row]) -> ReportSection:
     return ReportSection("estimates", "Estimates", tuple(figures))
 
 
-def _state(row: Row) -> tuple[str, str]:
-    return row["status"], row.get("doubts") or ""
-
-
 def _runs(rows: Sequence[Row]) -> ReportSection:
     """The summary table as people read it."""
     axes = _axes(rows)
-    names = columns("run", *axes, "", "#training", "#held out", "#cost", "#simulations", "#time")
+    names = ("run", *axes, "", "#training", "#held out", "#cost", "#simulations", "#time")
     lines = tuple(
-        cells(
-            TableCell(row["run"], code=True),
+        (
+            code(row["run"]),
             *(str(row[axis]) for axis in axes),
-            TableCell("; ".join(filter(None, _state(row))), _worth(row).value),
+            TableCell("; ".join(filter(None, (row["status"], row["doubts"]))), _worth(row).value),
             digits(_value(row, "rmse_train")),
             digits(_value(row, "rmse_test")),
             digits(_value(row, "cost")),
@@ -205,11 +194,11 @@ def _runs(rows: Sequence[Row]) -> ReportSection:
         for row in rows
     )
     reasons = tuple(
-        cells(TableCell(row["run"], code=True), row["status"], row["message"])
+        (code(row["run"]), row["status"], row["message"])
         for row in rows
         if row["status"] != "done" and row["message"]
     )
-    blocks: list[Block] = [TableBlock(names, lines)] if lines else []
+    blocks: list[Block] = [table(names, lines)] if lines else []
     if reasons:
-        blocks.append(TableBlock(columns("run", "", "why"), reasons, "Why runs did not end well"))
+        blocks.append(table(("run", "", "why"), reasons, "Why runs did not end well"))
     return ReportSection("runs", "Runs", tuple(blocks))

@@ -11,10 +11,10 @@ import numpy as np
 from cluster_est.methods.base import Method, Solution
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.results import fit_tables as tables
 from cluster_est.results.guarded import GuardedSteps
 from cluster_est.results.output_errors import Simulation, output_errors
 from cluster_est.results.result import Result
-from cluster_est.results.tables import rows
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest, assemble_evaluation, suited, with_priors
 from cluster_est.running.sizes import with_sizes
@@ -65,7 +65,7 @@ def complete(
         Of experiments that are not simulated in one piece.
     """
     problem = train.problem
-    units = units | rows.coefficient_units(problem)
+    units = units | tables.coefficient_units(problem)
     test = make_space(problem, problem.indices("test"), train.estimates(solution.x))
     test_solution = None
     if test.size and not runner.interrupted:  # it has what no training record has
@@ -83,12 +83,12 @@ def complete(
     if uncertainty is None:
         whole = solution
         uncertainty = steps.assessed(train, whole, lambda: assess(train, whole))
-    estimates = rows.estimates(train, solution, "train", units, uncertainty.intervals)
-    estimates += rows.fixed(problem, units) + rows.derived(train, solution, units, uncertainty)
+    estimates = tables.estimates(train, solution, "train", units, uncertainty.intervals)
+    estimates += tables.fixed(problem, units) + tables.derived(train, solution, units, uncertainty)
     if test_solution is not None:
         own = test_solution
         found = steps.assessed(test, own, lambda: assess(test, own)).intervals
-        estimates += rows.estimates(test, own, "test", units, found)
+        estimates += tables.estimates(test, own, "test", units, found)
     return Result(
         problem=problem,
         estimates=tuple(estimates),
@@ -102,8 +102,8 @@ def complete(
         simulated=runner.simulations,
         failures=runner.failures,
         seconds=time.monotonic() - begin,
-        constraints=rows.constraints(train, solution, before, after),
-        front=rows.points(train, solution.others),
+        constraints=tables.constraints(train, solution, before, after),
+        front=tables.points(train, solution.others),
         uncertainty=uncertainty,
         before=_kept(before),
         seed=seed,

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 from cluster_est.problem.effects.process_noise import process_noise_notes, vanished_noise
 from cluster_est.problem.idle_inputs import silent_notes
 from cluster_est.problem.problem import Problem
+from cluster_est.results.fit_tables import Estimate
 from cluster_est.results.initial_errors import initial_notes
 from cluster_est.results.observation import observation_notes
 from cluster_est.results.output_errors import worse_than_constants
 from cluster_est.results.solver_error.measure import solver_facts
-from cluster_est.results.tables.row_types import Estimate
 from cluster_est.statistics.residual_findings import (
     OutputDiagnostics,
     ResidualDiagnostics,

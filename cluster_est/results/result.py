@@ -21,19 +21,19 @@ from cluster_est.results.curves import (
     trajectory_table,
 )
 from cluster_est.results.facts import fit_facts, fit_notes
-from cluster_est.results.observation import observed_categories, observed_scales
-from cluster_est.results.output_errors import OutputError, Simulation
-from cluster_est.results.segments import ShootingSummary
-from cluster_est.results.shapes.effect_table import curve_table
-from cluster_est.results.solver_error.measure import SolverError
-from cluster_est.results.tables.row_types import (
+from cluster_est.results.fit_tables import (
     ConstraintValue,
     EffectCurve,
     Estimate,
     PointValue,
     StartResult,
+    fit_tables,
 )
-from cluster_est.results.tables.rows import fit_tables
+from cluster_est.results.observation import observed_categories, observed_scales
+from cluster_est.results.output_errors import OutputError, Simulation
+from cluster_est.results.segments import ShootingSummary
+from cluster_est.results.shapes.effect_table import curve_table
+from cluster_est.results.solver_error.measure import SolverError
 from cluster_est.statistics.residual_findings import ResidualDiagnostics
 from cluster_est.uncertainty import (
     BootstrapResult,

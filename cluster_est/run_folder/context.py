@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Self
 
 from cluster_est.errors import ClusterEstError, ExecutorError, UnwritableError
-from cluster_est.run_folder.folder import RunFolder, RunResult, check_free
-from cluster_est.run_folder.judgement import RunStatus
 from cluster_est.run_folder.lock import RunLock
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
-from cluster_est.run_folder.progress_text import search_title
-from cluster_est.run_folder.reading import read_facts
 from cluster_est.run_folder.resume import check_resumable, is_finished
+from cluster_est.run_folder.run_files import RunStatus, read_facts
+from cluster_est.run_folder.run_folder import RunFolder, RunResult, check_free
 from cluster_est.run_folder.run_identity import RunIdentity
+from cluster_est.run_folder.run_progress import search_title
 from cluster_est.running.environment import EarlierRun, Monitor
 from cluster_est.running.records import RunSnapshot, SearchIteration, Show, TaskOrigin
 from cluster_est.running.trials.reset_policy import ResetDecision, recorded

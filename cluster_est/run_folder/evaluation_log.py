@@ -24,7 +24,6 @@ from cluster_est.run_folder.log_segment import (
     SCHEMA,
     SegmentWriter,
     logged_cost,
-    read_log,
     residuals_hash,
     segments,
     slim,
@@ -115,8 +114,6 @@ def _lists(rows: Sequence[FloatArray | None]) -> pa.Array:
     values = np.concatenate(flat) if flat else np.zeros(0)
     return pa.ListArray.from_arrays(pa.array(ends), pa.array(values), mask=missing)
 
-
-__all__ = ["SCHEMA", "EvaluationLog", "read_log"]
 
 ROWS_PER_WRITE, SECONDS_PER_WRITE, SECONDS_PER_SYNC = 2000, 0.25, 1.0
 BYTES_PER_WRITE, BYTES_PER_SEGMENT = 16 * 2**20, 256 * 2**20

@@ -3,8 +3,7 @@
 An Arrow IPC stream. Its schema and each of its batches carry, among their metadata, a seal: the
 checksum of the whole message, its length, and how many rows there are up to its end. Nothing is
 given to Arrow before its checksum agrees, because Arrow believes what a damaged message says, or
-crashes. Streams of earlier versions have no seals: they are validated, and what is valid is
-believed.
+crashes.
 """
 
 from __future__ import annotations
@@ -13,17 +12,16 @@ import io
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO, get_args
+from typing import BinaryIO
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from cluster_est.errors import RunFolderError
 from cluster_est.whole_files import MEND, SEAL, is_damaged, sealed
-from workers.messages import FloatArray, Outcome, Status, Want, content_hash
+from workers.messages import FloatArray, Outcome, Want, content_hash
 
 SCHEMA = pa.schema(
     [
@@ -53,17 +51,14 @@ SCHEMA = pa.schema(
 )
 """`trajectory` is (times, variables), row after row, where that was wanted; `ended` is when its
 answer came, in seconds since 1970, `bound` the sum of squares above which it was to end early, null
-for none, and `steps` those of the solver, 0 where nobody counts them. These three are missing in
-logs of versions that did not keep them, and so is `residuals_hash`, which stays where residuals
-have left."""
+for none, and `steps` those of the solver, 0 where nobody counts them. `residuals_hash` stays where
+residuals have left."""
 HASH_LENGTH = 32
 """Characters of a hash of residuals: 128 bits."""
 ROWS_PER_BATCH = 2000
 """Of a segment without its large columns."""
 LARGE = ("residuals", "variables", "times", "trajectory")
 """Columns that can be left out: a resumed run simulates those rows again."""
-NEVER_NULL = ("key", "want", "search", "purpose", "experiment", "values", "status", "message")
-"""Columns that say something in each row, of those that a log has."""
 
 
 def logged_cost(outcome: Outcome, want: Want) -> float:
@@ -89,8 +84,8 @@ BEGIN = re.compile(rb"(?=\xff\xff\xff\xff)")
 CHECKSUM = "checksum"
 """The key of a seal in the metadata of a message."""
 LARGEST_HEAD = 2**20
-Message = tuple[int, int | None]
-"""The end of a message, and the rows of the segment up to there; None if it has no seal."""
+Message = tuple[int, int]
+"""The end of a message, and the rows of the segment up to there."""
 _SEAL = re.compile(rb"cluster-est crc32:[0-9a-f]{8} bytes:(\d{12}) rows:(\d{12})")
 _INVALID = (pa.ArrowException, OSError, EOFError, ValueError, KeyError, MemoryError)
 """What reading a damaged message raises."""
@@ -165,7 +160,6 @@ class SegmentReader:
         self.end = 0
         self.schema: pa.Schema | None = None
         self.damaged = self.torn = self.closed = False
-        self._is_sealed = False
         self._rows = self._passed_over = self._cut_off = 0
 
     @property
@@ -179,7 +173,7 @@ class SegmentReader:
         """
         view = memoryview(content).cast("B")  # of Arrow, it is of signed bytes
         while not _is_end(view, self.end):
-            begin, found = self.end, self._message(view, self.end)
+            begin, found = self.end, _sealed_message(view, self.end)
             if found is None:
                 begin, found = _following(view, self.end)
                 if found is None:
@@ -203,36 +197,19 @@ class SegmentReader:
             what = f"{self.lost} of its simulations are" if self.lost else "a part of it is"
             raise RunFolderError(f"{path}: is damaged, {what} not as written; {MEND}")
 
-    def _message(self, view: memoryview, begin: int) -> Message | None:
-        """The message that begins here, if it is as it was written, or if nobody can know."""
-        if self._is_sealed or _seal_at(view, begin) is not None:
-            return _sealed_message(view, begin)
-        source = pa.BufferReader(view[begin:])
-        try:
-            pa.ipc.read_message(source)
-        except _INVALID:
-            return None
-        return begin + source.tell(), None
-
-    def _parsed(self, part: pa.Buffer, rows: int | None, *, first: bool) -> pa.RecordBatch | None:
+    def _parsed(self, part: pa.Buffer, rows: int, *, first: bool) -> pa.RecordBatch | None:
         """The batch in a message; None for the schema, and for what is not valid."""
         batch = None
         try:
             if first:
-                self.schema, self._is_sealed = (
-                    _schema(part, known=rows is not None),
-                    rows is not None,
-                )
+                self.schema = _schema(part)
             elif self.schema is not None:
                 batch = pa.ipc.read_record_batch(pa.ipc.read_message(part), self.schema)
-                if rows is None:
-                    _check(batch)
         except _INVALID:
             batch, self.damaged = None, True
         count = 0 if batch is None else batch.num_rows
-        now = self._rows + count if rows is None else rows
-        self._passed_over += max(now - self._rows - count, 0)
-        self._rows = now
+        self._passed_over += max(rows - self._rows - count, 0)
+        self._rows = rows
         return batch
 
     def _judge(self, view: memoryview) -> None:
@@ -279,49 +256,22 @@ def _following(view: memoryview, begin: int) -> tuple[int, Message | None]:
     return begin, None
 
 
-def _schema(part: pa.Buffer, *, known: bool) -> pa.Schema:
+def _schema(part: pa.Buffer) -> pa.Schema:
     schema = pa.ipc.read_schema(part)
-    for each in schema:
-        if not known and not SCHEMA.field(each.name).equals(each):
-            raise ValueError(each.name)
     kept = {k: v for k, v in (schema.metadata or {}).items() if k != CHECKSUM.encode()}
     return schema.with_metadata(kept or None)
 
 
-def _check(batch: pa.RecordBatch) -> None:
-    """Refuse a batch without a seal that no version can have written."""
-    batch.validate(full=True)
-    there = [name for name in NEVER_NULL if name in batch.schema.names]
-    good = not any(batch.column(name).null_count for name in there)
-    for name, known in (("status", list(map(str, Status))), ("want", get_args(Want))):
-        if name in there:
-            good &= bool(pc.all(pc.is_in(batch.column(name), pa.array(known))).as_py() is not False)
-    if "trajectory" in batch.schema.names:
-        lengths = [
-            pc.fill_null(pc.list_value_length(batch.column(name)), 0).to_numpy()
-            for name in ("times", "variables", "trajectory")
-        ]
-        good &= bool(np.all(lengths[0] * lengths[1] == lengths[2]))
-    if not good:
-        raise ValueError("batch")
+Batches = list[tuple[int, pa.RecordBatch]]
+"""The batches of a segment that are as they were written, each with where it begins."""
 
 
-def read_segment(path: Path, visit: Callable[[int, pa.RecordBatch], None]) -> SegmentReader:
-    """Go through the batches of a segment that are as they were written.
-
-    Parameters
-    ----------
-    path
-        Of the segment.
-    visit
-        Called with the position at which a batch begins, and the batch.
-    """
+def read_segment(path: Path) -> tuple[SegmentReader, Batches]:
+    """Go through a whole segment."""
     reader = SegmentReader()
     with pa.OSFile(str(path)) as opened:
         content = opened.read_buffer()
-    for position, batch in reader.batches(content):
-        visit(position, batch)
-    return reader
+    return reader, list(reader.batches(content))
 
 
 def read_log(folder: Path, *, ended: bool = False) -> pa.Table:
@@ -347,14 +297,14 @@ def read_log(folder: Path, *, ended: bool = False) -> pa.Table:
     if not paths:
         raise RunFolderError(f"{folder}: must hold evaluation segments but holds none")
     for path in paths:
-        reader = read_segment(path, lambda _, batch: batches.append(batch))
+        reader, found = read_segment(path)
         reader.check(path, ended=ended)
+        batches += [batch for _, batch in found]
         if reader.torn:
             warnings.warn(f"{path}: its torn end was dropped", stacklevel=2)
     if not batches:
         return pa.Table.from_batches([], schema=SCHEMA)
-    tables = [pa.Table.from_batches([batch]) for batch in batches]
-    return pa.concat_tables(tables, promote_options="default")  # segments may be older than others
+    return pa.Table.from_batches(batches)
 
 
 def mend(path: Path) -> SegmentReader:
@@ -363,13 +313,11 @@ def mend(path: Path) -> SegmentReader:
     A torn segment is cut back to its last whole batch, and ended there. A kill in the middle of
     this loses nothing: only what cannot be believed goes.
     """
-    kept: list[pa.RecordBatch] = []
-    reader = read_segment(path, lambda *_: None)
+    reader, found = read_segment(path)
     if reader.schema is None:
         path.unlink()
     elif reader.damaged:
-        read_segment(path, lambda _, batch: kept.append(batch))
-        _rewrite(path, reader.schema, kept)
+        _rewrite(path, reader.schema, [batch for _, batch in found])
     else:
         _end_at(path, reader.end)
     return reader
@@ -391,9 +339,9 @@ def slim(path: Path) -> None:
 
     Its batches are joined: many that were written as they came take more room than their rows.
     """
-    kept: list[pa.RecordBatch] = []
-    reader = read_segment(path, lambda _, batch: kept.append(_without(batch)))
+    reader, found = read_segment(path)
     if reader.schema is not None:
+        kept = [_without(batch) for _, batch in found]
         table = pa.Table.from_batches(kept, reader.schema).combine_chunks()
         _rewrite(path, reader.schema, table.to_batches(max_chunksize=ROWS_PER_BATCH))
 

@@ -13,7 +13,6 @@ from cluster_est.executors.base import OutcomeSource
 from cluster_est.run_folder.log_segment import mend, read_segment, residuals_hash, segments
 from workers.messages import USUAL, FloatArray, IntArray, Outcome, Status, Trajectory, Want
 
-HASH, STEPS = "residuals_hash", "steps"
 KEY_LENGTH = 32
 """Characters of a key that are kept in memory: 128 bits."""
 
@@ -54,15 +53,12 @@ class LoggedOutcomes(OutcomeSource):
         self._schemas: dict[int, pa.Schema] = {}
         begins, keys, whole = [0], [np.zeros(0, f"S{KEY_LENGTH + 2}")], [np.zeros(0, bool)]
         for number, path in enumerate(paths):
-
-            def visit(position: int, batch: pa.RecordBatch, number: int = number) -> None:
+            for position, batch in read_segment(path)[1]:
                 self._schemas.setdefault(number, batch.schema)
                 self._batches.append((number, position))
                 begins.append(begins[-1] + batch.num_rows)
                 keys.append(_keys(batch))
                 whole.append(_whole(batch))
-
-            read_segment(path, visit)
         self._begins = np.array(begins)
         self._whole: IntArray = np.concatenate(whole)
         found: IntArray = np.concatenate(keys)
@@ -112,16 +108,15 @@ class LoggedOutcomes(OutcomeSource):
             batch.column("seconds")[i].as_py(),
             batch.column("worker")[i].as_py(),
             constraints=np.zeros(0) if constraints is None else constraints,
-            steps=batch.column(STEPS)[i].as_py() if STEPS in batch.schema.names else 0,
+            steps=batch.column("steps")[i].as_py(),
         )
 
     def compare(self, row: int, outcome: Outcome) -> None:
         """Compare what was simulated again with the hash of what came out the first time."""
         number = int(np.searchsorted(self._begins, row, side="right")) - 1
         batch = self._batch(number)
-        if HASH in batch.schema.names:
-            then = batch.column(HASH)[row - int(self._begins[number])].as_py()
-            self.differing += then is not None and then != residuals_hash(outcome.residuals)
+        then = batch.column("residuals_hash")[row - int(self._begins[number])].as_py()
+        self.differing += then is not None and then != residuals_hash(outcome.residuals)
 
     def close(self) -> None:
         """Let the segments go: nothing is asked any more, and they may be replaced."""

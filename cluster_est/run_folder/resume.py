@@ -7,12 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from cluster_est.errors import RunFolderError
-from cluster_est.run_folder.folder import check_free
-from cluster_est.run_folder.judgement import RunStatus
 from cluster_est.run_folder.log_segment import read_segment, segments
-from cluster_est.run_folder.progress_file import PROGRESS, ProgressTail
-from cluster_est.run_folder.reading import read_config_text, read_facts, read_run_columns
+from cluster_est.run_folder.run_files import (
+    RunStatus,
+    read_config_text,
+    read_facts,
+    read_run_columns,
+)
+from cluster_est.run_folder.run_folder import check_free
 from cluster_est.run_folder.run_identity import DECISIVE, FORMAT, UNHASHED, RunIdentity, versions
+from cluster_est.run_folder.run_progress import PROGRESS, ProgressTail
 
 ENDS = ("parameters", "ranking", "next_input")
 """Tables of which every run that has ended has one."""
@@ -38,7 +42,7 @@ def is_whole(out: Path) -> bool:
         for path in out.glob("*.parquet"):
             read_run_columns(path)
         for path in segments(out / "evaluations"):
-            read_segment(path, lambda *_: None).check(path, ended=True)
+            read_segment(path)[0].check(path, ended=True)
     except RunFolderError:
         return False
     return True
@@ -81,11 +85,6 @@ def _difference(out: Path, facts: dict[str, Any], identity: RunIdentity) -> str:
     for experiment in problem.experiments:
         if known.get(experiment.id) != experiment.key:
             return f"the data of experiment {experiment.id!r} were others then"
-    if (facts.get("sensitivities") or {}).get("carry"):  # of versions that decided this by a clock
-        return (
-            "an earlier version had found sensitivities to be quicker and took them, which now "
-            'method.options.differences = "sensitivities" has to say'
-        )
     return _different_version(facts.get("versions", {}))
 
 

@@ -12,7 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Self
 
-from cluster_est.config.reader import Config
+from cluster_est.config.sections import Config
 from cluster_est.problem.problem import Problem
 from cluster_est.running.records import LogSettings
 from cluster_est.toml import to_toml

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from cluster_est.costs.base import Cost
 from cluster_est.errors import RunFolderError
 from cluster_est.methods.base import Evaluation
+from cluster_est.problem.costs import Cost
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.sensitivity.settings import SensitivitySettings

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
+from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.effects.process_noise import refuse_process_noise
 from cluster_est.problem.observed_outputs import besides_plain_outputs
 from cluster_est.problem.parameter import Parameter

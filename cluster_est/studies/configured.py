@@ -12,13 +12,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cluster_est.config.build import build_problem
-from cluster_est.config.options import build_method, build_resources
-from cluster_est.config.reader import Config, read_config
+from cluster_est.config.choices import build_method, build_resources
+from cluster_est.config.reader import read_config
+from cluster_est.config.sections import Config
 from cluster_est.errors import BudgetError, ProblemError, UnwritableError
 from cluster_est.problem.problem import Problem
 from cluster_est.run_folder.context import Existing, RunContext
-from cluster_est.run_folder.folder import RunResult
-from cluster_est.run_folder.judgement import RunStatus
+from cluster_est.run_folder.run_files import RunStatus
+from cluster_est.run_folder.run_folder import RunResult
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from cluster_est.running.environment import RunEnvironment, WorkerSource
 from cluster_est.running.interrupts import stopped_by
@@ -238,7 +239,7 @@ def _stopped(error: BaseException, context: RunContext) -> RunEnd:
 def _write_report(run_folder: Path, listener: Listener) -> None:
     """Write the report at the end of a run, without spoiling what the run has done."""
     try:
-        from cluster_est.report import write_report  # not everybody wants to wait for Jinja
+        from cluster_est.report.page import write_report  # not everybody wants to wait for Jinja
 
         write_report(run_folder)
     except Exception as error:

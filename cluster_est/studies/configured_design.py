@@ -11,7 +11,8 @@ from typing import Any
 
 from cluster_est.config.build import build_problem
 from cluster_est.config.limits_file import read_limits, with_named_targets
-from cluster_est.config.reader import Config, EffectSection, read_config
+from cluster_est.config.reader import read_config
+from cluster_est.config.sections import Config, EffectSection
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.experiment_design.design import Design
 from cluster_est.experiment_design.models import CandidateModel
@@ -22,13 +23,13 @@ from cluster_est.experiment_design.request import (
 )
 from cluster_est.experiment_design.targets import PredictionTarget
 from cluster_est.problem.problem import Problem
-from cluster_est.run_folder.reading import (
+from cluster_est.run_folder.logged_simulation import config_base
+from cluster_est.run_folder.run_files import (
     check_has_estimates,
     read_config_text,
     read_facts,
     read_run_table,
 )
-from cluster_est.run_folder.replay import config_base
 from cluster_est.run_folder.run_identity import UNHASHED, RunIdentity, RunKind
 from cluster_est.studies.configured import ConfiguredStudy
 from workers.messages import Experiment, content_hash

@@ -18,13 +18,13 @@ from cluster_est.problem.observed_outputs import check_observed_outputs
 from cluster_est.problem.prior_weights import check_priors
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.results import fit_tables as rows
 from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.guarded import GuardedSteps
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.residual_diagnostics import diagnose_residuals
 from cluster_est.results.result import Result
 from cluster_est.results.solver_error.measure import measure_solver_error
-from cluster_est.results.tables import rows
 from cluster_est.running.arguments import (
     check_method,
     check_problem,

@@ -8,10 +8,10 @@ from typing import ClassVar, Self, get_args
 import numpy as np
 from typing_extensions import override
 
-from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Ending, Method, Points, Search, Solution
 from cluster_est.methods.derivatives.differences import Scheme, jacobian, without_guesses
+from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.observed_outputs import check_observed_outputs
 from cluster_est.problem.prior_weights import check_priors
 from cluster_est.problem.problem import Problem

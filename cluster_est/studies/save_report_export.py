@@ -8,12 +8,12 @@ from pathlib import Path
 
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.errors import ProblemError
-from cluster_est.export.repair import repaired
-from cluster_est.export.repaired_fmu.fmu import FmuOptions
+from cluster_est.export.repaired_fmu import FmuOptions
+from cluster_est.export.repaired_model import repaired
 from cluster_est.export.write import ExportRequest, ExportResult, check_request, write_forms
-from cluster_est.report import write_report
+from cluster_est.report.page import write_report
 from cluster_est.results.result import Result
-from cluster_est.run_folder.folder import RunFolder
+from cluster_est.run_folder.run_folder import RunFolder
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from workers.messages.checks import as_path, as_tuple, check_name
 

@@ -14,22 +14,24 @@ from pathlib import Path, PurePath
 from typing import Annotated, Any
 
 import pyarrow as pa
-from pydantic import BeforeValidator, Field, ValidationError
+from pydantic import BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
-from cluster_est.config.reader import Config, read_config
+from cluster_est.config.config_text import read_toml
+from cluster_est.config.reader import read_config
+from cluster_est.config.sections import Config
 from cluster_est.errors import ConfigError, RunFolderError
-from cluster_est.run_folder.folder import BEGUN
-from cluster_est.run_folder.judgement import RunStatus, doubts_of
-from cluster_est.run_folder.reading import (
+from cluster_est.run_folder.resume import is_whole
+from cluster_est.run_folder.run_files import (
+    RunStatus,
     read_config_text,
     read_facts,
     read_run_table,
     write_run_columns,
 )
-from cluster_est.run_folder.resume import is_whole
+from cluster_est.run_folder.run_folder import BEGUN
 from cluster_est.run_folder.run_identity import RunIdentity, versions
-from cluster_est.settings import ConfigSection, error_messages
+from cluster_est.settings import ConfigSection, checked
 from cluster_est.toml import inline
 from cluster_est.whole_files import write_whole
 from workers.fmu.description import nearest
@@ -171,16 +173,8 @@ def read_sweep(path: Path) -> list[SweepRun]:
     ConfigError
         With one line for each problem.
     """
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}); check the path") from error
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{path}: must be TOML in UTF-8 but is not: {error}; mend it") from None
-    try:
-        sweep = SweepSections.model_validate(raw)
-    except ValidationError as error:
-        raise ConfigError("\n".join(error_messages(error, str(path), raw, SweepSections))) from None
+    _, raw = read_toml(path, "there is no sweep file")
+    sweep = checked(SweepSections, raw, str(path))
     _refuse(path, [*_wrong_names(sweep), *_wrong_overrides(sweep), *_wrong_skips(sweep)])
     count = len(sweep.configs) * math.prod(len(axis.values) for axis in sweep.axes)
     if count > LARGEST:
@@ -432,7 +426,7 @@ def _row(out: Path, run: SweepRun, state: str, axes: list[str]) -> dict[str, Any
         return row
     facts = read_facts(out / run.name)
     errors = facts.get("rmse_over_sigma") or {}
-    row |= {"message": facts.get("message") or "", "doubts": "; ".join(doubts_of(facts))}
+    row |= {"message": facts.get("message") or "", "doubts": "; ".join(facts.get("doubts") or ())}
     row |= {key: facts.get(key) for key in ("cost_before", "cost")}
     row |= {f"rmse_{role}": errors.get(role) for role in ("train", "test")}
     counts = ("iterations", "evaluations", "simulations", "failures", "seconds", "seed", "started")

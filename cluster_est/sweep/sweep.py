@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cluster_est.config.options import build_resources
+from cluster_est.config.choices import build_resources
 from cluster_est.errors import (
     ClusterEstError,
     ConfigError,
@@ -18,10 +18,9 @@ from cluster_est.errors import (
 )
 from cluster_est.executors import executor_class
 from cluster_est.run_folder.context import Existing
-from cluster_est.run_folder.judgement import RunStatus, RunWorth, run_worth
 from cluster_est.run_folder.lock import locked_by_sweep
-from cluster_est.run_folder.reading import read_facts
 from cluster_est.run_folder.resume import check_resumable
+from cluster_est.run_folder.run_files import RunStatus, RunWorth, read_facts, run_worth
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from cluster_est.running.shared_pools import SharedPools, pool_key
 from cluster_est.studies.configured import ConfiguredStudy, Destination, Listener, configure, do_run
@@ -42,25 +41,6 @@ from cluster_est.sweep.matrix import (
 from workers.messages import content_hash
 
 UNDER_WAY = (RunStatus.RUNNING, RunStatus.INTERRUPTED)
-
-
-@dataclass(frozen=True)
-class SweepSettings:
-    """Workers, listener and permissions that all runs of a sweep share.
-
-    Attributes
-    ----------
-    pools
-        The workers that they share.
-    listener
-        Hears of each run while it goes on.
-    allow_code
-        Whether Python functions that configs name may run.
-    """
-
-    pools: SharedPools
-    listener: Listener
-    allow_code: bool
 
 
 def read_sweep_run(run: SweepRun, *, allow_code: bool) -> ConfiguredStudy:
@@ -92,7 +72,9 @@ def check_run(run: SweepRun, *, allow_code: bool) -> PlannedRun:
     return PlannedRun(run, fingerprint(identity), budget, pool, cluster)
 
 
-def do_sweep_run(run: SweepRun, folder: Path, settings: SweepSettings) -> RunStatus:
+def do_sweep_run(
+    run: SweepRun, folder: Path, pools: SharedPools, listener: Listener, *, allow_code: bool
+) -> RunStatus:
     """Do a run into its folder, and return its status.
 
     A run that fails says why in its run.json and hurts no other one.
@@ -103,12 +85,12 @@ def do_sweep_run(run: SweepRun, folder: Path, settings: SweepSettings) -> RunSta
         If there are no workers to be had, or its folder cannot be written, which would hit all
         runs; the next call goes on.
     """
-    configured = read_sweep_run(run, allow_code=settings.allow_code)
+    configured = read_sweep_run(run, allow_code=allow_code)
     clear_torn(folder)
     existing = Existing.RESUME if _is_under_way(folder, configured.identity) else Existing.OVERWRITE
     to = Destination(folder, existing, report=False, begin_at_once=True)
     try:
-        return do_run(configured, to, settings.listener, settings.pools).status
+        return do_run(configured, to, listener, pools).status
     except UnsuitableExecutorError:  # for this FMU; others may run there
         return RunStatus.FAILED
     except (ExecutorError, RunFolderError):
@@ -125,9 +107,6 @@ def _is_under_way(folder: Path, identity: RunIdentity) -> bool:
         return read_facts(folder)["status"] in UNDER_WAY and check_resumable(folder, identity)
     except RunFolderError:  # it was a run of something else
         return False
-
-
-Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -158,7 +137,7 @@ class SweepResult:
 def sweep(
     path: Path,
     out: Path,
-    tell: Tell,
+    tell: Callable[[str], None],
     listener: Listener,
     *,
     retry_failed: bool = False,
@@ -208,13 +187,14 @@ def sweep(
         todo = [p for p in plan if states[p.run.name] in (NOT_RUN, *again)]
         try:
             with SharedPools() as pools:
-                settings = SweepSettings(pools, listener, allow_code)
                 ran = 0
                 for run in _pooled(todo):
                     states[run.name] = NOT_RUN
                     write_state(out, path, states, running=run.name)
                     try:
-                        found = do_sweep_run(run, out / run.name, settings)
+                        found = do_sweep_run(
+                            run, out / run.name, pools, listener, allow_code=allow_code
+                        )
                     except KeyboardInterrupt:
                         break
                     if found is RunStatus.INTERRUPTED:

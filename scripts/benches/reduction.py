@@ -18,8 +18,8 @@ import cluster_est as ce
 from benches import Row
 from benches.common import searches_by_turns
 from benches.sensitivities import chain_problem
-from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.methods import METHODS
+from cluster_est.problem.costs import SumSquared
 from workers.messages import Reduction
 
 OPTIONS = {

@@ -17,8 +17,8 @@ from closed_loop_benchmark.oracle import Oracle, count_free, refit, translate
 from cluster_est import Problem
 from cluster_est.closed_loop.findings.effects import NamedEffect, Verdict
 from cluster_est.closed_loop.findings.result import LoopResult
+from cluster_est.results.fit_tables import Estimate
 from cluster_est.results.result import Result
-from cluster_est.results.tables.row_types import Estimate
 
 SAME_MODEL = 0.1
 """Two structures are the same model on the data if their outputs differ by less, in sigmas."""

@@ -8,8 +8,8 @@ import numpy as np
 from docs.svg import Axes, document, lines, text
 
 from cluster_est.config.constraints import signal_bound, tracking_bands
-from cluster_est.config.reader import ConstraintSection
-from cluster_est.costs import COSTS
+from cluster_est.config.sections import ConstraintSection
+from cluster_est.problem.costs import COSTS
 from workers.messages import FloatArray, Output, SignalBound
 
 WIDTH, HEIGHT = 860, 644

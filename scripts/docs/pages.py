@@ -22,7 +22,7 @@ from pydantic_core import PydanticUndefined
 import cluster_est as ce
 from cluster_est.cli.parser import make_parser
 from cluster_est.config.limits_file import LimitsSections
-from cluster_est.config.reader import Config
+from cluster_est.config.sections import Config
 from cluster_est.settings import Settings, keys_of
 from cluster_est.sweep.matrix import SweepSections
 from cluster_est.toml import inline

@@ -43,17 +43,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from docs.svg import RECORD_STYLE, Axes, document, legend, record, text
 
-from cluster_est.report.blocks import FigureBlock, PanelsBlock, ReportSection
-from cluster_est.report.drawing import Chart
-from cluster_est.report.error_sizes import error_picture
-from cluster_est.report.folder import ReportedRun, read_run
-from cluster_est.report.sections.curves import curves
-from cluster_est.report.sections.design import design
-from cluster_est.report.sections.effects import effects
-from cluster_est.report.sections.search import search
-from cluster_est.report.sections.sensitivity import sensitivity
+from cluster_est.report.charts import Chart
+from cluster_est.report.curve_section import curves
+from cluster_est.report.design_section import design
+from cluster_est.report.effect_sections import effects
+from cluster_est.report.error_sections import error_picture
+from cluster_est.report.page_blocks import FigureBlock, PanelsBlock, ReportSection
+from cluster_est.report.parameter_sections import sensitivity
+from cluster_est.report.reported_run import ReportedRun, read_run
+from cluster_est.report.search_sections import search
 from cluster_est.report.sweep_page import SUMMARY, errors, is_sweep
-from cluster_est.run_folder.reading import read_run_table
+from cluster_est.run_folder.run_files import read_run_table
 from workers.messages import FloatArray
 
 DOCS = Path(__file__).resolve().parents[2] / "cluster_est" / "docs"

@@ -15,7 +15,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
-from cluster_est.run_folder.judgement import RunStatus
+from cluster_est.run_folder.run_files import RunStatus
 from measured_league.cases import LeagueCase, convert, textbook_config
 
 PROGRAM = [sys.executable, "-c", "from cluster_est.cli import run; run()"]

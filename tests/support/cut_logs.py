@@ -2,7 +2,16 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from cluster_est.run_folder.evaluation_log import read_log
+from cluster_est.run_folder.log_segment import SegmentWriter, read_log
+
+
+def write_log(folder: Path, table: pa.Table) -> None:
+    """Put a log of one batch in the place of a folder's first segment."""
+    with (folder / "00000.arrows").open("wb") as file:
+        writer = SegmentWriter(file, table.schema)
+        for batch in table.combine_chunks().to_batches():
+            writer.write(batch)
+        writer.close()
 
 
 def cut(folder: Path, rows: int, torn: int = 0) -> None:
@@ -12,13 +21,13 @@ def cut(folder: Path, rows: int, torn: int = 0) -> None:
         path.unlink()
     path = folder / "00000.arrows"
     with path.open("wb") as file:
-        writer = pa.ipc.new_stream(file, table.schema)
+        writer = SegmentWriter(file, table.schema)
         for batch in table.slice(0, rows).to_batches(max_chunksize=17):
-            writer.write_batch(batch)
+            writer.write(batch)
         file.flush()
         whole = file.tell()
         for batch in table.slice(rows).combine_chunks().to_batches():
-            writer.write_batch(batch)
+            writer.write(batch)
         writer.close()
     with path.open("r+b") as file:
         file.truncate(whole + torn)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from support.problems.springs import spring_problem
 
-from cluster_est.run_folder.folder import RunFolder
+from cluster_est.run_folder.run_folder import RunFolder
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from cluster_est.studies.fit import fit
 

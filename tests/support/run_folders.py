@@ -8,7 +8,7 @@ from typing import Any
 import pyarrow.parquet as pq
 from support.problems.springs import ROOT
 
-from cluster_est.run_folder.evaluation_log import read_log
+from cluster_est.run_folder.log_segment import read_log
 
 SPRING = str(ROOT / "configs" / "mass_spring_damper.toml")
 CLOCKS = {"seconds", "busy_seconds", "started", "ended", "worker", "workers"}

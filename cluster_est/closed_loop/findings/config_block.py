@@ -8,7 +8,7 @@ from typing import Any
 
 from cluster_est.closed_loop.findings.effects import NamedEffect
 from cluster_est.problem.parameter import Parameter
-from cluster_est.results.tables.row_types import Estimate
+from cluster_est.results.fit_tables import Estimate
 from cluster_est.toml import dotted, inline
 from workers.messages import Effect
 

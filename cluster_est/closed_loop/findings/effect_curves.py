@@ -12,9 +12,9 @@ from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, 
 from cluster_est.closed_loop.findings.free_values import free_values
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.errors import ClusterEstError
+from cluster_est.results.fit_tables import EffectCurve
 from cluster_est.results.result import Result
 from cluster_est.results.shapes.effect_shapes import effect_shapes, with_evidence
-from cluster_est.results.tables.row_types import EffectCurve
 from workers.effects.site import EffectSite, difference, split_variable
 from workers.messages import FloatArray
 

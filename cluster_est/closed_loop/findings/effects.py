@@ -8,8 +8,8 @@ from typing import Self
 
 import numpy as np
 
+from cluster_est.results.fit_tables import Estimate
 from cluster_est.results.output_errors import OutputError
-from cluster_est.results.tables.row_types import Estimate
 from workers.messages import Effect, Role
 
 

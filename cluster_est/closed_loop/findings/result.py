@@ -30,10 +30,9 @@ from cluster_est.closed_loop.selection.rounds import ComparedStructure
 from cluster_est.problem import display
 from cluster_est.problem.problem import Problem
 from cluster_est.results.facts import fit_facts
+from cluster_est.results.fit_tables import EffectCurve, fit_tables
 from cluster_est.results.result import Result
 from cluster_est.results.shapes.effect_table import curve_table
-from cluster_est.results.tables.row_types import EffectCurve
-from cluster_est.results.tables.rows import fit_tables
 from workers.messages import FloatArray, Role
 from workers.messages.equality import by_content
 

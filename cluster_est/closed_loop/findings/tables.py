@@ -13,8 +13,8 @@ from cluster_est.closed_loop.findings.config_block import config_block
 from cluster_est.closed_loop.findings.effects import ErrorChange, NamedEffect
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.selection.rounds import ComparedStructure
+from cluster_est.results.fit_tables import Estimate
 from cluster_est.results.output_errors import OutputError
-from cluster_est.results.tables.row_types import Estimate
 
 Row = dict[str, Any]
 

@@ -24,9 +24,9 @@ from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidat
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.selection.waves import period_of, residuals_without
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.results.fit_tables import EffectCurve, Estimate
 from cluster_est.results.result import Result
 from cluster_est.results.shapes.effect_shapes import shape_over
-from cluster_est.results.tables.row_types import EffectCurve, Estimate
 from workers.messages import FloatArray
 
 APART = 10.0

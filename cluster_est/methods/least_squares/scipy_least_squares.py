@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 from typing_extensions import override
 
-from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import (
     CUT_SHORT,
@@ -31,6 +30,7 @@ from cluster_est.methods.derivatives.differences import (
     suitable_step,
     without_guesses,
 )
+from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.search_space.space import SearchSpace
 from workers.messages import FloatArray
 

@@ -10,7 +10,6 @@ from typing import get_args
 import numpy as np
 
 from cluster_est.errors import ConfigError, EffectError
-from cluster_est.priors.normal import NormalPrior
 from cluster_est.problem.effects.table_values import (
     Monotone,
     TableShape,
@@ -20,6 +19,7 @@ from cluster_est.problem.effects.table_values import (
 )
 from cluster_est.problem.formulas import ParameterConstraint, parse_constraint
 from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.priors import NormalPrior
 from workers.effects.kinds import EffectForm
 from workers.messages.checks import check_choice, check_number, is_number, shown
 

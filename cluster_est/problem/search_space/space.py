@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.costs.base import Cost
+from cluster_est.problem.costs import Cost
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space.continuity import StateContinuity
 from cluster_est.problem.search_space.parameter_constraints import (

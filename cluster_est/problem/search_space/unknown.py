@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from cluster_est.priors import Prior
 from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.priors import Prior
 
 
 def scope_of(label: str, name: str) -> str:

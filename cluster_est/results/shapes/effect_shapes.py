@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import sympy as sp
 
+from cluster_est.results.fit_tables import EffectCurve, Estimate
 from cluster_est.results.result import Result
-from cluster_est.results.tables.row_types import EffectCurve, Estimate
 from workers.effects.definition import SIGNAL, TIME, EffectDefinition, define_all, variable_symbol
 from workers.effects.site import EffectSite, difference, own_variable, parts_of, split_variable
 from workers.fmu.description import ModelDescription

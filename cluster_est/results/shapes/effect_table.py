@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import pyarrow as pa
 
-from cluster_est.results.tables.row_types import EffectCurve
+from cluster_est.results.fit_tables import EffectCurve
 
 SHAPES = pa.schema(
     [

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.results.fit_tables import EffectCurve
 from cluster_est.results.result import Result
 from cluster_est.results.shapes.effect_shapes import NOTHING_KNOWN, effect_shapes
-from cluster_est.results.tables.row_types import EffectCurve
 from cluster_est.running.runner import Runner
 from workers.effects.site import EffectSite, split_variable
 from workers.grid import values_at

@@ -22,8 +22,8 @@ from itertools import chain
 import numpy as np
 from scipy.special import stdtrit
 
-from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.methods.base import Solution
+from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.uncertainty.covariance.blocks import BlockCovariance
 from cluster_est.uncertainty.covariance.directions import joined

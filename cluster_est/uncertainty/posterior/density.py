@@ -6,10 +6,9 @@ import math
 
 import numpy as np
 
-from cluster_est.costs.likelihood import GaussianLikelihood
-from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.methods.base import Evaluation
+from cluster_est.problem.costs import GaussianLikelihood, SumSquared
 from cluster_est.problem.prior_weights import check_priors, need_sigmas, refuse_distances
 from cluster_est.problem.search_space.space import SearchSpace
 from cluster_est.problem.search_space.unknown import Unknown

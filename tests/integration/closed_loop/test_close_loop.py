@@ -13,7 +13,7 @@ from support.truth.springs_with_friction import FRICTION, TIMES, WIDTH, write_co
 
 from cluster_est.cli import main
 from cluster_est.results.output_errors import OutputError
-from cluster_est.run_folder.evaluation_log import read_log
+from cluster_est.run_folder.log_segment import read_log
 
 
 @pytest.fixture(scope="module")

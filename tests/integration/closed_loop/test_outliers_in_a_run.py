@@ -8,7 +8,7 @@ from support.run_folders import facts, facts_without_clocks, leave_as_killed, ro
 from support.truth.springs_with_friction import FRICTION, NOISE, write_config
 
 from cluster_est.cli import main
-from cluster_est.run_folder.evaluation_log import read_log
+from cluster_est.run_folder.log_segment import read_log
 
 SPOILED = {"run0": (30, 77), "run1": (50, 99), "run2": (64,)}
 """Samples that are off by 20 times the noise."""

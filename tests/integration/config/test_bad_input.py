@@ -189,7 +189,7 @@ def test_a_process_of_its_own_says_no_more(tmp_path):
     (tmp_path / "x.fmu").write_bytes(spoiled_fmu(rename("binaries/linux64", "binaries/linux32")))
     write_input(tmp_path, {"model.fmu": "x.fmu"})
     before = sorted(tmp_path.rglob("*"))
-    command = [sys.executable, "-m", "cluster_est.cli", *FIT]
+    command = [sys.executable, "-m", "cluster_est", *FIT]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     assert "x.fmu: must have a binary for linux64" in done.stderr

@@ -13,12 +13,18 @@ from support.spoiled import spoiled_fmu, write_input
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.cli.preparation import print_page
+from cluster_est.cli.check_command import print_page
 from cluster_est.errors import ModelError
-from cluster_est.preflight import CheckFinding, CheckPage, CheckVerdict, bare_problem, run_checks
-from cluster_est.preflight.checks import costs
-from cluster_est.preflight.measured_data import data_findings
-from cluster_est.preflight.subject import CheckSubject, TimeBudget
+from cluster_est.preflight.all_checks import costs, run_checks
+from cluster_est.preflight.data_checks import data_findings
+from cluster_est.preflight.subject import (
+    CheckFinding,
+    CheckPage,
+    CheckSubject,
+    CheckVerdict,
+    TimeBudget,
+    bare_problem,
+)
 from cluster_est.problem.parameter import Parameter
 from cluster_est.running.resources import Resources
 from cluster_est.running.trials import reset_policy

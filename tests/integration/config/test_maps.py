@@ -11,7 +11,7 @@ from support.described import real, write_fmu
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.run_folder.reading import read_run_table
+from cluster_est.run_folder.run_files import read_run_table
 from cluster_est.toml import to_toml
 
 POINTS = np.linspace(-1.0, 1.0, 9)

@@ -17,10 +17,10 @@ from support.problems.springs import ROOT
 import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.cli.parser import parse
-from cluster_est.config.options import build_method
+from cluster_est.config.choices import build_method
 from cluster_est.config.reader import parse_config
-from cluster_est.costs import COSTS
 from cluster_est.methods import METHODS
+from cluster_est.problem.costs import COSTS
 from workers.effects import forms
 
 FIRST = next(b for b in BLOCKS if b.page.name == "first_fit.md" and complete(b))
@@ -73,7 +73,7 @@ def extended(module, monkeypatch):
     line = titled("in METHODS").text
     for name, kind in eval("{" + line + "}", vars(method)).items():
         monkeypatch.setitem(METHODS, name, kind)
-    fair = module(titled("costs/fair.py")).Fair
+    fair = module(titled("fair.py")).Fair
     monkeypatch.setitem(COSTS, fair.name, fair)
     entry = eval(titled("an entry of _RATES").text, vars(forms))
     for kind in entry.kinds:

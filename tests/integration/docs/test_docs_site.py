@@ -19,7 +19,7 @@ from pydantic import BaseModel
 from support.problems.springs import ROOT
 
 from cluster_est.cli import main
-from cluster_est.run_folder.evaluation_log import read_log
+from cluster_est.run_folder.log_segment import read_log
 from cluster_est.settings import keys_of
 from cluster_est.toml import to_toml
 from workers.effects.forms import FORMS

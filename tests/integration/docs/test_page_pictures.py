@@ -10,7 +10,7 @@ from docs.page_pictures import DOCS, PICTURES
 from docs.step_picture import LARGE, SMALL, TRUE, experiment, held, reference
 from scipy.signal import lsim
 
-from cluster_est.costs import COSTS
+from cluster_est.problem.costs import COSTS
 from workers.effects.forms import FORMS
 from workers.residuals.base import SimulatedOutputs
 from workers.residuals.experiment import SignalBounds

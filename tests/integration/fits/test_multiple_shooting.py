@@ -16,8 +16,8 @@ from support.run_folders import SPRING, change_facts
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.costs import COSTS
 from cluster_est.errors import ProblemError
+from cluster_est.problem.costs import COSTS
 
 MODELS = ROOT / "configs" / "models"
 NOISE = 0.01

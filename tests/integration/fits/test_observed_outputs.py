@@ -6,8 +6,8 @@ from support.problems.seen_springs import seen_springs, with_outputs
 from support.problems.springs import TRUE, spring_problem
 
 import cluster_est as ce
-from cluster_est.costs import COSTS
 from cluster_est.errors import ProblemError
+from cluster_est.problem.costs import COSTS
 
 SCALES, OFFSETS = (3.7, 0.5, 2.0), (0.4, -1.0, 0.0)
 

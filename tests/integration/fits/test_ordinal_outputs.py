@@ -16,8 +16,8 @@ from support.run_folders import rows
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.costs import COSTS
 from cluster_est.errors import ProblemError
+from cluster_est.problem.costs import COSTS
 from cluster_est.problem.effects.sensors import shared_sensor
 
 

@@ -9,7 +9,7 @@ from support.truth.springs_with_friction import NOISE, write_config
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.costs import COSTS
+from cluster_est.problem.costs import COSTS
 from cluster_est.problem.formulas import Formula, ParameterConstraint
 
 HEADER = "95 % interval (too narrow)"

@@ -15,7 +15,7 @@ from support.truth.exact_linear import position
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.costs import COSTS
+from cluster_est.problem.costs import COSTS
 
 TIMES = 0.05 * np.arange(240)
 

@@ -10,7 +10,8 @@ from support.simulated import Worker, answer, answers
 from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M, plain, solve
 
 from cluster_est.executors.local import LocalExecutor
-from cluster_est.run_folder.evaluation_log import EvaluationLog, read_log
+from cluster_est.run_folder.evaluation_log import EvaluationLog
+from cluster_est.run_folder.log_segment import read_log
 from cluster_est.running.runner import Runner
 from workers.errors import ModelError
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver, Status, Task

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import cluster_est as ce
-from cluster_est.drafting.candidates import candidates
 from cluster_est.errors import ProblemError
-from cluster_est.preflight import bare_problem
+from cluster_est.preflight.draft import candidates
+from cluster_est.preflight.subject import bare_problem
 from workers.fmu.description import describe
 
 BOTH = pytest.mark.parametrize("fmi", [2, 3])

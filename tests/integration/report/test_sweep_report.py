@@ -73,7 +73,6 @@ NARROW = "its intervals are too narrow; the error of y is 4.6 times sigma"
         (["", ""], "2 of 2 runs reached a solution", "good"),
         (["", NARROW], "2 of 2 runs reached a solution; 1 of these is doubtful", ""),
         ([NARROW, NARROW], "2 of 2 runs reached a solution; all of these are doubtful", ""),
-        ([None, None], "2 of 2 runs reached a solution", "good"),  # of an earlier version
     ],
 )
 def test_a_run_is_as_green_as_its_own_report(tmp_path, doubts, title, tone):

@@ -8,7 +8,7 @@ from support.damages import KINDS, damaged
 from support.run_folders import SPRING, facts_without_clocks, leave_as_killed, tables
 
 from cluster_est.cli import main
-from cluster_est.run_folder.evaluation_log import read_log
+from cluster_est.run_folder.log_segment import read_log
 
 KEPT = ["log.keep_residuals=true", "budget.evaluations=60"]
 CLOCK = re.compile(r"\d+\.\d+ s")

@@ -7,7 +7,7 @@ import pytest
 from support.run_folders import SPRING, evaluations, rows, tables
 
 from cluster_est.cli import main
-from cluster_est.run_folder.evaluation_log import read_log
+from cluster_est.run_folder.log_segment import read_log
 
 DE = ["method.name=de", "method.options.population=10", "budget.evaluations=150"]
 EARLY = [*DE, "method.options.early_end=true"]

@@ -36,7 +36,7 @@ SLOW = "model.interface=model_exchange", "model.solver=rk4", "model.step=2e-4", 
 )
 def test_a_program_that_is_interrupted_writes_the_best_so_far(tmp_path, how, executor):
     run = tmp_path / "run"
-    command = [sys.executable, "-m", "cluster_est.cli", "fit", SPRING, "--out", str(run), *SLOW]
+    command = [sys.executable, "-m", "cluster_est", "fit", SPRING, "--out", str(run), *SLOW]
     where = f"executor.name={executor}", "executor.workers=2", "--no-report"
     with subprocess.Popen([*command, *where], stderr=subprocess.PIPE, text=True) as process:
         log = run / "evaluations" / "00000.arrows"

@@ -31,7 +31,7 @@ from support.run_folders import facts, rows
 from cluster_est import Problem, fit
 from cluster_est.cli import main
 from cluster_est.errors import ProblemError, UnsuitableExecutorError
-from cluster_est.preflight.bare_fmu import bare_problem
+from cluster_est.preflight.subject import bare_problem
 from cluster_est.running.resources import Resources
 from cluster_est.running.trials.reset_policy import open_with_reset
 from workers.evaluate import Evaluator
@@ -265,7 +265,7 @@ def test_after_a_fatal_error_in_this_process_there_is_no_other_instance(own_fmu,
     config = write_decay(tmp_path, own_fmu("counts_instances", 2))
     fatal = f"parameters.k.start={FATAL}", "parameters.k.bounds=[0.01,3.0]"
     command = ["fit", str(config), "--out", str(tmp_path / "run"), "executor.instances=1", *fatal]
-    program = [sys.executable, "-m", "cluster_est.cli", *command]
+    program = [sys.executable, "-m", "cluster_est", *command]
     done = subprocess.run(program, capture_output=True, text=True, check=False)
     assert done.returncode == 2, done.stdout
     said = " ".join(done.stderr.split())

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
+from support.cut_logs import write_log
 from support.problems.springs import ROOT
 from support.run_folders import SPRING, change_facts
 from support.spoiled import write_input
 
 from cluster_est.cli import main
-from cluster_est.run_folder.evaluation_log import read_log
+from cluster_est.run_folder.log_segment import read_log
 from cluster_est.toml import to_toml
 
 KEPT = "log.keep_residuals=true"
@@ -87,8 +88,7 @@ def rewrite(run: Path, **values: Any) -> None:
         table = table.set_column(at, table.schema.field(name), column)
     shutil.rmtree(run / "evaluations")
     (run / "evaluations").mkdir()
-    with pa.ipc.new_stream(run / "evaluations" / "00000.arrows", table.schema) as writer:
-        writer.write_table(table)
+    write_log(run / "evaluations", table)
 
 
 def test_what_succeeded_gives_the_same_bits_again(fitted, replay):

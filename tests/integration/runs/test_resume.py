@@ -12,17 +12,16 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pytest
-from support.cut_logs import cut
+from support.cut_logs import cut, write_log
 from support.observed_executor import Observer, observe
 from support.run_folders import SPRING, change_facts, facts, facts_without_clocks, leave_as_killed
 from support.run_folders import rows as rows_of
 from support.thinning import thinned
 
 from cluster_est.cli import main
-from cluster_est.run_folder.evaluation_log import read_log
 from cluster_est.run_folder.lock import RunLock
+from cluster_est.run_folder.log_segment import read_log
 
 SMALL = ["budget.evaluations=120"]
 METHODS = {
@@ -212,8 +211,7 @@ def test_residuals_that_are_others_when_simulated_again_are_said(killed, capsys)
     place = table.schema.get_field_index("residuals_hash")
     hashes = ["0" * 32, *table["residuals_hash"].to_pylist()[1:]]
     table = table.set_column(place, table.schema.field(place), [hashes])
-    with pa.ipc.new_stream(killed / "evaluations" / "00000.arrows", table.schema) as writer:
-        writer.write_table(table)
+    write_log(killed / "evaluations", table)
     assert run(killed, "--resume") == 0
     said = " ".join(capsys.readouterr().err.split())
     assert "1 of the simulations that were done again gave other residuals" in said
@@ -325,7 +323,7 @@ def test_kills_at_any_instant_change_no_bit(finished, tmp_path):
     arguments = ["method.name=de", "budget.evaluations=800"]
     (code, whole), again = finished(*arguments), tmp_path / "run"
     how = ["--resume", "--no-report", *arguments]
-    command = [sys.executable, "-m", "cluster_est.cli", "fit", SPRING, *how]
+    command = [sys.executable, "-m", "cluster_est", "fit", SPRING, *how]
     generator = np.random.default_rng(5)
     statuses = []
     for _ in range(3):

@@ -17,8 +17,8 @@ from support.thinning import thinned
 
 from cluster_est.cli import main
 from cluster_est.errors import ExecutorError
-from cluster_est.run_folder.evaluation_log import read_log
 from cluster_est.run_folder.lock import locked_by_sweep
+from cluster_est.run_folder.log_segment import read_log
 from cluster_est.toml import to_toml
 
 STARTS = {"name": "start", "key": "parameters.m.start", "values": [1.0, 3.0]}

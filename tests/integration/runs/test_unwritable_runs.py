@@ -102,7 +102,7 @@ def test_a_folder_that_is_gone_at_the_end_is_said(
 
 def command(stdout: int, *arguments: str) -> tuple[int, str]:
     """The exit code of a program that prints there, and what it says on standard error."""
-    program = [sys.executable, "-m", "cluster_est.cli", *arguments]
+    program = [sys.executable, "-m", "cluster_est", *arguments]
     ended = subprocess.run(program, stdout=stdout, stderr=subprocess.PIPE, text=True, check=False)
     os.close(stdout)
     return ended.returncode, ended.stderr

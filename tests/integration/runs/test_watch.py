@@ -14,11 +14,10 @@ from support.reported import fitted_run
 from support.run_folders import change_facts
 
 from cluster_est.cli import main
-from cluster_est.cli.display.watch_table import WatchTable, rendered
 from cluster_est.cli.terminal import line
+from cluster_est.cli.watch_command import RunFollower, RunView, WatchTable, follow, rendered
 from cluster_est.methods.base import Progress
-from cluster_est.report.watch import RunFollower, RunView, follow
-from cluster_est.run_folder.folder import RunFolder
+from cluster_est.run_folder.run_folder import RunFolder
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from cluster_est.running.records import Budget, RunSnapshot, SearchIteration, TaskOrigin
 from cluster_est.studies.fit import fit

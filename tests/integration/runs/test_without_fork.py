@@ -11,7 +11,7 @@ import sys
 import pytest
 from support.run_folders import SPRING
 
-from cluster_est.run_folder.reading import read_run_table
+from cluster_est.run_folder.run_files import read_run_table
 
 PROGRAM = """
 import contextlib, io, json, os, signal, sys

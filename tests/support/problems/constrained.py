@@ -5,9 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from support.problems.functions import FunctionProblem
 
-from cluster_est.costs.base import Cost
-from cluster_est.costs.sum_squared import SumSquared
-from cluster_est.costs.total import TotalCost
+from cluster_est.problem.costs import Cost, SumSquared, TotalCost
 
 ROOT2, ROOT3, ROOT7 = np.sqrt([2.0, 3.0, 7.0])
 TOTAL = TotalCost()

@@ -7,10 +7,9 @@ import numpy as np
 from support.problems.answering import AnsweringExecutor, answer_with
 
 from cluster_est import Experiment, LeastSquares, Model, Output, Parameter, Problem, Solver
-from cluster_est.costs.base import Cost
-from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.methods import Method
 from cluster_est.methods.base import Solution
+from cluster_est.problem.costs import Cost, SumSquared
 from cluster_est.problem.formulas import parse_constraint
 from cluster_est.problem.search_space.space import SearchSpace, make_space
 from cluster_est.running.runner import Runner

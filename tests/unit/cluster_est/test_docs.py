@@ -5,9 +5,9 @@ from support.docs_blocks import PAGES
 from support.problems.springs import ROOT
 
 from cluster_est import Resources
-from cluster_est.costs import COSTS
 from cluster_est.executors import EXECUTORS
 from cluster_est.methods import METHODS
+from cluster_est.problem.costs import COSTS
 from workers.effects.forms import FORMS
 
 DOCS = ROOT / "cluster_est" / "docs"

@@ -11,10 +11,10 @@ import pytest
 from support.problems.springs import FMU, ROOT, spring_problem
 
 import cluster_est as ce
-from cluster_est.costs import COSTS, Cost
 from cluster_est.errors import ClusterEstError, ModelError, ProblemError
 from cluster_est.executors import WorkerPool
 from cluster_est.methods import Method
+from cluster_est.problem.costs import COSTS, Cost
 from cluster_est.problem.formulas import Formula, ParameterConstraint
 from workers.messages import Limits
 

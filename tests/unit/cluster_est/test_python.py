@@ -11,8 +11,8 @@ from support.problems.springs import FMU, ROOT, spring_problem
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.costs import COSTS
 from cluster_est.errors import ConfigError, ProblemError, RunFolderError
+from cluster_est.problem.costs import COSTS
 from workers.fmu.description import describe
 
 CONFIG = ROOT / "configs" / "mass_spring_damper.toml"

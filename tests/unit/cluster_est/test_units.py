@@ -12,8 +12,8 @@ from support.problems.curves import Curves
 from support.thinning import thinned
 
 from cluster_est import Parameter
-from cluster_est.costs import COSTS
 from cluster_est.methods import LeastSquares, NelderMead, PatternSearch, ScipyLeastSquares, Sqp
+from cluster_est.problem.costs import COSTS
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.running.sizes import with_sizes
 from cluster_est.uncertainty.covariance.derivatives import examine

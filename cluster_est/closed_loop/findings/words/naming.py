@@ -32,7 +32,7 @@ from cluster_est.closed_loop.findings.words.units import (
     Dimension,
     KnownUnits,
 )
-from cluster_est.results.tables.row_types import EffectCurve
+from cluster_est.results.fit_tables import EffectCurve
 from workers.effects.expression import parse
 from workers.effects.site import bracketed, difference, is_difference, own_variable
 from workers.fmu.description import ModelDescription

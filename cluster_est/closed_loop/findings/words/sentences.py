@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.findings.effects import AgreeingEquation
 from cluster_est.closed_loop.findings.words.numbers import in_a_row, readable_time
-from cluster_est.results.tables.row_types import EffectCurve, Estimate
+from cluster_est.results.fit_tables import EffectCurve, Estimate
 
 SAME = 1e-6
 """Share of an effect below which a difference is that of rounding."""

@@ -10,7 +10,7 @@ from support.problems.springs import ROOT
 
 from cluster_est import LeastSquares, LoopSettings, build_problem, read_config
 from cluster_est.config import reader as config
-from cluster_est.config.options import build_resources
+from cluster_est.config.choices import build_resources
 from cluster_est.config.reader import parse_config
 from cluster_est.errors import ClusterEstError, ProblemError
 from cluster_est.running.multistart import Multistart

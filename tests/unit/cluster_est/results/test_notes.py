@@ -8,7 +8,7 @@ from support.problems.seen_springs import with_outputs
 from support.problems.springs import TRUE, spring_problem
 
 import cluster_est as ce
-from cluster_est.preflight import run_checks
+from cluster_est.preflight.all_checks import run_checks
 from cluster_est.statistics.residual_findings import (
     OutputDiagnostics,
     ResidualDiagnostics,

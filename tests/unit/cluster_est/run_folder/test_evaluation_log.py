@@ -4,24 +4,19 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pytest
 from support.damages import KINDS, damaged
 
 from cluster_est.errors import RunFolderError
 from cluster_est.report.activity import read_activity
-from cluster_est.run_folder.evaluation_log import (
-    ROWS_PER_WRITE,
-    SCHEMA,
-    EvaluationLog,
-    LogSettings,
-    read_log,
-)
+from cluster_est.run_folder.evaluation_log import ROWS_PER_WRITE, EvaluationLog, LogSettings
 from cluster_est.run_folder.log_segment import (
     END_OF_STREAM,
     LARGE,
+    SCHEMA,
     SegmentReader,
     mend,
+    read_log,
     read_segment,
 )
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
@@ -242,29 +237,6 @@ def test_the_oldest_segments_of_a_full_log_lose_their_residuals(tmp_path):
     assert 0 < sum(missing) < 300
 
 
-@pytest.mark.parametrize("lacking", [["want", "variables", "times", "trajectory"], ["ended"]])
-def test_segments_of_older_formats_are_read_with_those_of_today(tmp_path, lacking):
-    recorded = rows(8)
-    write(tmp_path, recorded[:4])
-    table = read_log(tmp_path).drop_columns(lacking)
-    with pa.ipc.new_stream(tmp_path / "00000.arrows", table.schema) as writer:
-        writer.write_table(table)
-    check(read_log(tmp_path), recorded[:4])
-    write(open_log(tmp_path, first=1), recorded[4:])
-    both = read_log(tmp_path)
-    check(both, recorded)
-    ended = both["ended"].to_pylist()
-    assert ended[4:] == sorted(ended[4:])
-    if "want" in lacking:  # a run of that format is not resumed
-        return
-    logged = LoggedOutcomes(tmp_path)
-    for row, (_, outcome) in enumerate(recorded):
-        found = logged.outcome(row, row)
-        assert (found.status, found.message) == (outcome.status, outcome.message)
-        assert found.seconds == outcome.seconds
-        assert (found.residuals is None) == (outcome.residuals is None)
-
-
 def test_what_a_finished_run_leaves(tmp_path):
     recorded = [*trajectories(40), *rows(40)]
     log = write(tmp_path, recorded, 2)
@@ -320,20 +292,9 @@ def written(folder: Path) -> bytes:
     return (folder / "00000.arrows").read_bytes()
 
 
-def without_seals(folder: Path) -> bytes:
-    """The same as an earlier version wrote it."""
-    table = read_log(folder)
-    path = folder / "00000.arrows"
-    with pa.ipc.new_stream(path, table.schema) as writer:
-        for batch in table.to_batches():
-            writer.write_batch(batch)
-    return path.read_bytes()
-
-
 def found_in(path: Path) -> tuple[list[str], SegmentReader]:
-    found: list[str] = []
-    reader = read_segment(path, lambda _, batch: found.extend(map(repr, batch.to_pylist())))
-    return found, reader
+    reader, batches = read_segment(path)
+    return [repr(row) for _, batch in batches for row in batch.to_pylist()], reader
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -377,30 +338,3 @@ def test_a_log_that_was_mended_is_whole_again(tmp_path: Path, kind: str) -> None
             assert again == found
             assert mended.closed
             assert not mended.lost
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_segments_of_earlier_versions_that_cannot_be_are_not_read(
-    tmp_path: Path, kind: str
-) -> None:
-    written(tmp_path)
-    content, path = without_seals(tmp_path), tmp_path / "00000.arrows"
-    whole, reader = found_in(path)
-    assert (len(whole), reader.closed, reader.damaged) == (ROWS, True, False)
-    for seed in range(12):
-        path.write_bytes(damaged(content, kind, seed))
-        found, _ = found_in(path)
-        assert len(found) <= ROWS
-        logged = LoggedOutcomes(tmp_path)
-        for row in range(len(logged)):
-            logged.outcome(row, row)
-        logged.close()
-
-
-def test_an_unbelievable_row_of_an_earlier_version_is_not_read(tmp_path: Path) -> None:
-    written(tmp_path)
-    content, path = without_seals(tmp_path), tmp_path / "00000.arrows"
-    path.write_bytes(content.replace(b"timeout", b"timeous"))
-    found, reader = found_in(path)
-    assert reader.damaged
-    assert len(found) < ROWS

@@ -4,7 +4,7 @@ import pytest
 
 from cluster_est.errors import RunFolderError
 from cluster_est.methods.base import Progress
-from cluster_est.run_folder.progress_file import MOST_BYTES, ProgressFile, ProgressTail
+from cluster_est.run_folder.run_progress import MOST_BYTES, ProgressFile, ProgressTail
 from cluster_est.running.records import RunSnapshot, SearchIteration
 
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from support.problems.functions import FunctionExecutor, FunctionProblem
 
-from cluster_est.costs import COSTS
 from cluster_est.errors import ProblemError
+from cluster_est.problem.costs import COSTS
 from cluster_est.running.runner import Runner
 from cluster_est.sensitivity.analysis import analyse_on, check_bounds
 from cluster_est.sensitivity.designs import DESIGNS

@@ -135,10 +135,13 @@ def test_wrong_sweeps_are_refused(tmp_path, keys, phrase):
 
 
 def test_a_missing_or_broken_file_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="cannot be read"):
+    with pytest.raises(ConfigError, match=r"there is no sweep file .*sweep\.toml"):
         read_sweep(tmp_path / "sweep.toml")
     (tmp_path / "sweep.toml").write_bytes(b"\xff\xfe = [")
-    with pytest.raises(ConfigError, match="must be TOML in UTF-8"):
+    with pytest.raises(ConfigError, match=r"sweep\.toml: must be text in UTF-8"):
+        read_sweep(tmp_path / "sweep.toml")
+    (tmp_path / "sweep.toml").write_bytes(b"configs = [")
+    with pytest.raises(ConfigError, match=r"sweep\.toml: must be TOML but is not"):
         read_sweep(tmp_path / "sweep.toml")
 
 

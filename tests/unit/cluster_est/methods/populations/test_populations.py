@@ -19,9 +19,6 @@ from support.problems.functions import (
 from support.thinning import thinned
 
 from cluster_est import Budget, Experiment, Model, Output, Parameter, Problem, Solver
-from cluster_est.costs.robust import SoftL1
-from cluster_est.costs.sum_absolute import SumAbsolute
-from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.methods import (
     METHODS,
@@ -34,6 +31,7 @@ from cluster_est.methods import (
     ParticleSwarm,
 )
 from cluster_est.methods.base import Ending, Solution
+from cluster_est.problem.costs import SoftL1, SumAbsolute, SumSquared
 from cluster_est.problem.search_space.space import make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest

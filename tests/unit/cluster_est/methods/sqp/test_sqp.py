@@ -9,9 +9,9 @@ from support.problems.constrained import CONSTRAINED, held
 from support.problems.functions import PROBLEMS, FunctionProblem, followed, named
 from support.thinning import thinned
 
-from cluster_est.costs.robust import CauchyCost, HuberCost
 from cluster_est.methods import Sqp
 from cluster_est.methods.base import Ending
+from cluster_est.problem.costs import CauchyCost, HuberCost
 
 METHODS = [
     Sqp(),

@@ -7,9 +7,9 @@ from scipy.stats import lognorm, norm
 from support.problems.curves import Curves
 
 from cluster_est import Parameter
-from cluster_est.costs import COSTS
 from cluster_est.errors import ProblemError
-from cluster_est.priors import LogNormalPrior, NormalPrior
+from cluster_est.problem.costs import COSTS
+from cluster_est.problem.priors import LogNormalPrior, NormalPrior
 from cluster_est.uncertainty import UncertaintySettings, check_posterior, examine, sample_posterior
 from cluster_est.uncertainty.posterior.posterior import autocorrelation_times, split_shrink_factors
 

@@ -1,0 +1,99 @@
+"""The command design: the input of the next experiment."""
+
+from __future__ import annotations
+
+import io
+import os
+from argparse import Namespace
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.csv as pacsv
+from rich.console import Console
+
+from cluster_est.cli.printed_runs import print_any_run
+from cluster_est.cli.printing import say
+from cluster_est.cli.terminal import EXIT_CODES, run_as_told, say_if_compiled_first, say_report
+from cluster_est.errors import RunFolderError
+from cluster_est.experiment_design.findings.sentences import STEM, TABLE
+from cluster_est.run_folder.run_files import read_facts, read_run_columns
+from cluster_est.studies.configured import ConfiguredStudy
+from cluster_est.studies.configured_design import read_design
+from cluster_est.whole_files import write_output
+
+
+def design(options: Namespace) -> int:
+    """Choose an input, write it as a table, and its run folder beside that."""
+    out, folder = options.out, options.out.with_suffix("")
+    _check_free(options)
+    run = read_design(
+        options.run_folder,
+        options.limits,
+        options.config,
+        options.overrides,
+        options.predict,
+        allow_code=options.allow_code,
+    )
+    say_if_compiled_first()
+    end = run_as_told(run, folder, options)
+    if end.stopped:
+        return EXIT_CODES[end.status]
+    content = io.BytesIO()
+    pacsv.write_csv(read_run_columns(folder / "next_input.parquet"), content)
+    write_output(out, content.getvalue())
+    print_any_run(Console(), folder)
+    say_report(folder)
+    say(Console(), f"next experiment: {out}; write what you measure into its empty columns, and")
+    say(Console(), "add it to the config:\n")
+    block = read_facts(folder)["design"]["block"]
+    say(Console(), block.replace(TABLE, _path_from(run, out)).replace(STEM, out.stem))
+    return EXIT_CODES[end.status]
+
+
+def has_measurements(path: Path) -> bool:
+    """Whether a table of a next experiment has been filled: its last column holds something."""
+    if not path.is_file():
+        return False
+    try:
+        last = pacsv.read_csv(path).columns[-1]
+    except (pa.ArrowException, IndexError):
+        return True  # somebody has changed it, whatever it is now
+    return bool(last.null_count < len(last))
+
+
+def _check_free(options: Namespace) -> None:
+    """Refuse a table, or a folder beside it, that holds what must not be replaced.
+
+    Raises
+    ------
+    RunFolderError
+        Saying which.
+    """
+    out, folder = options.out, options.out.with_suffix("")
+    if out.suffix.lower() != ".csv":
+        raise RunFolderError(f"--out: must end in .csv but is {out.name!r}; rename it")
+    if out.is_dir() or not out.absolute().parent.is_dir():
+        raise RunFolderError(
+            f"--out: must be a file in a folder that exists but is {out}; choose another"
+        )
+    if has_measurements(out):
+        raise RunFolderError(
+            f"--out: {out} holds measurements already, which are kept; choose another"
+        )
+    if out.exists() and not (options.overwrite or options.resume):
+        raise RunFolderError(f"--out: {out} is there already; choose another, or --overwrite")
+    run, own = options.run_folder.resolve(), folder.resolve()
+    if own == run or run in own.parents or own in run.parents:
+        raise RunFolderError(
+            f"--out: the run folder of {out} would be {folder}, which holds or is the run that is "
+            "read; choose another name"
+        )
+    facts = read_facts(folder) if (folder / "run.json").is_file() else {}
+    if facts.get("verdict") or (folder / "parameters.parquet").is_file():
+        raise RunFolderError(f"--out: {folder} holds a run that is no design; choose another name")
+
+
+def _path_from(run: ConfiguredStudy, out: Path) -> str:
+    """The path of the table, from the folder of the run's config."""
+    base = run.identity.base
+    return str(out) if base is None else os.path.relpath(out, base)

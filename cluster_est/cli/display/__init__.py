@@ -1,1 +1,0 @@
-"""Everything that a terminal shows: runs, findings, lists, the line of progress."""

@@ -1,0 +1,65 @@
+"""The commands on a run folder: show, report and export."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+
+from rich.console import Console
+
+from cluster_est.cli.parent_process import ExitCode
+from cluster_est.cli.printed_runs import print_any_run
+from cluster_est.cli.printing import print_iterations, say
+
+
+def show(options: Namespace) -> int:
+    """Print the tables of a run, what failed in it, or one search's iterations."""
+    run_folder = options.run_folder
+    if options.failures:
+        from cluster_est.cli.replay_command import print_failures
+
+        print_failures(Console(), run_folder)
+    elif options.iterations or options.search is not None:
+        print_iterations(Console(), run_folder, options.search)
+    else:
+        print_any_run(Console(), run_folder)
+    return ExitCode.DONE
+
+
+def report(options: Namespace) -> int:
+    """Write the report of a run or of a sweep."""
+    # not everybody wants to wait for Jinja
+    from cluster_est.report.page import write_report
+    from cluster_est.report.sweep_page import is_sweep, write_sweep_report
+
+    write = write_sweep_report if is_sweep(options.run_folder) else write_report
+    say(Console(), f"report: {write(options.run_folder, options.out)}")
+    return ExitCode.DONE
+
+
+def export(options: Namespace) -> int:
+    """Write what a run has found, in the forms that are asked for."""
+    from cluster_est.export.repaired_fmu import FmuOptions
+    from cluster_est.export.write import ExportRequest
+    from cluster_est.export.write import export as run_export  # SymPy takes long to import
+
+    if options.fmu is not None and options.platforms:
+        wait = "compiling for other platforms; the first time, zig compiles their libraries too, "
+        say(Console(stderr=True), f"cluster-est: {wait}which takes a minute or more")
+    of_fmu = FmuOptions(tuple(options.platforms), measure=not options.no_step)
+    wanted = ExportRequest(
+        options.fmu, options.ssv, options.csv, options.modelica, options.text, of_fmu
+    )
+    written = run_export(
+        options.run_folder,
+        options.config,
+        options.experiment,
+        wanted,
+        allow_code=options.allow_code,
+    )
+    for printed in written.printed:
+        say(Console(), printed)
+    for note in written.notes:
+        say(Console(stderr=True), f"cluster-est: {note}")
+    for path in written.files:
+        say(Console(stderr=True), f"{path}")
+    return ExitCode.DONE

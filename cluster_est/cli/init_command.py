@@ -1,0 +1,72 @@
+"""The command init: a first config for an FMU and measured tables."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from cluster_est.cli.parent_process import ExitCode
+from cluster_est.cli.printing import say
+from cluster_est.errors import ConfigError
+from cluster_est.preflight.draft import draft
+from cluster_est.preflight.draft_text import open_lines, write
+from cluster_est.toml import dotted
+from cluster_est.whole_files import write_output
+
+
+def init(options: Namespace) -> int:
+    """Write a first config, and say what to fill in or to do next."""
+    out = options.out or Path(f"{options.fmu.stem}.toml")
+    if out.is_dir():
+        raise ConfigError(f"--out: {out} must be a file but is a folder; name a file in it")
+    if out.exists() and not options.overwrite:
+        raise ConfigError(
+            f"--out: {out} is there already; choose another, or replace it with --overwrite"
+        )
+    found = draft(options.fmu, options.data, read_mapping(options.map))
+    text = write(found, out.parent)
+    write_output(out, text.encode())
+    console = Console()
+    for number, line in open_lines(text):
+        say(console, f"{out}, line {number}: fill in {line.partition('  # ')[0]}")
+    for name in dict.fromkeys(name for run in found.runs for name in run.missing_inputs):
+        where = ", ".join(repr(run.id) for run in found.runs if name in run.missing_inputs)
+        lines = enumerate(text.splitlines(), 1)
+        place = next(
+            (n for n, line in lines if f'{dotted("inputs", name)} = "COLUMN"' in line), None
+        )
+        say(
+            console,
+            f"{out}{f', line {place}' if place else ''}: no column of {where} is like input "
+            f"{name!r}; name one there, or it keeps its start value",
+        )
+    say(console, f"{out} is written; look through it, then: cluster-est check {out}")
+    return ExitCode.DONE
+
+
+def read_mapping(texts: Sequence[str]) -> dict[str, str]:
+    """Read `VARIABLE=COLUMN` arguments.
+
+    Raises
+    ------
+    ConfigError
+        If one is something else, or a variable is there twice.
+    """
+    found: dict[str, str] = {}
+    for text in texts:
+        name, equals, column = (part.strip() for part in text.partition("="))
+        if not equals or not name or not column:
+            raise ConfigError(
+                f"--map: must be VARIABLE=COLUMN but is {text!r}; write it as in "
+                "--map u='Voltage (V)'"
+            )
+        if name in found:
+            raise ConfigError(
+                f"--map: {name} must be given one column but is given {found[name]!r} and "
+                f"{column!r}; remove one"
+            )
+        found[name] = column
+    return found

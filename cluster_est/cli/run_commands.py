@@ -1,0 +1,186 @@
+"""The commands that run: fit, close-loop, sensitivity, sweep and simulate."""
+
+from __future__ import annotations
+
+import io
+from argparse import Namespace
+from collections import Counter
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pyarrow.csv as pacsv
+import pyarrow.parquet as pq
+from pyarrow import feather
+from rich.console import Console
+
+from cluster_est.cli.parent_process import ExitCode
+from cluster_est.cli.printed_runs import print_any_run
+from cluster_est.cli.printing import Cell, number, print_rows, say
+from cluster_est.cli.terminal import (
+    EXIT_CODES,
+    complain,
+    run_as_told,
+    say_if_compiled_first,
+    say_if_filter_compiled_first,
+    say_report,
+    terminal_listener,
+)
+from cluster_est.config.build import build_problem
+from cluster_est.config.choices import build_resources
+from cluster_est.config.reader import read_config
+from cluster_est.errors import RunFolderError
+from cluster_est.problem.problem import Problem
+from cluster_est.results.curves import residual_table, trajectory_table
+from cluster_est.run_folder.run_files import Rows, check_has_estimates, read_run_table
+from cluster_est.run_folder.run_identity import RunKind
+from cluster_est.studies.configured import read_study
+from cluster_est.studies.fit import simulate as run_simulate
+from cluster_est.sweep.matrix import SUCCESS, SUMMARY
+from cluster_est.sweep.sweep import sweep as run_sweep
+from cluster_est.whole_files import write_output
+
+
+def print_sweep(console: Console, out: Path, rows: Rows, ran: int) -> None:
+    """Print the number of runs that are done, and a line for each."""
+    counts = Counter(row["status"] for row in rows)
+    listed = ", ".join(f"{count} {status}" for status, count in counts.items())
+    say(console, f"sweep {out}: {len(rows)} runs: {listed}; {ran} of them in this call")
+    print_rows(
+        console,
+        rows,
+        ("run", "run"),
+        ("status", "status"),
+        ("cost", _known("cost")),
+        ("RMSE train", _known("rmse_train")),
+        ("test", _known("rmse_test")),
+        ("evaluations", _known("evaluations")),
+        ("seconds", lambda row: "" if row.get("seconds") is None else f"{row['seconds']:.1f}"),
+        ("", _why),
+    )
+    say(console, f"table: {out / SUMMARY}")
+
+
+def _known(key: str) -> Cell:
+    return lambda row: "" if row.get(key) is None else number(row[key])
+
+
+def _why(row: dict[str, Any]) -> str:
+    """What is doubtful of a run, or the first line of why it came to nothing."""
+    said = row["doubts"] if row["status"] == SUCCESS else (row["message"].splitlines() or [""])[0]
+    return str(said)
+
+
+def fit(options: Namespace) -> int:
+    """Estimate, write the run folder, print the tables."""
+    return _run(options, RunKind.FIT)
+
+
+def close_loop(options: Namespace) -> int:
+    """Find what the model lacks, write the run folder, print what was found."""
+    return _run(options, RunKind.CLOSED_LOOP)
+
+
+def sensitivity(options: Namespace) -> int:
+    """Rank what is estimated by how much it matters, write the run folder, print the ranking."""
+    return _run(options, RunKind.SENSITIVITY)
+
+
+def _run(options: Namespace, kind: RunKind) -> int:
+    run = read_study(options.config, options.overrides, kind, allow_code=options.allow_code)
+    say_if_compiled_first()
+    say_if_filter_compiled_first(run.identity.problem)
+    end = run_as_told(run, options.out, options)
+    if not end.stopped:
+        print_any_run(Console(), options.out)
+        say_report(options.out)
+    return EXIT_CODES[end.status]
+
+
+def sweep(options: Namespace) -> int:
+    """Do what a sweep still lacks, and print a line for each of its runs."""
+    say_if_compiled_first()
+    swept = run_sweep(
+        options.sweep,
+        options.out,
+        lambda text: say(Console(stderr=True), text),
+        terminal_listener(),
+        retry_failed=options.retry_failed,
+        allow_code=options.allow_code,
+    )
+    print_sweep(Console(), options.out, swept.rows, swept.ran)
+    if swept.interrupted:
+        return ExitCode.INTERRUPTED
+    return ExitCode.DONE if swept.success else ExitCode.NO_SOLUTION
+
+
+def simulate(options: Namespace) -> int:
+    """Simulate every experiment and write one table of trajectories."""
+    config, out = read_config(options.config, options.overrides), options.out
+    resources = build_resources(config)
+    for sentence in resources.notes():
+        complain(sentence)
+    writer = _table_writer(out)
+    if out.is_dir():
+        raise RunFolderError(f"--out: {out} must be a file but is a folder; choose another")
+    problem = build_problem(config, options.config.parent, allow_code=options.allow_code)
+    values = {} if options.run_folder is None else read_estimates(options.run_folder, problem)
+    simulations = run_simulate(problem, resources, values)
+    for simulation in simulations:
+        if not simulation.outcome.ok:
+            name = problem.experiments[simulation.experiment].id
+            outcome = simulation.outcome
+            Console(stderr=True, soft_wrap=True).print(
+                f"cluster-est: experiment {name!r}: {outcome.status}: {outcome.message}",
+                markup=False,
+                highlight=False,
+            )
+    good = tuple(s for s in simulations if s.outcome.ok)
+    if not good:
+        return ExitCode.NO_SOLUTION
+    measured = residual_table(problem, good).drop_columns(["simulated", "role"])
+    table = trajectory_table(problem, good).join(measured, ["experiment", "output", "time"])
+    order = [("experiment", "ascending"), ("output", "ascending"), ("time", "ascending")]
+    content = io.BytesIO()
+    writer(table.sort_by(order), content)
+    write_output(out, content.getvalue())
+    Console(soft_wrap=True).print(f"{out}: {table.num_rows} rows", markup=False, highlight=False)
+    return ExitCode.DONE if len(good) == len(simulations) else ExitCode.NO_SOLUTION
+
+
+def read_estimates(run_folder: Path, problem: Problem) -> dict[str, float]:
+    """Physical values by label from a run's parameters.parquet.
+
+    Raises
+    ------
+    RunFolderError
+        If the run is not finished, or has estimated what the problem does not have: without an
+        effect that the run has added, its other values mean little.
+    """
+    path = run_folder / "parameters.parquet"
+    if not path.is_file():
+        if (run_folder / "run.json").is_file():
+            check_has_estimates(run_folder)
+        raise RunFolderError(f"{run_folder}: must be the folder of a finished run but is not")
+    rows = [r for r in read_run_table(path) if r["estimated_on"] in ("train", "test")]
+    known = {parameter.name for parameter in problem.parameters}
+    strange = list(dict.fromkeys(r["label"] for r in rows if r["parameter"] not in known))
+    if strange:
+        raise RunFolderError(
+            f"--run: {run_folder} must have estimated what the config declares but has "
+            f"{', '.join(strange)} besides; add the run's [[effects]] and parameters to the config"
+        )
+    return {row["label"]: row["value"] for row in rows}
+
+
+def _table_writer(out: Path):  # type: ignore[no-untyped-def]
+    writers = {
+        ".parquet": partial(pq.write_table, write_page_checksum=True),
+        ".feather": feather.write_feather,
+        ".csv": pacsv.write_csv,
+    }
+    if out.suffix.lower() not in writers:
+        raise RunFolderError(
+            f"--out: must end in one of {', '.join(writers)} but is {out.name!r}; rename it"
+        )
+    return writers[out.suffix.lower()]

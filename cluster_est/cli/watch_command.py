@@ -1,0 +1,327 @@
+"""The command watch: a run followed by its folder alone, as a table that is updated."""
+
+from __future__ import annotations
+
+import math
+import time
+from argparse import Namespace
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Self
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from cluster_est.cli.parent_process import ExitCode
+from cluster_est.errors import RunFolderError
+from cluster_est.report.activity import ActivityTail, FailureGroup
+from cluster_est.report.number_text import count, duration
+from cluster_est.report.page import write_report
+from cluster_est.run_folder.run_files import RunStatus, is_ended, left_alone, read_facts
+from cluster_est.run_folder.run_progress import (
+    PROGRESS,
+    IterationLine,
+    ProgressTail,
+    RunSnapshot,
+    left_of_step,
+    pace_of,
+    what_is_done,
+)
+
+MOST_SEARCHES, MOST_FAILURES = 12, 5
+QUIET_SECONDS = 30.0
+"""After these it is worth a sentence that nothing comes."""
+
+
+def watch(options: Namespace) -> int:
+    """Follow a run until it ends."""
+    with WatchTable(Console()) as table:
+        follow(options.run_folder, options.every, table.show, html=options.html)
+    return ExitCode.DONE
+
+
+class WatchTable:
+    """Shows views in place on a terminal; elsewhere only the last one, as lines.
+
+    Parameters
+    ----------
+    console
+        Where to.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._live = Live(console=console, auto_refresh=False)
+        self._last: RunView | None = None
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._console.is_terminal:
+            self._live.stop()
+        elif self._last is not None:
+            self._console.print(rendered(self._last))
+
+    def show(self, view: RunView) -> None:
+        """Renew the table."""
+        self._last = view
+        if self._console.is_terminal:
+            self._live.update(rendered(view), refresh=True)
+
+
+def rendered(view: RunView) -> Group:
+    """The lines and tables of a view."""
+    parts: list[Text | Table] = [Text(_head(view), style="bold"), Text(_numbers(view))]
+    if view.state is not None and not view.ended:
+        parts.insert(1, Text(_now(view.state)))
+    if view.message:
+        parts.append(Text(view.message))
+    if not view.ended and view.quiet > QUIET_SECONDS:
+        parts.append(
+            Text(f"nothing has come for {duration(view.quiet)}; the run may have been killed")
+        )
+    if view.searches:
+        parts.append(_searches(view.searches))
+    if view.failures:
+        parts.append(_failures(view))
+    if view.problem:
+        parts.append(Text(f"the report could not be written: {view.problem}"))
+    return Group(*parts)
+
+
+def _head(view: RunView) -> str:
+    state = view.state
+    elapsed = f", {duration(state.seconds)}" if state is not None else ""
+    return f"{view.status}{elapsed}"
+
+
+def _now(state: RunSnapshot) -> str:
+    done = what_is_done(state.search, state.phase, state.ended, state.searches)
+    left = left_of_step(state.phase, state.left, at_most=state.at_most)
+    return " | ".join(part for part in (done, left, pace_of(state.pace)) if part)
+
+
+def _numbers(view: RunView) -> str:
+    state = view.state
+    parts = [f"{count(view.simulations)} simulations ({count(view.failed)} failed)"]
+    if state is not None:
+        parts.insert(0, f"{count(state.evaluations)} evaluations")
+    if not view.ended:
+        if not math.isnan(view.rate):
+            parts.append(f"{view.rate:.3g} simulations/s")
+        if state is not None:
+            parts.append(f"{state.busy}/{state.workers} workers busy")
+    return " | ".join(parts)
+
+
+def _searches(searches: tuple[SearchView, ...]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column("search")
+    for name in ("iteration", "evaluations", "best cost", "cost"):
+        table.add_column(name, justify="right")
+    table.add_column("")
+    for each in searches[-MOST_SEARCHES:]:
+        line = each.last
+        table.add_row(
+            Text(line.search),
+            str(line.iteration),
+            str(line.evaluations),
+            _cost(each.best),
+            _cost(line.cost),
+            Text(line.ending),
+        )
+    if len(searches) > MOST_SEARCHES:
+        table.caption = f"the last {MOST_SEARCHES} of {len(searches)}"
+    return table
+
+
+def _cost(value: float) -> str:
+    return "" if math.isnan(value) else f"{value:.6g}"
+
+
+def _failures(view: RunView) -> Table:
+    table = Table(box=None, pad_edge=False)
+    table.add_column("failed", justify="right")
+    table.add_column("status")
+    table.add_column("reason")
+    for each in view.failures[:MOST_FAILURES]:
+        table.add_row(str(each.count), Text(each.status), Text(each.message))
+    if len(view.failures) > MOST_FAILURES:
+        table.caption = f"and {len(view.failures) - MOST_FAILURES} other reasons"
+    return table
+
+
+RATE_SECONDS = 15.0
+"""Over which the rate of simulations is taken."""
+LEFT_SECONDS = 2.0
+"""In which nothing has come, before it is looked whether there is a process at all."""
+HTML_SECONDS = 5.0
+"""At least so long between two reports."""
+
+
+@dataclass(frozen=True)
+class SearchView:
+    """A search: its best cost so far (NaN if it has none), and its last line."""
+
+    best: float
+    last: IterationLine
+
+
+@dataclass(frozen=True)
+class RunView:
+    """The state of a run when its folder is read.
+
+    Attributes
+    ----------
+    status, message
+        As run.json says.
+    simulations, failed, failures
+        Of the log.
+    rate
+        Simulations a second in the last seconds; NaN before there are two looks.
+    quiet
+        Seconds in which nothing has come.
+    state
+        What the run itself says of its workers; None before it has.
+    searches
+        The one that has moved last stands last.
+    problem
+        Why the report could not be written, if that was asked for.
+    """
+
+    status: str
+    message: str
+    simulations: int
+    failed: int
+    failures: tuple[FailureGroup, ...]
+    rate: float
+    quiet: float
+    state: RunSnapshot | None
+    searches: tuple[SearchView, ...]
+    problem: str = ""
+
+    @property
+    def ended(self) -> bool:
+        return self.status != RunStatus.RUNNING
+
+
+class RunFollower:
+    """Looks at a run folder again and again, and reads only what is new.
+
+    Parameters
+    ----------
+    path
+        Of the run.
+    clock
+        Gives seconds; for tests.
+
+    Raises
+    ------
+    RunFolderError
+        If there is no run.
+    """
+
+    def __init__(self, path: Path, clock: Callable[[], float] = time.monotonic) -> None:
+        self.path = path
+        self._clock = clock
+        self._facts = read_facts(path)
+        self._begin()
+
+    def _begin(self) -> None:
+        self.tail = ActivityTail(self.path / "evaluations")
+        self._progress = ProgressTail(self.path / PROGRESS)
+        self._searches: dict[str, SearchView] = {}
+        self._seen: deque[tuple[float, int]] = deque()
+        self._moved = self._clock()
+
+    def look(self) -> RunView:
+        """Read what is new, and return the state of the run."""
+        started = self._facts.get("started")
+        with suppress(RunFolderError):  # it is being replaced: what was known before holds so long
+            self._facts = read_facts(self.path)
+        if self._facts.get("started") != started:
+            self._begin()
+        self.tail.read(ended=is_ended(self._facts))
+        for line in self._progress.new():
+            self._note(line)
+        counts = self.tail.counts
+        rate = self._rate(counts.rows)
+        status, quiet = str(self._facts["status"]), self._clock() - self._moved
+        alone = left_alone(self.path, status) if quiet > LEFT_SECONDS else ""
+        return RunView(
+            status=status,
+            message=str(self._facts.get("message") or "") or alone,
+            simulations=counts.rows,
+            failed=counts.failed,
+            failures=counts.failures,
+            rate=rate,
+            quiet=quiet,
+            state=self._progress.state,
+            searches=tuple(self._searches.values()),
+        )
+
+    def check(self) -> None:
+        """Check that nothing was left out of what was shown of a run that has ended.
+
+        Raises
+        ------
+        RunFolderError
+            If its progress is damaged.
+        """
+        self._progress.check()
+
+    def _note(self, line: IterationLine) -> None:
+        known = self._searches.pop(line.search, None)
+        costs = [line.cost] if known is None else [line.cost, known.best]
+        best = min((cost for cost in costs if not math.isnan(cost)), default=math.nan)
+        self._searches[line.search] = SearchView(best, line)
+
+    def _rate(self, rows: int) -> float:
+        now = self._clock()
+        if not self._seen or rows != self._seen[-1][1]:
+            self._moved = now
+        self._seen.append((now, rows))
+        while now - self._seen[0][0] > RATE_SECONDS and len(self._seen) > 2:
+            self._seen.popleft()
+        then, before = self._seen[0]
+        return (rows - before) / (now - then) if now > then else math.nan
+
+
+def follow(path: Path, every: float, show: Callable[[RunView], None], *, html: bool) -> None:
+    """Show a run until it ends, and keep its report fresh if `html`.
+
+    Raises
+    ------
+    RunFolderError
+        If there is no run, or what was shown of it lacks lines that are damaged.
+    """
+    follower = RunFollower(path)
+    written, problem = -math.inf, ""
+    while True:
+        view = follower.look()
+        now = time.monotonic()
+        if html and (view.ended or now - written >= max(every, HTML_SECONDS)):
+            problem = _refresh(follower, max(every, HTML_SECONDS))
+            written = time.monotonic()
+        show(replace(view, problem=problem))
+        if view.ended:
+            follower.check()
+            return
+        time.sleep(every)
+
+
+def _refresh(follower: RunFollower, reload: float) -> str:
+    """Write the report; why it could not be, or nothing."""
+    try:
+        write_report(follower.path, reload=reload, activity=follower.tail.activity)
+    except RunFolderError as error:
+        return str(error)
+    return ""

@@ -1,0 +1,279 @@
+"""The keys of an experiment, and those that all experiments share.
+
+The keys of `[experiment_defaults]`, which every experiment has unless it says otherwise, are put
+into the experiments of the raw tree before it is checked as a whole, so that nothing else knows of
+them: a run's own config has every experiment with all of its keys.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, Strict
+
+from cluster_est.settings import (
+    ConfigSection,
+    Count,
+    Finite,
+    Free,
+    Known,
+    Ordinal,
+    Pair,
+    Samples,
+    as_column,
+    as_group,
+)
+from cluster_est.toml import dotted
+from workers.fmu.description import nearest
+from workers.messages import Interpolation
+
+
+class InputSection(ConfigSection):
+    """Keys of an input or signal: its column and interpolation."""
+
+    column: str = Field(description="column of the data")
+    interpolation: Interpolation = Field("linear", description="between samples")
+
+
+class OutputSection(ConfigSection):
+    """Keys of a measured output."""
+
+    column: str = Field(description="column of the data")
+    interpolation: Interpolation = Field(
+        "linear", description="between samples, where the time base asks for other times"
+    )
+    weight: Finite = Field(1.0, gt=0.0, description="of its squares in the cost")
+    free_scale: Free = Field(
+        False,
+        description="known up to a factor: the best one in each experiment is found in closed "
+        'form; "shared": one for all experiments, estimated as sensor_OUTPUT.scale',
+    )
+    free_offset: Free = Field(
+        False,
+        description="known up to a constant that is added, found likewise; "
+        'sensor_OUTPUT.offset where it is "shared"',
+    )
+    detection_limit: Finite | None = Field(
+        None, description="measured values at or below it say no more than that"
+    )
+    ordinal: Ordinal = Field(
+        False,
+        description="the values say an order alone, such as grades from 1 to 5; or the words of "
+        'the column, the lowest first: ["low", "high"]; sigma is then in spreads of the simulated '
+        "signal",
+    )
+
+
+class ColumnSection(ConfigSection):
+    """Conversion of a column of the data."""
+
+    factor: Finite = Field(1.0, description="the column is multiplied by it")
+    offset: Finite = Field(0.0, description="and this is added, in the new unit")
+    demean: bool = Field(False, description="subtract the mean of the used rows first")
+
+
+class CurveSection(ConfigSection):
+    """Keys of a measured curve without times."""
+
+    columns: dict[str, str] = Field(
+        min_length=1, description="FMU output = column: points without times, in their order"
+    )
+    tolerance: dict[str, Annotated[Finite, Field(ge=0.0)]] = Field(
+        default_factory=dict,
+        description="FMU output = how far any simulated point may lie from the curve; a constraint",
+    )
+    samples: Samples = Field(
+        1000, description="points of the simulated curve, evenly from start to stop"
+    )
+
+
+class _NamedSection(ConfigSection):
+    """The key that no two experiments share."""
+
+    id: str = Field(min_length=1, description="name of the experiment, unique")
+
+
+class _ExperimentKeys(ConfigSection):
+    """What an experiment says of its table, or what all of them say."""
+
+    data: str | None = Field(
+        None,
+        description="path of the table: csv, parquet, feather or mat; without: nothing is measured",
+    )
+    time: str | None = Field(None, description="column with the time in seconds")
+    sample_time: Finite | None = Field(
+        None, gt=0.0, description="seconds between rows, where there is no time column"
+    )
+    rows: Annotated[tuple[Count, Count], Strict(False)] | None = Field(
+        None, description="[from, to]: rows from (counted from 0) up to, not with, to"
+    )
+    missing: list[Finite] = Field(
+        default_factory=list,
+        description="numbers in the columns that mean that nothing was measured, such as -9999; "
+        "they count as empty cells, before a column is converted",
+    )
+    inputs: dict[str, Annotated[InputSection, BeforeValidator(as_column)]] = Field(
+        default_factory=dict, description="FMU input = column, or { column, interpolation }"
+    )
+    outputs: dict[str, Annotated[OutputSection, BeforeValidator(as_column)]] = Field(
+        default_factory=dict,
+        description="FMU output = column, or { column, interpolation, weight, free_scale, "
+        "free_offset, detection_limit, ordinal }; empty cells: not measured",
+    )
+    curve: CurveSection | None = Field(
+        None, description="measured points without times, such as force over displacement"
+    )
+    signals: dict[str, Annotated[InputSection, BeforeValidator(as_column)]] = Field(
+        default_factory=dict,
+        description="name = column, or { column, interpolation }: measured, but no input of the "
+        "FMU; effects may depend on it",
+    )
+    sigma: dict[str, Annotated[Finite, Field(gt=0.0)]] = Field(
+        default_factory=dict, description="FMU output = standard deviation of its noise; default 1"
+    )
+    relative_sigma: dict[str, Annotated[Finite, Field(ge=0.0)]] = Field(
+        default_factory=dict,
+        description="FMU output = part of each measured value that its noise has besides sigma: "
+        "sqrt(sigma^2 + (relative_sigma value)^2)",
+    )
+    start: Finite | None = Field(None, description="seconds; default: the first time in the data")
+    stop: Finite | None = Field(None, description="seconds; default: the last measured time")
+    warm_up: Finite = Field(0.0, ge=0.0, description="seconds from start on that do not count")
+    weight: Finite = Field(1.0, gt=0.0, description="of its squares in the cost")
+    windows: list[Pair] = Field(
+        default_factory=list, description="[[from, to], ...] seconds that count"
+    )
+    test_windows: list[Pair] = Field(
+        default_factory=list,
+        description="[[from, to], ...] seconds that are held out: only reported, as an experiment "
+        '"ID (held out)"',
+    )
+    role: Literal["train", "test"] = Field("train", description="test: held out, only reported")
+    values: dict[str, Known] = Field(
+        default_factory=dict, description="known values of this run, by FMU name"
+    )
+    group: Annotated[dict[str, str], BeforeValidator(as_group)] = Field(
+        default_factory=dict, description='KEY = "label" for parameters that are per "group:KEY"'
+    )
+    columns: dict[str, ColumnSection] = Field(
+        default_factory=dict, description="column = { factor, offset, demean }"
+    )
+
+
+class ExperimentSection(_ExperimentKeys, _NamedSection):
+    """Keys of one measured experiment."""
+
+
+class ExperimentDefaultsSection(_ExperimentKeys):
+    """Keys that every experiment has unless it says otherwise."""
+
+
+DEFAULTS = "experiment_defaults"
+SIGNALS = ("inputs", "outputs", "signals")
+"""Tables whose entries are columns; an empty name takes an entry of the defaults away."""
+SIGMAS = ("sigma", "relative_sigma")
+"""Keys of an experiment with a number for each output."""
+TIMES = ("time", "sample_time")
+"""Keys that exclude each other: with one of its own an experiment does not take the other."""
+
+
+def with_defaults(raw: dict[str, Any]) -> dict[str, Any]:
+    """Return a config's tree without defaults, each experiment with what it takes of them.
+
+    Parameters
+    ----------
+    raw
+        As read from TOML. Its table of defaults is valid; whether its experiments are is found out
+        afterwards.
+    """
+    kept = {key: value for key, value in raw.items() if key != DEFAULTS}
+    experiments = raw.get("experiments")
+    if isinstance(experiments, list):
+        defaults = _long_forms(raw[DEFAULTS])
+        kept["experiments"] = [
+            _whole(defaults, _long_forms(own)) if isinstance(own, dict) else own
+            for own in experiments
+        ]
+    return kept
+
+
+def unused_defaults(
+    defaults: dict[str, Any], experiments: Sequence[ExperimentSection]
+) -> Iterator[str]:
+    """Yield a sentence for each name in the defaults that means nothing to any experiment."""
+    outputs = sorted({name for each in experiments for name in each.outputs})
+    columns = sorted({name for each in experiments for name in _used(each.model_dump())})
+    for key in SIGMAS:
+        for name in defaults.get(key, {}):
+            if name not in outputs:
+                must = "must be named as an output of some experiment but is not"
+                yield f"{DEFAULTS}.{key}.{name}: {must}{_beside(name, outputs)}"
+    for name in defaults.get("columns", {}):
+        if name not in columns:
+            must = "must be named as a column that some experiment uses but is not"
+            yield f"{DEFAULTS}.{dotted('columns', name)}: {must}{_beside(name, columns)}"
+
+
+def _beside(name: str, known: list[str]) -> str:
+    """Return the end of a message: either of two names may be the misspelt one."""
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    if near:
+        return f", only {near[0]!r} is; one of the two names may be wrong"
+    return nearest(name, known)
+
+
+def _long_forms(section: dict[str, Any]) -> dict[str, Any]:
+    """Return the keys of an experiment with tables in the place of their short forms."""
+    found = dict(section)
+    for key in SIGNALS:
+        if isinstance(found.get(key), dict):
+            found[key] = {
+                name: {"column": each} if isinstance(each, str) else each
+                for name, each in found[key].items()
+            }
+    if isinstance(found.get("group"), str):
+        found["group"] = {"": found["group"]}
+    return found
+
+
+def _whole(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """Return an experiment with what it takes of the defaults."""
+    timed = any(key in own for key in TIMES)
+    taken = {k: v for k, v in defaults.items() if not (timed and k in TIMES)}
+    for key in SIGNALS:
+        gone = {name for name, each in _table(own, key).items() if each == {"column": ""}}
+        gone &= set(_table(taken, key))
+        if gone:
+            taken[key] = {name: each for name, each in taken[key].items() if name not in gone}
+            own = own | {key: {name: v for name, v in own[key].items() if name not in gone}}
+    whole: dict[str, Any] = _joined(taken, own)
+    of_outputs = set(_table(whole, "outputs"))
+    for key, known in (*((key, of_outputs) for key in SIGMAS), ("columns", _used(whole))):
+        if key in taken and isinstance(whole[key], dict):
+            kept = {*known, *_table(own, key)}
+            whole[key] = {name: each for name, each in whole[key].items() if name in kept}
+    return whole
+
+
+def _joined(default: Any, own: Any) -> Any:
+    """Return tables joined name by name; of anything else an experiment's own wins."""
+    if not isinstance(default, dict) or not isinstance(own, dict):
+        return own
+    both = {name: _joined(default[name], own[name]) for name in own if name in default}
+    return default | own | both
+
+
+def _table(section: dict[str, Any], key: str) -> dict[str, Any]:
+    found = section.get(key)
+    return found if isinstance(found, dict) else {}
+
+
+def _used(experiment: dict[str, Any]) -> set[str]:
+    """Return the columns that an experiment names."""
+    named = [experiment.get("time")]
+    for key in SIGNALS:
+        named += [_table({"": each}, "").get("column") for each in _table(experiment, key).values()]
+    named += _table(_table(experiment, "curve"), "columns").values()
+    return {name for name in named if isinstance(name, str)}

@@ -1,1 +1,0 @@
-"""The keys of a config, section by section, as pydantic models."""

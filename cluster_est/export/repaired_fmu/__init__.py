@@ -1,1 +1,0 @@
-"""The repaired FMU: the original in a wrapper that adds the effects, as one archive."""

@@ -1,0 +1,390 @@
+"""Layout of the exported FMU: its variables in the original, or in arrays of the wrapper."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from cluster_est.errors import ModelError
+from cluster_est.export.repaired_model import EstimatedValue, RepairedModel
+from workers.effects.compiled import CompiledEquations, equations
+from workers.effects.definition import EffectDefinition
+from workers.fmu.description import ModelDescription
+from workers.fmu.variable import ModelVariable, Type
+from workers.simulation.integrator import DEFAULT_RTOL
+
+_SAME: tuple[Type, ...] = ("Float64", "Int32", "Boolean", "String")
+"""Types that FMI 2.0 has under another name."""
+_LEAST, _MOST = -(2.0**31), 2.0**31 - 1.0
+"""Of the integers of FMI 2.0."""
+
+
+@dataclass(frozen=True)
+class TranslatedVariable:
+    """A variable of the original that FMI 2.0 knows otherwise.
+
+    Attributes
+    ----------
+    first, size
+        References of its elements in the exported FMU: so many from the first on.
+    type, reference
+        In the original.
+    starts
+        Start values of the elements of an array that can be set, () for others.
+    """
+
+    first: int
+    size: int
+    type: Type
+    reference: int
+    starts: tuple[float, ...]
+
+
+def flatten(
+    description: ModelDescription, structure: Mapping[str, int]
+) -> tuple[ModelDescription, tuple[TranslatedVariable, ...], tuple[str, ...]]:
+    """Give each element of an array a reference, and leave out what FMI 2.0 has no type for.
+
+    A description of FMI 2.0 stays as it is.
+
+    Parameters
+    ----------
+    structure
+        Values of structural parameters that differ from their start values.
+
+    Returns
+    -------
+    description, translated, left_out
+        With references of the exported FMU; in the order of their first references; names of
+        variables that FMI 2.0 cannot express.
+    """
+    if description.version == "2.0":
+        return description, (), ()
+    groups: dict[int, list[ModelVariable]] = {}
+    for variable in description.variables.values():
+        groups.setdefault(variable.reference, []).append(variable)
+    free = 1 + max(groups, default=0)
+    kept: dict[str, ModelVariable] = {}
+    translated, left_out = [], list[str]()
+    for reference, group in groups.items():
+        own = [v for v in group if v.alias_of is None]
+        if not _expressible(own):
+            left_out += [v.name for v in group]
+            continue
+        one = own[0]
+        first = reference if one.size == 1 else free
+        free += one.size if one.size > 1 else 0
+        if one.size > 1 or one.type not in _SAME:
+            starts = tuple(v.start or 0.0 for v in own) if one.size > 1 and one.settable else ()
+            translated.append(TranslatedVariable(first, one.size, one.type, reference, starts))
+        for v in group:
+            start = structure.get(v.name, v.start)
+            kept[v.name] = replace(v, reference=first + v.element, start=start)
+    ordered = {name: kept[name] for name in description.variables if name in kept}
+    translated.sort(key=lambda each: each.first)
+    return replace(description, variables=ordered), tuple(translated), tuple(left_out)
+
+
+def _expressible(elements: list[ModelVariable]) -> bool:
+    """Return whether FMI 2.0 can express it, as far as its start values show."""
+    kind, size = elements[0].kind, elements[0].size
+    if kind == "integer":
+        return all(_LEAST <= (v.start or 0.0) <= _MOST for v in elements)
+    return kind in ("real", "boolean") or (kind == "string" and size == 1)
+
+
+def fits(limit: float | None) -> bool:
+    """Return whether a limit of integers is one of FMI 2.0."""
+    return limit is not None and _LEAST <= limit <= _MOST
+
+
+Kind = Literal["INPUT", "SIGNAL", "COEFFICIENT", "BASE", "START", "RATE", "OUTPUT", "STATE"]
+
+
+@dataclass(frozen=True)
+class AddedVariable:
+    """A variable that the original does not have.
+
+    Attributes
+    ----------
+    kind
+        "SIGNAL" (an input), "COEFFICIENT" (a tunable parameter), "STATE" or "RATE" (its
+        derivative).
+    index
+        In the wrapper's array of that kind.
+    state
+        For a derivative, the name of its state.
+    """
+
+    name: str
+    reference: int
+    kind: Kind
+    index: int
+    description: str
+    value: EstimatedValue | None = None
+    state: str = ""
+
+
+@dataclass(frozen=True)
+class AnsweredReference:
+    """A reference of a real variable that the wrapper answers for.
+
+    `start` is the index of its start value among those of the run; -1 if it has none there.
+    """
+
+    reference: int
+    kind: Kind
+    index: int
+    start: int = -1
+
+
+@dataclass(frozen=True)
+class WrapperLayout:
+    """The variables of the exported FMU and of the original, and the wrapper's arrays.
+
+    Attributes
+    ----------
+    repair
+        What is laid out; its description has the references of the exported FMU.
+    exchange
+        Whether the original is integrated from outside (model exchange).
+    inputs
+        The original's real inputs, those that may move between events first.
+    n_continuous
+        How many of them these are.
+    signals
+        Measured signals that effects need: further inputs.
+    memories, inner, outputs
+        Indices of the effects that change an input as a whole, that act while the simulation runs,
+        and that act at outputs.
+    equations
+        Of those inside.
+    row
+        Variables that effects at outputs need.
+    starts
+        Values of the original's variables that the exported FMU begins with.
+    added
+        Variables that the original does not have.
+    answered
+        In the order of their references.
+    affected
+        References of what effects depend on or change.
+    translated, left_out
+        Variables that FMI 2.0 has another form for than FMI 3.0, and those that it has none for.
+    """
+
+    repair: RepairedModel
+    exchange: bool
+    inputs: tuple[ModelVariable, ...]
+    n_continuous: int
+    signals: tuple[str, ...]
+    memories: tuple[int, ...]
+    inner: tuple[int, ...]
+    outputs: tuple[int, ...]
+    equations: CompiledEquations
+    row: tuple[str, ...]
+    starts: tuple[EstimatedValue, ...]
+    added: tuple[AddedVariable, ...]
+    answered: tuple[AnsweredReference, ...]
+    affected: tuple[int, ...]
+    translated: tuple[TranslatedVariable, ...] = ()
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The original's states, which stand first among all."""
+        return self.repair.description.states if self.exchange else ()
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Inputs, then signals."""
+        return (*(v.name for v in self.inputs), *self.signals)
+
+    @property
+    def tolerance(self) -> float:
+        """The relative tolerance that the run was integrated with."""
+        solver = self.repair.problem.model.solver
+        rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
+        return min(rtol, DEFAULT_RTOL) if solver.name == "cvode" else rtol
+
+    def effect(self, index: int) -> EffectDefinition:
+        return self.repair.effects[index]
+
+    def reference(self, name: str) -> int:
+        return self.repair.description.variables[name].reference
+
+    def first_output_state(self, index: int) -> int:
+        """Return the index of the first own state of an effect at an output."""
+        before = (*self.inner, *self.outputs[: self.outputs.index(index)])
+        return len(self.states) + sum(len(self.effect(i).states) for i in before)
+
+
+def lay_out(repair: RepairedModel) -> WrapperLayout:
+    """Lay out the exported FMU.
+
+    Raises
+    ------
+    ModelError
+        If an effect is at an input that is not real, or the run needs a variable that FMI 2.0
+        cannot say.
+    """
+    structure = dict(repair.problem.model.structure)
+    description, translated, left_out = flatten(repair.description, structure)
+    _check_needed(repair, left_out)
+    repair = replace(repair, description=description)
+    exchange = repair.problem.model.interface == "model_exchange"
+    effects = repair.effects
+    memories = [i for i, e in enumerate(effects) if e.form.memory and e.site.kind == "input"]
+    outputs = [i for i, e in enumerate(effects) if e.site.kind == "output"]
+    inner = [i for i in range(len(effects)) if i not in (*memories, *outputs)]
+    inputs = _inputs(description)
+    signals = _signals(effects, description)
+    columns = (*(v.name for v in inputs), *signals)
+    _check_inputs(effects, description, columns)
+    compiled = equations(
+        tuple(effects[i] for i in inner),
+        tuple(repair.positions[i] for i in inner),
+        description.states if exchange else (),
+        columns,
+    )
+    known = [f for f in _starts(repair) if f.name not in compiled.parameters]
+    order = sorted(inner, key=lambda i: effects[i].site.at_rates)
+    added = _added(repair, signals, [*order, *outputs], exchange=exchange)
+    needed = [n for i in outputs for n in (*effects[i].uses, effects[i].site.target)]
+    row = tuple(dict.fromkeys(n for n in needed if n not in columns))
+    layout = WrapperLayout(
+        repair, exchange, inputs, sum(v.is_continuous for v in inputs), signals, tuple(memories),
+        tuple(inner), tuple(outputs), compiled, row, tuple(known), added, (), (), translated,
+        left_out,
+    )  # fmt: skip
+    answered, affected = _answered(layout)
+    return replace(layout, answered=answered, affected=affected)
+
+
+def _signals(
+    effects: tuple[EffectDefinition, ...], description: ModelDescription
+) -> tuple[str, ...]:
+    """Return the measured signals that effects depend on."""
+    used = (name for effect in effects for name in effect.uses)
+    return tuple(dict.fromkeys(name for name in used if name not in description.variables))
+
+
+def _check_needed(repair: RepairedModel, left_out: tuple[str, ...]) -> None:
+    """Refuse what could not be told of this run in FMI 2.0, which the wrapper is of."""
+    problem = repair.problem
+    named = [found.name for found in repair.parameters] + [name for name, _ in repair.known]
+    for effect in repair.effects:
+        named += [*effect.uses, *effect.site.targets]
+    for experiment in problem.experiments:
+        named += [given.variable for given in experiment.inputs] + list(experiment.recorded)
+    for name, value in repair.known:
+        if repair.description.variables[name].kind == "integer" and not fits(float(value)):
+            left_out = (*left_out, name)
+    for name in named:
+        if name in left_out:
+            kind = repair.description.variables[name].type
+            raise ModelError(
+                f"--fmu: what the run uses must be a variable of FMI 2.0 to be exported but "
+                f"{name!r} is a {kind} of FMI 3.0 that has no like there; use --ssv, --modelica or "
+                "--text"
+            )
+
+
+def _inputs(description: ModelDescription) -> tuple[ModelVariable, ...]:
+    real = {v.reference: v for v in reversed(description.inputs()) if v.kind == "real"}
+    chosen = [v for v in description.inputs() if real.get(v.reference) is v]
+    return tuple(sorted(chosen, key=lambda v: not v.is_continuous))
+
+
+def _check_inputs(
+    effects: tuple[EffectDefinition, ...], description: ModelDescription, columns: tuple[str, ...]
+) -> None:
+    for effect in effects:
+        named = (*effect.uses, *((effect.site.target,) if effect.site.kind == "input" else ()))
+        for name in named:
+            variable = description.variables.get(name)
+            if variable is not None and variable.causality == "input" and name not in columns:
+                raise ModelError(
+                    f"--fmu: effect {effect.effect.name!r}: the input {name!r} must be a real "
+                    f"variable of its own to be exported but is of type {variable.kind}"
+                )
+
+
+def _starts(repair: RepairedModel) -> list[EstimatedValue]:
+    """Real values that the original begins with."""
+    description = repair.description
+    found = list(repair.parameters)
+    for name, value in repair.known:
+        if description.variables[name].kind == "real":
+            found.append(EstimatedValue(name, description.variables[name].unit, float(value)))
+    return found
+
+
+def _added(
+    repair: RepairedModel, signals: tuple[str, ...], stateful: list[int], *, exchange: bool
+) -> tuple[AddedVariable, ...]:
+    """The new variables, their references behind those of the original's real ones."""
+    variables = repair.description.variables.values()
+    reference = 1 + max((v.reference for v in variables if v.kind == "real"), default=0)
+    inputs = sum(v.kind == "real" for v in _inputs(repair.description))
+    rows: list[tuple[str, Kind, int, str, EstimatedValue | None, str]] = [
+        (name, "SIGNAL", inputs + i, "a measured signal that an effect depends on", None, "")
+        for i, name in enumerate(signals)
+    ]
+    for effect, values, at in zip(
+        repair.effects, repair.coefficients, repair.positions, strict=True
+    ):
+        what = f"of effect {effect.form.name} at {effect.site}"
+        for i, value in enumerate(values):
+            text = f"{what}; {value.interval}" if value.interval else what
+            rows.append((value.name, "COEFFICIENT", at + i, text, value, ""))
+    at = len(repair.description.states) if exchange else 0
+    for i in stateful:
+        effect = repair.effects[i]
+        for own in effect.form.states:
+            name, text = f"{effect.effect.name}.{own.name}", f"state of effect {effect.form.name}"
+            rows.append((name, "STATE", at, text, None, ""))
+            if exchange:
+                rows.append((f"der({name})", "RATE", at, f"derivative of {name}", None, name))
+            at += 1
+    return tuple(
+        AddedVariable(name, reference + i, kind, index, text, value, state)
+        for i, (name, kind, index, text, value, state) in enumerate(rows)
+    )
+
+
+def _answered(layout: WrapperLayout) -> tuple[tuple[AnsweredReference, ...], tuple[int, ...]]:
+    description = layout.repair.description
+    found = {
+        own.reference: AnsweredReference(own.reference, own.kind, own.index) for own in layout.added
+    }
+
+    def add(reference: int, kind: Kind, index: int) -> None:
+        found.setdefault(reference, AnsweredReference(reference, kind, index))
+
+    for i, variable in enumerate(layout.inputs):
+        add(variable.reference, "INPUT", i)
+    for i, name in enumerate(layout.equations.parameters):
+        add(layout.reference(name), "BASE", i)
+    for i, known in enumerate(layout.starts):
+        reference = layout.reference(known.name)
+        found.setdefault(reference, AnsweredReference(reference, "START", i, i))
+    for i in layout.outputs:
+        target = layout.effect(i).site.target
+        reference, row = layout.reference(target), layout.row.index(target)
+        before = found.get(reference)
+        if before is not None and before.kind == "START":  # a state that a sensor shows
+            found[reference] = replace(before, kind="OUTPUT", index=row)
+        add(reference, "OUTPUT", row)
+    rate_targets = [t for i in layout.inner if layout.effect(i).site.at_rates
+             for t in layout.effect(i).site.targets]  # fmt: skip
+    for variable in description.variables.values():
+        if variable.derivative_of in rate_targets:
+            add(variable.reference, "RATE", layout.states.index(variable.derivative_of))
+    named = [n for e in layout.repair.effects for n in e.uses]
+    named += [e.site.target for e in layout.repair.effects if not e.site.at_rates]
+    affected = {s.reference for s in found.values() if s.kind not in ("INPUT", "START")}
+    affected |= {layout.reference(name) for name in named if name in description.variables}
+    order = sorted(found.values(), key=lambda special: special.reference)
+    return tuple(order), tuple(sorted(affected))

@@ -1,0 +1,417 @@
+"""All checks of a preflight, in their order, while there is time."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cluster_est.executors import executor_class
+from cluster_est.executors.backlog import BATCH_SECONDS
+from cluster_est.preflight.data_checks import data_findings
+from cluster_est.preflight.parameter_checks import bounds, corners, effects
+from cluster_est.preflight.repeatability import (
+    Remedy,
+    instances,
+    later,
+    refused_parameters,
+    remedy,
+    repeatable,
+    stop_time,
+    without_parameters,
+)
+from cluster_est.preflight.solver_checks import accuracy, derivatives, stiffness
+from cluster_est.preflight.subject import (
+    CheckFinding,
+    CheckPage,
+    CheckSubject,
+    TimeBudget,
+    fault,
+    listed,
+    not_done,
+    note,
+    passed,
+    unanswered,
+)
+from cluster_est.preflight.unit_checks import misread_units
+from cluster_est.problem.effects.sensors import sensor_outputs
+from cluster_est.problem.problem import Problem
+from cluster_est.results.initial_errors import (
+    estimates_start,
+    free_start_advice,
+    initial_errors,
+    noise_of_samples,
+)
+from cluster_est.results.output_errors import Simulation
+from cluster_est.running.resources import Resources
+from workers.kernels.fmi.failure import MESSAGES, TERMINATED
+from workers.messages import Experiment, FloatArray, Model, Outcome, Status, Task
+from workers.probes.probes import CompileProbe, CostProbe, SimulationCost, SimulationProbe
+from workers.process.forked import CAN_FORK
+from workers.process.trial import NoAnswer, ProbeBench
+
+STILL = 1e-9
+"""Share of its size by which an output may change and yet stand still."""
+CLEAR = 5.0
+"""Times the noise by which a measured output moves clearly."""
+
+
+def at_rest(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[CheckFinding]:
+    """Name the experiments in which nothing moves at the start values though it was measured to.
+
+    One whose initial state is estimated may well begin at rest: it is left out.
+    """
+    resting = []
+    for simulation in simulations:
+        experiment = subject.problem.experiments[simulation.experiment]
+        moving = [o for o in experiment.outputs if _moves(o.values)]
+        known = not estimates_start(subject.space, simulation.experiment, subject.description)
+        if moving and known and _still(simulation):
+            resting.append((experiment, moving[0]))
+    if not resting or not subject.declared:
+        return []
+    experiment, output = resting[0]
+    several = len(resting) > 1
+    where = f"experiment{'s' if several else ''} {listed([e.id for e, _ in resting])}"
+    far = float(np.ptp(output.values))
+    unit = "" if output.ordinal else subject.description.variables[output.variable].unit
+    said = (
+        f"nothing moves in the simulation of {where}{_though(experiment)}: its start is an "
+        f"equilibrium; the measured {output.variable} moves by {f'{far:.3g} {unit}'.strip()}"
+    )
+    return [
+        note(
+            "start", said, f"{free_start_advice(subject.problem)}; or give the input that moves it"
+        )
+    ]
+
+
+def starts_elsewhere(
+    subject: CheckSubject, simulations: Sequence[Simulation]
+) -> list[CheckFinding]:
+    """Name the output that is farthest from its measurement at the first sample."""
+    if not subject.declared:
+        return []
+    unknown = sensor_outputs(subject.problem)
+    errors = initial_errors(subject.problem, simulations, fitted=False)
+    found = [each for each in errors if each.output not in unknown]
+    if not found:
+        return []
+    said = f"{found[0].sentence}, at the start values"
+    return [note("start", said, free_start_advice(subject.problem))]
+
+
+def _though(experiment: Experiment) -> str:
+    driven = [i.variable for i in experiment.inputs if np.ptp(i.values) > 0.0]
+    return f", though {listed(driven)} does" if len(driven) == 1 else ""
+
+
+def _still(simulation: Simulation) -> bool:
+    trajectory = simulation.outcome.trajectory
+    if trajectory is None or not trajectory.values.size:
+        return False
+    sizes = np.abs(trajectory.values).max(axis=0)
+    return bool(np.all(np.ptp(trajectory.values, axis=0) <= STILL * sizes))
+
+
+def _moves(values: FloatArray) -> bool:
+    """Return True for a signal that moves by more than its noise."""
+    if len(values) < 4 or np.ptp(values) == 0.0:
+        return False
+    return bool(np.std(values) > CLEAR * noise_of_samples(values))
+
+
+MOST_SECONDS = 1.0
+"""Time for the measurement, where it suffices."""
+ENOUGH = 150
+"""Simulations for which there is time with any longer time for all checks."""
+SHORT = 2e-4
+"""Seconds: shorter simulations are not worth the way to another process."""
+LONG = 1.0
+"""Seconds: so long a simulation is worth a plan that asks for few of them."""
+LEAST_COUNT = 100
+"""Simulations from which on a leak can be told."""
+LEAK = 1024.0
+"""Bytes for each simulation: less is no leak."""
+
+
+def costs(subject: CheckSubject) -> list[CheckFinding]:
+    """Return the median time of a simulation, and the memory that each leaves behind."""
+    seconds = max(
+        min(MOST_SECONDS, subject.budget.left / 3.0),
+        min(ENOUGH * subject.simulation_seconds, subject.budget.left / 4.0),
+    )
+    probe = CostProbe(*subject.probe_arguments, seconds)
+    found = subject.ask(probe, 10)
+    if isinstance(found, NoAnswer):
+        return (
+            [_one_measured(subject), unanswered("memory", found)]
+            if subject.simulation_seconds
+            else []
+        )
+    return [
+        _time(subject, found.seconds, found.count),
+        *_few_simulations(found.seconds),
+        _memory(subject, found),
+    ]
+
+
+def _few_simulations(seconds: float) -> list[CheckFinding]:
+    """Recommend what asks for few simulations where each of them takes long."""
+    if seconds < LONG:
+        return []
+    said = (
+        "a simulation takes long, and least_squares asks for more of them than it must, so that "
+        "many workers have something to do: on the embedded example for 189 in place of 99"
+    )
+    do = (
+        'with few workers method.options = { trials = 1, differences = "forward" }, and with ten '
+        "unknowns or more secant_updates = 20 beside them; for methods de, pso and ga "
+        "early_end = true"
+    )
+    return [passed("few simulations", said, do)]
+
+
+def _one_measured(subject: CheckSubject) -> CheckFinding:
+    return _time(subject, subject.simulation_seconds, 1)
+
+
+def _time(subject: CheckSubject, seconds: float, count: int) -> CheckFinding:
+    cores = os.cpu_count() or 1
+    said = f"{_shown(seconds)} a simulation (median of {count})"
+    together = round(BATCH_SECONDS / max(seconds, 1e-6))
+    if together > 1:
+        said += f"; a worker gets up to {together} at a time"
+    if seconds < SHORT:
+        said += "; too short to be worth the way to another process"
+        do = "" if subject.in_process else 'executor.name = "local" is enough'
+    elif cores > 1 and not CAN_FORK:
+        do = f"executor.workers = {cores}"
+    elif subject.in_process and cores > 1:
+        do = f'executor.name = "processes" and executor.workers = {cores}, or "ray" for a cluster'
+    else:
+        do = ""
+    return passed("cost", said, do)
+
+
+def _shown(seconds: float) -> str:
+    if seconds >= 1.0:
+        return f"{seconds:.3g} s"
+    return f"{1e3 * seconds:.3g} ms" if seconds >= 1e-3 else f"{1e6 * seconds:.3g} us"
+
+
+def _memory(subject: CheckSubject, found: SimulationCost) -> CheckFinding:
+    if found.leak is None or (found.count < LEAST_COUNT and found.leak < 50.0 * LEAK):
+        said = f"{found.count} simulations are too few to see a leak"
+        do = "give it more time with --seconds"
+        return not_done("memory", said, do)
+    if found.leak < LEAK:
+        return passed("memory", f"no leak in {found.count} simulations")
+    said = f"leaks {found.leak / 1024:.3g} kB a simulation"
+    lasts = subject.growth / found.leak
+    if subject.in_process:
+        do = 'executor.name = "processes", whose processes are replaced as they grow'
+        return note("memory", said, do)
+    said += f"; its process is replaced after about {lasts:.3g} of them (executor.growth)"
+    return note("memory", said)
+
+
+SECONDS = 4.0
+"""Time for all checks, once there is a process for them."""
+COMPILE_SECONDS = 120.0
+"""For a loop that only checks need; read from disk ever after."""
+MOVING = 0.01
+"""Share of its largest range by which an output must move to tell something of the parameters."""
+LOADING, FIRST_SIMULATION = 0.6, 0.6
+"""Shares of the time left for loading the FMU, and for one simulation."""
+
+CHECKS: tuple[Callable[[CheckSubject], list[CheckFinding]], ...] = (
+    lambda subject: [stop_time(subject), instances(subject)],
+    effects,
+    stiffness,
+    accuracy,
+    costs,
+    corners,
+    derivatives,
+)
+"""In the order in which they get their time."""
+
+
+def run_checks(
+    problem: Problem,
+    resources: Resources,
+    seconds: float = SECONDS,
+    *,
+    declared: bool = True,
+    open_bench: Callable[[Model, Sequence[Experiment]], ProbeBench] = ProbeBench.open,
+) -> CheckPage:
+    """Check for all that keeps an FMU from being fitted, or makes that slow or wrong.
+
+    Every call of the FMU is in a process of its own, which is ended when its time is over.
+
+    Parameters
+    ----------
+    problem
+        To be fitted.
+    resources
+        For the fit.
+    seconds
+        That the checks share. Loading the project itself takes a second or two beside. With 0
+        the FMU is not tried at all.
+    declared
+        True if a config declares the parameters to be estimated.
+    open_bench
+        Opens the place where the FMU is asked.
+    """
+    description = problem.describe()
+    data = data_findings(problem, description) if declared else []
+    if seconds == 0.0:
+        description.check_platform(problem.model.interface)
+        said = "everything was read, and nothing was simulated"
+        return CheckPage((*data, not_done("simulates", said, _MORE)), ())
+    # before the time of the checks begins: Ray takes a second to import
+    in_process = executor_class(resources.executor).in_process
+    model = resources.limited(problem.model)
+    with open_bench(model, problem.experiments) as bench:
+        loaded = bench.ask(None, 1e4 if seconds == np.inf else max(seconds, 1.0) * LOADING)
+        if isinstance(loaded, NoAnswer):
+            return CheckPage((_not_loaded(loaded),), (), loads=False)
+        if problem.model.interface == "model_exchange":
+            bench.ask(CompileProbe(), COMPILE_SECONDS)
+        subject = CheckSubject(
+            problem,
+            description,
+            bench,
+            TimeBudget.of(seconds),
+            in_process,
+            resources.workers,
+            resources.limits.growth,
+            instances=resources.instances,
+            declared=declared,
+        )
+        simulations = _simulate(subject)
+        cure = remedy(subject, simulations)
+        if cure.refused:
+            smaller = without_parameters(problem, cure.refused)
+            left = max(subject.budget.left, 0.1)
+            page = run_checks(smaller, resources, left, declared=False, open_bench=open_bench)
+            return replace(page, findings=(*page.findings, refused_parameters(cure.refused)))
+        findings = [
+            passed("loads", "it can be loaded and instantiated"),
+            *bounds(subject),
+            *data,
+            *_simulation_findings(subject, simulations, cure),
+            *(at_rest(subject, simulations) or starts_elsewhere(subject, simulations)),
+            *_probe_findings(subject, simulations),
+        ]
+    return CheckPage(tuple(findings), tuple(simulations))
+
+
+def _probe_findings(subject: CheckSubject, simulations: list[Simulation]) -> list[CheckFinding]:
+    """Run all checks on one of the experiments that could be simulated."""
+    successful = [s for s in simulations if s.outcome.ok]
+    if not successful:
+        late = any(s.outcome.status is Status.TIMEOUT for s in simulations)
+        stiff = [] if late else stiffness(subject)
+        return [*stiff, *misread_units(subject, simulations)]
+    first = _most_telling(successful)
+    seen = first.outcome.trajectory
+    subject = replace(
+        subject,
+        simulation_seconds=first.outcome.seconds,
+        experiment=first.experiment,
+        trajectory=None if seen is None or subject.problem.effects else seen.values,
+    )
+    findings, policy, earlier = repeatable(subject)
+    subject = replace(subject, reset_policy=policy or "reset", repeats=policy is not None)
+    for check in CHECKS:
+        findings += check(subject)
+    findings += later(subject, earlier)
+    return findings + misread_units(subject, simulations)
+
+
+def _most_telling(simulations: list[Simulation]) -> Simulation:
+    """Return the shortest of the simulations in which the most outputs move.
+
+    Shortest by its samples, not by the clock, or each check would say something else.
+    """
+    seen = [simulation.outcome.trajectory for simulation in simulations]
+    ranges = [
+        {} if one is None else dict(zip(one.variables, np.ptp(one.values, axis=0), strict=True))
+        for one in seen
+    ]
+    names = {name for own in ranges for name in own}
+    largest = {name: max(own.get(name, 0.0) for own in ranges) for name in names}
+    moving = [sum(own[name] > MOVING * largest[name] for name in own) for own in ranges]
+    samples = [0 if one is None else len(one.times) for one in seen]
+    return simulations[min(range(len(seen)), key=lambda i: (-moving[i], samples[i]))]
+
+
+def _not_loaded(stopped: NoAnswer) -> CheckFinding:
+    do = "check that it does not wait for a licence or a window" if stopped.late else ""
+    return fault("loads", stopped.message, do)
+
+
+def _simulate(subject: CheckSubject) -> list[Simulation]:
+    """Simulate each experiment once, at the start values, as far as there is time."""
+    problem, space = subject.problem, subject.space
+    values = space.physical(space.start)
+    found: list[Simulation] = []
+    for e in range(len(problem.experiments)):
+        limit = FIRST_SIMULATION * subject.budget.left
+        if limit < 0.1 * subject.budget.seconds and found:
+            outcome = Outcome(e, Status.NOT_RUN, message="no time was left for it")
+            found.append(Simulation(e, outcome))
+            continue
+        task = Task(e, e, values[e], "trajectory", problem.effects)
+        answer = subject.bench.ask(SimulationProbe(task), limit)
+        if isinstance(answer, NoAnswer):
+            status = Status.TIMEOUT if answer.late else Status.CRASH
+            answer = Outcome(e, status, message=answer.message, seconds=np.nan)
+        found.append(Simulation(e, answer))
+    return found
+
+
+def _simulation_findings(
+    subject: CheckSubject, simulations: list[Simulation], cure: Remedy
+) -> list[CheckFinding]:
+    """Return a finding for all experiments that can be simulated, and one for each that cannot."""
+    successful = [s for s in simulations if s.outcome.ok]
+    lines = []
+    for simulation in simulations:
+        outcome = simulation.outcome
+        name = f"experiment {subject.problem.experiments[simulation.experiment].id}"
+        if outcome.status is Status.NOT_RUN:
+            lines.append(not_done(name, outcome.message, _MORE))
+        elif outcome.status is Status.TIMEOUT:
+            said = f"at the start values {outcome.message}"
+            lines.append(fault(name, said, f"if it is only slow: {_MORE}"))
+        elif not outcome.ok:
+            said = f"at the start values: {outcome.status}: {outcome.message}"
+            do = _advice(outcome)
+            if cure.step is not None and simulation is simulations[0]:
+                do = f"model.step = {cure.step:.3g}, with which it ends well"
+            lines.append(fault(name, said, do))
+    if successful:
+        said = f"{len(successful)} of {len(simulations)} experiments, at the start values"
+        lines.append(passed("simulates", said))
+    return lines
+
+
+def _advice(outcome: Outcome) -> str:
+    """Return what to do about a simulation that failed, by the way it ended."""
+    if outcome.message.startswith(MESSAGES[TERMINATED]):
+        return "a config whose experiment has a stop before that time"
+    if 'model.solver = "cvode"' in outcome.message:
+        return 'model.solver = "cvode" in a config, or other start values'
+    return _ADVICE.get(outcome.status, "what the FMU says of it, or other start values")
+
+
+_MORE = "give it more time with --seconds"
+_ADVICE = {
+    Status.CRASH: "simulate it in another tool: if it crashes there too, ask whoever exported "
+    "it, and look for files, libraries or a licence that it needs",
+    Status.OUT_OF_MEMORY: "raise executor.memory",
+}

@@ -1,0 +1,231 @@
+"""Checks of the data: inputs without any, gaps and jumps in them, odd samples, weights."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from cluster_est.config.sections import Config
+from cluster_est.preflight.subject import CheckFinding, listed, note, passed
+from cluster_est.problem.costs import SumSquared
+from cluster_est.problem.idle_inputs import driven_or_constant, idle_inputs, stays
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.tables.jumps import after_jumps, jump_findings, samples_after
+from cluster_est.problem.tables.stand_ins import stand_ins
+from cluster_est.statistics.noise.estimate import estimate_noise, quantisation_step
+from cluster_est.statistics.noise.outliers import isolated_outliers
+from cluster_est.statistics.records import make_records
+from cluster_est.toml import dotted
+from workers.fmu.description import ModelDescription
+from workers.messages import Experiment, FloatArray, Output
+
+ROUNDING = math.sqrt(12.0)
+"""A step over the standard deviation that rounding to it makes; see `quantisation_step`."""
+VISIBLE = 0.01
+"""Share of an output's range that its noise counts as at least where outliers are looked for."""
+FEW_OUTLIERS = 0.01
+"""Largest share of the samples that are outliers; more of them are how this signal is."""
+FEWEST_VALUES = 20
+"""Different values that a signal with outliers has at least: fewer are levels."""
+GAP = 1.5
+"""Sampling intervals of an input from which on it has a gap."""
+
+
+def data_findings(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
+    """Look at what drives the model; nothing is simulated."""
+    return [
+        *_inputs_without_data(problem, description),
+        *_stand_ins(problem),
+        *_bridged(problem, description),
+        *_jumping(problem, description),
+        *_rounded(problem),
+        *_outlying(problem),
+    ]
+
+
+def _inputs_without_data(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
+    lines = []
+    for name, ids in idle_inputs(problem, description).items():
+        value = stays(description.variables[name])
+        count = len(problem.experiments)
+        if len(ids) < count:
+            said = f"has no data in {len(ids)} of {count} experiments: it stays at {value} there"
+            lines.append(passed(f"input {name}", said))
+            continue
+        said = f"has no data: it stays at {value}"
+        do = driven_or_constant(name)
+        lines.append(note(f"input {name}", said, do))
+    return lines
+
+
+def _bridged(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
+    """Return a line for each input with samples missing, with its longest gap."""
+    worst: dict[str, tuple[float, str]] = {}
+    for each in problem.experiments:
+        for given in each.inputs:
+            held = given.interpolation == "hold" or description.holds(given.variable)
+            if held:  # a signal that is noted when it changes
+                continue
+            found = _gaps(given.times, _rows(each), each)
+            if found is not None and found[0] > worst.get(given.variable, (0.0, ""))[0]:
+                worst[given.variable] = found
+    do = (
+        "mend the column, leave the gap out with rows or windows, or set interpolation = "
+        '"hold" if the signal keeps its value until the next sample'
+    )
+    return [note(f"input {name}", said, do) for name, (_, said) in worst.items()]
+
+
+def _stand_ins(problem: Problem) -> list[CheckFinding]:
+    """Return a line for each number in the data that hardly is a measurement."""
+    return [note("missing", said, do) for said, do in problem.data_findings]
+
+
+def _outlying(problem: Problem) -> list[CheckFinding]:
+    """Return a line for each output with single samples far from their neighbours."""
+    runs = [each for each in problem.experiments if each.role == "train"]
+    if not isinstance(problem.cost, SumSquared):
+        return []
+    pairs = [(each, output) for each in runs for output in each.outputs if len(output.values)]
+    lines = []
+    for name in dict.fromkeys(output.variable for _, output in pairs):
+        own = [(each, output) for each, output in pairs if output.variable == name]
+        found = [_alone(each, output) for each, output in own]
+        count, samples = sum(found), sum(len(output.values) for _, output in own)
+        if 0 < count <= FEW_OUTLIERS * samples:
+            said = f"{count} of {samples} samples stand alone, far from their neighbours"
+            needs = (
+                ""
+                if all(o.has_sigma for _, o in own)
+                else f", which needs {dotted('sigma', name)},"
+            )
+            do = f'if they are faults of the sensor: cost.name = "huber"{needs} counts them less'
+            lines.append(note(f"output {name}", said, do))
+    return lines
+
+
+def _alone(experiment: Experiment, output: Output) -> int:
+    """Return how many samples of an output are outliers; none of one that has hardly any values."""
+    values = output.values
+    if output.ordinal or len(np.unique(values)) < FEWEST_VALUES or stand_ins(values):
+        return 0
+    records = make_records([replace(experiment, outputs=(output,))])
+    noise = max(float(estimate_noise(values, records, values)[0]), VISIBLE * float(np.ptp(values)))
+    excepted = _answers(experiment, output)
+    return int(isolated_outliers(values, noise, excepted=excepted).mask.sum())
+
+
+def _answers(experiment: Experiment, output: Output) -> npt.NDArray[np.bool_]:
+    """Return which samples of an output are just after a jump or a single pulse of an input."""
+    after = after_jumps(experiment, output.variable)
+    for given in experiment.inputs:
+        pulses = isolated_outliers(given.values, VISIBLE * float(np.ptp(given.values))).mask
+        after |= samples_after(output.times, given.times[pulses], before=1)
+    return after
+
+
+def _jumping(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
+    """Return a line for each input that jumps, and is interpolated by straight lines."""
+    return [
+        note("jumps", said, remedy)
+        for said, remedy in jump_findings(problem.experiments, description.holds, problem.columns)
+    ]
+
+
+def _rounded(problem: Problem) -> list[CheckFinding]:
+    """Return a line for each output whose rounding alone is more than its sigma."""
+    worst: dict[str, tuple[float, float, Experiment]] = {}
+    for each in problem.experiments:
+        for output in each.outputs:
+            step = quantisation_step(output.values)
+            times = step / ROUNDING / float(output.sigmas.min(initial=np.inf))
+            # a sigma of 1 is what stands where none is given, and says nothing of the sensor
+            if (
+                output.has_sigma
+                and not output.ordinal
+                and times > worst.get(output.variable, (1.0,))[0]
+            ):
+                worst[output.variable] = times, step, each
+    return [
+        note(
+            f"output {name}",
+            f"its values in experiment {each.id} are whole steps of {step:.3g}: rounding alone "
+            f"makes an error of {step / ROUNDING:.3g}, {times:.2g} times the sigma that is given",
+            f"{dotted('sigma', name)} = NUMBER, of {step / ROUNDING:.3g} or more, or measure with "
+            "a finer "
+            "resolution",
+        )
+        for name, (times, step, each) in worst.items()
+    ]
+
+
+def _rows(experiment: Experiment) -> FloatArray:
+    """Return all times at which anything was measured in the simulated interval."""
+    inputs = [each.times for each in (*experiment.inputs, *experiment.signals)]
+    outputs = [each.times for each in experiment.outputs]
+    times = np.unique(np.concatenate([*inputs, *outputs]))
+    found: FloatArray = times[(times >= experiment.start) & (times <= experiment.stop)]
+    return found
+
+
+def _gaps(times: FloatArray, rows: FloatArray, experiment: Experiment) -> tuple[float, str] | None:
+    """Return the longest gap of an input, and a sentence on all of them; None without any.
+
+    A gap is longer than the usual interval, and other signals were measured in it: an input that
+    is sampled more slowly than they are, or a time at which nothing was measured, is none.
+    """
+    if len(times) < 2:
+        return None
+    usual = float(np.median(np.diff(times)))
+    first, last = experiment.start, experiment.stop
+    ends = [np.nextafter(first, -np.inf), *times.tolist(), np.nextafter(last, np.inf)]
+    gaps = [
+        (after - before, before, after, int(np.sum((rows > before) & (rows < after))))
+        for before, after in itertools.pairwise(ends)
+        if after - before > GAP * usual
+    ]
+    gaps = [gap for gap in gaps if gap[3]]
+    if not gaps:
+        return None
+    _, before, after, _ = max(gaps)
+    before, after = max(before, first), min(after, last)
+    missing = sum(gap[3] for gap in gaps)
+    said = (
+        f"{missing} of {len(rows)} samples are missing in experiment {experiment.id} and are "
+        f"bridged; the longest gap is {after - before:.3g} s, from {before:.4g} to {after:.4g} s"
+    )
+    return after - before, said
+
+
+def sigma_findings(config: Config, description: ModelDescription) -> list[CheckFinding]:
+    """Return a line if sigma is given for some outputs and not for others."""
+    if config.cost.normalise != "sigma" or config.cost.name == "likelihood":
+        return []
+    given: dict[str, list[str]] = {}
+    missing: dict[str, list[str]] = {}
+    for each in config.experiments:
+        for name in each.outputs:
+            (given if name in each.sigma else missing).setdefault(name, []).append(each.id)
+    if not given:
+        return []
+    lines = []
+    for name, ids in missing.items():
+        variable = description.variables.get(name)
+        unit = f" {variable.unit}" if variable is not None and variable.unit else ""
+        where = f"{listed(list(given))} but not for {name}"
+        if name in given:
+            where = f"{name} in {_named(given[name])} but not in {_named(ids)}"
+        said = f"is given for {where}, where it then is 1{unit}"
+        key = dotted("sigma", name)
+        do = f"{key} = NUMBER, the standard deviation of its noise, or no sigma at all"
+        lines.append(note("sigma", said, do))
+    return lines
+
+
+def _named(ids: Sequence[str]) -> str:
+    return f"experiment{'s' if len(ids) > 1 else ''} {listed(ids)}"

@@ -1,0 +1,328 @@
+"""The content of a first config, before it is text: parameters, bounds, experiments."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from cluster_est.errors import DataError, ModelError
+from cluster_est.preflight.table_columns import ColumnMatch, TableColumns, match, read_columns, same
+from workers.fmu.description import ModelDescription, describe, nearest
+from workers.fmu.variable import ModelVariable
+from workers.messages import Role
+
+TIME = "time"
+"""Stands for the time, whatever the FMU calls it."""
+MOST_COLUMNS = 30
+"""Columns in a message."""
+
+
+def check_variables(mapping: Mapping[str, str], description: ModelDescription) -> None:
+    """Refuse names of no variable, and of variables that no column can be for.
+
+    Raises
+    ------
+    ModelError
+        With the nearest name.
+    """
+    measurable = [v.name for v in description.variables.values() if v.is_computed]
+    inputs = [v.name for v in description.inputs()]
+    for name in mapping:
+        if name == TIME:
+            continue
+        if name not in description.variables:
+            known = nearest(name, [TIME, *inputs, *description.outputs, *measurable])
+            raise ModelError(f"--map {name}: {description.file} has no variable {name!r}{known}")
+        if name not in inputs and name not in measurable:
+            variable = description.variables[name]
+            what = variable.causality if variable.kind != "string" else "text"
+            raise ModelError(
+                f"--map {name}: must be an input of {description.file} or something that it "
+                f"computes but is a {what}; give the column to another variable"
+            )
+
+
+def check_columns(mapping: Mapping[str, str], tables: Sequence[TableColumns]) -> None:
+    """Refuse a column that no table has.
+
+    Raises
+    ------
+    DataError
+        With the nearest column and all others.
+    """
+    for name, column in mapping.items():
+        if any(column in table.named for table in tables):
+            continue
+        first = tables[0]
+        if column in first.unusable:
+            raise DataError(
+                f"--map {name}: column {column!r} of {first.path} must hold numbers but does not; "
+                "mend it, or give another one"
+            )
+        names = [*first.named]
+        found = nearest(column, names)
+        if found.endswith("?"):
+            listed = ", ".join(repr(each) for each in names[:MOST_COLUMNS])
+            more = len(names) - MOST_COLUMNS
+            found += f" Its columns are {listed}" + (f" and {more} more" if more > 0 else "")
+        raise DataError(f"--map {name}: {first.path} has no column {column!r}{found}")
+
+
+@dataclass(frozen=True)
+class DraftExperiment:
+    """One measured table as an experiment.
+
+    Attributes
+    ----------
+    id, columns, role
+        Of the experiment.
+    inputs, outputs
+        The variables of the FMU, and the columns found for them.
+    further
+        Other variables of the FMU that have a column of their name.
+    """
+
+    id: str
+    columns: TableColumns
+    role: Role
+    inputs: tuple[ColumnMatch, ...]
+    outputs: tuple[ColumnMatch, ...]
+    further: tuple[ColumnMatch, ...]
+
+    @property
+    def missing_inputs(self) -> tuple[str, ...]:
+        """Names of inputs without a similar column."""
+        return tuple(m.variable.name for m in self.inputs if m.column is None and not m.similar)
+
+
+@dataclass(frozen=True)
+class ConfigDraft:
+    """The content of a first config."""
+
+    fmu: Path
+    description: ModelDescription
+    parameters: tuple[ParameterCandidate, ...]
+    states: tuple[ModelVariable, ...]
+    runs: tuple[DraftExperiment, ...]
+
+
+def draft(fmu: Path, data: Sequence[Path], mapping: Mapping[str, str] | None = None) -> ConfigDraft:
+    """Draft a config from an FMU and measured tables.
+
+    Parameters
+    ----------
+    fmu
+        The model.
+    data
+        One table for each experiment; the last of several is held out.
+    mapping
+        Variables of the FMU, or "time", with the columns that they have.
+
+    Raises
+    ------
+    ModelError, DataError
+        If one of them cannot be read, or is named twice, or the mapping names what is not there.
+    """
+    known = {} if mapping is None else mapping
+    _check_once(data)
+    if not fmu.is_file():
+        raise ModelError(f"init: there is no FMU {fmu}; check the path")
+    try:
+        archive = fmu.read_bytes()
+    except OSError as error:
+        raise ModelError(f"init: {fmu} cannot be read ({error.strerror}); check it") from error
+    description = describe(fmu.name, archive)
+    check_variables(known, description)
+    tables = [read_columns(path, known.get(TIME, "")) for path in data]
+    check_columns(known, tables)
+    roles: list[Role] = ["train"] * len(tables)
+    if len(tables) > 1:
+        roles[-1] = "test"
+    runs = [
+        _run(name, columns, role, description, known)
+        for name, columns, role in zip(_ids(data), tables, roles, strict=True)
+    ]
+    return ConfigDraft(
+        fmu,
+        description,
+        tuple(candidates(description)),
+        tuple(initial_states(description)),
+        tuple(runs),
+    )
+
+
+def _run(
+    name: str,
+    columns: TableColumns,
+    role: Role,
+    description: ModelDescription,
+    mapping: Mapping[str, str],
+) -> DraftExperiment:
+    known = {v: columns.named[c] for v, c in mapping.items() if v != TIME and c in columns.named}
+    inputs = [v for v in description.inputs() if v.kind in ("real", "integer", "boolean")]
+    outputs = [description.variables[n] for n in description.outputs]
+    numbers = [v for v in outputs if v.kind in ("real", "integer", "boolean")]
+    own = {v.name for v in (*inputs, *numbers)}
+    asked = [description.variables[name] for name in known if name not in own]
+    taken = {column.name for column in known.values()}
+    free = [column for column in columns.signals if column.name not in taken]
+    together = match([*inputs, *numbers], free, known)
+    given = {each.name for m in together for each in (m.column, m.similar) if each is not None}
+    left = [column for column in free if column.name not in given]
+    others = [v for v in description.variables.values() if _computed(v) and v.name not in own]
+    further = [
+        ColumnMatch(description.variables[n], column)
+        for n, column in same([*asked, *(v for v in others if v not in asked)], left, known).items()
+    ]
+    return DraftExperiment(
+        name,
+        columns,
+        role,
+        tuple(together[: len(inputs)]),
+        tuple(together[len(inputs) :]),
+        tuple(further),
+    )
+
+
+def _computed(variable: ModelVariable) -> bool:
+    return variable.causality == "local" and variable.kind == "real" and variable.alias_of is None
+
+
+def _check_once(data: Sequence[Path]) -> None:
+    counts = Counter(path.resolve() for path in data)
+    repeated = [path for path in data if counts[path.resolve()] > 1]
+    if repeated:
+        raise DataError(
+            f"init: {repeated[0]} must be named once but is named {counts[repeated[0].resolve()]} "
+            "times; remove one, because the same measurements would count twice"
+        )
+
+
+def _ids(data: Sequence[Path]) -> list[str]:
+    """Return the names of the files, with a number where several are the same."""
+    stems = [path.stem for path in data]
+    found: list[str] = []
+    for stem in stems:
+        name, number = stem, 2
+        while name in found or (name != stem and name in stems):
+            name, number = f"{stem}_{number}", number + 1
+        found.append(name)
+    return found
+
+
+MOST_ACTIVE = 6
+"""Parameters estimated at once in a first config: more are seldom determined by a few tables."""
+MOST_LISTED = 60
+WIDTH = 10.0
+"""Guessed bounds are the start over and times this."""
+
+_CONSTANTS = {"g", "pi", "e", "R_gas", "gravity", "c_light", "k_B", "sigma_SB", "T_ref", "p_ref"}
+_SETTINGS = re.compile(
+    r"(?i)(^|[._])(eps\w*|tol\w*|\w*_small|\w*_nominal|sample\w*|n_\w+|use_\w+|delay_buffer)$"
+)
+_SPECIFIC_HEAT = re.compile(r"k?J/(\(kg[.* ]?(K|degC)\)|kg/(K|degC)|kg[.](K|degC))")
+_INITIAL = re.compile(r"(?i)(^|[._])(\w*_init(ial)?|\w*_start|x0|v0)$")
+_KELVINS = 50.0
+"""To both sides of a temperature: a tenth and ten times of it would be no temperatures."""
+
+
+@dataclass(frozen=True)
+class ParameterCandidate:
+    """A parameter that could be estimated.
+
+    Attributes
+    ----------
+    bounds
+        Lower and upper; None where they are not known and cannot be guessed.
+    origin
+        The origin of the bounds, for a comment.
+    why_not
+        The reason why it is not estimated at first; "" if it is.
+    per
+        "experiment" if each is likely to have a value of its own; else "".
+    """
+
+    variable: ModelVariable
+    start: float
+    bounds: tuple[float, float] | None
+    origin: str
+    why_not: str = ""
+    per: str = ""
+
+
+def candidates(description: ModelDescription) -> list[ParameterCandidate]:
+    """Return each real parameter with a start value, in the FMU's order; likely ones active."""
+    found: list[ParameterCandidate] = []
+    active = 0
+    for variable in description.variables.values():
+        if not _can_be_estimated(variable) or variable.start is None:
+            continue
+        bounds, origin = _bounds(variable, variable.start)
+        same = next((c.variable.name for c in found if c.variable.name in variable.aliases), "")
+        why_not = f"another name of {same}" if same else _why_not(variable, variable.start)
+        if not why_not and active == MOST_ACTIVE:
+            why_not = f"{MOST_ACTIVE} are enough to begin with; check says which ones matter"
+        active += not why_not
+        per = "experiment" if _INITIAL.search(variable.name) else ""
+        found.append(ParameterCandidate(variable, variable.start, bounds, origin, why_not, per))
+    return found
+
+
+def initial_states(description: ModelDescription) -> list[ModelVariable]:
+    """Return the states whose start can be set."""
+    states = (description.variables[name] for name in description.states)
+    return [v for v in states if v.settable and v.kind == "real"]
+
+
+def _can_be_estimated(variable: ModelVariable) -> bool:
+    own = variable.alias_of is None and variable.kind == "real" and not variable.is_tool_setting
+    return own and variable.causality == "parameter" and variable.settable
+
+
+def _why_not(variable: ModelVariable, start: float) -> str:
+    """Return why a parameter is none of the likely ones; "" if it is one."""
+    if variable.size > 1:
+        return "one element of an array"
+    if variable.name in _CONSTANTS:
+        return "named like a constant of nature"
+    if _INITIAL.search(variable.name):
+        return "named like an initial value; estimate it where the experiments begin differently"
+    if _SPECIFIC_HEAT.fullmatch(variable.unit):
+        return "a specific heat, which is known of most substances"
+    if _SETTINGS.search(variable.name):
+        return "named like a setting, not like a property"
+    if start == 0.0:
+        return "its start is 0, which says nothing of its size; give a start and bounds"
+    return ""
+
+
+def _bounds(variable: ModelVariable, start: float) -> tuple[tuple[float, float] | None, str]:
+    low, high = variable.low, variable.high
+    inside = (low is None or low <= start) and (high is None or start <= high)
+    if not inside:
+        low = high = None
+    guess, how = _guess(variable, start)
+    if low is not None and high is not None and low < high:
+        return (low, high), "bounds: the FMU's min and max"
+    if start == 0.0:
+        return None, "no bounds: nothing says how large it is"
+    if low == 0.0 < start:
+        return guess, f"bounds: a guess, {how}; the FMU's min is 0"  # a model may divide by it
+    if low is not None:
+        return (low, max(guess[1], low + abs(start))), "bounds: the FMU's min, and a guess"
+    if high is not None:
+        return (min(guess[0], high - abs(start)), high), "bounds: a guess, and the FMU's max"
+    said = "" if inside else "; the FMU's own min and max exclude its start"
+    return guess, f"bounds: a guess, {how}{said}"
+
+
+def _guess(variable: ModelVariable, start: float) -> tuple[tuple[float, float], str]:
+    if variable.unit in ("K", "degC"):
+        ends, how = (start - _KELVINS, start + _KELVINS), f"{_KELVINS:g} K around the start"
+    else:
+        ends, how = (start / WIDTH, start * WIDTH), "a tenth and ten times the start"
+    low, high = sorted(float(f"{end:.12g}") for end in ends)
+    return (low, high), how

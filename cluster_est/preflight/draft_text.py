@@ -1,0 +1,353 @@
+"""A first config as text: the model, its parameters, what experiments share, what each has."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from statistics import median
+
+from cluster_est.config.config_text import FILL_IN
+from cluster_est.preflight.draft import (
+    MOST_LISTED,
+    ConfigDraft,
+    DraftExperiment,
+    ParameterCandidate,
+)
+from cluster_est.preflight.table_columns import TIMES, ColumnMatch, TableColumn, fold, split_unit
+from cluster_est.problem.tables.units import conversion, same_unit
+from cluster_est.toml import dotted, inline
+from workers.fmu.description import ModelDescription
+from workers.fmu.variable import ModelVariable
+
+
+def open_lines(text: str) -> list[tuple[int, str]]:
+    """Return the lines of a config, from 1, that must be filled in, with their texts."""
+    lines = enumerate(text.split("\n"), 1)
+    return [(i, line) for i, line in lines if FILL_IN in line and line[0] != "#"]
+
+
+def write(draft: ConfigDraft, folder: Path) -> str:
+    """Return a draft as a config that will stand in a folder; its paths start from there."""
+    lines = [
+        f"# A first config for {draft.fmu.name}, made by cluster-est init. Names on the left are",
+        "# the FMU's, names on the right are columns of the tables. Next: cluster-est check",
+        "",
+        *_model(draft, folder),
+        "",
+        *_parameters(draft),
+    ]
+    lines += experiments(draft.runs, draft.description, folder)
+    return "\n".join(_clean(line) for line in lines) + "\n"
+
+
+def _model(draft: ConfigDraft, folder: Path) -> Iterator[str]:
+    description = draft.description
+    yield "[model]"
+    yield f"fmu = {inline(relative(draft.fmu, folder))}"
+    exchange = "model_exchange" in description.interfaces
+    chosen = "model_exchange" if exchange else description.interfaces[0]
+    yield f'interface = "{chosen}"  # {_why(description)}'
+    if exchange:
+        yield (
+            'solver = "dormand_prince"  # adaptive; if check says that the model is stiff: "cvode"'
+        )
+        return
+    yield "# its own solver; choose a step at which the result no longer depends on it"
+    step = description.fixed_internal_step or description.default_step
+    said = "seconds between communication points; default: from one time in the data to the next"
+    yield f"# step = {inline(step or 0.01)}  # {said}"
+
+
+def _why(description: ModelDescription) -> str:
+    """Return why an interface was chosen, for a comment."""
+    if len(description.interfaces) == 1:
+        return "the only one that the FMU offers"
+    return f"of {' and '.join(description.interfaces)}: every effect can be tried in it"
+
+
+def _parameters(draft: ConfigDraft) -> Iterator[str]:
+    yield "# What is estimated, from all experiments together. Remove the # of what you doubt, and"
+    yield "# put one before what you know; its value is then the FMU's own."
+    yield "[parameters]"
+    if not draft.parameters:
+        yield f"# {draft.fmu.name} declares no real parameter with a start value, so there is"
+        yield "# nothing to estimate but the initial states; export it with tunable parameters."
+    for candidate in draft.parameters[:MOST_LISTED]:
+        yield _parameter(candidate)
+    more = len(draft.parameters) - MOST_LISTED
+    if more > 0:
+        yield f"# and {more} more, which the FMU's description names"
+    if draft.states:
+        yield "# Initial states, where they are not known: one for each experiment."
+    for state in draft.states[:MOST_LISTED]:
+        value = inline({"start": state.start or 0.0, "per": "experiment"})
+        yield f"# {dotted(state.name)} = {value}{said(state)}"
+
+
+def _parameter(candidate: ParameterCandidate) -> str:
+    variable = candidate.variable
+    per = {"per": candidate.per} if candidate.per else {}
+    value = {"start": candidate.start, "bounds": candidate.bounds, **per}
+    line = f"{dotted(variable.name)} = {inline(value)}{said(variable, candidate.origin)}"
+    return f"# {line}; not estimated: {candidate.why_not}" if candidate.why_not else line
+
+
+def _clean(line: str) -> str:
+    """Return a line without control characters, which TOML allows in no comment."""
+    return "".join(c if c >= " " and c != "\x7f" else " " for c in line)
+
+
+MOST_OPEN = 20
+"""Outputs that are looked at for a comment where no column is like them."""
+MOST_SIGNALS = 20
+"""Columns that are proposed as signals."""
+
+
+def experiments(
+    runs: Sequence[DraftExperiment], description: ModelDescription, folder: Path
+) -> Iterator[str]:
+    """Yield the lines of all experiments of a config that will stand in a folder.
+
+    What several experiments have in common stands once, as their defaults.
+    """
+    noise = _shared_noise(runs)
+    bodies = [list(_body(run, noise, description)) for run in runs]
+    shared = _shared(bodies)
+    if shared:
+        yield ""
+        yield "# What every experiment has unless it says otherwise below."
+        yield "[experiment_defaults]"
+        yield from shared
+        bodies = [[line for line in body if line not in shared] for body in bodies]
+    for run, body in zip(runs, bodies, strict=True):
+        yield ""
+        yield "[[experiments]]"
+        yield f"id = {inline(run.id)}"
+        yield f"data = {inline(relative(run.columns.path, folder))}"
+        if run.role == "test":
+            yield 'role = "test"  # held out: reported, never fitted'
+        yield from body
+
+
+def _shared(bodies: Sequence[Sequence[str]]) -> list[str]:
+    """Return the lines that all of several experiments have; comments only where all is the same.
+
+    A comment would else be torn from the lines that it speaks of.
+    """
+    if len(bodies) < 2:
+        return []
+    if all(body == bodies[0] for body in bodies):
+        return list(bodies[0])
+    return [
+        line
+        for line in bodies[0]
+        if not line.startswith("#") and all(line in body for body in bodies)
+    ]
+
+
+def _body(
+    run: DraftExperiment, noise: Mapping[str, float], description: ModelDescription
+) -> Iterator[str]:
+    """Yield what an experiment says of its table."""
+    columns = run.columns
+    yield from _time(run)
+    for match in run.inputs:
+        yield from _input(match, columns.signals)
+    yield from _outputs(run)
+    yield from _conversions(run)
+    yield from _sigmas(run, noise)
+    matches = (*run.inputs, *run.outputs, *run.further)
+    used = {c.name for m in matches for c in (m.column, m.similar) if c is not None}
+    unused = [c for c in columns.signals if c.name not in used]
+    if unused:
+        yield f"# columns without a variable of the FMU: {', '.join(c.name for c in unused)}"
+        yield from _open_outputs(run)
+        yield from _open_conversions(run, unused)
+        yield from _signals(unused, description)
+    if columns.unusable:
+        yield f"# columns that hold no numbers: {', '.join(columns.unusable)}"
+
+
+def _signals(unused: Sequence[TableColumn], description: ModelDescription) -> Iterator[str]:
+    """Yield columns that nothing uses as signals."""
+    taken = {*description.variables, "t", "s"}
+    yield "# Uncomment what may matter, such as a temperature: effects may depend on such signals."
+    for column in unused[:MOST_SIGNALS]:
+        name = re.sub(r"\W+", "_", column.plain).strip("_") or "signal"
+        name = f"signal_{name}" if name[0].isdigit() else name
+        while name in taken:
+            name += "_measured"
+        taken.add(name)
+        unit = f"  # [{column.unit}]" if column.unit else ""
+        yield f"# {dotted('signals', name)} = {inline(column.name)}{unit}"
+    more = len(unused) - MOST_SIGNALS
+    if more > 0:
+        yield f"# and {more} more columns"
+
+
+def _time(run: DraftExperiment) -> Iterator[str]:
+    time = run.columns.time
+    if time is not None:
+        yield f"time = {inline(time.name)}"
+        return
+    why = "no column is called time"
+    for name in run.columns.unusable:
+        if fold(split_unit(name)[0]) in TIMES:
+            why = f"column {name!r} holds no numbers: dates, or a row of units that must go?"
+    yield f'sample_time = "{FILL_IN}: seconds between rows"  # {why}'
+    for name in run.columns.increasing[:3]:
+        yield f"# time = {inline(name)}  # instead, if that is it: it increases from row to row"
+
+
+def _input(match: ColumnMatch, columns: tuple[TableColumn, ...]) -> Iterator[str]:
+    variable = match.variable
+    key = dotted("inputs", variable.name)
+    if match.column is not None:
+        value = _held(match.column, inline(match.column.name))
+        yield f"{key} = {value}{said(variable, _why_held(match.column))}"
+    elif match.similar is not None:
+        value = _held(match.similar, _guess(match.similar))
+        why = (_why_held(match.similar), _choices(columns))
+        yield f"{key} = {value}{said(variable, '; '.join(filter(None, why)))}"
+    else:
+        start = variable.start or 0.0
+        kept = f"no column is like it, so it keeps its start value {start:g}"
+        yield f'# {key} = "COLUMN"{said(variable, kept)}'
+
+
+def _held(column: TableColumn, name: str) -> str:
+    """Return an input's column as TOML; one that jumps keeps each sample until the next."""
+    return f'{{ column = {name}, interpolation = "hold" }}' if column.jumps else name
+
+
+def _why_held(column: TableColumn) -> str:
+    """Say why each sample of an input is kept, where it is."""
+    return 'it keeps its value and jumps; "linear" if it does not' if column.jumps else ""
+
+
+def _outputs(run: DraftExperiment) -> Iterator[str]:
+    certain = [m for m in (*run.outputs, *run.further) if m.column is not None]
+    for match in run.outputs:
+        variable = match.variable
+        key = dotted("outputs", variable.name)
+        if match.column is not None:
+            yield f"{key} = {inline(match.column.name)}{said(variable)}"
+        elif certain and match.similar is not None:
+            value = inline(match.similar.name)
+            yield f"# {key} = {value}{said(variable, 'only similar: uncomment if it is')}"
+        elif not certain and (match.similar is not None or match is run.outputs[0]):
+            value = f'"{FILL_IN}: a column"' if match.similar is None else _guess(match.similar)
+            yield f"{key} = {value}{said(variable, _choices(run.columns.signals))}"
+    for match in run.further:
+        if match.column is not None:
+            key = dotted("outputs", match.variable.name)
+            yield f"{key} = {inline(match.column.name)}{said(match.variable, 'no output')}"
+    if not certain and not run.outputs:
+        yield "# The FMU has no output: name a variable that it computes, as it is called there."
+        yield f'outputs = "{FILL_IN}: {{ VARIABLE = COLUMN }}"'
+
+
+def _open_outputs(run: DraftExperiment) -> Iterator[str]:
+    """Yield outputs that may be one of the columns left over, though no name is similar."""
+    certain = any(m.column is not None for m in (*run.outputs, *run.further))
+    first = run.outputs[:1]
+    for match in run.outputs[:MOST_OPEN]:
+        asked = not certain and match in first
+        if match.column is None and match.similar is None and not asked:
+            variable = match.variable
+            why = said(variable, "no column is like it")
+            yield f'# {dotted("outputs", variable.name)} = "COLUMN"{why}'
+
+
+def _open_conversions(run: DraftExperiment, unused: list[TableColumn]) -> Iterator[str]:
+    """Yield conversions of the columns left over, in case one is an open variable."""
+    open_ = [m.variable.unit for m in (*run.inputs, *run.outputs) if m.column is None]
+    for column in unused:
+        for unit in dict.fromkeys(open_):
+            found = conversion(column.unit, unit) if column.unit and unit else None
+            if found is not None and not same_unit(column.unit, unit):
+                why = f"if its variable is in {unit}"
+                yield from (f"# {line}" for line in _conversion(column, unit, why))
+
+
+def _compared(run: DraftExperiment) -> list[tuple[ModelVariable, TableColumn]]:
+    """Return the outputs that are written with a column, also one to be confirmed."""
+    certain = [(m.variable, m.column) for m in (*run.outputs, *run.further) if m.column is not None]
+    return certain or [(m.variable, m.similar) for m in run.outputs if m.similar is not None]
+
+
+def _shared_noise(runs: Sequence[DraftExperiment]) -> dict[str, float]:
+    """Return one guess of the noise of each output where all experiments compare the same."""
+    compared = [{v.name: c for v, c in _compared(run)} for run in runs]
+    named = [{name: column.name for name, column in own.items()} for own in compared]
+    if any(own != named[0] for own in named):
+        return {}
+    return {name: median(own[name].noise for own in compared) for name in named[0]} if runs else {}
+
+
+def _sigmas(run: DraftExperiment, noise: Mapping[str, float]) -> Iterator[str]:
+    """Yield guesses of the noise of each output, by which several outputs are weighted."""
+    compared = _compared(run)
+    guesses = [_in_unit(noise.get(v.name, c.noise), c, v) for v, c in compared]
+    several = len(compared) > 1 and all(guesses)
+    for (variable, _), guess in zip(compared, guesses, strict=True):
+        line = f"{dotted('sigma', variable.name)} = {inline(guess or 0.01)}"
+        why = "standard deviation of its noise, a guess"
+        yield f"{line}  # {why}; outputs weigh by it" if several else f"# {line}  # {why}"
+
+
+def _in_unit(noise: float, column: TableColumn, variable: ModelVariable) -> float:
+    """Return a column's noise in the unit of its variable, to two digits."""
+    found = conversion(column.unit, variable.unit)
+    return float(f"{noise * (1.0 if found is None else found.factor):.2g}")
+
+
+def _conversions(run: DraftExperiment) -> Iterator[str]:
+    """Yield lines for columns whose unit is not that of their variable."""
+    if run.columns.time is not None and run.columns.time.unit:
+        yield from _conversion(run.columns.time, "s", "times are in seconds")
+    inputs = [(m.variable, m.column or m.similar) for m in run.inputs]
+    for variable, column in (*inputs, *_compared(run)):
+        if column is not None and column.unit and variable.unit:
+            yield from _conversion(column, variable.unit, f"{variable.name} is in {variable.unit}")
+
+
+def _conversion(column: TableColumn, wanted: str, why: str) -> Iterator[str]:
+    if same_unit(column.unit, wanted):
+        return
+    found = conversion(column.unit, wanted)
+    if found is None:
+        yield f"# {column.name} is in {column.unit} but {why}; if they differ, say how:"
+        example = inline({"factor": 1.0})
+        yield f"# {dotted('columns', column.name)} = {example}"
+        return
+    value = {"factor": found.factor} | ({"offset": found.offset} if found.offset else {})
+    line = f"{dotted('columns', column.name)} = {inline(value)}"
+    yield f"{line}  # from {column.unit}: {why}"
+
+
+def _guess(column: TableColumn) -> str:
+    return inline(f"{FILL_IN}: {column.name}?")
+
+
+def _choices(columns: tuple[TableColumn, ...]) -> str:
+    return "columns: " + ", ".join(column.name for column in columns[:12])
+
+
+def said(variable: ModelVariable, more: str = "") -> str:
+    """Return a comment with the unit and description of a variable."""
+    unit = f"[{variable.unit}]" if variable.unit else ""
+    parts = [" ".join(part for part in (unit, variable.description) if part), more]
+    text = "; ".join(part for part in parts if part)
+    return f"  # {text}" if text else ""
+
+
+def relative(path: Path, folder: Path) -> str:
+    """Return a path from a folder, with slashes; absolute where there is no relative one."""
+    try:
+        found = os.path.relpath(path.resolve(), folder.resolve())
+    except ValueError:  # on another drive
+        found = str(path.resolve())
+    return found.replace(os.sep, "/")

@@ -1,0 +1,251 @@
+"""Checks of parameters: their effects, and the ranges that the FMU declares."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from cluster_est.methods.derivatives.differences import relative_noise
+from cluster_est.preflight.subject import (
+    CheckFinding,
+    CheckSubject,
+    fault,
+    listed,
+    not_done,
+    note,
+    passed,
+    unanswered,
+)
+from cluster_est.problem.idle_inputs import silent_inputs, stays
+from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.search_space.unknown import Unknown
+from cluster_est.toml import dotted
+from workers.messages import FloatArray
+from workers.probes.probes import MovementProbe
+from workers.process.trial import NoAnswer
+
+CHANGE = 0.01
+"""Of an unknown, in noticeable changes."""
+UNKNOWN = 1e-300
+"""Stands for an effect that was not computed in every experiment."""
+FAINT = 1e-9
+"""An effect of less, of the outputs' size, drowns in rounding."""
+STEPS = tuple(10.0**-k for k in range(3, 9))
+"""Relative steps of differences that are tried."""
+AGREEMENT = 0.02
+"""Largest relative difference of derivatives that count as the same."""
+
+
+def effects(subject: CheckSubject) -> list[CheckFinding]:
+    """Change each parameter a little, alone, and return its effect on the outputs."""
+    unknowns = _unknowns(subject)
+    if not unknowns:
+        return []
+    if not subject.repeats:
+        said = "not moved: one simulation after the other differs, whatever is moved"
+        return [not_done("parameters", said)]
+    points = np.array([_moved(subject, column, CHANGE) for column, _ in unknowns])
+    probe = MovementProbe(*subject.probe_arguments, points, max(subject.budget.left / 2.0, 0.1))
+    found = subject.ask(probe, 2, subject.budget.left)
+    if isinstance(found, NoAnswer):
+        return [unanswered("parameters", found)]
+    names = [unknown.label for _, unknown in unknowns]
+    pairs = list(zip(names, found, strict=False))
+    sizes = {name: each for name, each in pairs if not isinstance(each, str)}
+    for (column, unknown), (name, each) in zip(unknowns, pairs, strict=False):
+        if each == 0.0:
+            sizes[name] = _effect_elsewhere(subject, column, unknown)
+    lines = [_failed(name, each) for name, each in pairs if isinstance(each, str)]
+    dead = [name for name, size in sizes.items() if size == 0.0]
+    waiting = _waiting(dead, subject) if len(dead) > 1 or len(dead) == len(sizes) else []
+    lines += waiting or _dead(dead, subject)
+    lines += [_faint(name, size) for name, size in sizes.items() if 0.0 < size < FAINT]
+    alive = {name: size for name, size in sizes.items() if size >= FAINT}
+    if alive:
+        least, most = min(alive, key=alive.__getitem__), max(alive, key=alive.__getitem__)
+        said = f"{len(alive)} of {len(names)} act on the outputs: moved by 1 % of its size, "
+        said += f"{most} changes them by {alive[most]:.2g} of theirs"
+        said += f", {least} by {alive[least]:.2g}" if least != most else ""
+        lines.append(passed("parameters", said))
+        lines += _steps(subject, unknowns[names.index(most)][0])
+    if len(found) < len(names):
+        left = f"{len(names) - len(found)} of {len(names)} were not moved"
+        lines.append(unanswered("parameters", NoAnswer(left, late=True)))
+    return lines
+
+
+def _unknowns(subject: CheckSubject) -> list[tuple[int, Unknown]]:
+    """Return the first unknown of each of the model's parameters that acts on the experiment."""
+    first: dict[str, tuple[int, Unknown]] = {}
+    count = len(subject.problem.model.parameters)
+    for column, unknown in enumerate(subject.space.unknowns):
+        if subject.experiment in unknown.experiments and unknown.column < count:
+            first.setdefault(unknown.parameter.name, (column, unknown))
+    return list(first.values())
+
+
+def _effect_elsewhere(subject: CheckSubject, column: int, unknown: Unknown) -> float:
+    """Return the first effect in other experiments; `UNKNOWN` without time for all of them."""
+    for e in unknown.experiments:
+        other = replace(subject, experiment=e)
+        if e == subject.experiment:
+            continue
+        probe = MovementProbe(
+            *other.probe_arguments, _moved(other, column, CHANGE)[None], subject.budget.left
+        )
+        found = subject.ask(probe, 2)
+        if isinstance(found, NoAnswer) or not found or isinstance(found[0], str):
+            return UNKNOWN
+        if found[0] > 0.0:
+            return float(found[0])
+    return 0.0
+
+
+def _moved(subject: CheckSubject, column: int, share: float) -> FloatArray:
+    """Return values with one unknown changed by a share of its size, inside its bounds."""
+    space = subject.space
+    x = space.start.copy()
+    step = share * float(space.typical[column])
+    inside = x[column] + step <= space.upper[column]
+    x[column] += step if inside else -step
+    return subject.at(x)
+
+
+def _dead(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
+    said = "is dead: the outputs do not depend on it at the start"
+    if subject.declared:
+        do = "fixed = true, or remove it, or measure what it acts on"
+        return [
+            fault(f"parameter {name}", said, f"{dotted('parameters', name)}.{do}") for name in names
+        ]
+    if not names:
+        return []
+    given = {each.variable for each in subject.problem.experiments[subject.experiment].inputs}
+    open_ = [v.name for v in subject.description.inputs() if v.name not in given]
+    do = "they may act once the inputs are driven, as a config's data do"
+    if not open_:
+        do = "what the FMU shows in its default experiment does not determine them"
+    said = f"the outputs do not depend on {listed(names)} at the start values"
+    said += f", with nothing at the inputs {listed(open_)}" if open_ else ""
+    return [note("dead parameters", said, do)]
+
+
+def _waiting(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
+    """Return one line for parameters that may be dead only because nothing drives the model."""
+    if not subject.declared or not names:
+        return []
+    silent = silent_inputs(subject.problem, subject.description)
+    if not silent:
+        return []
+    value = stays(subject.description.variables[silent[0]])
+    while_ = f"while input {silent[0]} has no data and stays at {value}"
+    if len(silent) > 1:
+        while_ = f"while inputs {listed(silent)} have no data"
+    said = f"the outputs do not depend on {listed(names)} {while_}"
+    do = f'{dotted("inputs", silent[0])} = "COLUMN" in the experiments, then check again'
+    return [fault("parameters", said, do)]
+
+
+def _faint(name: str, size: float) -> CheckFinding:
+    if size == UNKNOWN:
+        said = "does not act in one experiment, and there was no time to try all others"
+        return not_done(f"parameter {name}", said, "give it more time with --seconds")
+    said = f"hardly acts: moved by 1 % of its size it changes the outputs by {size:.2g} of theirs"
+    return note(f"parameter {name}", said, f"another {dotted('parameters', name)}.start, or fix it")
+
+
+def _failed(name: str, said: str) -> CheckFinding:
+    do = f"another {dotted('parameters', name)}.start or narrower bounds"
+    return note(f"parameter {name}", f"moved by 1 % of its size: {said}", do)
+
+
+def _steps(subject: CheckSubject, column: int) -> list[CheckFinding]:
+    """Return the smallest relative step of trustworthy differences."""
+    points = np.array([_moved(subject, column, step) for step in STEPS])
+    probe = MovementProbe(*subject.probe_arguments, points, max(subject.budget.left / 3.0, 0.1))
+    found = subject.ask(probe, 1 + len(STEPS))
+    if isinstance(found, NoAnswer):
+        return [unanswered("differences", found)]
+    pairs = zip(STEPS, found, strict=False)
+    quotients = [each / step for step, each in pairs if not isinstance(each, str)]
+    if len(quotients) < len(STEPS):
+        return [unanswered("differences", NoAnswer("simulations failed or took too long"))]
+    truth = quotients[1]
+    pairs = zip(STEPS, quotients, strict=True)
+    good = [step for step, each in pairs if abs(each - truth) <= AGREEMENT * truth]
+    least = min(good, default=STEPS[0])
+    usual = math.sqrt(relative_noise(subject.problem.model.solver))
+    if least <= max(usual, STEPS[-1]):
+        said = f"slopes hold down to relative steps of {least:.0e}; a fit takes {usual:.0e}"
+        return [passed("differences", said)]
+    said = f"slopes by {subject.space.unknowns[column].label} hold down to relative steps of "
+    do = f"method.options.relative_step = {10.0 * least:.0e}, or a tighter model.rtol"
+    return [note("differences", f"{said}{least:.0e} only", do)]
+
+
+def bounds(subject: CheckSubject) -> list[CheckFinding]:
+    """Compare start values and bounds with the FMU's minima, maxima and units."""
+    lines = []
+    for parameter in subject.problem.parameters:
+        if not parameter.auxiliary and parameter.target in subject.description.variables:
+            lines += _outside(subject, parameter)
+    return lines
+
+
+def _outside(subject: CheckSubject, parameter: Parameter) -> list[CheckFinding]:
+    variable = subject.description.variables[parameter.target]
+    low = -math.inf if variable.low is None else variable.low
+    high = math.inf if variable.high is None else variable.high
+    where, allowed = f"parameter {parameter.name}", f"the FMU declares [{low:g}, {high:g}]"
+    key = dotted("parameters", parameter.name)
+    lines = []
+    if not parameter.expression and not low <= parameter.start <= high:
+        said = f"starts at {parameter.start:g} but {allowed}"
+        lines.append(fault(where, said, f"another {key}.start"))
+    if not parameter.fixed and (
+        (math.isfinite(parameter.lower) and parameter.lower < low)
+        or (math.isfinite(parameter.upper) and parameter.upper > high)
+    ):
+        said = f"has bounds [{parameter.lower:g}, {parameter.upper:g}] but {allowed}"
+        lines.append(note(where, said, f"{key}.bounds within those"))
+    if parameter.unit and variable.unit and parameter.unit != variable.unit:
+        said = f"is given in {parameter.unit} but the FMU counts in {variable.unit}"
+        do = f"check {key}.start and bounds, which are in the FMU's unit"
+        lines.append(note(where, said, do))
+    return lines
+
+
+def corners(subject: CheckSubject) -> list[CheckFinding]:
+    """Simulate with all parameters at their lower, then at their upper bounds, where finite."""
+    space = subject.space
+    named = []
+    for name, bound in (("lower", space.lower), ("upper", space.upper)):
+        if np.isfinite(bound).any():
+            named.append((name, subject.at(np.where(np.isfinite(bound), bound, space.start))))
+    if not named:
+        return []
+    points = np.array([point for _, point in named])
+    probe = MovementProbe(*subject.probe_arguments, points, max(subject.budget.left / 3.0, 0.1))
+    found = subject.ask(probe, 1 + len(named))
+    if isinstance(found, NoAnswer):
+        return [unanswered("bounds", found)]
+    lines = [
+        note(
+            "bounds",
+            f"with all parameters at their {name} bounds: {each}",
+            "narrower bounds; a search steps back from such points, but they cost it time",
+        )
+        for (name, _), each in zip(named, found, strict=False)
+        if isinstance(each, str)
+    ]
+    tried = [name for name, _ in named[: len(found)]]
+    if tried and not lines:
+        said = f"it can be simulated with all parameters at their {' and '.join(tried)} bounds"
+        lines.append(passed("bounds", said))
+    left = [name for name, _ in named[len(found) :]]
+    if left:
+        said = f"not simulated with all parameters at their {' and '.join(left)} bounds"
+        lines.append(unanswered("bounds", NoAnswer(said, late=True)))
+    return lines

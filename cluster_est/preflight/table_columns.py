@@ -1,0 +1,375 @@
+"""The columns of a measured table: names, units, the time among them, and whose they are."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from cluster_est.errors import DataError
+from cluster_est.problem.tables.files import MeasuredTable, read_table
+from cluster_est.problem.tables.jumps import count_jumps
+from cluster_est.problem.tables.units import WORDS, conversion, is_known
+from workers.fmu.variable import ModelVariable
+from workers.messages import FloatArray
+
+TIMES = ("time", "t", "times", "zeit", "seconds", "second", "sec", "timesec", "timestamp")
+"""Names of a time column, folded."""
+
+LEAST_NOISE = 1e-3
+"""Of a signal's standard deviation."""
+LEAST_SAMPLES = 10
+"""Samples from which on noise can be guessed at all."""
+
+_IN_BRACKETS = re.compile(r"(.*?)[\s_]*[\[(<]([^\[\](){}<>]*)[\])>]\s*")
+_AFTER_SLASH = re.compile(r"(.*\S)\s+(?:/|in)\s+(\S+)\s*")
+
+
+MOST_PARTS = 3
+"""Parts of a name that may be a unit: "rad_per_s"."""
+
+
+@dataclass(frozen=True)
+class TableColumn:
+    """One column of numbers.
+
+    Attributes
+    ----------
+    name
+        As it stands in the table.
+    plain, unit
+        "force" and "N" of "force [N]".
+    noise
+        A first guess of the standard deviation of its noise, in its unit; 0 if there is none.
+    jumps
+        Times that it jumps, if it keeps its value in between.
+    """
+
+    name: str
+    plain: str
+    unit: str
+    noise: float = 0.0
+    jumps: int = 0
+
+    @property
+    def folded(self) -> str:
+        return fold(self.plain)
+
+
+@dataclass(frozen=True)
+class TableColumns:
+    """The columns of a table.
+
+    Attributes
+    ----------
+    path
+        The table's file.
+    signals
+        Columns of numbers besides the time, as many rows as it has.
+    time
+        The column with the time; None if none is called so.
+    increasing
+        Names of columns that increase from row to row, where there is no time.
+    unusable
+        Names of columns that hold no numbers.
+    """
+
+    path: Path
+    signals: tuple[TableColumn, ...]
+    time: TableColumn | None
+    increasing: tuple[str, ...]
+    unusable: tuple[str, ...]
+
+    @property
+    def named(self) -> dict[str, TableColumn]:
+        """All columns of numbers by name, the time among them."""
+        every = self.signals if self.time is None else (self.time, *self.signals)
+        return {column.name: column for column in every}
+
+
+def fold(name: str) -> str:
+    """Return a name without case, blanks, underscores, brackets: "motorspeed" of "Motor_Speed"."""
+    return "".join(letter for letter in name.casefold() if letter.isalnum())
+
+
+def read_columns(path: Path, time_column: str = "") -> TableColumns:
+    """Read a table and sort its columns.
+
+    Parameters
+    ----------
+    path
+        Of the table.
+    time_column
+        Name of the column with the time, if it has one of that name; else the name must tell.
+
+    Raises
+    ------
+    DataError
+        If it cannot be read, or has no column of numbers.
+    """
+    table = read_table(path, "init")
+    numbers, unusable = _numbers(table)
+    if not numbers:
+        raise DataError(
+            f"init: {path} must have columns of numbers but has none; check what separates its "
+            "columns, and that its first row holds their names"
+        )
+    columns = [TableColumn(name, *split_unit(name), _noise(v)) for name, v in numbers.items()]
+    time = _time(columns, time_column)
+    rows = Counter(len(values) for values in numbers.values()).most_common(1)[0][0]
+    if time is not None:
+        rows = len(numbers[time.name])
+    times = np.arange(float(rows)) if time is None else numbers[time.name]
+    kept = [
+        replace(c, jumps=count_jumps(times, numbers[c.name]))
+        for c in columns
+        if (time is None or c.name != time.name) and len(numbers[c.name]) == rows
+    ]
+    rising = [] if time is not None else [c.name for c in kept if _increases(numbers[c.name])]
+    return TableColumns(path, tuple(kept), time, tuple(rising), tuple(unusable))
+
+
+def _numbers(table: MeasuredTable) -> tuple[dict[str, FloatArray], list[str]]:
+    """Return the columns of numbers by name, and the names of the others."""
+    found, others = {}, list(table.unusable)
+    for name in table.columns:
+        try:
+            values = table.numbers(name, "init")
+        except DataError:
+            others.append(name)
+            continue
+        if name and np.isfinite(values).any():
+            found[name] = values
+        elif name:
+            others.append(name)
+    return found, others
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """Return "force" and "N" of "force [N]"; the unit is "" where there is none."""
+    found = _IN_BRACKETS.fullmatch(name) or _AFTER_SLASH.fullmatch(name)
+    if found is None or not found.group(1).strip():
+        return name, ""
+    return found.group(1).strip(), found.group(2).strip()
+
+
+def split_suffix(name: str, wanted: str) -> tuple[str, str] | None:
+    """Return "speed" and "rpm" of "speed_rpm"; None if the end of a name is no unit.
+
+    Parameters
+    ----------
+    name
+        Of a column.
+    wanted
+        The unit of its variable. The end of the name must be convertible to it: "x_m" may be
+        measured in metres, "u_m" of a voltage is not. Where it is "", only units of two letters and
+        more count, and not "min".
+    """
+    parts = name.split("_")
+    for count in range(min(MOST_PARTS, len(parts) - 1), 0, -1):
+        plain, tail = "_".join(parts[:-count]), parts[-count:]
+        unit = "/".join(part for part in tail if part != "per")
+        unit = WORDS.get(unit, unit)
+        if wanted:
+            fits = conversion(unit, wanted) is not None
+        else:
+            fits = is_known(unit) and len(unit) > 1 and unit != "min"
+        if fits and plain.strip("_"):
+            return plain.strip("_"), unit
+    return None
+
+
+def with_suffix(column: TableColumn, wanted: str) -> TableColumn:
+    """Return a column with the unit at the end of its name, if it has no other."""
+    found = None if column.unit else split_suffix(column.name, wanted)
+    return column if found is None else replace(column, plain=found[0], unit=found[1])
+
+
+def _noise(values: FloatArray) -> float:
+    """Estimate the standard deviation of a signal's noise from second differences.
+
+    A smooth signal has hardly any. Their median is taken, so that a few jumps do not count, and at
+    least a part of the signal's own deviation: sensors are no better.
+    """
+    finite = values[np.isfinite(values)]
+    if len(finite) < LEAST_SAMPLES:
+        return 0.0
+    spread = float(1.4826 * np.median(np.abs(np.diff(finite, 2))) / np.sqrt(6.0))
+    return max(spread, LEAST_NOISE * float(np.std(finite)))
+
+
+def _time(columns: list[TableColumn], given: str) -> TableColumn | None:
+    """Return the column with the time, its unit split off."""
+    for column in columns:
+        if column.name == given:
+            return with_suffix(column, "s")
+    if any(_is_time(column) for column in columns):
+        return next(column for column in columns if _is_time(column))
+    ended = [with_suffix(column, "s") for column in columns]
+    return next((c for c in ended if _is_time(c) and c.plain != "T"), None)
+
+
+def _is_time(column: TableColumn) -> bool:
+    if column.folded not in TIMES:
+        return False
+    return not column.unit or conversion(column.unit, "s") is not None
+
+
+def _increases(values: FloatArray) -> bool:
+    return len(values) > 1 and bool(np.all(np.diff(values) > 0.0))
+
+
+SIMILAR = 0.6
+"""Ratio of `difflib` from which two names look alike."""
+
+_PARTS = re.compile(r"[A-Z]?[a-z0-9]+|[A-Z0-9]+")
+"""Of a column's name: "u" and "Est" of "uEst"."""
+
+
+@dataclass(frozen=True)
+class ColumnMatch:
+    """A variable and its column.
+
+    Attributes
+    ----------
+    column
+        The column of its name; None if there is none.
+    similar
+        A suggestion; None if there is none, or `column` is certain.
+    """
+
+    variable: ModelVariable
+    column: TableColumn | None = None
+    similar: TableColumn | None = None
+
+
+def match(
+    variables: Sequence[ModelVariable],
+    columns: Sequence[TableColumn],
+    given: Mapping[str, TableColumn] | None = None,
+) -> list[ColumnMatch]:
+    """Match each variable to a column, and no column twice.
+
+    A column has the same name, or the same but for case, blanks, underscores, brackets and a unit
+    at its end. Where neither decides, a similar column is a suggestion, or the only one that is
+    left, or the only one with a unit that can be converted to the variable's.
+
+    Parameters
+    ----------
+    given
+        Columns of variables that are known.
+    """
+    sure = same(variables, columns, given)
+    left = _others(columns, sure)
+    found = []
+    for variable in variables:
+        column = sure.get(variable.name)
+        similar = None if column is not None else _most_similar(variable, left)
+        if similar is not None:
+            left.remove(similar)
+            similar = with_suffix(similar, variable.unit)
+        found.append(ColumnMatch(variable, column, similar))
+    return _by_unit(_last_one(found, left), left)
+
+
+def same(
+    variables: Sequence[ModelVariable],
+    columns: Sequence[TableColumn],
+    given: Mapping[str, TableColumn] | None = None,
+) -> dict[str, TableColumn]:
+    """Return the columns that are certain, by the variable's name."""
+    own = given or {}
+    sure = {v.name: with_suffix(own[v.name], v.unit) for v in variables if v.name in own}
+    sure |= _same([(v, v.name) for v in variables], [(c, c.name) for c in columns], sure)
+    sure |= _same([(v, v.name) for v in variables], [(c, c.plain) for c in columns], sure)
+    folded = [(v, fold(v.name)) for v in variables]
+    sure |= _same(folded, [(c, c.folded) for c in columns], sure)
+    return sure | _suffixed(variables, columns, sure)
+
+
+def _others(columns: Sequence[TableColumn], taken: Mapping[str, TableColumn]) -> list[TableColumn]:
+    names = {column.name for column in taken.values()}
+    return [column for column in columns if column.name not in names]
+
+
+def _suffixed(
+    variables: Sequence[ModelVariable],
+    columns: Sequence[TableColumn],
+    taken: Mapping[str, TableColumn],
+) -> dict[str, TableColumn]:
+    """Return columns by variable where the name is the same but for a unit at its end."""
+    free = [c for c in _others(columns, taken) if "_" in c.name and not c.unit]
+    pairs = []
+    for variable in variables:
+        wanted = fold(variable.name)
+        for column in free if variable.name not in taken and wanted else ():
+            if column.folded.startswith(wanted):
+                found = split_suffix(column.name, variable.unit)
+                if found is not None and fold(found[0]) == wanted:
+                    pairs.append((variable, with_suffix(column, variable.unit)))
+    names = Counter(variable.name for variable, _ in pairs)
+    used = Counter(column.name for _, column in pairs)
+    return {v.name: c for v, c in pairs if names[v.name] == used[c.name] == 1}
+
+
+def _last_one(found: list[ColumnMatch], left: list[TableColumn]) -> list[ColumnMatch]:
+    """Suggest the column if one variable and one column are left over."""
+    open_ = [i for i, m in enumerate(found) if m.column is None and m.similar is None]
+    if len(open_) == len(left) == 1:
+        similar = with_suffix(left.pop(), found[open_[0]].variable.unit)
+        found[open_[0]] = replace(found[open_[0]], similar=similar)
+    return found
+
+
+def _by_unit(found: list[ColumnMatch], left: list[TableColumn]) -> list[ColumnMatch]:
+    """Suggest a column where it alone, of those left over, has a unit of a variable's kind."""
+    open_ = [i for i, m in enumerate(found) if m.column is None and m.similar is None]
+    fitting = {i: [c for c in left if _of_kind(c, found[i].variable)] for i in open_}
+    wanted = Counter(c.name for columns in fitting.values() for c in columns)
+    for i, columns in fitting.items():
+        if len(columns) == 1 and wanted[columns[0].name] == 1:
+            found[i] = replace(found[i], similar=columns[0])
+    return found
+
+
+def _of_kind(column: TableColumn, variable: ModelVariable) -> bool:
+    return bool(column.unit and variable.unit) and (
+        conversion(column.unit, variable.unit) is not None
+    )
+
+
+def _same(
+    variables: list[tuple[ModelVariable, str]],
+    columns: list[tuple[TableColumn, str]],
+    taken: Mapping[str, TableColumn],
+) -> dict[str, TableColumn]:
+    """Return columns by variable where a key is the same and unique on both sides."""
+    names = {column.name for column in taken.values()}
+    free = [(c, key) for c, key in columns if c.name not in names]
+    open_ = [(v, key) for v, key in variables if v.name not in taken]
+    counts = Counter(key for _, key in free)
+    wanted = Counter(key for _, key in open_)
+    unique = {key: c for c, key in free if key and counts[key] == 1}
+    return {v.name: unique[key] for v, key in open_ if key in unique and wanted[key] == 1}
+
+
+def _most_similar(variable: ModelVariable, columns: list[TableColumn]) -> TableColumn | None:
+    """Return the column most similar to the variable's name, its last part or description."""
+    scores = [(_score(variable, column), -i) for i, column in enumerate(columns)]
+    score, place = max(scores, default=(0.0, 0))
+    return columns[-place] if score >= SIMILAR else None
+
+
+def _score(variable: ModelVariable, column: TableColumn) -> float:
+    names = [fold(variable.name), fold(variable.name.split(".")[-1])]
+    ratios = [difflib.SequenceMatcher(None, name, column.folded).ratio() for name in names]
+    parts = {fold(part) for part in _PARTS.findall(column.plain)}
+    described = {fold(word) for word in re.findall(r"\w+", variable.description)}
+    if parts & set(names) or (len(column.folded) > 1 and column.folded in described):
+        ratios.append(SIMILAR)
+    return max(ratios)

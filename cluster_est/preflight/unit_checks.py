@@ -1,0 +1,369 @@
+"""Checks of units: columns, signals and times that seem to be in another one than the model's.
+
+The name of a column may say so. Else the evidence is an error: read in the other unit, the data
+must lie close to the simulation at the start values, and far from it as they are. A start that is
+far off gives no evidence, and no alarm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cluster_est.config.sections import Config
+from cluster_est.preflight.subject import CheckFinding, CheckSubject, fault, note, unanswered
+from cluster_est.preflight.table_columns import split_suffix, split_unit
+from cluster_est.problem.tables.units import (
+    UnitConversion,
+    conversion,
+    likely_conversions,
+    same_unit,
+)
+from cluster_est.problem.tables.unused import TableSource
+from cluster_est.results.output_errors import Simulation
+from cluster_est.toml import dotted
+from workers.fmu.description import ModelDescription
+from workers.messages import Experiment, FloatArray, Input
+from workers.probes.variants import SimulatedVariant, VariantProbe
+from workers.process.trial import NoAnswer
+
+LEAST_LETTERS = 2
+"""Of a unit at the end of a name: "x_m" may be a measured x, "x_mm" is not."""
+
+
+def unit_findings(config: Config, description: ModelDescription) -> list[CheckFinding]:
+    """Return a line for each column whose name says another unit than its variable has.
+
+    Each column is named once, whatever the number of experiments that have it. One with an entry
+    under `columns` in the config is left out, and so is one whose unit is not known.
+    """
+    pairs = dict.fromkeys(
+        pair
+        for experiment in config.experiments
+        for pair in [
+            ("time", experiment.time),
+            *((name, each.column) for name, each in experiment.inputs.items()),
+            *((name, each.column) for name, each in experiment.outputs.items()),
+        ]
+        if pair[1] not in experiment.columns
+    )
+    lines = []
+    for variable, named in pairs:
+        found, column = description.variables.get(variable), named or ""
+        wanted = "s" if found is None else found.unit
+        unit = _unit(column, wanted)
+        change = conversion(unit, wanted) if unit and wanted else None
+        if change is None or change == UnitConversion(1.0) or same_unit(unit, wanted):
+            continue
+        said = f"column '{column}' is given to {variable}, which is in {wanted}, as it is"
+        do = f"{dotted('columns', column)} = {{ factor = {change.factor:.12g}, "
+        do += f"offset = {change.offset:.12g} }}; with factor = 1 alone if the name is wrong"
+        lines.append(fault("units", said, do))
+    return lines
+
+
+def _unit(column: str, wanted: str) -> str:
+    """Return the unit in a column's name; at its end only one that can hardly be a word."""
+    unit = split_unit(column)[1]
+    found = None if unit or not wanted else split_suffix(column, wanted)
+    return unit if found is None or len(found[1]) < LEAST_LETTERS else found[1]
+
+
+FAR, NEAR = 0.7, 0.5
+"""Errors over the signal's spread: as it is read, and in the other unit."""
+BETTER = 0.5
+"""Share of the error that may be left in the other unit."""
+NAMELESS = {
+    "rpm": ("rad/s", UnitConversion(np.pi / 30.0)),
+    "rad/s": ("rpm", UnitConversion(30.0 / np.pi)),
+    "deg": ("rad", UnitConversion(np.pi / 180.0)),
+    "rad": ("deg", UnitConversion(180.0 / np.pi)),
+}
+"""What is tried for variables whose unit the FMU does not name: unit, the model's, conversion."""
+KELVINS = 25.0
+"""By which a start may be off, where 273.15 K are the question."""
+LONGER, SMOOTH, ALIKE = 20.0, 0.5, 1.6
+"""Of a time in milliseconds: how often the record is the FMU's own experiment at least; changes
+from sample to sample over the spread, and the factor within which two of them are alike."""
+TIMES = {"milliseconds": 1e-3, "minutes": 60.0, "hours": 3600.0}
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """A way to read a signal: in a unit, where the model counts in another one."""
+
+    unit: str
+    wanted: str
+    change: UnitConversion
+
+    def of(self, values: FloatArray) -> FloatArray:
+        return values * self.change.factor + self.change.offset
+
+
+def misread_units(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[CheckFinding]:
+    """Look for outputs, then for an input, then for times in another unit."""
+    if not subject.declared or subject.problem.effects:
+        return []
+    return _outputs(subject, simulations) or _inputs(subject, simulations)
+
+
+def _outputs(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[CheckFinding]:
+    """Return a line for each output whose measured and simulated sizes differ by a unit."""
+    pairs: dict[str, list[tuple[FloatArray, FloatArray]]] = {}
+    for each in simulations:
+        if each.outcome.trajectory is None:
+            continue
+        seen = each.outcome.trajectory
+        table = SimulatedVariant(seen.times, seen.values)
+        experiment = subject.problem.experiments[each.experiment]
+        for name, pair in _pairs(experiment, table, seen.variables).items():
+            pairs.setdefault(name, []).append(pair)
+    lines = []
+    for name, both in pairs.items():
+        measured = np.concatenate([one for one, _ in both])
+        simulated = np.concatenate([other for _, other in both])
+        found = _likelier(measured, simulated, _readings(subject, name))
+        if found is not None:
+            lines.append(_output_line(name, measured, simulated, found))
+    return lines
+
+
+def _output_line(
+    name: str, measured: FloatArray, simulated: FloatArray, found: _Reading
+) -> CheckFinding:
+    change = found.change
+    if change.offset:
+        said = (
+            f"the measured values are around {np.mean(measured):.3g}, the simulated ones around "
+            f"{np.mean(simulated):.3g}: as {found.unit} and {found.wanted} differ"
+        )
+    else:
+        ratio = _size(measured) / _size(simulated)
+        said = (
+            f"the measured values are {ratio:.3g} times as large as the simulated ones; 1 "
+            f"{found.wanted} is {1.0 / change.factor:.4g} {found.unit}"
+        )
+    said += f": the column seems to be in {found.unit}"
+    return note(f"unit of {name}", said, _column(change))
+
+
+def _column(change: UnitConversion) -> str:
+    offset = f", offset = {change.offset:.12g}" if change.offset else ""
+    return f"columns.COLUMN = {{ factor = {change.factor:.12g}{offset} }}, for the column's name"
+
+
+def _readings(subject: CheckSubject, name: str) -> list[_Reading]:
+    """Return the units in which the column of a variable may be."""
+    unit = subject.description.variables[name].unit
+    if unit:
+        likely = likely_conversions(unit)
+        return [_Reading(other, unit, change) for other, change in likely.items()]
+    return [_Reading(other, wanted, change) for other, (wanted, change) in NAMELESS.items()]
+
+
+def _likelier(
+    measured: FloatArray, simulated: FloatArray, readings: Sequence[_Reading]
+) -> _Reading | None:
+    """Return the reading with which the data fit the simulation; None if there is none clearly."""
+    as_is = _error(measured, simulated)
+    if not as_is > FAR:
+        return None
+    errors = []
+    for i, reading in enumerate(readings):
+        read = reading.of(measured)
+        if reading.change.offset:
+            nearer = abs(float(np.mean(read - simulated))) < KELVINS
+            farther = abs(float(np.mean(measured - simulated))) > 4.0 * KELVINS
+            clear = nearer and farther
+            errors.append((0.0 if clear else np.inf, i))
+        else:
+            errors.append((_error(read, simulated), i))
+    error, i = min(errors, default=(np.inf, 0))
+    return readings[i] if error < min(NEAR, BETTER * as_is) else None
+
+
+def _error(measured: FloatArray, simulated: FloatArray) -> float:
+    """Return the error over the measured spread; NaN of what does not move."""
+    spread = float(np.std(measured))
+    if len(measured) < 3 or not spread > 0.0:
+        return float("nan")
+    return float(np.sqrt(np.mean((measured - simulated) ** 2))) / spread
+
+
+def _size(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) or np.nan
+
+
+def _pairs(
+    experiment: Experiment, table: SimulatedVariant, variables: Sequence[str]
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Return the measured and simulated values of each output whose size is known."""
+    found = {}
+    for output in experiment.outputs:
+        if output.learns:
+            continue
+        rows = np.searchsorted(table.times, output.times)
+        column = list(variables).index(output.variable)
+        found[output.variable] = output.values, table.values[rows, column]
+    return found
+
+
+@dataclass(frozen=True)
+class _Variant:
+    """An experiment as it may have been meant."""
+
+    experiment: Experiment
+    factor: float
+    said: str
+    do: str
+    check: str
+
+
+def _inputs(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[CheckFinding]:
+    """Return a line for an input, or for the time, if the data fit once it is read otherwise."""
+    index = subject.experiment
+    mine = next((s for s in simulations if s.experiment == index), None)
+    experiment = subject.problem.experiments[index]
+    seen = None if mine is None else mine.outcome.trajectory
+    as_is = np.inf
+    if seen is not None:
+        as_is = _joint(experiment, SimulatedVariant(seen.times, seen.values), seen.variables)
+    variants = [*_input_variants(subject, experiment), *_time_variants(subject, experiment)]
+    if not as_is > FAR or not variants:
+        return []
+    tried = tuple((v.experiment, v.factor) for v in variants)
+    probe = VariantProbe(tried, subject.start, subject.reset_policy, subject.budget.left / 3.0)
+    found = subject.ask(probe, len(tried), subject.budget.left / 2.0)
+    if isinstance(found, NoAnswer):
+        return [unanswered("units", found)] if found.late else []
+    errors = [
+        np.inf if table is None else _joint(v.experiment, table, v.experiment.recorded)
+        for v, table in zip(variants, found, strict=False)
+    ]
+    best = int(np.argmin(errors)) if errors else 0
+    if errors and errors[best] < min(NEAR, BETTER * as_is):
+        chosen = variants[best]
+        far = f", in place of {as_is:.2g}" if np.isfinite(as_is) else ""
+        said = f"{chosen.said}: the error at the start values is then {errors[best]:.2g} of what "
+        said += f"the outputs move by{far}"
+        return [note(chosen.check, said, chosen.do)]
+    before = None if seen is None else SimulatedVariant(seen.times, seen.values)
+    return _jumpy(subject, before, list(zip(variants, found, strict=False)))
+
+
+def _jumpy(
+    subject: CheckSubject,
+    before: SimulatedVariant | None,
+    tried: Sequence[tuple[_Variant, SimulatedVariant | None]],
+) -> list[CheckFinding]:
+    """Return a line if the simulation jumps from sample to sample where the data do not.
+
+    For a model that swings, whose phase at the start values says nothing. The record must be far
+    longer than the FMU's own experiment, its times whole numbers, and in milliseconds the
+    simulation must change from sample to sample as much as the data do.
+    """
+    experiment = subject.problem.experiments[subject.experiment]
+    start, stop = subject.description.default_start or 0.0, subject.description.default_stop
+    long = experiment.stop - experiment.start
+    whole = all(np.allclose(o.times, np.round(o.times), 0.0, 1e-6) for o in experiment.outputs)
+    if stop is None or not whole or not long > LONGER * (stop - start):
+        return []
+    wanted, variables = _steps(experiment, None), experiment.recorded
+    as_is = np.inf if before is None else _steps(experiment, before, variables)
+    for variant, table in tried:
+        if variant.factor < 1.0 and table is not None and wanted < SMOOTH:
+            found = _steps(variant.experiment, table, variables)
+            if as_is > 2.0 * wanted and wanted / ALIKE < found < wanted * ALIKE:
+                said = (
+                    f"{variant.said}, where the FMU's own experiment takes {stop - start:.4g} "
+                    "seconds: only then does the simulation change from sample to sample as the "
+                    "data do"
+                )
+                return [note(variant.check, said, variant.do)]
+    return []
+
+
+def _steps(
+    experiment: Experiment, table: SimulatedVariant | None, variables: Sequence[str] = ()
+) -> float:
+    """Return by how much signals change from sample to sample, over what they move by."""
+    signals = [output.values for output in experiment.outputs if not output.learns]
+    if table is not None:
+        signals = [pair[1] for pair in _pairs(experiment, table, variables).values()]
+    found = [
+        float(np.sqrt(np.mean(np.diff(each) ** 2)) / np.std(each))
+        for each in signals
+        if len(each) > 2 and np.std(each) > 0.0
+    ]
+    return max(found, default=float("nan"))
+
+
+def _input_variants(subject: CheckSubject, experiment: Experiment) -> Iterator[_Variant]:
+    for given in experiment.inputs:
+        for reading in _readings(subject, given.variable):
+            read = replace(given, values=reading.of(given.values))
+            yield _Variant(
+                _with_input(experiment, read),
+                1.0,
+                f"the column seems to be in {reading.unit}, and the FMU counts in {reading.wanted}",
+                _column(reading.change),
+                f"unit of {given.variable}",
+            )
+
+
+def _with_input(experiment: Experiment, given: Input) -> Experiment:
+    others = tuple(given if i.variable == given.variable else i for i in experiment.inputs)
+    return replace(experiment, inputs=others)
+
+
+def _time_variants(subject: CheckSubject, experiment: Experiment) -> Iterator[_Variant]:
+    long = experiment.stop - experiment.start
+    tables = {table.experiment: table for table in subject.problem.tables}
+    table = tables.get(experiment.id)
+    for unit, factor in TIMES.items():
+        yield _Variant(
+            _stretched(experiment, factor),
+            factor,
+            f"the time seems to be in {unit}, and is read as {long:.4g} seconds",
+            _rescaled_time(table, factor),
+            "time",
+        )
+
+
+def _rescaled_time(table: TableSource | None, factor: float) -> str:
+    """Return the key that says in which unit the times of a table are."""
+    if table is not None and table.time:
+        return f"{dotted('columns', table.time)} = {{ factor = {factor:g} }}"
+    if table is not None and table.sample_time:
+        return f"sample_time = {table.sample_time * factor:g}"
+    return (
+        f"columns.COLUMN = {{ factor = {factor:g} }}, for the name of the time's column; or "
+        f"{factor:g} times the sample_time"
+    )
+
+
+def _stretched(experiment: Experiment, factor: float) -> Experiment:
+    """Return an experiment with its times multiplied."""
+    return replace(
+        experiment,
+        start=experiment.start * factor,
+        stop=experiment.stop * factor,
+        inputs=tuple(replace(i, times=i.times * factor) for i in experiment.inputs),
+        outputs=tuple(
+            replace(o, times=o.times * factor, reference=None) for o in experiment.outputs
+        ),
+        signals=(),
+        bounds=(),
+        curve=None,
+        cost_function=None,
+        constraint_functions=(),
+    )
+
+
+def _joint(experiment: Experiment, table: SimulatedVariant, variables: Sequence[str]) -> float:
+    """Return the root mean square of the errors of all outputs that move."""
+    errors = [_error(*pair) for pair in _pairs(experiment, table, variables).values()]
+    known = [error for error in errors if not np.isnan(error)]
+    return float(np.sqrt(np.mean(np.square(known)))) if known else float("nan")

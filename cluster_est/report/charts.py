@@ -1,0 +1,498 @@
+"""Charts as HTML with inline SVG, drawn without a library and without a network.
+
+A `Chart` has plots below each other with the same scale across, a `Plot` has marks between two
+scales. Each mark makes paths; colours and widths are those of its CSS class. Texts are HTML beside
+a stretched SVG, so that they keep their size on any screen and on paper. The page's script reads
+scales and paths back to show values and to zoom; all is seen without it.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar, Self, final
+
+import numpy as np
+from markupsafe import Markup
+
+from cluster_est.report.number_text import MINUS
+from workers.messages import FloatArray, IntArray
+
+UNITS = 10_000
+"""Places across a plot and up a plot: fine enough that a value read back has four digits."""
+
+LOG_FROM = 10.0
+"""Ratio of two positive values beyond which a scale that may be logarithmic is."""
+
+LEAST_TICKS = 2
+
+MORE = 1.35
+"""Times the asked number of parts there may be, rather than fewer than half."""
+
+
+@final
+@dataclass(frozen=True)
+class Scale:
+    """The values at both ends of a plot, which lie evenly between, or their logarithms do.
+
+    Attributes
+    ----------
+    low, high
+        Different from each other; both positive where `log`.
+    log
+        Whether it is logarithmic.
+    """
+
+    low: float
+    high: float
+    log: bool = False
+
+    @classmethod
+    def around(cls, *values: FloatArray, margin: float = 0.04, may_be_log: bool = False) -> Self:
+        """A scale that holds all finite values, with a margin as a share of their range."""
+        known = np.concatenate([np.ravel(each) for each in values]) if values else np.zeros(0)
+        known = known[np.isfinite(known)]
+        if not len(known):
+            return cls(0.0, 1.0)
+        low, high = float(known.min()), float(known.max())
+        if may_be_log and low > 0.0 and high / low > LOG_FROM:
+            wider = (high / low) ** margin
+            return cls(low / wider, high * wider, log=True)
+        if high - low <= 1e-12 * max(abs(low), abs(high)):  # nothing but rounding would fill it
+            wider = 0.5 * abs(high) or 1.0
+            return cls(low - wider, high + wider)
+        wider = margin * (high - low)
+        return cls(low - wider, high + wider)
+
+    def places(self, values: FloatArray) -> FloatArray:
+        """Where values stand, from 0 at the low end to `UNITS` at the high one; NaN stays NaN."""
+        if self.log:
+            with np.errstate(all="ignore"):
+                shares = np.log(values / self.low) / math.log(self.high / self.low)
+            return np.asarray(UNITS * np.where(np.isfinite(shares), shares, np.nan))
+        return np.asarray(UNITS * (values - self.low) / (self.high - self.low))
+
+    def ticks(self, count: int) -> tuple[tuple[float, str], ...]:
+        """About so many round values between both ends, two at least, and how they are written."""
+        if self.log:
+            return self._powers(count)
+        values: list[float] = []
+        while len(values) < LEAST_TICKS:  # one alone gives no measure of the scale
+            step = nice_step(self.high - self.low, count)
+            first, last = math.ceil(self.low / step), math.floor(self.high / step)
+            values = [step * number for number in range(first, last + 1)]
+            count += 1
+        return tuple((value, tick_text(value, step)) for value in values)
+
+    def _powers(self, count: int) -> tuple[tuple[float, str], ...]:
+        """Powers of ten, with 2 and 5 between where there is room."""
+        first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
+        for leading in ((1, 2, 5), (1, 3), (1,)):
+            found = [m * 10.0**power for power in range(first, last + 1) for m in leading]
+            found = [value for value in found if self.low <= value <= self.high]
+            if len(found) <= count + 1:
+                break
+        found = found[:: max(1, math.ceil(len(found) / (count + 1)))]
+        return tuple((value, f"{value:g}".replace("-", MINUS)) for value in found)
+
+
+def nice_step(span: float, count: int) -> float:
+    """The least of 1, 2 and 5 times a power of ten that cuts a span into about `count` parts."""
+    raw = span / (MORE * max(1, count))
+    power = 10.0 ** math.floor(math.log10(raw))
+    return next(m * power for m in (1, 2, 5, 10) if m * power >= raw * (1.0 - 1e-9))
+
+
+def tick_text(value: float, step: float) -> str:
+    """A multiple of a step, with as many digits as tell it from the next one."""
+    if abs(value) < 1e-9 * step:
+        return "0"
+    size = max(abs(value), step)
+    if 1e-3 <= size < 1e5 and step >= 1e-6:
+        text = f"{value:.{max(0, -math.floor(math.log10(step) + 1e-9))}f}"
+    else:
+        digits = math.floor(math.log10(size) + 1e-9) - math.floor(math.log10(step) + 1e-9)
+        mantissa, _, exponent = f"{value:.{digits}e}".partition("e")
+        text = f"{mantissa}e{int(exponent)}"
+    return text.replace("-", MINUS)
+
+
+FARTHEST = 100 * UNITS
+"""Places beyond this are cut off: a browser draws them in single precision."""
+
+
+def whole_places(x: FloatArray, y: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Whole places of points whose y grows upwards, and which of the points these are."""
+    known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    across = np.clip(np.rint(x[known]), -FARTHEST, FARTHEST).astype(np.int64)
+    down = np.clip(np.rint(UNITS - y[known]), -FARTHEST, FARTHEST).astype(np.int64)
+    return across, down, known
+
+
+def line_path(x: FloatArray, y: FloatArray) -> str:
+    """A line through places; it is broken where one of them is NaN."""
+    across, down, known = whole_places(x, y)
+    parts = []
+    breaks = np.flatnonzero(np.diff(known) > 1) + 1
+    for part_x, part_y in zip(np.split(across, breaks), np.split(down, breaks), strict=True):
+        if len(part_x):
+            steps = np.column_stack([np.diff(part_x), np.diff(part_y)])
+            moved = steps[(steps != 0).any(axis=1)]
+            rest = _joined(moved.ravel().tolist()) if len(moved) else "0 0"
+            parts.append(f"M{part_x[0]} {part_y[0]}l{rest}")
+    return "".join(parts)
+
+
+def dots_path(x: FloatArray, y: FloatArray) -> str:
+    """A line without length at each place; round ends make a dot of it."""
+    across, down, _ = whole_places(x, y)
+    return "".join(f"M{a} {b}h0" for a, b in zip(across.tolist(), down.tolist(), strict=True))
+
+
+def outline_path(x: FloatArray, low: FloatArray, high: FloatArray) -> str:
+    """An area between two lines over the same places."""
+    return line_path(np.concatenate([x, x[::-1]]), np.concatenate([high, low[::-1]])) + "z"
+
+
+def box_paths(corners: Iterable[Sequence[float]]) -> str:
+    """Rectangles, each from its left, right, lower and upper place."""
+    parts = []
+    for left, right, low, high in corners:
+        a, b = round(left), round(right)
+        top, bottom = round(UNITS - high), round(UNITS - low)
+        parts.append(f"M{a} {top}H{b}V{bottom}H{a}z")
+    return "".join(parts)
+
+
+def _joined(numbers: Iterable[int]) -> str:
+    """Numbers with a space between, where there is no sign to tell them apart."""
+    return " ".join(map(str, numbers)).replace(" -", "-")
+
+
+PATH = Markup('<path class="{} {}"{} d="{}"/>')
+LEVELS = 5
+"""Shades of `Cells`."""
+
+
+@dataclass(frozen=True)
+class Mark(ABC):
+    """A mark in a plot: what it shows, its ink (a CSS class that names a colour), and its paths.
+
+    `kind` is the CSS class of its paths; marks that `read` are read off under the pointer.
+    """
+
+    name: str
+    ink: str
+    kind: ClassVar[str]
+    reads: ClassVar[bool] = False
+
+    @abstractmethod
+    def data(self, x: Scale, y: Scale) -> str:
+        """The path's data between two scales."""
+
+    def svg(self, x: Scale, y: Scale) -> Markup:
+        """The mark as elements of SVG."""
+        named = Markup(' data-name="{}"').format(self.name) if self.reads else ""
+        return PATH.format(self.kind, self.ink, named, self.data(x, y))
+
+
+@final
+@dataclass(frozen=True)
+class Line(Mark):
+    """A line through points, or steps that hold each value until the next point."""
+
+    x: FloatArray = field(repr=False)
+    y: FloatArray = field(repr=False)
+    steps: bool = False
+    kind: ClassVar[str] = "line"
+    reads: ClassVar[bool] = True
+
+    def data(self, x: Scale, y: Scale) -> str:
+        across, up = x.places(self.x), y.places(self.y)
+        if self.steps and len(across):
+            across, up = np.repeat(across, 2)[1:], np.repeat(up, 2)[:-1]
+        return line_path(across, up)
+
+
+@final
+@dataclass(frozen=True)
+class Dots(Mark):
+    """A dot at each point."""
+
+    x: FloatArray = field(repr=False)
+    y: FloatArray = field(repr=False)
+    kind: ClassVar[str] = "dots"
+    reads: ClassVar[bool] = True
+
+    def data(self, x: Scale, y: Scale) -> str:
+        return dots_path(x.places(self.x), y.places(self.y))
+
+
+@final
+@dataclass(frozen=True)
+class ErrorBars(Mark):
+    """A vertical line from a lower to an upper value at each x."""
+
+    x: FloatArray = field(repr=False)
+    low: FloatArray = field(repr=False)
+    high: FloatArray = field(repr=False)
+    kind: ClassVar[str] = "bar-line"
+
+    def data(self, x: Scale, y: Scale) -> str:
+        at = np.repeat(x.places(self.x), 3)
+        ends = np.column_stack(
+            [y.places(self.low), y.places(self.high), np.full(len(self.x), np.nan)]
+        )
+        return line_path(at, ends.ravel())
+
+
+@final
+@dataclass(frozen=True)
+class Band(Mark):
+    """The area between two curves."""
+
+    x: FloatArray = field(repr=False)
+    low: FloatArray = field(repr=False)
+    high: FloatArray = field(repr=False)
+    kind: ClassVar[str] = "band"
+
+    def data(self, x: Scale, y: Scale) -> str:
+        return outline_path(x.places(self.x), y.places(self.low), y.places(self.high))
+
+
+@final
+@dataclass(frozen=True)
+class Bars(Mark):
+    """A bar between each two edges, from the lower end of the plot or from 0 up to its height."""
+
+    edges: FloatArray = field(repr=False)
+    heights: FloatArray = field(repr=False)
+    kind: ClassVar[str] = "bars"
+
+    def data(self, x: Scale, y: Scale) -> str:
+        ends, tops = x.places(self.edges), y.places(self.heights)
+        floor = max(0.0, float(y.places(np.zeros(1))[0])) if not y.log else 0.0
+        some = np.flatnonzero(np.isfinite(tops) & (tops != floor))
+        return box_paths((ends[i], ends[i + 1], floor, tops[i]) for i in some.tolist())
+
+
+@final
+@dataclass(frozen=True)
+class Rules(Mark):
+    """Straight lines across the plot: upright ones at values of x, level ones at values of y."""
+
+    x: Sequence[float] = ()
+    y: Sequence[float] = ()
+    kind: ClassVar[str] = "rule"
+
+    def data(self, x: Scale, y: Scale) -> str:
+        upright = x.places(np.array(self.x, float))
+        level = UNITS - y.places(np.array(self.y, float))
+        found = [f"M{round(v)} 0V{UNITS}" for v in upright.tolist() if 0 <= v <= UNITS]
+        found += [f"M0 {round(v)}H{UNITS}" for v in level.tolist() if 0 <= v <= UNITS]
+        return "".join(found)
+
+
+@final
+@dataclass(frozen=True)
+class Cells(Mark):
+    """Rows of cells between the same edges, the darker the nearer their share is to 1.
+
+    Attributes
+    ----------
+    edges : (n + 1,)
+    shares : (rows, n)
+        From 0 to 1; row i stands around y = i.
+    """
+
+    edges: FloatArray = field(repr=False)
+    shares: FloatArray = field(repr=False)
+    kind: ClassVar[str] = "cells"
+
+    def data(self, x: Scale, y: Scale) -> str:
+        return "".join(self._boxes(x, y, level) for level in range(1, LEVELS + 1))
+
+    def svg(self, x: Scale, y: Scale) -> Markup:
+        levels = range(1, LEVELS + 1)
+        return Markup("").join(
+            PATH.format(self.kind, f"{self.ink} level-{n}", "", self._boxes(x, y, n))
+            for n in levels
+        )
+
+    def _boxes(self, x: Scale, y: Scale, level: int) -> str:
+        """Cells of one shade; neighbours in a row are one box."""
+        ends = x.places(self.edges)
+        found = []
+        for row, shares in enumerate(np.rint(self.shares * LEVELS).astype(int)):
+            low, high = y.places(np.array([row - 0.42, row + 0.42]))
+            bounds = np.flatnonzero(np.diff(np.concatenate([[0], shares == level, [0]])))
+            found += [(ends[a], ends[b], low, high) for a, b in bounds.reshape(-1, 2).tolist()]
+        return box_paths(found)
+
+
+PIXELS_A_TICK = 40
+"""Height of a plot for each value that is written beside it."""
+MOST_SIGNS = 70
+"""Signs of the numbers below a plot, and two for the space after each: more would run together."""
+
+PLOT = Markup(
+    '<div class="plot" style="height:{height}px" data-x="{x}" data-y="{y}">{label}{beside}'
+    '<svg viewBox="0 0 {units} {units}" preserveAspectRatio="none" role="img" aria-label="{title}">'
+    '<title>{title}</title><path class="grid" d="{grid}"/>{marks}</svg>{below}</div>'
+)
+CHART = Markup('<div class="chart{classes}"{gutter}>{legend}{plots}{under}</div>')
+
+
+@final
+@dataclass(frozen=True)
+class Plot:
+    """A rectangle with marks between two scales.
+
+    Attributes
+    ----------
+    title
+        What it shows, in words, for those who do not see it.
+    label
+        What stands above its upright scale.
+    x, y
+        Its scales.
+    marks
+        The last one is drawn on top.
+    height
+        In pixels.
+    rows
+        Names of the rows at y = 0, 1, ...; round values of y if there are none.
+    """
+
+    title: str
+    label: str
+    x: Scale
+    y: Scale
+    marks: Sequence[Mark] = field(repr=False)
+    height: int = 220
+    rows: Sequence[str] = ()
+
+    def beside(self) -> tuple[tuple[float, str], ...]:
+        """Values of y with what is written at them."""
+        if self.rows:
+            return tuple((float(i), name) for i, name in enumerate(self.rows))
+        return self.y.ticks(max(2, round(self.height / PIXELS_A_TICK)))
+
+    def under(self, most: int) -> tuple[tuple[float, str], ...]:
+        """Values of x with what is written at them, as many as there is room for."""
+        ticks = self.x.ticks(most)
+        while most > 1 and sum(len(text) + 2 for _, text in ticks) > MOST_SIGNS:
+            most -= 1
+            ticks = self.x.ticks(most)
+        return ticks
+
+    def html(self, *, across: int, last: bool) -> Markup:
+        """The plot as HTML; values of x are written below the `last` one of a chart."""
+        up = [(place, text) for place, text in self._placed(self.y, self.beside())]
+        right = self._placed(self.x, self.under(across))
+        grid = [f"M0 {round(UNITS - place)}H{UNITS}" for place, _ in up if not self.rows]
+        grid += [f"M{round(place)} 0V{UNITS}" for place, _ in right]
+        return PLOT.format(
+            height=self.height,
+            x=_ends(self.x),
+            y=_ends(self.y) if not self.rows else "",
+            label=Markup('<p class="label">{}</p>').format(self.label) if self.label else "",
+            beside=_texts("y-axis", "bottom", up),
+            title=self.title,
+            units=UNITS,
+            grid="".join(grid),
+            marks=Markup("").join(mark.svg(self.x, self.y) for mark in self.marks),
+            below=_texts("x-axis", "left", right) if last else "",
+        )
+
+    @staticmethod
+    def _placed(scale: Scale, ticks: Sequence[tuple[float, str]]) -> list[tuple[float, str]]:
+        at = scale.places(np.array([value for value, _ in ticks], float))
+        return [(p, text) for p, (_, text) in zip(at.tolist(), ticks, strict=True)]
+
+
+@final
+@dataclass(frozen=True)
+class Chart:
+    """Plots below each other.
+
+    Attributes
+    ----------
+    plots
+        With the same scale across.
+    below
+        What the scale across shows.
+    legend
+        Whether the names of the marks are shown.
+    across
+        About how many values are written across.
+    gutter
+        Pixels at the left for what is written there; None for numbers.
+    zooms
+        Whether values are shown under the pointer, and dragging zooms.
+    """
+
+    plots: Sequence[Plot]
+    below: str = ""
+    legend: bool = True
+    across: int = 8
+    gutter: int | None = None
+    zooms: bool = True
+
+    def html(self) -> Markup:
+        """The chart as HTML."""
+        last = len(self.plots) - 1
+        plots = [plot.html(across=self.across, last=i == last) for i, plot in enumerate(self.plots)]
+        gutter = (
+            Markup(' style="--gutter:min({}px,40vw)"').format(self.gutter) if self.gutter else ""
+        )
+        return CHART.format(
+            classes=" zooms" if self.zooms else "",
+            gutter=gutter,
+            legend=self._legend(),
+            plots=Markup("").join(plots),
+            under=Markup('<p class="below">{}</p>').format(self.below) if self.below else "",
+        )
+
+    def _legend(self) -> Markup:
+        marks = [mark for plot in self.plots for mark in plot.marks if mark.name]
+        if not self.legend or not marks:
+            return Markup("")
+        named = {mark.name: mark for mark in reversed(marks)}
+        entry = Markup('<span><i class="{} {}"></i>{}</span>')
+        entries = [entry.format(m.kind, m.ink, m.name) for m in reversed(named.values())]
+        return Markup('<p class="legend">{}</p>').format(Markup("").join(entries))
+
+
+def row_chart(
+    title: str, below: str, across: Scale, marks: Sequence[Mark], names: Sequence[str],
+    *, height: int = 20, least: int = 60, legend: bool = True,
+) -> Chart:  # fmt: skip
+    """Return a chart with a row of so many pixels for each name, the first one at the top.
+
+    All together have `least` pixels or more.
+    """
+    upright = Scale(len(names) - 0.5, -0.5)
+    plot = Plot(title, "", across, upright, marks, max(least, height * len(names)), names)
+    return Chart((plot,), below, legend=legend, gutter=_gutter(names), zooms=False)
+
+
+def _gutter(names: Sequence[str]) -> int:
+    """Return pixels that names at the left of a plot take; longer ones are cut off."""
+    return min(240, 16 + 7 * max(map(len, names), default=0))
+
+
+def _ends(scale: Scale) -> str:
+    """Both ends with all their digits, for the page's script."""
+    return f"{scale.low!r} {scale.high!r}{' log' if scale.log else ''}"
+
+
+def _texts(kind: str, side: str, placed: Sequence[tuple[float, str]]) -> Markup:
+    """Texts at their places along one side of a plot."""
+    entry = Markup('<span style="{}:{}%">{}</span>')
+    texts = [entry.format(side, f"{100.0 * at / UNITS:.4g}", text) for at, text in placed]
+    return Markup('<div class="{}" aria-hidden="true">{}</div>').format(
+        kind, Markup("").join(texts)
+    )

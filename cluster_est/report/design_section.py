@@ -1,0 +1,158 @@
+"""The section on a design: the input, what each model predicts of it, and what it will tell."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from cluster_est.closed_loop.findings.words.numbers import percent
+from cluster_est.experiment_design.findings.sentences import times
+from cluster_est.report.charts import Band, Chart, Line, Mark, Plot, Scale
+from cluster_est.report.number_text import digits
+from cluster_est.report.page_blocks import Block, FigureBlock, ReportSection, code, table
+from cluster_est.report.reported_run import ReportedRun, Row
+from workers.messages import FloatArray
+
+MOST_MODELS = 5
+"""Whose predictions are drawn."""
+COVERED = 1.96
+Curve = tuple[FloatArray, FloatArray, FloatArray]
+INPUT_NOTE = "It is in the table beside the run's folder, to be fed in as it is."
+OUTPUT_NOTE = (
+    "What each model predicts; the bands are the uncertainty of its parameters (95 %), without the "
+    "noise of the sensors. Where curves part, the measurement will tell."
+)
+
+
+def design(run: ReportedRun) -> ReportSection:
+    """Everything that a design has found; nothing for other runs."""
+    rows = run.tables["next_input"]
+    blocks: list[Block] = []
+    if rows and run.is_design:
+        blocks = [*_inputs(rows), *_outputs(run), *_models(run), *_parameters(run)]
+        blocks += _predictions(run)
+    return ReportSection("design", "The next experiment", tuple(blocks))
+
+
+def _inputs(rows: Sequence[Row]) -> list[Block]:
+    time = np.array([row["time"] for row in rows])
+    plots = []
+    for name in rows[0]:
+        if name == "time" or rows[0][name] is None:
+            continue
+        line = Line(name, "after", time, np.array([row[name] for row in rows]))
+        plots.append(Plot(name, name, Scale.around(time), Scale.around(line.y), [line], 170))
+    if not plots:
+        return []
+    chart = Chart(tuple(plots), "time in s", legend=False)
+    return [FigureBlock("next-input", "What is fed in", chart, INPUT_NOTE)]
+
+
+def _outputs(run: ReportedRun) -> list[Block]:
+    rows = run.tables["expected"]
+    plots = []
+    for output in dict.fromkeys(row["output"] for row in rows):
+        models = _curves([row for row in rows if row["output"] == output])
+        first, reference = next(iter(models.items()))
+        plots.append(_plot(output, models))
+        if len(models) > 1:
+            others = {
+                name: (time, expected - reference[1], error)
+                for name, (time, expected, error) in models.items()
+                if name != first and len(time) == len(reference[0])
+            }
+            plots.append(_plot(f"{output}, less that of {first}", others, begin=1))
+    chart = Chart(tuple(plots), "time in s")
+    return [FigureBlock("expected", "What is expected", chart, OUTPUT_NOTE)] if plots else []
+
+
+def _curves(rows: Sequence[Row]) -> dict[str, Curve]:
+    """Time, what is expected and its error, for each of the leading models."""
+    found = {}
+    for model in list(dict.fromkeys(row["model"] for row in rows))[:MOST_MODELS]:
+        own = [row for row in rows if row["model"] == model]
+        time, expected, error = (
+            np.array([row[key] for row in own]) for key in ("time", "expected", "std_error")
+        )
+        found[model] = (time, expected, error)
+    return found
+
+
+def _plot(label: str, models: Mapping[str, Curve], begin: int = 0) -> Plot:
+    """Curves with their bands, in inks that are counted from `begin`."""
+    marks: list[Mark] = []
+    for number, (model, (time, expected, error)) in enumerate(models.items(), begin):
+        ink, band = f"series-{number}", COVERED * error
+        marks.append(Band("", ink, time, expected - band, expected + band))
+        marks.append(Line(model, ink, time, expected))
+    lines = [mark for mark in marks if isinstance(mark, Line)]
+    across = Scale.around(*(line.x for line in lines))
+    upright = Scale.around(*(line.y for line in lines), np.zeros(1) if begin else lines[0].y)
+    return Plot(label, label, across, upright, marks, 150 if begin else 220)
+
+
+def _models(run: ReportedRun) -> list[Block]:
+    models, evidence = run.tables["probabilities"], run.tables["evidence"]
+    if not models:
+        return []
+    first = models[0]["model"]
+    return [
+        table(
+            ("if this is right", "#now", "#after it", "#a random input", "#a recorded one"),
+            [
+                (
+                    code(row["model"]),
+                    *(
+                        "" if math.isnan(row[key]) else percent(row[key])
+                        for key in ("before", "after", "random", "recorded")
+                    ),
+                )
+                for row in models
+            ],
+            "The probability that each model is expected to have if it is the right one, among "
+            "itself and the rivals that some input tells from it",
+        ),
+        table(
+            ("rival", "#after it", "#a random input", "#at best"),
+            [
+                (code(row["rival"]), *(times(row[key]) for key in ("evidence", "random", "best")))
+                for row in evidence
+                if row["true_model"] == first
+            ],
+            f"How many times less likely each rival will be, if {first} is right",
+        ),
+    ]
+
+
+def _parameters(run: ReportedRun) -> list[Block]:
+    return [
+        table(
+            ("parameter", "#value", "#standard error now", "#after it", "#a random input"),
+            [
+                (code(row["label"]), digits(row["value"]), *_errors(row))
+                for row in run.tables["precision"]
+            ],
+            "What the experiment is expected to do to the parameters",
+        )
+    ]
+
+
+def _errors(row: Row) -> list[str]:
+    """The standard error now, after the experiment, and after a random input."""
+    return [digits(row[key]) for key in ("std_error_before", "std_error_after", "random")]
+
+
+def _predictions(run: ReportedRun) -> list[Block]:
+    rows = run.tables["prediction_precision"]
+    if not rows:
+        return []
+    return [
+        table(
+            ("predicted", "of", "#standard deviation now", "#after it", "#a random input"),
+            [(code(row["output"]), row["experiment"], *_errors(row)) for row in rows],
+            "What the experiment is expected to do to predictions: what the uncertainty of the "
+            "parameters makes of them, as a root mean square over the samples",
+        )
+    ]

@@ -1,0 +1,270 @@
+"""Effects that the model lacked: equations, coefficients, curves over the range of the data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from cluster_est.closed_loop.findings.words.numbers import NO_ALTERNATIVE, percent
+from cluster_est.closed_loop.screening.evidence import CandidateStage
+from cluster_est.report.charts import Band, Bars, Chart, Dots, ErrorBars, Line, Mark, Plot, Scale
+from cluster_est.report.number_text import beside, digits, interval
+from cluster_est.report.page_blocks import (
+    Block,
+    FigureBlock,
+    ItemsBlock,
+    ReportSection,
+    SourceBlock,
+    TableBlock,
+    TableCell,
+    TableLine,
+    TextBlock,
+    code,
+    table,
+    with_unit,
+)
+from cluster_est.report.reported_run import ReportedRun, Row
+from workers.messages import FloatArray
+
+MARGIN = 1.5
+"""Heights of a curve by which its band may be drawn beyond it: a wide one would hide it."""
+EVIDENCE = (
+    "Dots are what the residuals alone ask for at a few places, without any form, with 95 % bars; "
+    "the line is the effect that was fitted. Where dots lie on the line, the data agree with its "
+    "shape. "
+)
+RANGE = "The bars below count the samples of the training experiments: beyond them it is a guess."
+
+
+def shape_figure(row: Row, number: int) -> FigureBlock:
+    """Draw one row of shapes.parquet: the effect, its band, its evidence and its samples."""
+    x, y, low, high = (np.array(row[name], float) for name in ("x", "y", "lower", "upper"))
+    height = float(np.nanmax(y) - np.nanmin(y)) or abs(float(y[0])) or 1.0
+    floor, ceiling = float(np.nanmin(y)) - MARGIN * height, float(np.nanmax(y)) + MARGIN * height
+    known = bool(np.isfinite(low).all() and np.isfinite(high).all())
+    marks: list[Mark] = []
+    if known:
+        wide = bool((low < floor).any() or (high > ceiling).any())
+        low, high = np.clip(low, floor, ceiling), np.clip(high, floor, ceiling)
+        name = "95 % band, cut off" if wide else "95 % band"
+        marks.append(Band(name, "after", x, low, high))
+    marks.append(Line("effect", "after", x, y))
+    evidence, seen = _evidence(row, floor, ceiling)
+    marks += evidence
+    over = with_unit(row["variable"], row["variable_unit"])
+    edges, counts = np.array(row["edges"], float), np.array(row["counts"], float)
+    across = Scale.around(edges, margin=0.01)
+    title = f"{row['part']} over {over}, where the training data were"
+    if not known:
+        title += "; the data do not determine every coefficient, so there is no band"
+    upright = Scale.around(y, low[np.isfinite(low)], high[np.isfinite(high)], seen)
+    samples = Scale(0.0, 1.08 * float(counts.max()) or 1.0)
+    plots = (
+        Plot(title, with_unit(row["part"], row["unit"]), across, upright, marks, 230),
+        Plot(f"samples over {over}", "samples", across, samples,
+             [Bars("", "faint", edges, counts)], 60),
+    )  # fmt: skip
+    note = (EVIDENCE if evidence else "") + RANGE
+    return FigureBlock(f"shape-{row['effect']}-{number}", title, Chart(plots, over), note)
+
+
+def _evidence(row: Row, floor: float, ceiling: float) -> tuple[list[Mark], FloatArray]:
+    """What the residuals ask for without a form, if the run has that, and its ends."""
+    at, free, error = (
+        np.array(row.get(name) or (), float) for name in ("free_x", "free_y", "free_error")
+    )
+    some = np.isfinite(at) & np.isfinite(free) & (free >= floor) & (free <= ceiling)
+    if not some.any():
+        return [], np.zeros(0)
+    at, free, spread = at[some], free[some], 1.96 * error[some]
+    low, high = np.maximum(free - spread, floor), np.minimum(free + spread, ceiling)
+    marks = [
+        ErrorBars("", "measured", at, low, high),
+        Dots("what the residuals ask for", "measured", at, free),
+    ]
+    return [*marks], np.concatenate([low, high])
+
+
+COEFFICIENTS = ("coefficient", "#value", "#95 % interval", "unit", "")
+
+
+def effects(run: ReportedRun) -> ReportSection:
+    """Make the section of the effects that were added, or of those that did not pass."""
+    blocks: list[Block] = []
+    for effect in run.facts.get("effects") or []:
+        blocks += _effect(run, effect)
+    found = {effect["name"] for effect in run.facts.get("effects") or []}
+    shapes = [row for row in run.tables["shapes"] if row["effect"] not in found]
+    for name in dict.fromkeys(row["effect"] for row in shapes):
+        blocks += _declared(run, name, [row for row in shapes if row["effect"] == name])
+    rejected = run.facts.get("rejected") or []
+    if rejected:
+        blocks.append(
+            TextBlock(
+                "Not accepted; what follows shows where to look, not what is missing.", "faint"
+            )
+        )
+        rows = [(code(e["site"]), e["form"], code(e["equation"])) for e in rejected]
+        blocks.append(table(("site", "form", "equation"), rows))
+    title = "What the model lacked" if run.is_loop else "Effects that were declared"
+    return ReportSection("effects", title, tuple(blocks))
+
+
+def _effect(run: ReportedRun, effect: Row) -> list[Block]:
+    rows = []
+    for name, row in effect["parameters"].items():
+        low, high = row["lower95"], row["upper95"]
+        width = high - low if low is not None and high is not None else 0.0
+        said = "held" if row["fixed"] else "not determined" if low is None else ""
+        if row["at_bound"]:
+            said = f"at its {row['at_bound']} bound"
+        numbers = beside(row["value"], width), interval(low, high)
+        rows.append((code(name), *numbers, row["unit"], TableCell(said, "faint")))
+    blocks: list[Block] = [
+        TextBlock(f"{effect['name']}: {effect['words']} at {effect['site']}", kind="heading"),
+        TextBlock(effect["equation"], kind="equation"),
+        TextBlock(effect["sentence"]),
+        table(COEFFICIENTS, rows),
+    ]
+    evidence = tuple(effect.get("evidence") or ())
+    blocks += [ItemsBlock(evidence)] if evidence else []
+    shapes = [row for row in run.tables["shapes"] if row["effect"] == effect["name"]]
+    blocks += _shapes(shapes)
+    if not shapes:
+        blocks.append(TextBlock("This run's folder holds no shapes to draw.", "faint"))
+    blocks.append(SourceBlock("As a block for a config", effect["config"]))
+    return blocks
+
+
+def _shapes(rows: Sequence[Row]) -> list[Block]:
+    """The shapes of one effect, and why there are none."""
+    blocks: list[Block] = [shape_figure(row, i) for i, row in enumerate(rows) if not row["why_not"]]
+    missing = dict.fromkeys(row["why_not"] for row in rows if row["why_not"])
+    return [*blocks, *(TextBlock(f"No shape is drawn: {why}.", "faint") for why in missing)]
+
+
+def _declared(run: ReportedRun, name: str, shapes: Sequence[Row]) -> list[Block]:
+    """An effect that the config declares: its coefficients and its shapes."""
+    own = [row for row in run.tables["parameters"] if row["parameter"].startswith(f"{name}.")]
+    rows = [
+        (
+            code(row["label"].removeprefix(f"{name}.")),
+            beside(row["value"], row["upper95"] - row["lower95"]),
+            interval(row["lower95"], row["upper95"]),
+            row["unit"],
+            TableCell("held" if row["estimated_on"] == "known" else "", "faint"),
+        )
+        for row in own
+    ]
+    places = ", ".join(dict.fromkeys(row["part"] for row in shapes))
+    heading = TextBlock(f"{name} at {places}", kind="heading")
+    return [heading, table(COEFFICIENTS, rows), *_shapes(shapes)]
+
+
+def candidates(run: ReportedRun) -> ReportSection:
+    """Make the section of the candidates, ranked, and of those that cannot be told apart."""
+    rows = run.tables["findings"]
+    blocks: list[Block] = [_rivals(effect) for effect in run.facts.get("effects") or []]
+    if rows:
+        blocks.insert(
+            0,
+            TextBlock(
+                "Each step ranks everything that could be missing by how well it points along the "
+                "residual. Explained is the share of the residual's squares that its direction "
+                "carries; the criterion is that of its refit less that of the model without it, "
+                "where it was refitted (lower is better)."
+            ),
+        )
+    for step in sorted({row["step"] for row in rows}):
+        own = sorted((row for row in rows if row["step"] == step), key=_rank)
+        blocks.append(_ranked(step, own))
+    blocks += _compared(run)
+    return ReportSection("candidates", "Candidates", tuple(blocks))
+
+
+def _compared(run: ReportedRun) -> list[Block]:
+    """The structures that each step refitted, the best first."""
+    names = ("structure", "#gap closed", "#criterion", "#probability", "#chosen", "")
+    said = [run.facts[key] for key in ("likely", "resampled") if run.facts.get(key)]
+    blocks: list[Block] = [TextBlock(f"{each[:1].upper()}{each[1:]}.") for each in said]
+    rows = [row for row in run.tables["structures"] if row["effects"]]  # not the declared model
+    for step in sorted({row["step"] for row in rows}):
+        own = [row for row in rows if row["step"] == step]
+        lines = [
+            (
+                code(" + ".join(row["effects"])),
+                _closed(row),
+                digits(row["criterion"], 4),
+                _share(row, "probability"),
+                _share(row, "chosen"),
+                TableCell("accepted", "good") if row["accepted"]
+                else TableCell("" if row["converged"] else "fell behind", "faint"),
+            )
+            for row in own
+        ]  # fmt: skip
+        caption = f"Step {step}: {len(own)} sets of effects refitted"
+        blocks.append(table(names, lines, caption, folded=True))
+    return blocks
+
+
+def _closed(row: Row) -> str:
+    """The share of the gap that a set of effects closes; nothing where there is no gap."""
+    closed = row["closed"]
+    return f"{100.0 * closed:.1f}\u2009%" if math.isfinite(closed) else ""
+
+
+def _share(row: Row, name: str) -> str:
+    """A probability of a set of effects, where it has one."""
+    share = row[name]
+    if share is None or share != share:
+        return ""
+    return percent(share).replace(" %", "\u2009%")
+
+
+STAGES = tuple(reversed(CandidateStage))
+"""The furthest first."""
+
+
+def _rank(row: Row) -> tuple[int, float, float]:
+    stage = row["stage"]
+    place = STAGES.index(stage) if stage in STAGES else len(STAGES)
+    criterion = row["criterion"]
+    return place, 0.0 if criterion is None or criterion != criterion else criterion, row["log_p"]
+
+
+def _ranked(step: int, rows: list[Row]) -> TableBlock:
+    names = ("site", "form", "of", "stage", "#explained", "#log₁₀ p", "#criterion", "")
+    lines = [
+        (
+            code(row["site"]),
+            row["form"],
+            code(", ".join(row["variables"] or ())),
+            TableCell(row["stage"], "good" if row["stage"] == CandidateStage.ACCEPTED else ""),
+            f"{100.0 * row['explained']:.1f}\u2009%",
+            digits(row["log_p"] / np.log(10.0), 4),
+            digits(row["criterion"], 4),
+            TableCell(f"confounded with {each}" if (each := row["imitated_by"]) else "", "faint"),
+        )
+        for row in rows
+    ]
+    return table(names, lines, f"Step {step}: {len(rows)} candidates", folded=True)
+
+
+def _rivals(effect: Row) -> Block:
+    others = effect.get("alternatives") or []
+    if not others:
+        return TextBlock(f"{effect['name']}: {NO_ALTERNATIVE}.")
+    names = ("cannot be told apart", "equation", "#criterion", "differ most at", "#by")
+    chosen = f"{effect['words']} at {effect['site']} (chosen)"
+    lines: list[TableLine] = [(chosen, code(effect["equation"]), "0", "", "")]
+    for other in others:
+        at, by = "", ""
+        if other["experiment"] and other["time"] is not None and other["difference"] is not None:
+            at = f"{other['output']} of {other['experiment']}, {digits(other['time'])} s"
+            by = f"{digits(other['difference'], 2)} times the noise"
+        criterion, said = other["criterion"], f"{other['words']} at {other['site']}"
+        worse = "" if criterion is None else ("+" if criterion >= 0 else "") + digits(criterion, 3)
+        lines.append((said, code(other["equation"]), worse, at, by))
+    return table(names, lines, f"{effect['name']}: {len(lines)} that explain the data alike")

@@ -1,0 +1,233 @@
+"""How large the errors are: beside the noise at the head of a page, and in tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import repeat
+from typing import Any, Literal
+
+import numpy as np
+
+from cluster_est.report.charts import Dots, Line, Mark, Rules, Scale, row_chart
+from cluster_est.report.number_text import count, digits, percent
+from cluster_est.report.page_blocks import (
+    Block,
+    FigureBlock,
+    ReportSection,
+    TableBlock,
+    TableCell,
+    TextBlock,
+    Tone,
+    code,
+    table,
+)
+from cluster_est.report.reported_run import ReportedRun, Row
+
+MOST_ROWS = 24
+"""Rows of the picture that are one output of one experiment each; else each is of an output."""
+ROW_PIXELS = 22
+When = Literal["before", "after"]
+
+
+@dataclass(frozen=True)
+class ErrorSizes:
+    """The errors of a run over one measure of their size.
+
+    Attributes
+    ----------
+    measure
+        What they are divided by, in words.
+    is_noise
+        Whether that is the noise, so that 1 is as good as a model can be.
+    rows
+        Of errors.parquet.
+    divisors
+        For each row, what its normalised error is divided by once more.
+    """
+
+    measure: str
+    is_noise: bool
+    rows: tuple[Row, ...] = field(repr=False)
+    divisors: tuple[float, ...] = field(repr=False)
+
+    def of(self, chosen: Sequence[int], when: When) -> float:
+        """Root mean square over the samples of some rows; NaN where one of them failed."""
+        name = f"{'normalised' if self.is_noise else 'relative'}_{when}"
+        return _pooled([self.rows[i] for i in chosen], name, [self.divisors[i] for i in chosen])
+
+    def of_role(self, role: str) -> list[int]:
+        """The rows of training or of held-out experiments."""
+        return [i for i, row in enumerate(self.rows) if row["role"] == role]
+
+
+def error_sizes(run: ReportedRun) -> ErrorSizes:
+    """Measure the errors by the noise where it is known, else by the signals' own size."""
+    rows = run.tables["errors"]
+    if run.is_loop:
+        measure = {
+            "estimated noise": "the estimated noise",
+            "predicted spread": "what the noise that is left explains",
+        }.get(str(run.facts.get("errors_over")), "the declared noise (sigma)")
+        return ErrorSizes(measure, True, rows, (1.0,) * len(rows))
+    outputs: Mapping[str, Mapping[str, Any]] = {
+        each["output"]: each for each in (run.facts.get("residuals") or {}).get("outputs") or ()
+    }
+    noise = [_noise(outputs.get(row["output"])) for row in rows]
+    if not rows or not all(map(math.isfinite, noise)):
+        return ErrorSizes("the signal's standard deviation", False, rows, (1.0,) * len(rows))
+    declared = {bool(outputs[row["output"]]["declared"]) for row in rows}
+    measure = (
+        "the declared noise (sigma)"
+        if declared == {True}
+        else "the estimated noise"
+        if declared == {False}
+        else "the noise, declared or estimated"
+    )
+    return ErrorSizes(measure, True, rows, tuple(noise))
+
+
+def _noise(output: Mapping[str, Any] | None) -> float:
+    """The noise of an output in sigmas, NaN where it is not known."""
+    if output is None:
+        return math.nan
+    if output["declared"]:
+        return 1.0
+    found = output["noise_over_sigma"]
+    return float(found) if found else math.nan
+
+
+def error_sentence(run: ReportedRun) -> str:
+    """How the error went, against the noise, on training and on held-out experiments."""
+    sizes = error_sizes(run)
+    parts: list[str] = []
+    last = ""
+    for role, where in (("train", "training"), ("test", "held-out")):
+        chosen = sizes.of_role(role)
+        before, after = sizes.of(chosen, "before"), sizes.of(chosen, "after")
+        if math.isnan(after):
+            continue
+        moved = "fell" if after < before else "rose" if after > before else "is"
+        size = digits(after, 3)
+        if moved != "is":
+            size = f"from {digits(before, 3)} to {size}"
+        verb = "" if moved == last else f"{moved} "
+        measured = "" if parts else f" times {sizes.measure}"
+        parts.append(f"{verb}{size}{measured} on {where} experiments")
+        last = moved
+    return f"The error {' and '.join(parts)}." if parts else ""
+
+
+def error_picture(run: ReportedRun) -> FigureBlock | None:
+    """Before, after and noise of each output of each experiment; None without errors."""
+    sizes = error_sizes(run)
+    groups = _groups(sizes)
+    if not groups:
+        return None
+    place = np.arange(len(groups), dtype=float)
+    before, after = (
+        np.array([sizes.of(chosen, when) for chosen in groups.values()])
+        for when in ("before", "after")
+    )
+    path_x = np.column_stack([before, after, np.full(len(place), np.nan)]).ravel()
+    path_y = np.column_stack([place, place, np.full(len(place), np.nan)]).ravel()
+    marks: list[Mark] = [
+        Rules("noise", "measured", x=(1.0,)) if sizes.is_noise else Rules("", "faint"),
+        Line("", "faint", path_x, path_y),
+        Dots("before", "before", before, place),
+        Dots("after", "after", after, place),
+    ]
+    ends = np.array([1.0 if sizes.is_noise else 0.0])
+    across = Scale.around(before[before > 0.0], after[after > 0.0], ends, may_be_log=True)
+    title = f"Error before and after, over {sizes.measure}"
+    names = list(groups)
+    note = f"Before: {run.before}."
+    if sizes.is_noise:
+        note += " A model that lacks nothing comes near the line of the noise."
+    if sizes.is_noise and "estimated" in sizes.measure:
+        note += " The noise of an output is estimated over all training experiments together."
+    below = f"error over {sizes.measure}"
+    chart = row_chart(title, below, across, marks, names, height=ROW_PIXELS)
+    return FigureBlock("before-and-after", title, chart, note)
+
+
+def _groups(sizes: ErrorSizes) -> dict[str, list[int]]:
+    """Rows of the picture: names, and which errors are taken together."""
+    found: dict[str, list[int]] = {}
+    single = len({row["output"] for row in sizes.rows}) == 1
+    for i, row in enumerate(sizes.rows):
+        held = " (held out)" if row["role"] == "test" else ""
+        if len(sizes.rows) <= MOST_ROWS:
+            own = row["experiment"] if single else f"{row['experiment']}, {row['output']}"
+        else:
+            own = row["output"]
+        found.setdefault(f"{own}{held}", []).append(i)
+    return {name: chosen for name, chosen in found.items() if _known(sizes, chosen)}
+
+
+def _known(sizes: ErrorSizes, chosen: Sequence[int]) -> bool:
+    return not math.isnan(sizes.of(chosen, "after"))
+
+
+ROLES = {"train": "training", "test": "held out"}
+MOST_OPEN = 24
+"""Rows of the table by experiment that are not folded."""
+
+
+def errors(run: ReportedRun) -> ReportSection:
+    """A table by output, and one by output and experiment."""
+    rows = run.tables["errors"]
+    if not rows:
+        return ReportSection("errors", "Errors", ())
+    blocks: list[Block] = [
+        TextBlock(
+            f"Root mean square of measured less simulated. Before: {run.before}. Of the signal: "
+            "the error after as a share of the measured signal's standard deviation."
+        )
+    ]
+    outputs = list(dict.fromkeys((row["output"], row["role"]) for row in rows))
+    if len(rows) > len(outputs):
+        own = [[r for r in rows if (r["output"], r["role"]) == key] for key in outputs]
+        blocks.append(_table("By output, over all experiments", own, pooled=True))
+    folded = len(rows) > MOST_OPEN
+    blocks.append(_table("By experiment", [[row] for row in rows], folded=folded))
+    return ReportSection("errors", "Errors before and after", tuple(blocks))
+
+
+def _table(
+    caption: str, groups: Sequence[Sequence[Row]], *, pooled: bool = False, folded: bool = False
+) -> TableBlock:
+    first = "#experiments" if pooled else "experiment"
+    sizes = "#before", "#after", "unit", "#change", "#of the signal", "#samples"
+    lines = []
+    for group in groups:
+        before, after = (_pooled(group, f"rmse_{when}") for when in ("before", "after"))
+        who = str(len(group)) if pooled else str(group[0]["experiment"])
+        of = code(group[0]["output"]), TableCell(ROLES.get(str(group[0]["role"]), ""), "faint")
+        samples = sum(row["samples"] for row in group)
+        change = _change(before, after) if samples else TableCell("")
+        share = percent(_pooled(group, "relative_after"))
+        errors = digits(before), digits(after), group[0]["unit"]
+        lines.append((*of, who, *errors, change, share, count(samples)))
+    return table(("output", "", first, *sizes), lines, caption, folded=folded)
+
+
+def _pooled(rows: Sequence[Row], name: str, divisors: Sequence[float] = ()) -> float:
+    """Root mean square over the samples of some rows, each over its divisor; NaN without any."""
+    sizes = [
+        (row["samples"], row[name] / divisor)
+        for row, divisor in zip(rows, divisors or repeat(1.0), strict=False)
+        if row["samples"]  # others have no error, and have not failed
+    ]
+    squares, samples = sum(n * size**2 for n, size in sizes), sum(n for n, _ in sizes)
+    return math.sqrt(squares / samples) if samples else math.nan
+
+
+def _change(before: float, after: float) -> TableCell:
+    if math.isnan(before) or math.isnan(after) or before <= 0.0:
+        return TableCell("failed", "bad") if math.isnan(after) else TableCell("")
+    share = after / before - 1.0
+    tone: Tone = "good" if share < -0.005 else "bad" if share > 0.005 else "faint"
+    sign = "+" if share > 0.0 else ""
+    return TableCell(f"{sign}{percent(share)}" if abs(share) >= 5e-4 else "none", tone)

@@ -1,0 +1,100 @@
+"""Numbers as a person reads them: no more digits than they are worth, times in fit units."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import final
+
+MINUS, NONE = "\u2212", "\u2013"
+FIXED_FROM, FIXED_TO = 1e-4, 1e6
+"""Between these, numbers are written without an exponent."""
+
+
+def digits(value: float | None, count: int = 4) -> str:
+    """A number to so many significant digits; a dash where there is none."""
+    if value is None or math.isnan(value):
+        return NONE
+    if math.isinf(value):
+        return "\u221e" if value > 0.0 else f"{MINUS}\u221e"
+    if value == 0.0:
+        return "0"
+    size = math.floor(math.log10(abs(value)))
+    if not FIXED_FROM <= abs(value) < FIXED_TO:
+        mantissa, _, exponent = f"{value:.{count - 1}e}".partition("e")
+        return _signed(f"{mantissa}e{int(exponent)}")
+    return _signed(f"{value:.{max(0, count - 1 - size)}f}")
+
+
+def compact(value: float) -> str:
+    """To three digits, without zeros behind them: for what a person has chosen, like a bound."""
+    return digits(value) if math.isinf(value) else _signed(f"{value:.3g}")
+
+
+def beside(value: float | None, width: float) -> str:
+    """A number to two digits of the width of its interval, and four digits at least."""
+    if value is None or not math.isfinite(value) or not 0.0 < width < math.inf:
+        return digits(value)
+    if value == 0.0:
+        return "0"
+    found = math.floor(math.log10(abs(value))) - math.floor(math.log10(width)) + 2
+    return digits(value, min(max(found, 4), 9))
+
+
+def interval(low: float | None, high: float | None) -> str:
+    """The two ends of an interval; a dash where there is none."""
+    if low is None or high is None or math.isnan(low) or math.isnan(high):
+        return NONE
+    width = high - low
+    return f"{beside(low, width)} \u2026 {beside(high, width)}"
+
+
+def count(value: float) -> str:
+    """A whole number, its thousands apart."""
+    return f"{value:,.0f}".replace(",", "\u202f")
+
+
+def percent(share: float | None) -> str:
+    """A share as per cent."""
+    if share is None or math.isnan(share):
+        return NONE
+    return f"{digits(100.0 * share, 3 if abs(share) < 10.0 else 4)}\u2009%"
+
+
+def duration(seconds: float) -> str:
+    """A time span in the units in which one thinks of it."""
+    if seconds < 60.0:
+        return f"{digits(seconds, 3)} s"
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes < 60:
+        return f"{minutes} min {rest} s"
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min"
+
+
+def _signed(text: str) -> str:
+    return text.replace("-", MINUS)
+
+
+@final
+@dataclass(frozen=True)
+class TimeUnit:
+    """A unit of time: how it is written, and its seconds."""
+
+    name: str
+    seconds: float
+
+
+UNITS = (
+    (0.1, TimeUnit("ms", 1e-3)),
+    (300.0, TimeUnit("s", 1.0)),
+    (5.0 * 3600.0, TimeUnit("min", 60.0)),
+    (4.0 * 86400.0, TimeUnit("h", 3600.0)),
+)
+"""Each with the span in seconds up to which it is used."""
+DAYS = TimeUnit("days", 86400.0)
+
+
+def time_unit(span: float) -> TimeUnit:
+    """The unit for times that span so many seconds."""
+    return next((unit for most, unit in UNITS if span <= most), DAYS)

@@ -1,0 +1,278 @@
+"""What is known of the parameters: estimates, correlations, or how much each of them matters."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+
+import numpy as np
+
+from cluster_est.report.charts import Chart, Dots, Line, Plot, Scale, row_chart
+from cluster_est.report.number_text import MINUS, beside, compact, digits, interval, percent
+from cluster_est.report.page_blocks import (
+    Block,
+    FigureBlock,
+    ItemsBlock,
+    MapBlock,
+    MapCell,
+    ReportSection,
+    TableBlock,
+    TableCell,
+    TextBlock,
+    code,
+    table,
+)
+from cluster_est.report.reported_run import ReportedRun, Row
+from workers.messages import FloatArray
+
+MOST_IN_MAP = 60
+MOST_OPEN = 30
+STRONG = 0.95
+"""Correlation beyond which two parameters are named."""
+
+
+def parameters(run: ReportedRun) -> ReportSection:
+    """Tables of estimates, intervals, constraints; correlations; directions."""
+    rows = run.tables["parameters"]
+    if not rows:
+        return ReportSection("parameters", "Parameters", ())
+    blocks: list[Block] = [TextBlock(text, "bad") for text in run.residual_sentences]
+    blocks.append(_table(run, rows))
+    blocks += _intervals(run) + _constraints(run) + _directions(run) + _correlations(run)
+    return ReportSection("parameters", "Parameters", tuple(blocks))
+
+
+def _table(run: ReportedRun, rows: tuple[Row, ...]) -> TableBlock:
+    loop = run.is_loop
+    more = ("#before", "#95 % interval") if loop else ("#start",)
+    found = "#95 % interval (too narrow)" if run.too_narrow else "#95 % interval"
+    names = ("parameter", *more, "#after", found, "unit", "bounds", "")
+    lines = []
+    for row in rows:
+        width = row["upper95"] - row["lower95"]
+        if loop:
+            earlier = _width(row, "_before")
+            then = [beside(row["value_before"], earlier), _interval(row, "_before")]
+        else:
+            then = [digits(row["start"])]
+        lines.append(
+            (
+                code(row["label"]),
+                *then,
+                beside(row["value"], width),
+                _interval(row),
+                row["unit"],
+                TableCell(_bounds(row), "faint"),
+                _remark(row),
+            )
+        )
+    many = len(lines) > MOST_OPEN
+    return table(names, lines, f"{len(lines)} parameters" if many else "", folded=many)
+
+
+def _width(row: Row, when: str = "") -> float:
+    low, high = row[f"lower95{when}"], row[f"upper95{when}"]
+    return math.nan if low is None or high is None else float(high - low)
+
+
+def _interval(row: Row, when: str = "") -> str:
+    return interval(row[f"lower95{when}"], row[f"upper95{when}"])
+
+
+def _bounds(row: Row) -> str:
+    if not (math.isfinite(row["lower"]) or math.isfinite(row["upper"])):
+        return ""
+    return f"{compact(row['lower'])} … {compact(row['upper'])}"
+
+
+def _remark(row: Row) -> TableCell:
+    if row["at_bound"]:
+        return TableCell(f"at its {row['at_bound']} bound", "bad")
+    if row["estimated_on"] == "known":
+        return TableCell("fixed", "faint")
+    if row["estimated_on"] == "derived":
+        return TableCell("derived", "faint")
+    if math.isnan(row["lower95"]):
+        return TableCell("not determined", "bad")
+    return TableCell("held out" if row["estimated_on"] == "test" else "", "faint")
+
+
+def _intervals(run: ReportedRun) -> list[Block]:
+    lines = [
+        (
+            code(row["label"]),
+            row["source"],
+            percent(row["confidence"]),
+            row["open_lower"] or digits(row["lower"]),
+            row["open_upper"] or digits(row["upper"]),
+        )
+        for row in run.tables["intervals"]
+    ]
+    names = ("parameter", "from", "#confidence", "#lower", "#upper")
+    return [table(names, lines, "Intervals that took refits or draws")] if lines else []
+
+
+def _constraints(run: ReportedRun) -> list[Block]:
+    lines = [
+        (
+            code(row["constraint"]),
+            row["kind"],
+            *(digits(row[when]) for when in ("before", "after")),
+            TableCell("kept", "good") if row["satisfied"] else TableCell("violated", "bad"),
+        )
+        for row in run.tables["constraints"]
+    ]
+    names = ("constraint", "must be", "#before", "#after", "")
+    return [table(names, lines, "Constraints, over their scales")] if lines else []
+
+
+def _directions(run: ReportedRun) -> list[Block]:
+    found = tuple(dict.fromkeys(row["sentence"] for row in run.tables["directions"]))
+    if not found:
+        return []
+    return [TextBlock("What the data do not determine", kind="heading"), ItemsBlock(found)]
+
+
+def _correlations(run: ReportedRun) -> list[Block]:
+    rows = run.tables["correlations"]
+    labels = list(dict.fromkeys([row["other"] for row in rows] + [row["label"] for row in rows]))
+    if len(labels) < 2:
+        return []
+    blocks: list[Block] = []
+    strong = sorted((r for r in rows if abs(r["correlation"]) > STRONG),
+                    key=lambda r: -abs(r["correlation"]))[:10]  # fmt: skip
+    if strong:
+        named = tuple(f"{r['label']} and {r['other']}: {r['correlation']:.3f}" for r in strong)
+        blocks.append(TextBlock(f"Correlations beyond {STRONG} in size:"))
+        blocks.append(ItemsBlock(named))
+    blocks.append(_map(labels[:MOST_IN_MAP], rows))
+    if len(labels) > MOST_IN_MAP:
+        blocks.append(
+            TextBlock(f"The map shows {MOST_IN_MAP} of {len(labels)} parameters.", "faint")
+        )
+    return blocks
+
+
+def _map(labels: list[str], rows: tuple[Row, ...]) -> MapBlock:
+    place = {label: i for i, label in enumerate(labels)}
+    matrix = np.full((len(labels), len(labels)), np.nan)
+    for row in rows:
+        if row["label"] in place and row["other"] in place:
+            i, j = sorted((place[row["label"]], place[row["other"]]))
+            matrix[j, i] = row["correlation"]
+    small = len(labels) <= 14
+    lines = tuple(
+        (labels[j], tuple(_cell(labels, matrix, i, j, small=small) for i in range(len(labels) - 1)))
+        for j in range(1, len(labels))  # below the diagonal: the rest says the same again
+    )
+    return MapBlock(
+        "Correlations",
+        tuple(labels[:-1]),
+        lines,
+        "How far an error of one estimate goes with an error of another: where the size is near 1, "
+        "the data hardly tell the two apart.",
+    )
+
+
+def _cell(labels: list[str], matrix: FloatArray, i: int, j: int, *, small: bool) -> MapCell:
+    value = float(matrix[j, i])
+    if i >= j or not math.isfinite(value):
+        return MapCell(None)
+    text = f"{value + 0.0:.2f}".replace("-0.00", "0.00").replace("-", MINUS)
+    return MapCell(value, text if small else "", f"{labels[j]}, {labels[i]}: {text}")
+
+
+MOST_RANKED, MOST_LINES, MOST_PANELS = 40, 6, 12
+"""Unknowns in the picture of the ranking, unknowns over time, outputs over time."""
+
+RANKING_NOTE = "The bars are 95 % intervals; what stands at 0 does not change the cost."
+TIME_NOTE = "Where a curve is high, that part of a record says something about the parameter."
+
+
+def sensitivity(run: ReportedRun) -> ReportSection:
+    """Everything that a sensitivity analysis has found; nothing for other runs."""
+    rows = run.tables["ranking"]
+    found = run.facts.get("sensitivity") or {}
+    blocks: list[Block] = []
+    if rows and found:
+        blocks = [*_ranking(rows, found["ranks"]), _order(rows), *_over_time(run, found["ranks"])]
+    return ReportSection("sensitivity", "What matters, and when", tuple(blocks))
+
+
+def _ranking(rows: tuple[Row, ...], ranks: str) -> list[Block]:
+    known = [row for row in rows if math.isfinite(row["value"])][:MOST_RANKED]
+    if not known:
+        return []
+    names = [row["label"] for row in known]
+    place = np.arange(len(known), dtype=float)
+    values = np.array([row["value"] for row in known])
+    half = np.nan_to_num([row["half_width"] for row in known])
+    bars = [
+        Line("" if i else "95 % interval", "faint", values[i] + half[i] * np.array([-1.0, 1.0]),
+             np.full(2, place[i]))
+        for i in range(len(known))
+    ]  # fmt: skip
+    across = Scale.around(values + half, values - half, np.zeros(1))
+    title = _called(ranks)
+    marks = [*bars, Dots(ranks, "after", values, place)]
+    chart = row_chart(title, title, across, marks, names)
+    return [FigureBlock("ranking", title, chart, RANKING_NOTE)]
+
+
+def _order(rows: tuple[Row, ...]) -> Block:
+    """The table of the order of estimation."""
+    ordered = sorted(rows, key=lambda row: (row["position"] < 0, row["position"]))
+    return table(
+        ("parameter", "#seen, in sigmas", "#collinearity", "estimate together"),
+        [
+            (code(row["label"]), digits(row["size"]), _index(row["collinearity"]), _together(row))
+            for row in ordered
+        ],
+        "The order in which parameters are best estimated, from derivatives at the start values",
+    )
+
+
+def _over_time(run: ReportedRun, ranks: str) -> list[Block]:
+    """A chart for each output of each experiment, of the parameters that matter most in it."""
+    index = ranks.partition(" of ")[0]
+    found: dict[tuple[str, str], dict[str, list[Row]]] = defaultdict(lambda: defaultdict(list))
+    for row in run.tables["indices"]:
+        if row["index"] == index and row["experiment"]:
+            found[row["experiment"], row["output"]][row["label"]].append(row)
+    blocks: list[Block] = []
+    for number, ((experiment, output), own) in enumerate(list(found.items())[:MOST_PANELS]):
+        peaks = {
+            label: max((row["value"] for row in rows if math.isfinite(row["value"])), default=0.0)
+            for label, rows in own.items()
+        }
+        named = sorted(peaks, key=lambda label: -peaks[label])[:MOST_LINES]
+        marks = [
+            Line(label, f"series-{i}", np.array([row["time"] for row in own[label]]),
+                 np.array([row["value"] for row in own[label]]))
+            for i, label in enumerate(named)
+        ]  # fmt: skip
+        title = _called(f"{index} of {output} in {experiment}")
+        across = Scale.around(*(mark.x for mark in marks))
+        upright = Scale.around(*(mark.y for mark in marks), np.zeros(1))
+        plot = Plot(title, index, across, upright, marks)
+        note = "" if number else TIME_NOTE
+        blocks.append(FigureBlock(f"over-time-{number}", title, Chart((plot,), "time in s"), note))
+    return blocks
+
+
+def _called(ranks: str) -> str:
+    index, _, quantity = ranks.partition(" of ")
+    name = "Total Sobol index" if index == "total" else "Mean absolute elementary effect"
+    return f"{name} of {quantity}"
+
+
+def _index(value: float | None) -> str:
+    if value is None or math.isnan(value):
+        return ""
+    return "cannot be told" if math.isinf(value) else digits(value, 3)
+
+
+def _together(row: Row) -> str:
+    if row["position"] < 0:
+        return ""
+    return "yes" if row["together"] else "no: fix it, or measure more"

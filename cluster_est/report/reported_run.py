@@ -1,0 +1,139 @@
+"""A run folder, read: whatever is there of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from cluster_est.report.activity import LogActivity, read_activity
+from cluster_est.run_folder.run_files import (
+    RunStatus,
+    is_ended,
+    read_config_text,
+    read_run_columns,
+    read_stored_run,
+)
+from cluster_est.run_folder.run_progress import PROGRESS, ProgressTail
+
+Row = Mapping[str, Any]
+SMALL = (
+    "parameters", "errors", "constraints", "starts", "minima", "front", "correlations",
+    "directions", "profiles", "intervals", "searches", "workers", "findings", "structures",
+    "shapes", "ranking", "indices", "probabilities", "evidence", "precision",
+    "prediction_precision", "next_input", "expected",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ReportedRun:
+    """The contents of a run folder, for a report.
+
+    Attributes
+    ----------
+    name
+        Of the folder.
+    facts
+        As run.json has them.
+    config
+        The resolved config as text, "" if it is not there.
+    tables
+        The rows of each small table, by its name; a table that is not there has none. "progress"
+        has the lines of all searches in the order in which they came.
+    residuals, trajectories, predictions
+        None if they are not there.
+    activity
+        What the log says of workers and failures.
+    """
+
+    name: str
+    facts: Mapping[str, Any] = field(repr=False)
+    config: str = field(repr=False)
+    tables: Mapping[str, tuple[Row, ...]] = field(repr=False)
+    residuals: pa.Table | None = field(repr=False)
+    trajectories: pa.Table | None = field(repr=False)
+    activity: LogActivity = field(repr=False)
+    predictions: pa.Table | None = field(default=None, repr=False)
+
+    @property
+    def status(self) -> str:
+        return str(self.facts["status"])
+
+    @property
+    def is_running(self) -> bool:
+        """True while the run has not ended, as far as it has said."""
+        return self.status == RunStatus.RUNNING
+
+    @property
+    def finished(self) -> bool:
+        """True if there are results of a fit or a loop."""
+        return bool(self.tables["parameters"])
+
+    @property
+    def is_sensitivity(self) -> bool:
+        """True for a sensitivity analysis that has ended."""
+        return bool(self.facts.get("sensitivity"))
+
+    @property
+    def is_design(self) -> bool:
+        """True for a design that has ended."""
+        return bool(self.facts.get("design"))
+
+    @property
+    def is_loop(self) -> bool:
+        return self.facts.get("verdict") is not None
+
+    @property
+    def too_narrow(self) -> bool:
+        """True where the residuals of a fit deny its intervals, or a loop says what they lack."""
+        if self.is_loop:
+            return bool(self.facts["verdict"] == "unexplained")
+        return bool((self.facts.get("residuals") or {}).get("too_narrow"))
+
+    @property
+    def residual_sentences(self) -> tuple[str, ...]:
+        """Return what the residuals of a fit say of its model, sigma and intervals."""
+        return tuple((self.facts.get("residuals") or {}).get("sentences") or ())
+
+    @property
+    def before(self) -> str:
+        """The model that curves and errors "before" are of."""
+        return "declared model, fitted" if self.is_loop else "start values"
+
+
+def read_run(path: Path, activity: LogActivity | None = None) -> ReportedRun:
+    """Read a run folder; its log only if `activity` is not known already.
+
+    Raises
+    ------
+    RunFolderError
+        If it is none, or one of its tables is damaged.
+    """
+    stored = read_stored_run(path, SMALL)
+    facts, running = stored.facts, stored.facts["status"] == RunStatus.RUNNING
+    # while it runs, tables are those of an earlier run in a folder that is taken up again
+    tables = {name: () if running else tuple(rows) for name, rows in stored.tables.items()}
+    progress = ProgressTail(path / PROGRESS)
+    tables["progress"] = tuple(vars(line) for line in progress.new())
+    if not running:
+        progress.check()
+    tables["searches"] = tables["searches"] or tables["progress"]
+    curves = bool(tables["parameters"])
+    config = read_config_text(path) if (path / "config.toml").is_file() else ""
+    return ReportedRun(
+        name=path.resolve().name,
+        facts=facts,
+        config=config,
+        tables=tables,
+        residuals=_table(path / "residuals.parquet") if curves else None,
+        trajectories=_table(path / "trajectories.parquet") if curves else None,
+        activity=activity or read_activity(path / "evaluations", ended=is_ended(facts)),
+        predictions=_table(path / "predictions.parquet") if curves else None,
+    )
+
+
+def _table(path: Path) -> pa.Table | None:
+    return read_run_columns(path) if path.is_file() else None

@@ -1,0 +1,357 @@
+"""The tables of a fit: one class for the rows of each, and how they are made and shown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from cluster_est.methods.base import TOLERANCE, OtherPoint, Solution
+from cluster_est.problem import display
+from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space.unknown import scope_of
+from cluster_est.results.output_errors import Simulation
+from cluster_est.running.multistart import MultistartResult
+from cluster_est.running.search_state import assemble_evaluation
+from cluster_est.statistics.residual_findings import ResidualDiagnostics
+from cluster_est.uncertainty import ConfidenceInterval, Uncertainty
+from workers.fmu.description import describe_model
+from workers.messages import FloatArray
+from workers.messages.equality import by_content
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One estimated number, a row of parameters.parquet.
+
+    Attributes
+    ----------
+    label
+        "k", or "x0[exp5]" where the parameter has a value of its own there.
+    parameter, variable, unit
+        The parameter that it belongs to, the FMU's name and unit for it.
+    scope
+        "shared", or the experiment or group that the value is for.
+    value, start, lower, upper
+        Physical values.
+    std_error, lower95, upper95
+        NaN where the data do not determine the value, or hold it at a bound.
+    error_white, error_autoregression, error_experiments
+        The standard error for white noise, for noise that is an autoregression, and from the
+        scatter of the experiments; NaN where there is none. `std_error` is one of them.
+    at_bound
+        "lower", "upper" or "".
+    difference_step
+        Step of the last finite difference, in search coordinates; NaN if there was none.
+    estimated_on
+        "train", or "test" for a value that belongs to a test record alone; "known" if fixed,
+        "derived" if it follows from others.
+    """
+
+    label: str
+    parameter: str
+    variable: str
+    unit: str
+    scope: str
+    value: float
+    start: float
+    lower: float
+    upper: float
+    scale: str
+    at_bound: str
+    std_error: float
+    lower95: float
+    upper95: float
+    error_white: float
+    error_autoregression: float
+    error_experiments: float
+    difference_step: float
+    estimated_on: str
+
+
+@dataclass(frozen=True)
+class ConstraintValue:
+    """One constraint, a row of constraints.parquet.
+
+    `before` and `after` are at the start and at the estimates, in units of the constraint's scale:
+    at most 0 where `kind` is "<= 0", 0 where it is "= 0". NaN where a simulation failed.
+    """
+
+    constraint: str
+    kind: str
+    before: float
+    after: float
+    satisfied: bool
+
+
+@dataclass(frozen=True)
+class StartResult:
+    """One start of several, a row of starts.parquet.
+
+    Attributes
+    ----------
+    start
+        Its number; 0 is the parameters' own.
+    cost, ending, iterations
+        Of its search.
+    minimum
+        Number of the minimum that it reached, 0 being the best; -1 if it reached none.
+    """
+
+    start: int
+    cost: float
+    ending: str
+    iterations: int
+    minimum: int
+
+
+@dataclass(frozen=True)
+class PointValue:
+    """A value at one of several points worth keeping, a row of minima.parquet or front.parquet.
+
+    `point` numbers them, the best first; `objectives` are costs kept apart.
+    """
+
+    point: int
+    label: str
+    value: float
+    cost: float
+    objectives: tuple[float, ...] = ()
+
+
+@by_content
+@dataclass(frozen=True)
+class EffectCurve:
+    """The curve of an effect: what it adds, as a function of the one variable that it depends on.
+
+    Attributes
+    ----------
+    effect, part
+        Its name, and the site: "der(v)", "der(v) while v > 0". A pair has two of them.
+    variable, variable_unit, unit
+        Its argument, and both units; "" where the FMU names none.
+    x, y, lower, upper : (n,)
+        The curve and its 95 % band, to first order in the coefficients; NaN where the data do not
+        determine one of them.
+    edges : (bins + 1,)
+    counts : (bins,)
+        Samples of the training experiments in each bin.
+    free_x, free_y, free_error : (places,)
+        What the residuals ask for without any form, and its standard error, at a few places; empty
+        where that was not computed.
+    why_not
+        Reason why it has no curve, in a sentence; the arrays are empty then.
+    integral_of
+        The state whose integral the variable is, but for a factor, or the difference of two for a
+        difference: "v - w" for "x - z". "" where it is none.
+    positive
+        A variable that switches the effect with its sign: the curve holds where it is positive. ""
+        without one.
+    """
+
+    effect: str
+    part: str
+    variable: str = ""
+    variable_unit: str = ""
+    unit: str = ""
+    x: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    y: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    lower: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    upper: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    edges: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    counts: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    free_x: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    free_y: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    free_error: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    why_not: str = ""
+    integral_of: str = ""
+    positive: str = ""
+
+
+OF_INTERVALS = (
+    "at_bound", "std_error", "lower95", "upper95", "error_white", "error_autoregression",
+    "error_experiments",
+)  # fmt: skip
+"""What an estimate has of the interval of its unknown."""
+
+
+def estimates(
+    space: SearchSpace,
+    solution: Solution,
+    role: str,
+    units: dict[str, str],
+    found: Sequence[ConfidenceInterval],
+) -> list[Estimate]:
+    """The values that were searched for, with their intervals."""
+    rows = []
+    steps = solution.difference_steps
+    for i, unknown in enumerate(space.unknowns):
+        value = unknown.to_physical(float(solution.x[i]))
+        rows.append(
+            replace(
+                _known(unknown.parameter, units, value, role),
+                label=unknown.label,
+                scope=unknown.scope or "shared",
+                start=unknown.start,
+                difference_step=np.nan if steps is None else float(steps[i]),
+                **{name: getattr(found[i], name) for name in OF_INTERVALS},
+            )
+        )
+    return rows
+
+
+def derived(
+    space: SearchSpace, solution: Solution, units: dict[str, str], uncertainty: Uncertainty
+) -> list[Estimate]:
+    """Parameters that follow from the estimates, with intervals to first order."""
+    rows = []
+    spread = {each.label: each for each in uncertainty.derived}
+    parameters = {p.name: p for p in space.problem.parameters}
+    for label, value in space.derived(solution.x).items():
+        name = label if label in parameters else label.rpartition("[")[0]
+        known = _known(parameters[name], units, value, "derived")
+        known = replace(known, label=label, scope=scope_of(label, name) or "shared")
+        if (each := spread.get(label)) is not None:
+            known = replace(
+                known, std_error=each.std_error, lower95=each.lower95, upper95=each.upper95
+            )
+        rows.append(known)
+    return rows
+
+
+def fixed(problem: Problem, units: dict[str, str]) -> list[Estimate]:
+    """Parameters that were kept at their starts."""
+    return [_known(p, units, p.start, "known") for p in problem.parameters if p.fixed]
+
+
+def _known(parameter: Parameter, units: dict[str, str], value: float, how: str) -> Estimate:
+    """A row for what was not searched for."""
+    return Estimate(
+        label=parameter.name,
+        parameter=parameter.name,
+        variable=parameter.target,
+        unit=parameter.unit or units.get(parameter.target, ""),
+        scope="shared",
+        value=value,
+        start=parameter.start,
+        lower=parameter.lower,
+        upper=parameter.upper,
+        scale=parameter.scale,
+        at_bound="",
+        std_error=np.nan,
+        lower95=np.nan,
+        upper95=np.nan,
+        error_white=np.nan,
+        error_autoregression=np.nan,
+        error_experiments=np.nan,
+        difference_step=np.nan,
+        estimated_on=how,
+    )
+
+
+def constraints(
+    space: SearchSpace, solution: Solution, before: list[Simulation], after: list[Simulation]
+) -> tuple[ConstraintValue, ...]:
+    """Every constraint on the training experiments, at the start and at the estimates."""
+    if not space.constraint_names:
+        return ()
+    then, now = (
+        _judged(space, x, each) for x, each in ((space.start, before), (solution.x, after))
+    )
+    rows = []
+    for i, name in enumerate(space.constraint_names):
+        equal = bool(space.equality[i])
+        value = float(now[i])
+        kept = (abs(value) if equal else value) <= TOLERANCE
+        kind = "= 0" if equal else "<= 0"
+        rows.append(ConstraintValue(name, kind, float(then[i]), value, kept))
+    return tuple(rows)
+
+
+def constraints_at_start(space: SearchSpace, simulations: list[Simulation]) -> tuple[float, ...]:
+    """Every constraint on the training experiments at the start, over its scale."""
+    return tuple(_judged(space, space.start, simulations).tolist())
+
+
+def _judged(space: SearchSpace, x: FloatArray, simulations: list[Simulation]) -> FloatArray:
+    """The constraints at x, NaN where a simulation failed."""
+    outcomes = tuple(simulations[e].outcome for e in space.experiments)
+    found = assemble_evaluation(space, x, outcomes, 0).constraints
+    return found if len(found) else np.full(len(space.constraint_names), np.nan)
+
+
+def starts_and_minima(
+    space: SearchSpace, found: MultistartResult
+) -> tuple[tuple[StartResult, ...], tuple[PointValue, ...]]:
+    """Rows of several starts and their minima; none where there was one start."""
+    if len(found.solutions) < 2:
+        return (), ()
+    numbered = enumerate(zip(found.solutions, found.minimum, strict=True))
+    starts = tuple(
+        StartResult(i, s.cost, s.ending.name.lower(), s.iterations, minimum)
+        for i, (s, minimum) in numbered
+    )
+    minima = [OtherPoint(found.solutions[i].x, found.solutions[i].cost) for i in found.minima]
+    return starts, points(space, tuple(minima))
+
+
+def points(space: SearchSpace, others: tuple[OtherPoint, ...]) -> tuple[PointValue, ...]:
+    """Points worth keeping, value by value."""
+    return tuple(
+        PointValue(i, label, value, other.cost, other.objectives)
+        for i, other in enumerate(others)
+        for label, value in space.estimates(other.x).items()
+    )
+
+
+def coefficient_units(problem: Problem) -> dict[str, str]:
+    """Units of the effects' coefficients, by "EFFECT.COEFFICIENT"; "" where the FMU names none."""
+    if not problem.effects:
+        return {}
+    from workers.effects import units  # SymPy takes long to import
+    from workers.effects.definition import define_all
+
+    model = problem.model
+    description = describe_model(model)
+    found: dict[str, str] = {}
+    for definition in define_all(
+        problem.effects, description, model.interface, problem.experiments
+    ):
+        names = [f"{definition.effect.name}.{c.name}" for c in definition.form.coefficients]
+        texts = units.coefficient_units(definition, description)
+        pairs = zip(names, texts, strict=True)
+        found |= {name: "" if units.UNKNOWN in unit else unit for name, unit in pairs}
+    return found
+
+
+def fit_tables(
+    estimates: Sequence[Estimate],
+    errors: Sequence[Any],
+    diagnostics: ResidualDiagnostics | None = None,
+) -> tuple[display.DisplayTable, display.DisplayTable]:
+    """Estimates and errors, of a fit or of a closed loop, as a notebook shows them.
+
+    Where diagnostics deny the intervals, a word beside them says so.
+    """
+    too_narrow = diagnostics is not None and diagnostics.too_narrow
+    ends = ("95 % from", "to (too narrow)" if too_narrow else "to")
+    values = [
+        (e.label, e.value, e.unit, e.std_error, e.lower95, e.upper95, e.at_bound) for e in estimates
+    ]
+    fits = [(e.experiment, e.role, e.output, e.rmse_before, e.rmse_after, e.unit) for e in errors]
+    return (
+        display.DisplayTable(
+            "Parameters",
+            ("parameter", "value", "unit", "standard error", *ends, "at bound"),
+            values,
+        ),
+        display.DisplayTable(
+            "Root mean square errors",
+            ("experiment", "role", "output", "before", "after", "unit"),
+            fits,
+        ),
+    )

@@ -1,0 +1,294 @@
+"""One logged simulation, asked again in a process of its own that shows what the FMU says."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from cluster_est.config.build import build_problem
+from cluster_est.config.choices import build_resources
+from cluster_est.config.reader import read_config
+from cluster_est.errors import ConfigError, RunFolderError
+from cluster_est.executors.log_replay import simulation_key
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.variables import coefficient_names
+from cluster_est.run_folder.log_segment import logged_cost, read_log, residuals_hash
+from cluster_est.run_folder.run_files import is_ended, read_config_text, read_facts
+from cluster_est.running.trials.reset_policy import recorded
+from workers.fmu.description import nearest
+from workers.messages import Effect, FloatArray, Limits, Outcome, Status, Task, Want
+from workers.process.supervisor import SupervisedEvaluator
+
+FACTS = ["search", "evaluation", "purpose", "experiment", "status", "message", "cost"]
+"""Columns of the log that are small."""
+
+
+@dataclass(frozen=True)
+class LoggedSimulation:
+    """A row of the log of a run.
+
+    Attributes
+    ----------
+    number
+        Of the row, from 0: what the command line calls its ID.
+    search, evaluation, purpose, experiment
+        Who asked for it, and which run it simulates.
+    status, message, cost
+        What came of it; the cost is its sum of what is `summed`, NaN where there was none.
+    key
+        Hash of all that it depends on.
+    want, values, effects
+        What was asked; effects by name.
+    residuals, residuals_hash
+        None where it failed, or where the log does not keep them.
+    bound
+        Sum of squares above which it was to end early.
+    """
+
+    number: int
+    search: str
+    evaluation: int
+    purpose: str
+    experiment: str
+    status: str
+    message: str
+    cost: float
+    key: str = ""
+    want: Want = "residuals"
+    values: FloatArray = field(default_factory=lambda: np.zeros(0))
+    effects: tuple[str, ...] = ()
+    residuals: FloatArray | None = None
+    residuals_hash: str | None = None
+    bound: float = math.inf
+
+    @property
+    def ok(self) -> bool:
+        return self.status == Status.OK
+
+    @property
+    def failed(self) -> bool:
+        """True if it neither reached its end nor was ended early."""
+        return Status(self.status).is_failure
+
+    @property
+    def summed(self) -> str:
+        """The function of the residuals whose sum is the cost."""
+        return "absolute values" if self.want == "absolutes" else "squares"
+
+
+@dataclass(frozen=True)
+class ReplayRequest:
+    """A logged simulation, ready to be run again.
+
+    Attributes
+    ----------
+    problem, limits
+        As the run's config says.
+    task
+        What the worker is asked; its experiment counts those of the problem.
+    same
+        Whether model, solver, data and effects are those of the run.
+    """
+
+    problem: Problem
+    limits: Limits
+    task: Task
+    same: bool
+
+    @property
+    def named_values(self) -> list[tuple[str, float]]:
+        """Each value with its parameter, and the FMU's name where that is another."""
+        problem = self.problem
+        named = {p.target: p.name for p in problem.parameters}
+        targets = [*problem.model.parameters]
+        for effect in self.task.effects:
+            targets += [f"{effect.name}.{name}" for name in coefficient_names(effect)]
+        labels = [t if named[t] == t else f"{named[t]} ({t})" for t in targets]
+        return list(zip(labels, self.task.values.tolist(), strict=True))
+
+
+def read_logged(run_folder: Path, number: int) -> LoggedSimulation:
+    """Read one row of a run's log.
+
+    Raises
+    ------
+    RunFolderError
+        If there is no log or no such row.
+    """
+    table = _read(run_folder)
+    if not 0 <= number < table.num_rows:
+        raise RunFolderError(
+            f"{run_folder}: an ID must be from 0 to {table.num_rows - 1}, the rows of its log, but "
+            f"is {number}; `cluster-est show {run_folder} --failures` lists those that failed"
+        )
+    (row,) = table.slice(number, 1).to_pylist()
+    residuals = row["residuals"]
+    small: list[Any] = [row[name] for name in FACTS]
+    return replace(
+        LoggedSimulation(number, *small),
+        key=row["key"],
+        want=cast(Want, row["want"]),
+        values=np.array(row["values"], dtype=np.float64),
+        effects=tuple(row["effects"]),
+        residuals=None if residuals is None else np.array(residuals, dtype=np.float64),
+        residuals_hash=row["residuals_hash"],
+        bound=math.inf if row["bound"] is None else row["bound"],
+    )
+
+
+def read_failures(run_folder: Path) -> list[LoggedSimulation]:
+    """Read the rows of a run's log that failed, without what was asked.
+
+    Raises
+    ------
+    RunFolderError
+        If there is no log.
+    """
+    columns = _read(run_folder).select(FACTS).to_pydict()
+    rows = zip(*columns.values(), strict=True)
+    found = (LoggedSimulation(number, *row) for number, row in enumerate(rows))
+    return [logged for logged in found if logged.failed]
+
+
+def _read(run_folder: Path) -> Any:
+    ended = is_ended(read_facts(run_folder))  # says it if this is no run
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the torn end of a run that was killed
+        return read_log(run_folder / "evaluations", ended=ended)
+
+
+def prepare(
+    run_folder: Path, logged: LoggedSimulation, config: Path | None, *, allow_code: bool
+) -> ReplayRequest:
+    """Read again what the run was made from.
+
+    Parameters
+    ----------
+    run_folder, logged
+        The run, and a row of its log.
+    config
+        The config that the run was made from: the paths that it names start from its folder.
+        None if the run knows that folder.
+    allow_code
+        Whether Python functions that it names may run.
+
+    Raises
+    ------
+    ClusterEstError
+        If something is missing, or the row was simulated with what no config names.
+    """
+    read_config_text(run_folder)  # says it if that is damaged
+    resolved = read_config(run_folder / "config.toml")
+    base = config_base(run_folder, config)
+    problem = build_problem(resolved, base, allow_code=allow_code)
+    where = f"{run_folder}, evaluation {logged.number}"
+    ids = [experiment.id for experiment in problem.experiments]
+    if logged.experiment not in ids:
+        raise RunFolderError(
+            f"{where}: must be of an experiment of the config to be replayed but is of "
+            f"{logged.experiment!r}{nearest(logged.experiment, ids)}"
+        )
+    index = ids.index(logged.experiment)
+    effects = _effects(problem, logged, where)
+    counts = [len(coefficient_names(effect)) for effect in effects]
+    wanted = len(problem.model.parameters) + sum(counts)
+    if len(logged.values) != wanted:
+        raise RunFolderError(
+            f"{where}: must have {wanted} values, as the config does, but has "
+            f"{len(logged.values)}; {run_folder / 'config.toml'} is not that of this run"
+        )
+    experiment = problem.experiments[index]
+    known = problem.model.key, experiment.key
+    key = simulation_key(*known, effects, logged.values, logged.bound)
+    if problem.model.reset == "auto":
+        chosen = recorded(read_facts(run_folder))
+        if chosen is not None:
+            problem = replace(problem, model=replace(problem.model, reset=chosen.policy))
+    task = Task(0, index, logged.values, logged.want, effects, logged.bound)
+    resources = build_resources(resolved)
+    problem = replace(problem, model=resources.limited(problem.model).of_worker(0))
+    return ReplayRequest(problem, resources.limits, task, key == logged.key)
+
+
+def config_base(run_folder: Path, config: Path | None) -> Path:
+    """The folder that the paths of the run's config start from."""
+    if config is not None:
+        if not config.is_file():
+            raise ConfigError(f"--config: there is no config file {config}; check the path")
+        return config.parent
+    known = read_facts(run_folder).get("config_folder")
+    if not isinstance(known, str):
+        raise RunFolderError(
+            f"{run_folder}: must know where the files of its config are but does not; name the "
+            "config that it was made from with --config"
+        )
+    if not Path(known).is_dir():
+        raise RunFolderError(
+            f"{run_folder}: its config was in {known}, which is not here; name the config with "
+            "--config"
+        )
+    return Path(known)
+
+
+def _effects(problem: Problem, logged: LoggedSimulation, where: str) -> tuple[Effect, ...]:
+    known = {effect.name: effect for effect in problem.effects}
+    for name in logged.effects:
+        if name not in known:
+            raise RunFolderError(
+                f"{where}: must have no effects but those of the config to be replayed but has "
+                f"{name!r}, which a closed loop tried; add it to the config and fit or check that"
+            )
+    return tuple(known[name] for name in logged.effects)
+
+
+def replay(question: ReplayRequest) -> Outcome:
+    """Simulate in a process of its own, once; it writes the FMU's messages to stderr as they come.
+
+    Raises
+    ------
+    ModelError
+        If the FMU cannot be loaded, or its process dies while it is.
+    """
+    problem, task = question.problem, question.task
+    model = replace(problem.model, logging_on=True)
+    guard = SupervisedEvaluator(
+        model, (problem.experiments[task.experiment],), "replay", question.limits
+    )
+    try:
+        return guard.once(replace(task, experiment=0))
+    finally:
+        guard.close()
+
+
+def comparison(logged: LoggedSimulation, outcome: Outcome) -> str:
+    """A sentence: whether an outcome is what was logged."""
+    if not logged.ok or outcome.residuals is None:
+        if (logged.failed, outcome.failed) == (False, False):
+            same = logged.message == outcome.message
+            return (
+                "it was ended early, as it was then" if same else "it does not end as it did then"
+            )
+        if logged.failed is outcome.failed:
+            same = (logged.status, logged.message) == (outcome.status, outcome.message)
+            return "it failed as it did then" if same else "it failed then too, but otherwise"
+        return "it failed then and does not now" if logged.failed else "it did not fail then"
+    now = outcome.residuals
+    known = logged.residuals_hash or residuals_hash(logged.residuals)
+    if known is not None and known == residuals_hash(now):
+        return "its residuals agree with the logged ones bit for bit"
+    if logged.residuals is None:
+        cost = logged_cost(outcome, logged.want)
+        same, gap = cost == logged.cost, cost - logged.cost
+        how = "are the same" if same else f"differ by {gap:.3g}"
+        kept = "; their hashes differ, and" if known is not None else ";"
+        return f"the log does not keep its residuals{kept} their sums of {logged.summed} {how}"
+    then = logged.residuals
+    if len(then) != len(now):
+        return f"there were {len(then)} residuals then and there are {len(now)} now"
+    most = float(np.max(np.abs(then - now)))
+    return f"{np.count_nonzero(then != now)} of {len(now)} residuals differ, by at most {most:.3g}"

@@ -1,0 +1,238 @@
+"""The files of a run folder, read back, and what a run is worth by them."""
+
+from __future__ import annotations
+
+import enum
+import io
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cluster_est.errors import RunFolderError
+from cluster_est.run_folder.lock import is_left
+from cluster_est.whole_files import MEND, SEAL, is_damaged, is_sealed, sealed, write_whole
+
+
+class RunStatus(enum.StrEnum):
+    """The state of a run, as run.json says it."""
+
+    RUNNING = "running"
+    DONE = "done"
+    NOT_CONVERGED = "not converged"
+    INTERRUPTED = "interrupted"
+    FAILED = "failed"
+
+
+class RunWorth(enum.StrEnum):
+    """What a run is worth."""
+
+    GOOD = "good"
+    DOUBTFUL = ""
+    """It ended with a solution, and says what is doubtful of it."""
+    BAD = "bad"
+
+
+def run_worth(status: str, doubts: Sequence[str]) -> RunWorth:
+    """Judge a fit by how it ended and by what is doubtful of its solution.
+
+    Parameters
+    ----------
+    status
+        Of the run.
+    doubts
+        What is doubtful of its solution, as its run.json or the summary of a sweep says it.
+    """
+    if status != RunStatus.DONE:
+        return RunWorth.BAD
+    return RunWorth.DOUBTFUL if doubts else RunWorth.GOOD
+
+
+Rows = list[dict[str, Any]]
+CHECKSUM = "checksum"
+"""The key of a seal in run.json and in the metadata of tables."""
+WITHOUT_ESTIMATES = {"sensitivity": "sensitivity analysis", "design": "design"}
+"""Runs that estimate nothing, by the key of run.json that they have."""
+
+
+@dataclass(frozen=True)
+class StoredRun:
+    """Some of what a run folder holds.
+
+    Attributes
+    ----------
+    path
+        The folder.
+    facts
+        What run.json says.
+    tables
+        Rows by the name of their table; none for a table that the run does not have.
+    """
+
+    path: Path
+    facts: Mapping[str, Any]
+    tables: Mapping[str, Rows]
+
+    @property
+    def ended(self) -> bool:
+        """True if the run has written its results."""
+        return all((self.path / f"{name}.parquet").is_file() for name in ("parameters", "errors"))
+
+
+def left_alone(run_folder: Path, status: str) -> str:
+    """Return a sentence on a run that is under way by its status, without a process; else ""."""
+    if status != RunStatus.RUNNING or not is_left(run_folder / "evaluations"):
+        return ""
+    return (
+        "no process of this machine is at work in it any more; if it was killed, resume it with "
+        "--resume"
+    )
+
+
+def may_be_resumed(run_folder: Path) -> bool:
+    """Return whether a folder holds a run that was interrupted or killed, or is under way."""
+    try:
+        return read_facts(run_folder)["status"] in (RunStatus.RUNNING, RunStatus.INTERRUPTED)
+    except RunFolderError:
+        return False
+
+
+def read_stored_run(run_folder: Path, tables: Sequence[str]) -> StoredRun:
+    """Return the facts of a run, and those of its tables that are named.
+
+    Raises
+    ------
+    RunFolderError
+        If there is no run, or it is damaged.
+    """
+    paths = {name: run_folder / f"{name}.parquet" for name in tables}
+    facts = read_facts(run_folder)
+    rows = {name: read_run_table(p) if p.is_file() else [] for name, p in paths.items()}
+    return StoredRun(run_folder, facts, rows)
+
+
+def check_has_estimates(run_folder: Path) -> None:
+    """Refuse a run that has ended and has no estimates.
+
+    Raises
+    ------
+    RunFolderError
+        If it is of another kind.
+    """
+    for key, kind in WITHOUT_ESTIMATES.items():
+        if read_facts(run_folder).get(key):
+            raise RunFolderError(
+                f"{run_folder}: must be the folder of a fit or a closed loop but is that of a "
+                f"{kind}, which has no estimates"
+            )
+
+
+def read_facts(run_folder: Path) -> dict[str, Any]:
+    """Return what run.json says.
+
+    Raises
+    ------
+    RunFolderError
+        If there is none, or it is damaged.
+    """
+    path = run_folder / "run.json"
+    if not path.is_file():
+        raise RunFolderError(f"{run_folder}: must be the folder of a run but has no run.json")
+    content = path.read_bytes()
+    try:
+        if is_damaged(content):
+            raise ValueError("its checksum is another")
+        facts: dict[str, Any] = json.loads(content)
+        facts["status"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise RunFolderError(
+            f"{path}: is damaged ({error}); run again, with --overwrite"
+        ) from error
+    facts.pop(CHECKSUM, None)
+    return facts
+
+
+def read_config_text(run_folder: Path) -> str:
+    """Return the resolved config of a run.
+
+    Raises
+    ------
+    RunFolderError
+        If it is not there, or damaged.
+    """
+    path = run_folder / "config.toml"
+    if not path.is_file():
+        raise RunFolderError(
+            f"{run_folder}: must hold the config of its run but has no {path.name}"
+        )
+    content = path.read_bytes()
+    try:
+        if is_damaged(content):
+            raise ValueError("its checksum is another")
+        text = content.decode()
+        if not is_sealed(content) and f"# {SEAL}".startswith(text[:20]):
+            raise ValueError("it has been cut off")
+        tomllib.loads(text)
+    except ValueError as error:
+        raise RunFolderError(f"{path}: is damaged ({error}); {MEND}") from error
+    return text.partition("\n")[2] if is_sealed(content) else text
+
+
+def is_ended(facts: Mapping[str, Any]) -> bool:
+    """Return whether a run has written all that it has found."""
+    return facts["status"] in (RunStatus.DONE, RunStatus.NOT_CONVERGED)
+
+
+def write_run_columns(path: Path, table: pa.Table, advice: str) -> None:
+    """Write one of a run's tables in one step, with its checksum.
+
+    Raises
+    ------
+    UnwritableError
+        If it cannot be written.
+    """
+    content = io.BytesIO()
+    metadata = {**(table.schema.metadata or {}), CHECKSUM: SEAL}
+    pq.write_table(table.replace_schema_metadata(metadata), content, write_page_checksum=True)
+    write_whole(path, sealed(content.getvalue()), advice)
+
+
+def read_run_table(path: Path) -> list[dict[str, Any]]:
+    """Return the rows of one of a run's tables.
+
+    Raises
+    ------
+    RunFolderError
+        If it is damaged.
+    """
+    rows: list[dict[str, Any]] = read_run_columns(path).to_pylist()
+    return rows
+
+
+def read_run_columns(path: Path) -> pa.Table:
+    """Return one of a run's tables.
+
+    Raises
+    ------
+    RunFolderError
+        If it is damaged.
+    """
+    content = path.read_bytes()
+    # pq.read_table would import all of pyarrow.dataset, and make columns of a folder named "k=3"
+    try:
+        if is_damaged(content):
+            raise OSError("its checksum is another")
+        with pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True) as file:
+            table = file.read()
+        if not is_sealed(content):
+            table.validate(full=True)
+    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
+        reason = " ".join(str(error).split())  # of Arrow, it may have several lines
+        raise RunFolderError(f"{path}: is damaged ({reason}); {MEND}") from error
+    kept = {k: v for k, v in (table.schema.metadata or {}).items() if k != CHECKSUM.encode()}
+    return table.replace_schema_metadata(kept or None)

@@ -1,0 +1,310 @@
+"""The run folder: everything that a run leaves behind, as Arrow tables and two text files."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import time
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import pyarrow as pa
+
+from cluster_est.errors import RunFolderError, UnwritableError
+from cluster_est.run_folder.evaluation_log import EvaluationLog
+from cluster_est.run_folder.lock import LOCK, OWNER, RunLock
+from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
+from cluster_est.run_folder.run_files import CHECKSUM, RunStatus, may_be_resumed, write_run_columns
+from cluster_est.run_folder.run_identity import FORMAT, RunIdentity, RunKind, versions
+from cluster_est.run_folder.run_progress import PROGRESS, ProgressFile
+from cluster_est.running.records import RunSnapshot, SearchIteration, TaskOrigin
+from cluster_est.running.trials.reset_policy import ResetDecision
+from cluster_est.whole_files import AGAIN, ELSEWHERE, SEAL, sealed, write_whole, writing
+from workers.messages import Outcome
+
+BEGUN = {"evaluations", "config.toml", ".config.toml", PROGRESS, ".run.json"}
+"""All that a folder can hold if its process was killed before it wrote run.json."""
+
+
+class RunResult(Protocol):
+    """A result that a folder can hold: of a fit or of a closed loop."""
+
+    @property
+    def tables(self) -> Sequence[str]:
+        """Names of its tables."""
+
+    def table(self, name: str) -> pa.Table:
+        """Return one of its tables."""
+
+    def facts(self) -> Mapping[str, Any]:
+        """Return what run.json says of it, its status among that."""
+
+    @property
+    def search_seconds(self) -> float:
+        """Seconds that its searches took."""
+
+
+class RunFolder:
+    """Writes a run while it goes on.
+
+    Parameters
+    ----------
+    path
+        Must not hold a run yet, unless `overwrite`.
+    identity
+        What is run.
+    logged
+        What the run that is there has simulated, if it is taken up again: its log goes on.
+    overwrite
+        Whether to replace the run that is there.
+    held
+        Its lock, if somebody took it already.
+    say
+        Told, in a sentence, what a user should know of the log.
+
+    Raises
+    ------
+    RunFolderError
+        If the folder holds something already or cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        identity: RunIdentity,
+        logged: LoggedOutcomes | None = None,
+        *,
+        overwrite: bool = False,
+        held: RunLock | None = None,
+        say: Callable[[str], None] | None = None,
+    ) -> None:
+        check_free(path, overwrite=overwrite or logged is not None)
+        path = path.absolute()  # while an FMU is being loaded, the working folder is another one
+        self.path = path
+        self._identity, self._problem = identity, identity.problem
+        self._config_hash = identity.config_hash
+        self._metadata = {
+            "cluster_est.config_hash": self._config_hash,
+            "cluster_est.format": FORMAT,
+        }
+        self._logged = logged
+        self._reset: ResetDecision | None = None
+        self._iterations: dict[tuple[str, int, str], dict[str, Any]] = {}
+        self._workers: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
+        self._begin = time.time()
+        self._lock = held or take_folder(path)
+        try:
+            check_free(path, overwrite=overwrite or logged is not None)  # it may have been begun
+            with writing(path, ELSEWHERE):
+                if overwrite:
+                    _remove_run(path)
+                self._log = self._open_log(say)
+                self._progress = ProgressFile(path / PROGRESS)
+            text = f"# {SEAL}\n{identity.config_text}"
+            write_whole(path / "config.toml", sealed(text.encode()), ELSEWHERE)
+            self._write_status(RunStatus.RUNNING, {})
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def _open_log(self, say: Callable[[str], None] | None) -> EvaluationLog:
+        return EvaluationLog(
+            self.path / "evaluations",
+            self._problem.model.key,
+            [(e.id, e.key) for e in self._problem.experiments],
+            self._metadata,
+            self._identity.log,
+            0 if self._logged is None else self._logged.next_segment,
+            say=say,
+        )
+
+    def note_reset(self, decision: ResetDecision) -> None:
+        """Keep what every simulation begins with."""
+        self._reset = decision
+        self._write_status(RunStatus.RUNNING, {})
+
+    def record(self, origin: TaskOrigin, outcome: Outcome) -> None:
+        """Log one simulation, unless it stands in the log since before the run was resumed."""
+        if self._logged is None or not self._logged.was_answered(outcome.task):
+            self._log.record(origin, outcome)
+        worker = self._workers[outcome.worker]
+        worker["simulations"] += 1
+        worker["failures"] += outcome.failed
+        worker["busy_seconds"] += outcome.seconds
+
+    def note(self, iteration: SearchIteration) -> None:
+        """Keep the last line that a search shows for each of its iterations, and its end.
+
+        Of searches of one name the best line is kept, whichever of them was quicker.
+        """
+        progress = iteration.progress
+        if np.isfinite(progress.cost) or progress.ending:
+            key = (iteration.search, progress.iteration, progress.ending)
+            row = {"search": iteration.search, **dataclasses.asdict(progress)}
+            row["evaluations"] = iteration.evaluations
+            self._iterations[key] = max(self._iterations.get(key, row), row, key=_lateness)
+            self._progress.iteration(iteration)
+
+    def show(self, snapshot: RunSnapshot) -> None:
+        """Let others see how far it is."""
+        self._progress.show(snapshot)
+
+    def write(self, result: RunResult) -> RunStatus:
+        """Write all tables at the end of a run, and return how it stands."""
+        self._log.close()
+        self._progress.end()
+        for name in result.tables:
+            self._write_table(name, result.table(name))
+        self._write_searches()
+        facts = dict(result.facts())
+        if self._identity.kind is RunKind.CLOSED_LOOP and self._workers:
+            for name in ("simulations", "failures"):  # of all its runners, not of the last alone
+                facts[name] = int(sum(worker[name] for worker in self._workers.values()))
+        searched = result.search_seconds
+        self._write_workers(searched if np.isfinite(searched) else facts["seconds"])
+        status = RunStatus(facts["status"])
+        self._write_status(status, facts)
+        if status is RunStatus.DONE:  # nothing will ask for them again; any other may be resumed
+            if self._logged is not None:
+                self._logged.close()
+            self._log.let_residuals_go()
+        self._lock.release()
+        return status
+
+    def _write_searches(self) -> None:
+        def place(row: Mapping[str, Any]) -> tuple[Any, int, str]:
+            return _natural(row["search"]), row["iteration"], row["ending"]
+
+        self._table("searches", sorted(self._iterations.values(), key=place))
+
+    def _write_workers(self, seconds: float) -> None:
+        rows = [{"worker": name, **numbers} for name, numbers in sorted(self._workers.items())]
+        self._table("workers", [row | {"seconds": seconds} for row in rows])
+
+    def abandon(self, reason: str, status: RunStatus) -> None:
+        """Close the log of a run that ended without a result, and say so as far as that goes."""
+        with suppress(UnwritableError):  # what could not be written is simulated again
+            self._log.close()
+        self._progress.end()
+        with suppress(UnwritableError):
+            self._write_status(status, {"message": reason})
+        self._lock.release()
+
+    def _table(self, name: str, rows: list[dict[str, Any]]) -> None:
+        self._write_table(name, pa.Table.from_pylist(rows) if rows else pa.table({}))
+
+    def _write_table(self, name: str, table: pa.Table) -> None:
+        metadata = {**(table.schema.metadata or {}), **self._metadata}
+        path = self.path / f"{name}.parquet"
+        write_run_columns(path, table.replace_schema_metadata(metadata), AGAIN)
+
+    def _write_status(self, status: RunStatus, numbers: dict[str, Any]) -> None:
+        base = self._identity.base
+        facts = {
+            "format": FORMAT,
+            "status": status,
+            "verdict": None,
+            **numbers,
+            "seed": self._identity.seed,
+            "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self._begin)),
+            "config_hash": self._config_hash,
+            "config_folder": "" if base is None else str(base.resolve()),
+            "fmu": {
+                "name": self._problem.model.name,
+                "sha256": self._problem.model.archive_hash,
+                "interface": self._problem.model.interface,
+                "solver": self._problem.model.solver.name,
+            },
+            "reset_policy": dataclasses.asdict(self._reset) if self._reset is not None else None,
+            "experiments": {e.id: e.key for e in self._problem.experiments},
+            "versions": versions(),
+        }
+        text = json.dumps({CHECKSUM: SEAL, **_finite(facts)}, indent=2) + "\n"
+        write_whole(self.path / "run.json", sealed(text.encode()), AGAIN)
+
+
+def check_free(path: Path, *, overwrite: bool) -> None:
+    """Refuse a folder that holds something, before anything is computed.
+
+    Raises
+    ------
+    RunFolderError
+        If it is a file, or holds a run and `overwrite` is false, or holds something else.
+    """
+    if path.exists() and not path.is_dir():
+        raise RunFolderError(f"{path}: must be a folder but is a file; choose another --out")
+    if not path.is_dir() or not any(path.iterdir()):
+        return
+    if only_begun(path):
+        return
+    if not (path / "run.json").is_file():
+        raise RunFolderError(f"{path}: must be new or empty but holds other files; choose another")
+    if not overwrite:
+        how = "choose another --out, or replace it with --overwrite"
+        if may_be_resumed(path):
+            how = f"take it up where it ended with --resume, {how}"
+        raise RunFolderError(f"{path}: holds a run already; {how}")
+
+
+def only_begun(path: Path) -> bool:
+    """Return whether a folder holds only what a run leaves that was killed at its very start."""
+    names = {each.name for each in path.iterdir()}
+    log = path / "evaluations"
+    if "evaluations" not in names or not names <= BEGUN or not log.is_dir():
+        return False
+    return {each.name for each in log.iterdir()} <= {LOCK, OWNER}
+
+
+def take_folder(path: Path) -> RunLock:
+    """Lock the folder of a run, which is made if it is not there.
+
+    Raises
+    ------
+    RunFolderError
+        If another process has it, or it cannot be made.
+    """
+    log = path / "evaluations"
+    with writing(path, ELSEWHERE):
+        path.mkdir(parents=True, exist_ok=True)
+    with writing(log, ELSEWHERE):
+        log.mkdir(exist_ok=True)
+    return RunLock(log)
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """Sorts "start 2" before "start 10", so that no table depends on which search was faster."""
+    parts = re.split(r"(\d+)", name)
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN: null stands for it."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def _remove_run(path: Path) -> None:
+    """Remove what a run wrote, and nothing else."""
+    for each in (path / "evaluations").iterdir():
+        if each.name not in (LOCK, OWNER):
+            each.unlink()
+    texts = [path / name for name in ("run.json", "config.toml", "report.html", PROGRESS)]
+    for file in [*path.glob("*.parquet"), *texts]:
+        if not file.is_dir():  # a folder of that name is not the run's
+            file.unlink(missing_ok=True)
+
+
+def _lateness(row: Mapping[str, Any]) -> tuple[float, ...]:
+    """Order lines of an iteration: the later one of a search, the better one of two searches."""
+    worse = (row["violation"], row["cost"])
+    return (row["evaluations"], *(-np.nan_to_num(each, nan=np.inf) for each in worse))

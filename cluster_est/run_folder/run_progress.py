@@ -1,0 +1,224 @@
+"""The progress of a run: a small file for those who watch its folder from elsewhere, and words.
+
+The file has a line for each iteration of each search, and one a second for the whole run. It is a
+log and no result; nothing reads it to go on.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from contextlib import suppress
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from cluster_est.closed_loop.stages import stage_title
+from cluster_est.errors import RunFolderError
+from cluster_est.methods.base import Progress
+from cluster_est.running.records import RunSnapshot, SearchIteration
+from cluster_est.whole_files import MEND, SEAL, is_damaged, is_sealed, sealed
+
+PROGRESS = "progress.jsonl"
+SECONDS_BETWEEN = 1.0
+MOST_BYTES = 8 * 2**20
+"""When there are more, the file begins anew with the last line of each search."""
+
+
+class ProgressFile:
+    """Appends lines; who cannot write them loses the view, never the run."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._last: dict[str, str] = {}
+        self._shown = 0.0
+        self._size = 0
+        path.write_bytes(b"")
+
+    def iteration(self, iteration: SearchIteration) -> None:
+        """A new line of a search's iteration table."""
+        progress = iteration.progress
+        row = IterationLine(
+            iteration.search, progress.iteration, progress.cost, progress.violation,
+            progress.ending, iteration.evaluations,
+        )  # fmt: skip
+        self._last[iteration.search] = line = _line(vars(row))
+        self._write(line)
+
+    def show(self, snapshot: RunSnapshot) -> None:
+        """The state of the whole run, at most once a second."""
+        now = time.monotonic()
+        if now - self._shown < SECONDS_BETWEEN:
+            return
+        self._shown = now
+        row = {field.name: getattr(snapshot, field.name) for field in fields(snapshot)}
+        del row["progress"]
+        self._write(_line({"now": row.pop("search"), **row}))
+
+    def end(self) -> None:
+        """Nothing follows: whatever reads less than this of a run that has ended lacks lines."""
+        self._write(_line({"end": True}))
+
+    def _write(self, line: str) -> None:
+        text = line.encode()
+        if self._size > MOST_BYTES:
+            text, self._size = "".join(self._last.values()).encode() + text, 0
+        with suppress(OSError):
+            with self._path.open("r+b") as file:
+                file.truncate(self._size)  # what of a line was written before the disk was full
+                file.seek(self._size)
+                file.write(text)
+            self._size += len(text)
+
+
+def _line(row: dict[str, Any]) -> str:
+    """One line of JSON, which has no NaN."""
+    kept = {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in row.items()
+    }
+    return sealed(json.dumps({"checksum": SEAL, **kept}).encode()).decode() + "\n"
+
+
+@dataclass(frozen=True)
+class IterationLine:
+    """One iteration of a search; costs are NaN where there was none."""
+
+    search: str
+    iteration: int
+    cost: float
+    violation: float
+    ending: str
+    evaluations: int
+
+
+class ProgressTail:
+    """Reads a progress file while it grows, only what is new.
+
+    Attributes
+    ----------
+    state
+        The last one, without the progress of its search; None before the first.
+    damaged
+        How many lines are not as they were written; they are left out.
+    ended
+        Whether its last line was read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._offset = 0
+        self._torn = b""
+        self.damaged, self.ended = 0, False
+        self.state: RunSnapshot | None = None
+
+    def new(self) -> list[IterationLine]:
+        """The iterations since the last call; a line that is half written comes with the next."""
+        try:
+            with self._path.open("rb") as file:
+                if file.seek(0, 2) < self._offset:  # it has begun anew
+                    self._offset, self._torn, self.damaged, self.ended = 0, b"", 0, False
+                file.seek(self._offset)
+                found = file.read()
+                self._offset = file.tell()
+        except OSError:
+            return []
+        *whole, self._torn = (self._torn + found).split(b"\n")
+        read = [self._read(line) for line in whole]
+        return [line for line in read if line is not None]
+
+    def check(self) -> None:
+        """Check what was read of a run that has ended.
+
+        Raises
+        ------
+        RunFolderError
+            If a line is not as it was written, or the last one is missing.
+        """
+        lost = self.damaged + bool(self._torn)
+        if lost:
+            what = f"{lost} of its lines {'is' if lost == 1 else 'are'}"
+            raise RunFolderError(f"{self._path}: is damaged, {what} not as written; {MEND}")
+        if not self.ended and self._path.is_file():
+            raise RunFolderError(f"{self._path}: is damaged, its end is missing; {MEND}")
+
+    def _read(self, text: bytes) -> IterationLine | None:
+        if is_damaged(text) or not is_sealed(text):
+            self.damaged += 1
+            return None
+        try:
+            row = json.loads(text)
+            row.pop("checksum", None)
+            if "end" in row:
+                self.ended = True
+                return None
+            if "now" in row:
+                for name in ("left", "pace"):
+                    row[name] = math.nan if row.get(name) is None else float(row[name])
+                self.state = RunSnapshot(row.pop("now"), Progress(0, math.nan), **row)
+                return None
+            for name in ("cost", "violation"):
+                row[name] = math.nan if row[name] is None else float(row[name])
+            return IterationLine(**row)
+        except (ValueError, TypeError, KeyError, AttributeError):  # no line of such a file
+            return None
+
+
+FIT_TITLES = {
+    "models": "fitting",
+    "candidates": "simulating inputs",
+    "refits": "fitting rivals to what each model predicts",
+    "before": "simulating at the start values",
+    "sample": "simulating between the bounds",
+    "train": "searching",
+    "screen": "screening the starts",
+    "starts": "evaluating the starts",
+    "derivatives": "finding the intervals",
+    "directions": "finding the intervals",
+    "test": "fitting the test records",
+    "after": "simulating at the estimates",
+}
+"""Texts for people, by the names of the searches of a fit or a sensitivity analysis in the log."""
+
+
+LEAST_PACE = 1.0
+"""Seconds of an iteration: nobody waits for a shorter one."""
+
+
+def search_title(search: str) -> str:
+    """Return what a person reads of a search, by its name in the log."""
+    return FIT_TITLES.get(search) or stage_title(search)
+
+
+def what_is_done(search: str, phase: str, ended: int, searches: int) -> str:
+    """Return what a run does now, and how many of the searches begun together have ended."""
+    title = search_title(search)
+    parts = [f"{phase}: {title}" if phase else title]
+    if searches > 1:
+        parts.append(f"{ended} of {searches} done")
+    return ", ".join(parts)
+
+
+def pace_of(seconds: float) -> str:
+    """Return how long an iteration takes, where it is long enough to be of interest."""
+    if not seconds >= LEAST_PACE:
+        return ""
+    return f"an iteration takes about {_seconds(seconds)}"
+
+
+def left_of_step(phase: str, seconds: float, *, at_most: bool) -> str:
+    """Return the time left of what is done now; that of a whole recipe depends on what is found.
+
+    Nothing for what is no recipe of phases, where nobody knows. `at_most` says whether it is a
+    limit, or what is to be expected.
+    """
+    if math.isnan(seconds):
+        return "time left unknown" if phase else ""
+    return f"this step: {'at most ' if at_most else ''}about {_seconds(seconds)} left"
+
+
+def _seconds(seconds: float) -> str:
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
