@@ -14,7 +14,7 @@ from cluster_est.config.limits_file import read_limits, with_named_targets
 from cluster_est.config.reader import Config, EffectSection, read_config
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.experiment_design.design import make_design
-from cluster_est.experiment_design.findings.result import DesignResult
+from cluster_est.experiment_design.design_result import DesignResult
 from cluster_est.experiment_design.models import CandidateModel
 from cluster_est.experiment_design.request import (
     ALONE,

@@ -17,7 +17,7 @@ from cluster_est.cli.estimate import EXIT_CODES
 from cluster_est.cli.terminal import complain, say_if_compiled_first, terminal_listener
 from cluster_est.design_study import ConfiguredDesign, read_design
 from cluster_est.errors import RunFolderError
-from cluster_est.experiment_design.findings.sentences import STEM, TABLE
+from cluster_est.experiment_design.design_sentences import STEM, TABLE
 from cluster_est.run_folder.context import Existing
 from cluster_est.run_folder.reading import read_facts, read_run_columns
 from cluster_est.studies import Destination, do_run

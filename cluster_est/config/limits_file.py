@@ -12,7 +12,7 @@ from typing import Annotated
 from pydantic import BeforeValidator, Field, ValidationError
 
 from cluster_est.errors import ConfigError, ProblemError
-from cluster_est.experiment_design.candidates import RECORDED
+from cluster_est.experiment_design.candidate_inputs import RECORDED
 from cluster_est.experiment_design.criteria import CRITERIA
 from cluster_est.experiment_design.limits import ExperimentLimits, InputLimits, SignalLimits
 from cluster_est.experiment_design.request import DesignSettings

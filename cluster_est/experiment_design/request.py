@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cluster_est.errors import ProblemError
-from cluster_est.experiment_design.candidates import RECORDED
+from cluster_est.experiment_design.candidate_inputs import RECORDED
 from cluster_est.experiment_design.criteria import CRITERIA, DesignCriterion
 from cluster_est.experiment_design.limits import ExperimentLimits
 from cluster_est.experiment_design.models import CandidateModel

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from cluster_est.cli.display.run import SHOWN, interval, number, print_run, print_table, say, tell
 from cluster_est.closed_loop.findings.words.numbers import NO_ALTERNATIVE, percent
-from cluster_est.experiment_design.findings.sentences import times
+from cluster_est.experiment_design.design_sentences import times
 from cluster_est.run_folder.reading import StoredRun, read_stored_run
 
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from cluster_est.closed_loop.findings.words.numbers import percent
-from cluster_est.experiment_design.findings.sentences import times
+from cluster_est.experiment_design.design_sentences import times
 from cluster_est.report.blocks import (
     Block,
     FigureBlock,

@@ -13,13 +13,13 @@ import numpy as np
 import pyarrow as pa
 
 from cluster_est.errors import RunFolderError
-from cluster_est.experiment_design.candidates import RANDOM, RECORDED, SMALLER, CandidateMaker
+from cluster_est.experiment_design.candidate_inputs import RANDOM, RECORDED, SMALLER, CandidateMaker
 from cluster_est.experiment_design.criteria import (
     covariances,
     expected_probabilities,
     prediction_variances,
 )
-from cluster_est.experiment_design.findings.sentences import (
+from cluster_est.experiment_design.design_sentences import (
     STEM,
     TABLE,
     ExpectedEvidence,
@@ -32,13 +32,13 @@ from cluster_est.experiment_design.findings.sentences import (
     narrowed_sentence,
     predicted_sentence,
 )
-from cluster_est.experiment_design.models import FittedCandidate
-from cluster_est.experiment_design.search import (
+from cluster_est.experiment_design.input_search import (
     CandidateScorer,
     ScoredCandidate,
     SearchedCandidates,
     ranked,
 )
+from cluster_est.experiment_design.models import FittedCandidate
 from workers.fmu.description import nearest
 from workers.grid import values_at
 from workers.messages import Experiment, FloatArray

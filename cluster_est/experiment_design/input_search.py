@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cluster_est.errors import BudgetError, ProblemError
-from cluster_est.experiment_design.candidates import CandidateInput, CandidateMaker
+from cluster_est.experiment_design.candidate_inputs import CandidateInput, CandidateMaker
 from cluster_est.experiment_design.criteria import DesignCriterion, evidence_table
 from cluster_est.experiment_design.models import FittedCandidate
-from cluster_est.experiment_design.prediction import (
+from cluster_est.experiment_design.predicted_outputs import (
     DesignQueue,
     PredictedExperiment,
     keeping_limits,

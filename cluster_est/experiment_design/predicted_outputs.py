@@ -11,7 +11,7 @@ import numpy as np
 
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
-from cluster_est.experiment_design.candidates import CandidateInput
+from cluster_est.experiment_design.candidate_inputs import CandidateInput
 from cluster_est.experiment_design.models import FittedCandidate, PredictedOutput
 from cluster_est.methods.base import TOLERANCE, Evaluation
 from cluster_est.methods.given_points import GivenPoints
