@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cluster_est.errors import ClusterEstError
     from cluster_est.experiment_design.design import design
     from cluster_est.fit import fit, simulate
-    from cluster_est.methods.least_squares.method import LeastSquares
+    from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
     from cluster_est.problem.fmu_file import read_model
     from cluster_est.problem.parameter import Parameter
     from cluster_est.problem.problem import Problem
@@ -96,7 +96,7 @@ _MODULES = {
     "cluster_est.errors": ("ClusterEstError",),
     "cluster_est.experiment_design.design": ("design",),
     "cluster_est.fit": ("fit", "simulate"),
-    "cluster_est.methods.least_squares.method": ("LeastSquares",),
+    "cluster_est.methods.least_squares.levenberg_marquardt": ("LeastSquares",),
     "cluster_est.problem.fmu_file": ("read_model",),
     "cluster_est.problem.parameter": ("Parameter",),
     "cluster_est.problem.problem": ("Problem",),
@@ -120,7 +120,7 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     found = getattr(import_module(_WHERE[name]), name)
     if name == "Experiment":  # `workers`, where the class stands, reads no tables
-        tables = import_module("cluster_est.problem.tables.experiment")
+        tables = import_module("cluster_est.problem.tables.experiment_from_table")
         found.from_table = staticmethod(tables.experiment_from_table)
         found.hold_out = import_module("cluster_est.problem.held_out").hold_out
     globals()[name] = found

@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Method
-from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.problem.effects.process_noise import check_process_noise
-from cluster_est.problem.observed_outputs import check_observed_outputs
-from cluster_est.problem.prior_weights import check_priors
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
+from cluster_est.methods.method import Method
+from cluster_est.problem.compatibility import check_observed_outputs, check_priors
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.problem.process_noise import check_process_noise
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.guarded import GuardedSteps
 from cluster_est.results.output_errors import Simulation

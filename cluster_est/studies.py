@@ -18,7 +18,7 @@ from cluster_est.config.options import build_method, build_resources
 from cluster_est.config.reader import Config, read_config
 from cluster_est.errors import BudgetError, ProblemError, UnwritableError
 from cluster_est.fit import FitPlan, check_search, fit_in
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
 from cluster_est.results.result import Result
 from cluster_est.run_folder.context import Existing, RunContext
 from cluster_est.run_folder.folder import RunResult

@@ -22,9 +22,9 @@ import cluster_est as ce
 from cluster_est.config.build import build_problem
 from cluster_est.config.reader import read_config
 from cluster_est.methods import METHODS
-from cluster_est.methods.base import Ending
+from cluster_est.methods.method import Ending
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
 from cluster_est.running.environment import open_executor
 from cluster_est.running.multistart import Multistart, sample
 from cluster_est.running.records import SearchIteration

@@ -33,8 +33,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 import cluster_est as ce
-from cluster_est.methods.base import Method, Search
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.methods.method import Method, Search
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.multistart import Multistart, sample
 
 Array = NDArray[np.float64]

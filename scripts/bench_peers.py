@@ -39,7 +39,7 @@ from peers_benchmark.fmpy_fits import Fit
 
 import cluster_est as ce
 from cluster_est.executors import Executor
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
 from cluster_est.running.environment import open_executor
 from cluster_est.running.resources import one_blas_thread
 from cluster_est.running.runner import Runner

@@ -24,8 +24,8 @@ import cluster_est as ce
 from cluster_est.config.build import build_problem
 from cluster_est.config.reader import read_config
 from cluster_est.methods import METHODS
-from cluster_est.methods.base import Method
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.methods.method import Method
+from cluster_est.problem.search_space import make_space
 from cluster_est.running.multistart import Multistart, search_from_starts
 from cluster_est.running.records import RunSnapshot
 from cluster_est.running.runner import Runner

@@ -23,8 +23,8 @@ from fmus.build import build
 
 import cluster_est as ce
 from cluster_est.fit import fit
-from cluster_est.methods.derivatives.differences import Differences
-from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.methods.differences import Differences
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.results.result import Result
 from cluster_est.running.resources import Resources
 from workers.evaluate import Evaluator

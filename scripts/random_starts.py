@@ -18,7 +18,7 @@ from cluster_est.config.build import build_problem
 from cluster_est.config.options import build_method, build_resources
 from cluster_est.config.reader import read_config
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.environment import open_executor
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest

@@ -25,7 +25,7 @@ from cluster_est.preflight import (
     sigma_findings,
 )
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.tables.rows import constraints_at_start
 from cluster_est.run_folder.run_identity import RunKind

@@ -23,11 +23,11 @@ from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.fit import check_method
-from cluster_est.problem.effects.process_noise import noise_names
+from cluster_est.problem.compatibility import NOT_PLAIN
 from cluster_est.problem.idle_inputs import silent_notes
-from cluster_est.problem.observed_outputs import NOT_PLAIN
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.process_noise import noise_names
+from cluster_est.problem.search_space import make_space
 from cluster_est.running.arguments import check_problem, check_resources
 from cluster_est.running.environment import Monitor, RunEnvironment
 from cluster_est.running.records import Record, TaskOrigin

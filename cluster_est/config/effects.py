@@ -1,7 +1,7 @@
 """Effects that a config names: what is added to the model, and the parameters that come with it.
 
 Maps become parameters too: a table of values over points, smooth and monotone if that is known;
-`cluster_est.problem.effects.table_values` says what smoothness is.
+`cluster_est.problem.free_curves` says what smoothness is.
 """
 
 from __future__ import annotations
@@ -14,19 +14,14 @@ from cluster_est.config.reader import Config, ConstraintSection, EffectSection, 
 from cluster_est.config.sections.experiment import OutputSection
 from cluster_est.config.sections.sections import MapSection
 from cluster_est.errors import ConfigError
-from cluster_est.problem.effects.declared import (
+from cluster_est.problem.declared_effects import (
     DeclaredCoefficient,
     DeclaredEffect,
     MadeEffect,
     make_effect,
 )
-from cluster_est.problem.effects.sensors import shared_sensor
-from cluster_est.problem.effects.table_values import (
-    UNBOUNDED,
-    TableShape,
-    ValueTable,
-    check_table_name,
-)
+from cluster_est.problem.free_curves import UNBOUNDED, TableShape, ValueTable, check_table_name
+from cluster_est.problem.sensors import shared_sensor
 from cluster_est.toml import dotted
 
 

@@ -14,9 +14,8 @@ from cluster_est.config.user_code import UserCode
 from cluster_est.errors import ConfigError
 from cluster_est.problem.held_out import hold_out
 from cluster_est.problem.tables.files import MeasuredTable, read_table
-from cluster_est.problem.tables.measured import MeasuredColumns, interval
+from cluster_est.problem.tables.measured import MeasuredColumns, TableSource, interval
 from cluster_est.problem.tables.stand_ins import by_column
-from cluster_est.problem.tables.unused import TableSource
 from cluster_est.settings import MOST_TIMES
 from cluster_est.toml import dotted
 from workers.fmu.description import nearest

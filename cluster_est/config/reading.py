@@ -9,8 +9,7 @@ from pathlib import Path
 from cluster_est.config.reader import ExperimentSection, InputSection
 from cluster_est.errors import ConfigError
 from cluster_est.problem.tables.files import MeasuredTable
-from cluster_est.problem.tables.grades import with_grades
-from cluster_est.problem.tables.measured import ColumnChange, MeasuredColumns
+from cluster_est.problem.tables.measured import ColumnChange, MeasuredColumns, with_grades
 from workers.messages import FloatArray, Input, Output
 
 

@@ -47,9 +47,9 @@ from cluster_est.experiment_design.request import (
     narrowed_labels,
 )
 from cluster_est.experiment_design.waveforms import WAVEFORMS
-from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
 from cluster_est.results.result import Result
 from cluster_est.running.arguments import check_resources
 from cluster_est.running.environment import Monitor, RunEnvironment

@@ -17,7 +17,7 @@ from cluster_est.experiment_design.predicted_outputs import (
     keeping_limits,
     predictions,
 )
-from cluster_est.methods.base import TOLERANCE
+from cluster_est.methods.method import TOLERANCE
 from cluster_est.running.runner import Runner
 from workers.messages import FloatArray
 

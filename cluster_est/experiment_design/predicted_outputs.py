@@ -13,11 +13,10 @@ from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.experiment_design.candidate_inputs import CandidateInput
 from cluster_est.experiment_design.models import FittedCandidate, PredictedOutput
-from cluster_est.methods.base import TOLERANCE, Evaluation
-from cluster_est.methods.given_points import GivenPoints
-from cluster_est.problem.prior_weights import without_priors
+from cluster_est.methods.method import TOLERANCE, Evaluation, GivenPoints
+from cluster_est.problem.compatibility import without_priors
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest

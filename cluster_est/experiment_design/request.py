@@ -15,11 +15,11 @@ from cluster_est.experiment_design.models import CandidateModel
 from cluster_est.experiment_design.targets import PredictionTarget, target_experiments
 from cluster_est.experiment_design.waveforms import WAVEFORMS
 from cluster_est.plug_in import check_options
-from cluster_est.problem.effects.process_noise import refuse_process_noise
-from cluster_est.problem.observed_outputs import NOT_PLAIN
+from cluster_est.problem.compatibility import NOT_PLAIN
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import make_space
-from cluster_est.problem.search_space.unknown import Unknown
+from cluster_est.problem.process_noise import refuse_process_noise
+from cluster_est.problem.search_space import make_space
+from cluster_est.problem.unknowns import Unknown
 from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription, nearest
 from workers.messages import Experiment

@@ -18,7 +18,7 @@ from cluster_est.errors import RunFolderError
 from cluster_est.export.repaired_model import EstimatedValue, RepairedModel, ReportedError
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.parameter_constraints import label_of
+from cluster_est.problem.unknowns import label_of
 from cluster_est.problem.variables import coefficient_names
 from cluster_est.results.tables.row_types import Estimate
 from cluster_est.run_folder.reading import (

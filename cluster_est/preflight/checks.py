@@ -33,8 +33,8 @@ from cluster_est.preflight.subject import (
     listed,
     unanswered,
 )
-from cluster_est.problem.effects.sensors import sensor_outputs
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.sensors import sensor_outputs
 from cluster_est.results.initial_errors import (
     estimates_start,
     free_start_advice,

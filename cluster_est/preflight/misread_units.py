@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.preflight.subject import CheckFinding, CheckSubject, CheckVerdict, unanswered
+from cluster_est.problem.tables.measured import TableSource
 from cluster_est.problem.tables.units import UnitConversion, likely_conversions
-from cluster_est.problem.tables.unused import TableSource
 from cluster_est.results.output_errors import Simulation
 from cluster_est.toml import dotted
 from workers.messages import Experiment, FloatArray, Input

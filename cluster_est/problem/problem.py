@@ -13,8 +13,8 @@ from cluster_est.problem import display
 from cluster_est.problem.formulas import Formula, ParameterConstraint
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.tables.jumps import jump_findings
+from cluster_est.problem.tables.measured import TableSource
 from cluster_est.problem.tables.stand_ins import of_experiment, stand_in_findings
-from cluster_est.problem.tables.unused import TableSource
 from cluster_est.problem.variables import (
     check_effects,
     check_experiment,

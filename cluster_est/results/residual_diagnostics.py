@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from cluster_est.costs.sum_squared import SumSquared
-from cluster_est.methods.base import Ending, Solution
-from cluster_est.problem.effects.process_noise import noise_names
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.method import Ending, Solution
+from cluster_est.problem.process_noise import noise_names
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.results.observation import lack_normal_law
 from cluster_est.results.output_errors import Simulation, output_residuals
 from cluster_est.statistics.projection import OrthogonalProjection

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from cluster_est.errors import RunFolderError
-from cluster_est.methods.base import Solution
+from cluster_est.methods.method import Solution
 from cluster_est.problem import display
 from cluster_est.problem.problem import Problem
 from cluster_est.results import actions

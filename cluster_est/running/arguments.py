@@ -12,7 +12,7 @@ from cluster_est.executors import EXECUTORS
 from cluster_est.methods import ALIASES, METHODS, Method
 from cluster_est.plug_in import check_options
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
 from cluster_est.running.records import Budget
 from cluster_est.running.resources import Resources
 from cluster_est.toml import dotted

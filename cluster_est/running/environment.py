@@ -11,8 +11,8 @@ from cluster_est.errors import ClusterEstError
 from cluster_est.executors import Executor, WorkerPool
 from cluster_est.executors.base import OutcomeSource
 from cluster_est.executors.log_replay import LogReplayExecutor
-from cluster_est.problem.effects.process_noise import check_process_noise
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.process_noise import check_process_noise
 from cluster_est.running.records import Budget, Note, Record, Show, TaskOrigin
 from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Runner

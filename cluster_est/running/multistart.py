@@ -21,16 +21,9 @@ import numpy.typing as npt
 from pydantic import Field, Strict
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Method, Solution
-from cluster_est.methods.given_points import GivenPoints
-from cluster_est.problem.effects.sensors import (
-    NEUTRAL,
-    OFFSET,
-    SCALE,
-    UnstartedSensor,
-    unstarted_sensors,
-)
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.method import GivenPoints, Method, Solution
+from cluster_est.problem.search_space import SearchSpace
+from cluster_est.problem.sensors import NEUTRAL, OFFSET, SCALE, UnstartedSensor, unstarted_sensors
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest, suited
 from cluster_est.settings import Count, Finite, Positive, Settings

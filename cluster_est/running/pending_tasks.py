@@ -12,8 +12,8 @@ import numpy as np
 
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.executors.base import Executor
-from cluster_est.methods.base import Points
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.method import Points
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.running.records import Record, TaskOrigin
 from cluster_est.running.search_state import OutcomeCache, Question, SearchState
 from workers.messages import REDUCTIONS, Effect, FloatArray, Outcome, Status, Task, Want

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from cluster_est.methods.base import Progress
+from cluster_est.methods.method import Progress
 from cluster_est.settings import Count, Finite, Settings
 from workers.messages import Outcome, Task
 

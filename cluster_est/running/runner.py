@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.executors.base import Executor
-from cluster_est.methods.base import (
+from cluster_est.methods.method import (
     BudgetTooShortError,
     Ending,
     Evaluation,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.methods.base import (
+from cluster_est.methods.method import (
     Ending,
     Evaluation,
     Method,
@@ -17,7 +17,7 @@ from cluster_est.methods.base import (
     Solution,
     joined_residuals,
 )
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.running.records import SearchIteration
 from workers.messages import Effect, FloatArray, Outcome, Want
 

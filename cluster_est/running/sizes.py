@@ -14,8 +14,8 @@ from typing import ClassVar
 import numpy as np
 from typing_extensions import override
 
-from cluster_est.methods.base import Ending, Evaluation, Method, Points, Search, Solution
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.method import Ending, Evaluation, Method, Points, Search, Solution
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from workers.messages import FloatArray

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cluster_est.errors import BudgetError
-from cluster_est.methods.given_points import GivenPoints
+from cluster_est.methods.method import GivenPoints
 from cluster_est.running.records import Budget
 from cluster_est.running.search_state import SearchState
 from workers.messages import FloatArray

@@ -25,10 +25,10 @@ import numpy as np
 from scipy.linalg import qr
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.given_points import GivenPoints
-from cluster_est.problem.prior_weights import without_priors
+from cluster_est.methods.method import GivenPoints
+from cluster_est.problem.compatibility import without_priors
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.arguments import check_problem, check_resources
 from cluster_est.running.environment import Monitor, RunEnvironment
 from cluster_est.running.records import Note, Record, Show

@@ -12,9 +12,9 @@ import pyarrow as pa
 
 from cluster_est.costs.base import Cost
 from cluster_est.errors import RunFolderError
-from cluster_est.methods.base import Evaluation
+from cluster_est.methods.method import Evaluation
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.sensitivity.settings import SensitivitySettings
 from cluster_est.statistics.records import make_records
 from workers.fmu.description import nearest

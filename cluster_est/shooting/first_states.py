@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cluster_est.errors import ProblemError
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.shooting.segments import SegmentedProblem, measured_at
 from cluster_est.shooting.space import segment_values

@@ -14,13 +14,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import fdtrc
 
-from cluster_est.methods.base import Ending, Solution
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.methods.derivatives.differences import Differences
-from cluster_est.methods.least_squares.chain_elimination import eliminate, make_chains
-from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.methods.differences import Differences
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
+from cluster_est.methods.least_squares.sparse_step import eliminate, make_chains
+from cluster_est.methods.method import Ending, Solution
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.shooting.first_states import FirstStates, spread_of_states

@@ -9,10 +9,10 @@ import numpy as np
 
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
-from cluster_est.problem.effects.process_noise import refuse_process_noise
-from cluster_est.problem.observed_outputs import besides_plain_outputs
+from cluster_est.problem.compatibility import besides_plain_outputs
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.process_noise import refuse_process_noise
 from cluster_est.shooting.settings import Shooting
 from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription

@@ -8,11 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Ending, Method, Solution
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.methods.given_points import GivenPoints
-from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
+from cluster_est.methods.method import Ending, GivenPoints, Method, Solution
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.segments import SURPRISING, SegmentState, ShootingSummary
 from cluster_est.running.environment import RunEnvironment

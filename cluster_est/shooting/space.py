@@ -11,9 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.problem.parameter import Parameter
-from cluster_est.problem.search_space.continuity import StateContinuity, StateEnd
-from cluster_est.problem.search_space.space import SearchSpace
-from cluster_est.problem.search_space.unknown import Unknown
+from cluster_est.problem.search_space import SearchSpace
+from cluster_est.problem.unknowns import StateContinuity, StateEnd, Unknown
 from cluster_est.shooting.segments import SegmentedProblem
 from workers.messages import FloatArray
 

@@ -19,8 +19,8 @@ import numpy as np
 from scipy.special import ndtr, stdtrit
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Ending, Method, Solution
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.method import Ending, Method, Solution
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty.covariance.layout import is_shared

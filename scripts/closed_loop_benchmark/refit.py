@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est import LeastSquares, Problem, Resources
-from cluster_est.methods.base import Solution
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.methods.method import Solution
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.environment import open_executor
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest

@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from bench_shooting import SYSTEMS, made_problem
 
 import cluster_est as ce
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.shooting.first_states import first_states
 from cluster_est.shooting.segments import cut

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import tomli_w
 
 from cluster_est.drafting.candidates import candidates
-from cluster_est.methods.base import Ending
+from cluster_est.methods.method import Ending
 from cluster_est.run_folder.reading import read_facts
 from fmu_trials.commands import CommandEnd, run_command
 from fmu_trials.curve import Array, Trial, referred

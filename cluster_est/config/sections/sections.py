@@ -13,7 +13,7 @@ from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.config.sections.experiment import ExperimentDefaultsSection, ExperimentSection
 from cluster_est.costs import COSTS
 from cluster_est.executors import EXECUTORS
-from cluster_est.problem.effects.table_values import Monotone
+from cluster_est.problem.free_curves import Monotone
 from cluster_est.running.multistart import Multistart
 from cluster_est.running.records import Budget, LogSettings
 from cluster_est.running.resources import Resources

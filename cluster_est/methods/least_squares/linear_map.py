@@ -24,17 +24,18 @@ import numpy as np
 from typing_extensions import override
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Evaluation
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.methods.derivatives.differences import ResidualJacobian
-from cluster_est.methods.least_squares.chain_elimination import eliminate, make_chains
+from cluster_est.methods.differences import ResidualJacobian
 from cluster_est.methods.least_squares.sparse_step import (
     FactoredJacobian,
     Mask,
     SparseStepSolver,
+    eliminate,
+    make_chains,
     solve_shared,
 )
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.method import Evaluation
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray, IntArray
 
 LARGEST_RATIO = 1e10

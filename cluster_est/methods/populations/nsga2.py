@@ -16,16 +16,16 @@ import numpy.typing as npt
 from typing_extensions import override
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Evaluation, OtherPoint
-from cluster_est.methods.populations.generation import (
+from cluster_est.methods.method import Evaluation, OtherPoint
+from cluster_est.methods.populations.population_method import (
     PopulationGoal,
     PopulationMember,
+    PopulationMethod,
     PopulationStrategy,
     UnitBox,
 )
-from cluster_est.methods.populations.method import PopulationMethod
-from cluster_est.methods.populations.pymoo_strategy import PymooStrategy
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.populations.pymoo_methods import PymooStrategy
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 Kind = Literal["outputs", "experiments"]

@@ -22,7 +22,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cluster_est.methods.base import (
+from cluster_est.methods.differences import Differences, without_guesses
+from cluster_est.methods.gradients import CostDerivatives, JacobianProvider, derivatives
+from cluster_est.methods.method import (
     CUT_SHORT,
     Ending,
     Evaluation,
@@ -34,12 +36,8 @@ from cluster_est.methods.base import (
     undefined_reason,
     worst_constraint,
 )
-from cluster_est.methods.derivatives.differences import Differences, without_guesses
-from cluster_est.methods.derivatives.gradients import CostDerivatives, derivatives
-from cluster_est.methods.derivatives.sensitivities import JacobianProvider
-from cluster_est.methods.sqp.hessian import Hessian
-from cluster_est.methods.sqp.local_model import ModelStep, SqpLocalModel
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.sqp.local_model import Hessian, ModelStep, SqpLocalModel
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 INITIAL_RADIUS = 1.0

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from cluster_est.methods.base import TOLERANCE, OtherPoint, Solution
+from cluster_est.methods.method import TOLERANCE, OtherPoint, Solution
 from cluster_est.problem import display
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import SearchSpace
-from cluster_est.problem.search_space.unknown import scope_of
+from cluster_est.problem.search_space import SearchSpace
+from cluster_est.problem.unknowns import scope_of
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.tables.row_types import ConstraintValue, Estimate, PointValue, StartResult
 from cluster_est.running.multistart import MultistartResult

@@ -18,7 +18,7 @@ from typing import Any, Protocol
 from cluster_est.errors import UnsuitableExecutorError
 from cluster_est.executors import WorkerPool, executor_class
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
 from cluster_est.running.resources import Resources
 from cluster_est.running.trials.side_by_side import TOGETHER, Trial, what_disturbs
 from workers.errors import ModelError

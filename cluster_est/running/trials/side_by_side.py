@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.problem.search_space import SearchSpace, make_space
 from workers.fmu.archive import unpacked_folder
 from workers.messages import Experiment, FloatArray, Model, Task, content_hash
 from workers.probes.side_by_side import InstanceSimulation, SideBySideProbe

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cluster_est.methods.derivatives.differences import difference_steps, relative_noise
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.differences import difference_steps, relative_noise
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray, Output
 
 SAFETY = 30.0

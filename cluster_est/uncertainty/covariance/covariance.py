@@ -23,8 +23,8 @@ import numpy as np
 from scipy.special import stdtrit
 
 from cluster_est.costs.sum_squared import SumSquared
-from cluster_est.methods.base import Solution
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.method import Solution
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.uncertainty.covariance.blocks import BlockCovariance
 from cluster_est.uncertainty.covariance.directions import joined
 from cluster_est.uncertainty.covariance.layout import (

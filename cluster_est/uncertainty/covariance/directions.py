@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from scipy.linalg import qr
 
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 Kind = Literal["undetermined", "weak", "no effect"]

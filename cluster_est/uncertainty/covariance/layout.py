@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.methods.base import TOLERANCE, Solution
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.method import TOLERANCE, Solution
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.uncertainty.covariance import accuracy
 from cluster_est.uncertainty.covariance.blocks import JacobianBlock
 from workers.messages import FloatArray, IntArray

@@ -28,9 +28,9 @@ import numpy as np
 import numpy.typing as npt
 
 from cluster_est.costs.base import Cost
-from cluster_est.methods.base import Solution
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.method import Solution
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.uncertainty.covariance import accuracy
 from cluster_est.uncertainty.covariance.blocks import (
     BlockFactors,

@@ -9,10 +9,10 @@ import numpy as np
 from cluster_est.costs.likelihood import GaussianLikelihood
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Evaluation
-from cluster_est.problem.prior_weights import check_priors, need_sigmas, refuse_distances
-from cluster_est.problem.search_space.space import SearchSpace
-from cluster_est.problem.search_space.unknown import Unknown
+from cluster_est.methods.method import Evaluation
+from cluster_est.problem.compatibility import check_priors, need_sigmas, refuse_distances
+from cluster_est.problem.search_space import SearchSpace
+from cluster_est.problem.unknowns import Unknown
 from cluster_est.toml import dotted
 from workers.messages import FloatArray
 

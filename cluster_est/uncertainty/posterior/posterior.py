@@ -17,9 +17,17 @@ from typing import ClassVar
 import numpy as np
 from typing_extensions import override
 
-from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
 from cluster_est.methods.callback_bridge import Ask, search_in_thread
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.method import (
+    Ending,
+    Evaluation,
+    Method,
+    Points,
+    Progress,
+    Search,
+    Solution,
+)
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.statistics.projection import root_of_inverse

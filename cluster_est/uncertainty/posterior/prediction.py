@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
 from cluster_est.running.runner import Runner
 from cluster_est.uncertainty.posterior.result import PosteriorResult, central
 from workers.messages import FloatArray

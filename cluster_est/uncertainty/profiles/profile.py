@@ -29,7 +29,7 @@ import numpy as np
 from scipy.special import fdtri
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import (
+from cluster_est.methods.method import (
     Ending,
     Evaluation,
     Method,
@@ -39,8 +39,8 @@ from cluster_est.methods.base import (
     Search,
     Solution,
 )
-from cluster_est.problem.observed_outputs import refuse_ordinal_outputs
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.compatibility import refuse_ordinal_outputs
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty.covariance.covariance import assess

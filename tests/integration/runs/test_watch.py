@@ -17,7 +17,7 @@ from cluster_est.cli import main
 from cluster_est.cli.display.watch_table import WatchTable, rendered
 from cluster_est.cli.terminal import line
 from cluster_est.fit import fit
-from cluster_est.methods.base import Progress
+from cluster_est.methods.method import Progress
 from cluster_est.report.watch import RunFollower, RunView, follow
 from cluster_est.run_folder.folder import RunFolder
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind

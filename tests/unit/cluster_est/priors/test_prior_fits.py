@@ -9,7 +9,7 @@ from cluster_est.costs import COSTS
 from cluster_est.errors import ProblemError
 from cluster_est.fit import FitPlan, check_search
 from cluster_est.methods import METHODS
-from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.priors import LogNormalPrior, NormalPrior
 from cluster_est.problem.parameter import Parameter
 from cluster_est.uncertainty import UncertaintySettings, examine, linearise, profiles

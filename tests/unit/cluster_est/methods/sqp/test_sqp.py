@@ -11,7 +11,7 @@ from support.thinning import thinned
 
 from cluster_est.costs.robust import CauchyCost, HuberCost
 from cluster_est.methods import Sqp
-from cluster_est.methods.base import Ending
+from cluster_est.methods.method import Ending
 
 METHODS = [
     Sqp(),

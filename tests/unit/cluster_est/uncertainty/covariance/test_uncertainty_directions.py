@@ -9,7 +9,7 @@ from support.problems.curves import Curves
 
 from cluster_est import LeastSquares, Parameter
 from cluster_est.costs.likelihood import GaussianLikelihood
-from cluster_est.methods.base import Ending, Solution
+from cluster_est.methods.method import Ending, Solution
 from cluster_est.uncertainty import assess, examine, linearise
 
 TIMES = np.linspace(0.1, 4.0, 30)

@@ -13,7 +13,6 @@ import pyarrow as pa
 
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.files import MeasuredTable, named_columns, read_table, repeated
-from cluster_est.problem.tables.grades import with_grades
 from cluster_est.problem.tables.measured import (
     ColumnChange,
     MeasuredColumns,
@@ -21,6 +20,7 @@ from cluster_est.problem.tables.measured import (
     missing_time,
     relative_without_sigma,
     sigma_without_output,
+    with_grades,
 )
 from workers.fmu.description import nearest
 from workers.messages import Experiment, FloatArray, Input, Interpolation, Output, Role, Value

@@ -9,9 +9,8 @@ from typing import Literal
 
 from cluster_est.errors import ConfigError
 from cluster_est.priors import Prior
-from cluster_est.problem.effects.shaped_curve import UNSHAPED, ShapedCurve
-from cluster_est.problem.effects.table_values import TableShape
 from cluster_est.problem.formulas import ParameterConstraint
+from cluster_est.problem.free_curves import UNSHAPED, ShapedCurve, TableShape
 from cluster_est.problem.parameter import Parameter
 from workers.effects.kinds import FormCoefficient
 from workers.fmu.description import nearest

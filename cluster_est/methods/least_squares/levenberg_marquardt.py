@@ -4,31 +4,27 @@ An iteration is two requests: one point for each colour of unknowns (the Jacobia
 several damping factors at the same time, of which the best is taken. The number of trial steps is
 an option and never the number of workers, so the result does not depend on the machine. Where the
 predicted reduction is far above the best actual one, a third request follows the curvature that
-the trials have shown.
+the trials have shown. In place of the first one may stand Broyden's update of the last Jacobian by
+what its step has shown, which costs no simulation:
+
+    J+ = J + (dr - J p) (D^2 p)' / (p' D^2 p)
+
+is the least change, in the scaled norm, with which J+ p = dr, the change of the residuals that was
+seen (C. G. Broyden, Math. Comp. 19 (1965) 577-593, doi:10.1090/S0025-5718-1965-0198670-6).
 
 Each step minimises the linear model within the bounds exactly, so a bound that becomes active does
 not bend the step of the other unknowns. Damping is scaled by the largest column norms so far, which
 makes the iterates independent of the units of the unknowns.
 
+A minimum is flat: at half of a double's digits in the unknowns all digits of the cost are used up.
+The gradient has more of them. So the last steps, where changes of the cost are rounding errors, are
+full steps, one point at a time, as long as they do not raise the cost by more than counts as no
+change. Gauss-Newton steps approach a minimum with large residuals only linearly; two of them in a
+row are extrapolated by Anderson's formula of depth one (H. F. Walker, P. Ni, SIAM J. Numer. Anal.
+49 (2011) 1715-1735, doi:10.1137/10078356X).
+
 References: D. W. Marquardt, J. SIAM 11 (1963) 431-441, doi:10.1137/0111030; J. J. More, The
 Levenberg-Marquardt algorithm, Lecture Notes in Mathematics 630 (1978), doi:10.1007/BFb0067700.
-
-The last steps of a least-squares search, where changes of the cost are rounding errors.
-
-A minimum is flat: at half of a double's digits in the unknowns all digits of the cost are used up.
-The gradient has more of them. So near the end the full step is taken, one point at a time, as long
-as it does not raise the cost by more than counts as no change. Gauss-Newton steps approach a
-minimum with large residuals only linearly; two of them in a row are extrapolated by Anderson's
-formula of depth one (H. F. Walker, P. Ni, SIAM J. Numer. Anal. 49 (2011) 1715-1735,
-doi:10.1137/10078356X).
-
-Broyden's update: a Jacobian for the next point from the last one and what its step has shown.
-
-    J+ = J + (dr - J p) (D^2 p)' / (p' D^2 p)
-
-is the least change, in the scaled norm, with which J+ p = dr, the change of the residuals that was
-seen (C. G. Broyden, Math. Comp. 19 (1965) 577-593, doi:10.1090/S0025-5718-1965-0198670-6). It costs
-no simulation, where differences cost one for each unknown.
 """
 
 from __future__ import annotations
@@ -40,23 +36,9 @@ from typing import ClassVar
 import numpy as np
 from typing_extensions import override
 
-from cluster_est.methods.base import (
-    Ending,
-    Evaluation,
-    Method,
-    Points,
-    Progress,
-    Search,
-    Solution,
-    within_budget,
-)
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.methods.derivatives.differences import (
-    Differences,
-    ResidualJacobian,
-    without_guesses,
-)
-from cluster_est.methods.derivatives.sensitivities import JacobianProvider
+from cluster_est.methods.differences import Differences, ResidualJacobian, without_guesses
+from cluster_est.methods.gradients import JacobianProvider
 from cluster_est.methods.least_squares.iteration import (
     CLOSE,
     LEAST_DAMPING,
@@ -67,8 +49,18 @@ from cluster_est.methods.least_squares.iteration import (
     enough_to_notice,
 )
 from cluster_est.methods.least_squares.linear_map import LocalModel
+from cluster_est.methods.method import (
+    Ending,
+    Evaluation,
+    Method,
+    Points,
+    Progress,
+    Search,
+    Solution,
+    within_budget,
+)
 from cluster_est.methods.sqp.trust_region import SqpOptions, trust_region_search
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 FINAL_PART = 1e-6

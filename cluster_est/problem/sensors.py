@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cluster_est.problem.effects.declared import (
+from cluster_est.problem.declared_effects import (
     DeclaredCoefficient,
     DeclaredEffect,
     MadeEffect,
     make_effect,
 )
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import Effect
 
 SCALE, OFFSET = "scale", "offset"

@@ -22,9 +22,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.methods.base import Ending, Evaluation, Points, Progress, Solution
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.method import Ending, Evaluation, Points, Progress, Solution
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray, IntArray, Outcome, Solver
 
 Scheme = Literal["forward", "central"]

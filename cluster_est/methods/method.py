@@ -30,7 +30,7 @@ import numpy.typing as npt
 
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.plug_in import check_class_attributes
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray, Outcome
 from workers.messages.equality import by_content
 
@@ -380,3 +380,43 @@ def within_budget(
         except BudgetTooShortError:
             requests.close()
             return None
+
+
+@by_content
+@dataclass(frozen=True)
+class GivenPoints(Method):
+    """Evaluate points, and end at the best of them; the solution carries all evaluations.
+
+    Attributes
+    ----------
+    points : (points, unknowns)
+        In search coordinates.
+    purpose
+        For the log.
+    """
+
+    name: ClassVar[str] = "look"
+    needs_residuals: ClassVar[bool] = False
+
+    keeps_constraints: ClassVar[bool] = True
+
+    points: FloatArray
+    purpose: str
+
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
+        del space, generator  # the points are given
+        found = tuple((yield Points(self.points, self.purpose)))
+        ok = [i for i, evaluation in enumerate(found) if evaluation.ok]
+        if not ok:
+            first = found[0]
+            return Solution(
+                self.points[0],
+                np.nan,
+                Ending.START_FAILED,
+                first.reason,
+                at=first,
+                evaluations=found,
+            )
+        best = min(ok, key=lambda i: found[i].rank)
+        at = found[best]
+        return Solution(self.points[best], at.cost, Ending.CONVERGED, at=at, evaluations=found)

@@ -18,15 +18,16 @@ import numpy.typing as npt
 
 from cluster_est.costs.base import Cost
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.continuity import StateContinuity
-from cluster_est.problem.search_space.parameter_constraints import (
+from cluster_est.problem.unknowns import (
     ConstraintSpec,
+    KnownPrior,
+    PriorRows,
+    StateContinuity,
+    Unknown,
     evaluate,
     expand,
     label_of,
 )
-from cluster_est.problem.search_space.prior_rows import KnownPrior, PriorRows
-from cluster_est.problem.search_space.unknown import Unknown
 from workers.messages import Experiment, FloatArray, IntArray, Want
 
 LEAST_RESIDUALS = 10

@@ -18,10 +18,10 @@ from typing import ClassVar
 import numpy as np
 from typing_extensions import override
 
-from cluster_est.methods.base import Ending, Points, Progress, Search, Solution, worst_constraint
+from cluster_est.methods.method import Ending, Points, Progress, Search, Solution, worst_constraint
 from cluster_est.methods.pattern_search.poll_directions import PatternMethod
 from cluster_est.methods.pattern_search.state import PatternState, PollPlan
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 NEAR_MINIMUM = 0.1

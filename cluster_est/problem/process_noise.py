@@ -9,7 +9,7 @@ import numpy as np
 
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
-from cluster_est.problem.observed_outputs import besides_plain_outputs
+from cluster_est.problem.compatibility import besides_plain_outputs
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from workers.messages import Experiment
