@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     from cluster_est.residual_function import residuals
     from cluster_est.results.result import Result
     from cluster_est.running.multistart import Multistart
-    from cluster_est.running.records import Budget
-    from cluster_est.running.resources import Resources
+    from cluster_est.running.resources import Budget, Resources
     from cluster_est.uncertainty import UncertaintySettings
     from workers.messages import Effect, Experiment, Input, Model, Output, Solver
 
@@ -105,8 +104,7 @@ _MODULES = {
     "cluster_est.results.result": ("Result",),
     "cluster_est.results.tables.row_types": ("Estimate",),
     "cluster_est.running.multistart": ("Multistart",),
-    "cluster_est.running.records": ("Budget",),
-    "cluster_est.running.resources": ("Resources",),
+    "cluster_est.running.resources": ("Budget", "Resources"),
     "cluster_est.uncertainty": ("UncertaintySettings",),
     "workers.messages": ("Effect", "Experiment", "Input", "Model", "Output", "Solver"),
 }

@@ -37,11 +37,10 @@ from cluster_est.running.multistart import (
     check_starts,
     search_from_starts,
 )
-from cluster_est.running.records import Note, Record, Show
-from cluster_est.running.resources import Resources, one_blas_thread
+from cluster_est.running.resources import Note, Record, Resources, Show, one_blas_thread
 from cluster_est.running.runner import Runner
 from cluster_est.running.sizes import with_sizes
-from cluster_est.shooting.settings import Shooting
+from cluster_est.shooting.segments import Shooting
 from cluster_est.shooting.shoot import ShotFit, check_shooting, fit_whole_records, shoot
 from cluster_est.uncertainty import (
     UncertaintySettings,

@@ -27,7 +27,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
 from cluster_est.running.environment import open_executor
 from cluster_est.running.multistart import Multistart, sample
-from cluster_est.running.records import SearchIteration
+from cluster_est.running.resources import SearchIteration
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 

@@ -21,7 +21,7 @@ import cluster_est as ce
 from cluster_est.config.build import build_problem
 from cluster_est.config.reader import read_config
 from cluster_est.methods import METHODS
-from cluster_est.running.records import TaskOrigin
+from cluster_est.running.resources import TaskOrigin
 from workers.messages import Outcome, Status
 
 CONFIGS = Path(__file__).parents[1] / "configs"

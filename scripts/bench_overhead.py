@@ -21,7 +21,7 @@ import numpy as np
 from build_fmus import build
 
 from cluster_est.executors import executor_class
-from cluster_est.executors.base import Executor
+from cluster_est.executors.executor import Executor
 from cluster_est.running.resources import one_blas_thread
 from workers.messages import Experiment, Model, Output, Solver, Task
 

@@ -22,8 +22,7 @@ from fmus.build import build
 from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.fit import fit
 from cluster_est.methods.populations.pymoo_methods import DifferentialEvolution
-from cluster_est.running.records import Budget
-from cluster_est.running.resources import Resources
+from cluster_est.running.resources import Budget, Resources
 from workers.messages import Reduction
 
 

@@ -31,8 +31,7 @@ from cluster_est import Experiment, LeastSquares, Model, Output, Parameter, Prob
 from cluster_est.methods.method import Ending, Method, Points, Search, Solution
 from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.run_folder.evaluation_log import EvaluationLog
-from cluster_est.running.records import SearchIteration
-from cluster_est.running.resources import one_blas_thread
+from cluster_est.running.resources import SearchIteration, one_blas_thread
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty import assess

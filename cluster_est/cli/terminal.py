@@ -18,8 +18,7 @@ from cluster_est.cli.display.run import say
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.run_folder.progress_text import left_of_step, pace_of, what_is_done
-from cluster_est.running.records import Budget, RunSnapshot, Show
-from cluster_est.running.resources import Resources
+from cluster_est.running.resources import Budget, Resources, RunSnapshot, Show
 from cluster_est.studies import Listener
 from workers.kernels.fmi.compiling import compiled_before
 

@@ -25,8 +25,7 @@ from cluster_est.closed_loop.workbench import FitStart
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.running.environment import Monitor
-from cluster_est.running.records import Note, Record, Show
-from cluster_est.running.resources import Resources
+from cluster_est.running.resources import Note, Record, Resources, Show
 
 
 def close_loop(

@@ -30,8 +30,7 @@ from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import make_space
 from cluster_est.running.arguments import check_problem, check_resources
 from cluster_est.running.environment import Monitor, RunEnvironment
-from cluster_est.running.records import Record, TaskOrigin
-from cluster_est.running.resources import Resources, one_blas_thread
+from cluster_est.running.resources import Record, Resources, TaskOrigin, one_blas_thread
 from cluster_est.statistics.noise.estimate import SHORTEST
 from cluster_est.statistics.records import make_records
 from cluster_est.toml import dotted

@@ -52,11 +52,9 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
 from cluster_est.results.result import Result
 from cluster_est.running.arguments import check_resources
-from cluster_est.running.environment import Monitor, RunEnvironment
-from cluster_est.running.records import Note, Record, Show
-from cluster_est.running.resources import Resources, one_blas_thread
+from cluster_est.running.environment import Monitor, RunEnvironment, SharedPools
+from cluster_est.running.resources import Note, Record, Resources, Show, one_blas_thread
 from cluster_est.running.search_state import SearchRequest
-from cluster_est.running.shared_pools import SharedPools
 from workers.messages import Experiment, FloatArray, Output
 from workers.messages.checks import check_kind, check_number
 

@@ -43,7 +43,7 @@ from workers.fmu.description import nearest
 from workers.grid import values_at
 from workers.messages import Experiment, FloatArray
 from workers.messages.checks import check_text
-from workers.messages.equality import by_content
+from workers.messages.types import by_content
 
 
 def expected_table(models: Sequence[FittedCandidate], best: ScoredCandidate) -> pa.Table:

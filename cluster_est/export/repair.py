@@ -28,8 +28,7 @@ from cluster_est.run_folder.reading import (
     read_run_table,
 )
 from cluster_est.run_folder.replay import config_base
-from workers.effects.definition import EffectDefinition, define_all
-from workers.effects.units import UNKNOWN, coefficient_units
+from workers.effects.definition import UNKNOWN, EffectDefinition, coefficient_units, define_all
 from workers.fmu.description import ModelDescription, nearest
 from workers.messages import Experiment
 

@@ -1,4 +1,4 @@
-"""Jacobians and gradients: of the model's own sensitivities, as long as they hold, else of differences.
+"""Jacobians and gradients: by the sensitivities of the model while they hold, else by differences.
 
 A worker gives the derivatives of the residuals by the physical values (see
 `workers.simulation.sensitivities`); the chain rule gives those by the unknowns. The first of them

@@ -32,7 +32,7 @@ from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.plug_in import check_class_attributes
 from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray, Outcome
-from workers.messages.equality import by_content
+from workers.messages.types import by_content
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ import numpy as np
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.results.output_errors import Simulation
+from workers.evaluate import FmuProbe
 from workers.fmu.description import ModelDescription
 from workers.messages import FloatArray, ResetPolicy
-from workers.probes.base import FmuProbe
 from workers.process.trial import NoAnswer, ProbeBench
 
 

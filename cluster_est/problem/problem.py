@@ -29,7 +29,7 @@ from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription, describe_model
 from workers.messages import Effect, Experiment, Model
 from workers.messages.checks import as_pairs, as_tuple, check_kind, check_text
-from workers.messages.equality import by_content
+from workers.messages.types import by_content
 from workers.simulation.fixed_step import communication_notes
 
 

@@ -16,7 +16,11 @@ from cluster_est.statistics.projection import OrthogonalProjection
 from cluster_est.statistics.records import StackedRecords, make_records
 from cluster_est.statistics.residual_findings import ResidualDiagnostics
 from cluster_est.statistics.residual_tests import ResidualTests
-from cluster_est.uncertainty.covariance.layout import active_bounds, has_jacobian, jacobian_blocks
+from cluster_est.uncertainty.covariance.normal_equations import (
+    active_bounds,
+    has_jacobian,
+    jacobian_blocks,
+)
 from workers.messages import FloatArray
 
 EXACT = 1e-5

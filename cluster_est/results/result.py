@@ -44,7 +44,7 @@ from cluster_est.uncertainty import (
     ProfileResult,
     Uncertainty,
 )
-from cluster_est.uncertainty.rows import (
+from cluster_est.uncertainty.uncertainty_rows import (
     bootstrap_rows,
     correlation_rows,
     direction_rows,
@@ -54,7 +54,7 @@ from cluster_est.uncertainty.rows import (
 from workers.fmu.description import nearest
 from workers.messages import FloatArray, Role
 from workers.messages.checks import check_text
-from workers.messages.equality import by_content
+from workers.messages.types import by_content
 
 if TYPE_CHECKING:
     from cluster_est.export.write import ExportResult

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from cluster_est.errors import RunFolderError
-from cluster_est.running.records import RunSnapshot, SearchIteration
+from cluster_est.running.resources import RunSnapshot, SearchIteration
 from cluster_est.whole_files import MEND, SEAL, is_damaged, is_sealed, sealed
 
 PROGRESS = "progress.jsonl"

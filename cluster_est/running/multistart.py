@@ -30,7 +30,7 @@ from cluster_est.settings import Count, Finite, Positive, Settings
 from cluster_est.toml import dotted
 from workers.fmu.description import nearest
 from workers.messages import FloatArray, Outcome
-from workers.messages.equality import by_content
+from workers.messages.types import by_content
 from workers.residuals.observed import best_scale_and_offset
 
 AT_ONCE = 16

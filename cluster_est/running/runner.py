@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.executors.base import Executor
+from cluster_est.executors.executor import Executor
 from cluster_est.methods.method import (
     BudgetTooShortError,
     Ending,
@@ -25,9 +25,8 @@ from cluster_est.methods.method import (
     Solution,
 )
 from cluster_est.running.interrupts import DeferredInterrupts, later
-from cluster_est.running.pending_tasks import PendingTasks
-from cluster_est.running.records import Budget, Note, Record, RunSnapshot, SearchIteration, Show
-from cluster_est.running.search_state import SearchRequest, SearchState, suited
+from cluster_est.running.resources import Budget, Note, Record, RunSnapshot, SearchIteration, Show
+from cluster_est.running.search_state import PendingTasks, SearchRequest, SearchState, suited
 from cluster_est.running.time_left import (
     BudgetWatch,
     WorkDone,

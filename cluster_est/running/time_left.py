@@ -16,7 +16,7 @@ import numpy as np
 
 from cluster_est.errors import BudgetError
 from cluster_est.methods.method import GivenPoints
-from cluster_est.running.records import Budget
+from cluster_est.running.resources import Budget
 from cluster_est.running.search_state import SearchState
 from workers.messages import FloatArray
 

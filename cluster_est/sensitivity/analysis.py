@@ -31,8 +31,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.arguments import check_problem, check_resources
 from cluster_est.running.environment import Monitor, RunEnvironment
-from cluster_est.running.records import Note, Record, Show
-from cluster_est.running.resources import Resources, one_blas_thread
+from cluster_est.running.resources import Note, Record, Resources, Show, one_blas_thread
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.sensitivity.designs import DESIGNS, SensitivityDesign, SensitivityIndex

@@ -20,7 +20,7 @@ from cluster_est.statistics.records import make_records
 from workers.fmu.description import nearest
 from workers.messages import FloatArray, IntArray
 from workers.messages.checks import check_text
-from workers.messages.equality import by_content
+from workers.messages.types import by_content
 
 COST, LOG_COST = "cost", "log(cost)"
 

@@ -18,7 +18,7 @@ import sympy as sp
 from cluster_est.closed_loop.candidates.own_states import own_states_of
 from workers.effects.expression import parse
 from workers.effects.forms import FORMS, EffectForm
-from workers.effects.memory import MEMORIES, SampledSignal
+from workers.effects.signal_memory import MEMORIES, SampledSignal
 from workers.messages import FloatArray
 
 ROOT = Path(__file__).resolve().parents[2]

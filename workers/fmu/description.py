@@ -20,17 +20,21 @@ from xml.etree.ElementTree import Element
 
 from workers.errors import ModelError
 from workers.fmu.archive import DAMAGED, open_archive
-from workers.fmu.parsing.elements import UnitDefinition, Version, read_units
-from workers.fmu.parsing.model_variables import read_variables
-from workers.fmu.parsing.structure import (
-    InterfaceOffer,
-    VariableDependency,
-    read_offers,
-    read_structure,
-)
-from workers.fmu.parsing.xml import XML, ReadingNotes, first_line, flag, number, parse
+from workers.fmu.model_variables import read_variables
 from workers.fmu.platforms import missing_binary, platforms_in
+from workers.fmu.structure import InterfaceOffer, VariableDependency, read_offers, read_structure
 from workers.fmu.variable import ModelVariable
+from workers.fmu.xml import (
+    XML,
+    ReadingNotes,
+    UnitDefinition,
+    Version,
+    first_line,
+    flag,
+    number,
+    parse,
+    read_units,
+)
 from workers.messages import Interface, Model
 
 

@@ -37,7 +37,7 @@ from cluster_est.results.shapes.effect_table import curve_table
 from cluster_est.results.tables.row_types import EffectCurve
 from cluster_est.results.tables.rows import fit_tables
 from workers.messages import FloatArray, Role
-from workers.messages.equality import by_content
+from workers.messages.types import by_content
 
 if TYPE_CHECKING:  # it needs SymPy, which is slow
     from cluster_est.export.write import ExportResult

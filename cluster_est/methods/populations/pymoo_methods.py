@@ -245,8 +245,8 @@ class Isres(PopulationMethod):
     or in pieces; the only population here that keeps equalities. Without constraints `de` and
     `cmaes` need fewer simulations.
 
-    T. P. Runarsson, X. Yao, IEEE Trans. SMC C 35 (2005) 233-243, doi:10.1109/TSMCC.2004.841906, with
-    the ranking of T. P. Runarsson, X. Yao, IEEE Trans. Evol. Comput. 4 (2000) 284-294,
+    T. P. Runarsson, X. Yao, IEEE Trans. SMC C 35 (2005) 233-243, doi:10.1109/TSMCC.2004.841906,
+    with the ranking of T. P. Runarsson, X. Yao, IEEE Trans. Evol. Comput. 4 (2000) 284-294,
     doi:10.1109/4235.873238.
 
     Attributes
@@ -304,8 +304,8 @@ class ParticleSwarm(PopulationMethod):
 
     J. Kennedy, R. Eberhart, Proc. ICNN (1995) 1942-1948, doi:10.1109/ICNN.1995.488968, with the
     weights of M. Clerc, J. Kennedy, IEEE Trans. Evol. Comput. 6 (2002) 58-73,
-    doi:10.1109/4235.985692, or the adaptation of Z. Zhan, J. Zhang, Y. Li, H. Chung, IEEE Trans. SMC
-    B 39 (2009) 1362-1381, doi:10.1109/TSMCB.2009.2015956.
+    doi:10.1109/4235.985692, or the adaptation of Z. Zhan, J. Zhang, Y. Li, H. Chung, IEEE Trans.
+    SMC B 39 (2009) 1362-1381, doi:10.1109/TSMCB.2009.2015956.
 
     Attributes
     ----------

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from workers.messages import FloatArray
-from workers.messages.equality import by_content
+from workers.messages.types import by_content
 
 
 @dataclass(frozen=True)

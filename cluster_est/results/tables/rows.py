@@ -190,19 +190,18 @@ def coefficient_units(problem: Problem) -> dict[str, str]:
     """Units of the effects' coefficients, by "EFFECT.COEFFICIENT"; "" where the FMU names none."""
     if not problem.effects:
         return {}
-    from workers.effects import units  # SymPy takes long to import
-    from workers.effects.definition import define_all
+    from workers.effects import definition as effects  # SymPy takes long to import
 
     model = problem.model
     description = describe_model(model)
     found: dict[str, str] = {}
-    for definition in define_all(
+    for definition in effects.define_all(
         problem.effects, description, model.interface, problem.experiments
     ):
         names = [f"{definition.effect.name}.{c.name}" for c in definition.form.coefficients]
-        texts = units.coefficient_units(definition, description)
+        texts = effects.coefficient_units(definition, description)
         pairs = zip(names, texts, strict=True)
-        found |= {name: "" if units.UNKNOWN in unit else unit for name, unit in pairs}
+        found |= {name: "" if effects.UNKNOWN in unit else unit for name, unit in pairs}
     return found
 
 

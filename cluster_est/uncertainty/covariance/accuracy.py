@@ -3,7 +3,7 @@
 A direction that the data do not determine at all does not show as 0 in such a Jacobian, but as the
 sum of the errors of its columns: from the noise of the simulation over the step, and from the
 curvature times the step (forward) or its square (central); see
-`methods.derivatives.differences`.
+`methods.differences`.
 """
 
 from __future__ import annotations

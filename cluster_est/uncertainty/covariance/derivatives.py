@@ -17,8 +17,12 @@ from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty.covariance.accuracy import relative_sizes
 from cluster_est.uncertainty.covariance.covariance import assess, scaled_jacobian
-from cluster_est.uncertainty.covariance.layout import has_jacobian, jacobian_blocks, with_jacobian
-from cluster_est.uncertainty.covariance.result import Uncertainty
+from cluster_est.uncertainty.covariance.local_uncertainty import Uncertainty
+from cluster_est.uncertainty.covariance.normal_equations import (
+    has_jacobian,
+    jacobian_blocks,
+    with_jacobian,
+)
 from cluster_est.uncertainty.covariance.system import NEGLIGIBLE, ScaledJacobian, vectors
 from cluster_est.uncertainty.spaces import with_start
 from workers.messages import FloatArray

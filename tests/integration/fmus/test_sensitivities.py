@@ -20,7 +20,7 @@ from cluster_est.preflight.subject import CheckSubject, TimeBudget
 from cluster_est.problem.search_space import make_space
 from workers.evaluate import Evaluator
 from workers.messages import Curve, FloatArray, Model, Outcome, SignalBound, Task
-from workers.probes.sensitivities import SensitivityCost, SensitivityCostProbe
+from workers.probes.probes import SensitivityCost, SensitivityCostProbe
 from workers.process.trial import ProbeBench
 from workers.wire import OutcomeColumns, TaskBatch
 

@@ -21,7 +21,7 @@ from cluster_est.methods.method import Progress
 from cluster_est.report.watch import RunFollower, RunView, follow
 from cluster_est.run_folder.folder import RunFolder
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
-from cluster_est.running.records import Budget, RunSnapshot, SearchIteration, TaskOrigin
+from cluster_est.running.resources import Budget, RunSnapshot, SearchIteration, TaskOrigin
 from workers.messages import Outcome, Status, Task
 
 

@@ -8,7 +8,7 @@ from cluster_est.closed_loop.findings.words.dimensions import Dimension
 from cluster_est.closed_loop.findings.words.unit_text import dimension_of_text
 from workers.effects.site import is_difference, parts_of
 from workers.fmu.description import ModelDescription
-from workers.fmu.parsing.elements import BASE_UNITS, UnitDefinition
+from workers.fmu.xml import BASE_UNITS, UnitDefinition
 
 
 class KnownUnits:

@@ -17,7 +17,7 @@ from cluster_est.errors import BudgetError
 from cluster_est.methods import Method
 from cluster_est.methods.method import Ending, Evaluation, Progress, Search
 from cluster_est.problem.search_space import SearchSpace, make_space
-from cluster_est.running.records import RunSnapshot, SearchIteration
+from cluster_est.running.resources import RunSnapshot, SearchIteration
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from workers.messages import Outcome, Status, Task

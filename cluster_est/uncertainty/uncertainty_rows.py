@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cluster_est.uncertainty.bootstrap import BootstrapResult
-from cluster_est.uncertainty.covariance.result import Uncertainty
-from cluster_est.uncertainty.posterior.result import PosteriorResult
-from cluster_est.uncertainty.profiles.result import ProfileResult
+from cluster_est.uncertainty.covariance.local_uncertainty import Uncertainty
+from cluster_est.uncertainty.posterior_draws import PosteriorResult
+from cluster_est.uncertainty.profile_points import ProfileResult
 
 
 @dataclass(frozen=True)

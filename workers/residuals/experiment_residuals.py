@@ -14,7 +14,7 @@ import numpy as np
 
 from workers.grid import SignalGrid
 from workers.messages import Curve, Experiment, FloatArray, SignalBound, Want
-from workers.residuals.base import Comparison, ComparisonResult, SimulatedOutputs, positions
+from workers.residuals.comparison import Comparison, ComparisonResult, SimulatedOutputs, positions
 from workers.residuals.functions import FunctionComparison
 from workers.residuals.nearest_segment import segment_distances, tolerance_constraints
 from workers.residuals.observed import ObservedOutputs

@@ -1,4 +1,4 @@
-"""Profile likelihood: intervals for models that are nonlinear over them.
+"""Profile likelihoods: intervals by refits, for models that are nonlinear over them.
 
 For each chosen unknown the cost is minimised over all others with that one fixed, further and
 further from the optimum. The interval ends where the cost has risen by s^2 F(1, n - k), which for
@@ -11,12 +11,9 @@ doi:10.1093/biomet/77.3.485). A profile that stays flat shows what the data do n
 Raue et al., Bioinformatics 25 (2009) 1923-1929, doi:10.1093/bioinformatics/btp358.
 
 Take it where an interval is wide, one-sided or reaches a bound, or where constraints on signals
-are active: refits keep all of them. It costs some ten fits for each side of each unknown.
-
-One side of a profile: outwards from the optimum, refitting everything else at each step.
-
-This is a search in the full space like any other, so that all sides of all profiles run at the same
-time. Inside it another method searches the space without the profiled unknown.
+are active: refits keep all of them. It costs some ten fits for each side of each unknown. Each side
+is a search in the full space like any other, so that all sides of all profiles run at the same
+time; inside it another method searches the space without the profiled unknown.
 """
 
 from __future__ import annotations
@@ -45,17 +42,19 @@ from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty.covariance.covariance import assess
 from cluster_est.uncertainty.covariance.derivatives import linearise
-from cluster_est.uncertainty.covariance.layout import is_shared
-from cluster_est.uncertainty.covariance.result import Uncertainty
-from cluster_est.uncertainty.profiles.profile_steps import (
+from cluster_est.uncertainty.covariance.local_uncertainty import Uncertainty
+from cluster_est.uncertainty.covariance.normal_equations import is_shared
+from cluster_est.uncertainty.profile_points import (
+    ProfileEnd,
+    ProfilePoint,
+    ProfileResult,
     ProfileSteps,
     ProfileTarget,
     RefitPoint,
     crossing,
 )
-from cluster_est.uncertainty.profiles.result import ProfileEnd, ProfilePoint, ProfileResult
-from cluster_est.uncertainty.settings import UncertaintySettings
 from cluster_est.uncertainty.spaces import with_fixed_unknown, with_start
+from cluster_est.uncertainty.uncertainty_settings import UncertaintySettings
 from workers.fmu.description import nearest
 from workers.messages import FloatArray
 

@@ -8,16 +8,19 @@ from dataclasses import dataclass, replace
 from itertools import product
 from xml.etree.ElementTree import Element
 
-from workers.fmu.parsing.elements import (
+from workers.fmu.variable import KINDS, Kind, ModelVariable
+from workers.fmu.xml import (
     NOTHING,
     TYPES,
     RawVariable,
+    ReadingNotes,
     Version,
     declared_types,
+    flag,
+    number,
     raw_variables,
+    whole,
 )
-from workers.fmu.parsing.xml import ReadingNotes, flag, number, whole
-from workers.fmu.variable import KINDS, Kind, ModelVariable
 
 MAX_ELEMENTS = 1_000_000
 """Elements of all arrays together. What is beyond has no names."""

@@ -7,11 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from workers.errors import ModelError
-from workers.evaluate import Evaluator
+from workers.evaluate import Evaluator, FmuProbe
 from workers.fmu.instance import FmuInstance
 from workers.kernels.fmi import failure
 from workers.messages import FloatArray
-from workers.probes.base import FmuProbe
 from workers.simulation.simulator import Simulator
 
 _EXIT_INITIALISATION = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)

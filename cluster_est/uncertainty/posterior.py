@@ -1,15 +1,15 @@
-"""The recipe: place walkers around an optimum, move them, judge the chains, and sum them up.
+"""The posterior of the unknowns: its density, draws from it, and whether they can be trusted.
 
-An ensemble of walkers that draws from a posterior, as a search on the queue.
-
-Half of the walkers move at a time, along differences of two others, so that each request is a batch
-of simulations and no step size has to be chosen (C. J. F. ter Braak, Stat. Comput. 16 (2006)
-239-249, doi:10.1007/s11222-006-8769-1), by the package emcee (D. Foreman-Mackey, D. W. Hogg, D.
-Lang, J. Goodman, PASP 125 (2013) 306-312, doi:10.1086/670067).
+Walkers are placed around an optimum and moved, as a search on the queue; then their chains are
+judged and summed up. Half of the walkers move at a time, along differences of two others, so that
+each request is a batch of simulations and no step size has to be chosen (C. J. F. ter Braak, Stat.
+Comput. 16 (2006) 239-249, doi:10.1007/s11222-006-8769-1), by the package emcee (D. Foreman-Mackey,
+D. W. Hogg, D. Lang, J. Goodman, PASP 125 (2013) 306-312, doi:10.1086/670067).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
@@ -17,6 +17,9 @@ from typing import ClassVar
 import numpy as np
 from typing_extensions import override
 
+from cluster_est.costs.likelihood import GaussianLikelihood
+from cluster_est.costs.sum_squared import SumSquared
+from cluster_est.errors import ProblemError
 from cluster_est.methods.callback_bridge import Ask, search_in_thread
 from cluster_est.methods.method import (
     Ending,
@@ -27,20 +30,104 @@ from cluster_est.methods.method import (
     Search,
     Solution,
 )
+from cluster_est.problem.compatibility import check_priors, need_sigmas, refuse_distances
 from cluster_est.problem.search_space import SearchSpace
+from cluster_est.problem.unknowns import Unknown
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.statistics.projection import root_of_inverse
-from cluster_est.uncertainty.covariance.result import ConfidenceInterval
-from cluster_est.uncertainty.posterior.density import check_posterior, log_density
-from cluster_est.uncertainty.posterior.result import (
+from cluster_est.toml import dotted
+from cluster_est.uncertainty.covariance.local_uncertainty import ConfidenceInterval
+from cluster_est.uncertainty.posterior_draws import (
     PosteriorInterval,
     PosteriorResult,
     central,
     is_mixed,
 )
-from cluster_est.uncertainty.settings import UncertaintySettings
+from cluster_est.uncertainty.uncertainty_settings import UncertaintySettings
 from workers.messages import FloatArray
+
+
+def log_density(space: SearchSpace, x: FloatArray, at: Evaluation) -> float:
+    """Return ln p(x | measurements) in search coordinates, but for a constant.
+
+    The likelihood is exp(-F / 2) with F the sum of squares over the squared sigmas, or the Gaussian
+    likelihood's F, at the sigmas that it estimates. An unknown without a prior is uniform between
+    its bounds on its own scale: with a log scale, its logarithm is.
+
+    Parameters
+    ----------
+    space, x
+        The point.
+    at
+        Its evaluation.
+    """
+    if not at.feasible or not math.isfinite(at.cost):
+        return -math.inf
+    own = (_beside_the_cost(u, float(x[i])) for i, u in enumerate(space.unknowns) if u.prior)
+    return -0.5 * at.cost + sum(own)
+
+
+def _beside_the_cost(unknown: Unknown, searched: float) -> float:
+    """What the density of a prior has besides the square of its residual, which is in the cost."""
+    value, prior = unknown.to_physical(searched), unknown.prior
+    assert prior is not None
+    change = math.log(value) if unknown.log and value > 0.0 else 0.0
+    return prior.log_density(value) + 0.5 * prior.residual(value) ** 2 + change
+
+
+LEAST_WALKERS = 8
+"""Differences of others are taken from half of them."""
+
+
+def check_posterior(space: SearchSpace, walkers: int = 0) -> None:
+    """Refuse to draw where the cost is no likelihood, or there are too few walkers.
+
+    Parameters
+    ----------
+    space
+        Of the unknowns.
+    walkers
+        Their number; 0 for as many as the unknowns need.
+
+    Raises
+    ------
+    ProblemError
+        With what to change.
+    """
+    problem, least = space.problem, max(LEAST_WALKERS, 2 * space.size)
+    if walkers and walkers < least:
+        raise ProblemError(
+            f"uncertainty.walkers: must be at least {least}, twice the unknowns and no fewer than "
+            f"{LEAST_WALKERS}, but is {walkers}; 0 takes as many as are needed"
+        )
+    if space.equality.any():
+        name = space.constraint_names[int(np.argmax(space.equality))]
+        raise ProblemError(
+            f"uncertainty.posterior: no draw satisfies the equality {name!r} exactly; make the "
+            "parameter follow from the others by an expression, or take uncertainty.profiles"
+        )
+    check_priors(problem)
+    refuse_distances(problem, "uncertainty.posterior")
+    if isinstance(problem.cost, SumSquared):
+        need_sigmas(
+            problem,
+            "uncertainty.posterior makes a likelihood of its squares by its standard deviation "
+            '(or take cost.name = "likelihood", which estimates it)',
+        )
+    elif not isinstance(problem.cost, GaussianLikelihood):
+        raise ProblemError(
+            'uncertainty.posterior: must go with the cost "sse" or "likelihood", which are '
+            f"likelihoods, but cost.name is {problem.cost.name!r}; change one of the two"
+        )
+    for unknown, low, high in zip(space.unknowns, space.lower, space.upper, strict=True):
+        if unknown.prior is None and not np.isfinite([low, high]).all():
+            parameter = unknown.parameter
+            raise ProblemError(
+                f"{dotted('parameters', parameter.name)}: must have finite bounds or a prior for "
+                f"uncertainty.posterior but has the bounds [{parameter.lower:g}, "
+                f"{parameter.upper:g}] on a {parameter.scale} scale; give it one of the two"
+            )
 
 
 def autocorrelation_times(chain: FloatArray) -> FloatArray:

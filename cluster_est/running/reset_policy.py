@@ -20,7 +20,7 @@ from cluster_est.executors import WorkerPool, executor_class
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
 from cluster_est.running.resources import Resources
-from cluster_est.running.trials.side_by_side import TOGETHER, Trial, what_disturbs
+from cluster_est.running.threads_trial import TOGETHER, Trial, what_disturbs
 from workers.errors import ModelError
 from workers.messages import Experiment, Limits, Outcome, ResetPolicy, Status, Task
 from workers.process.forked import CAN_FORK

@@ -8,9 +8,8 @@ from typing import Literal
 from xml.etree.ElementTree import Element
 
 from workers.errors import ModelError
-from workers.fmu.parsing.elements import Version
-from workers.fmu.parsing.model_variables import DeclaredVariables
-from workers.fmu.parsing.xml import XML, ReadingNotes, flag, whole
+from workers.fmu.model_variables import DeclaredVariables
+from workers.fmu.xml import XML, ReadingNotes, Version, flag, whole
 from workers.messages import Interface
 
 
