@@ -59,7 +59,7 @@ from cluster_est.methods.method import (
     Solution,
     within_budget,
 )
-from cluster_est.methods.sqp.trust_region import SqpOptions, trust_region_search
+from cluster_est.methods.sqp.sqp import Sqp
 from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
@@ -204,19 +204,17 @@ class LeastSquares(Method):
 
     @override
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
-        return self._constrained(space) if space.constraint_names else self._free(space)
-
-    def _constrained(self, space: SearchSpace) -> Search:
-        settings = SqpOptions(
+        if not space.constraint_names:
+            return self._free(space)
+        constrained = Sqp(
             max_iterations=self.max_iterations,
             ftol=self.ftol,
             xtol=max(self.xtol, CONSTRAINED_XTOL),
             differences=self.differences,
             relative_step=self.relative_step,
             hessian="gauss_newton",
-            speculative_gradient=False,
         )
-        return trust_region_search(space, settings)
+        return constrained.search(space, generator)
 
     def _free(self, space: SearchSpace) -> Search:
         x = space.start

@@ -390,7 +390,7 @@ class SqpLocalModel:
         """Return the step with the same Jacobian but the constraints' values `after` the trial.
 
         The second-order correction for curved constraints, which a step along their tangents
-        violates (R. Fletcher, section 14.4, as in trust_region.py).
+        violates (R. Fletcher, section 14.4, as in sqp.py).
         """
         values = step.model.values.copy()
         values[: len(self._equality)] = (

@@ -1,37 +1,31 @@
-"""Minimisation of any cost under constraints by gradients: `Sqp`, whose search may be SciPy's.
+"""Sequential quadratic programming with a trust region, made for few and costly simulations.
 
-SciPy's minimisers, SLSQP and the trust region `trust-constr`, see unknowns in units of their
-typical sizes and a cost that is 1 or less at the start, because their tolerances are absolute. They
-have no failed simulations: a large cost takes their place, so that they shorten their step.
-Whatever they return, the best point that they asked for is the solution.
+An iteration is two requests: the points of the derivatives, then one trial step. The step minimises
+a quadratic model of the cost plus a penalty on the violation of the linearised constraints, within
+the bounds and a trust region (R. Fletcher, Practical Methods of Optimization, 2nd ed. (1987),
+section 14.4). A rejected step costs one point, not new derivatives.
 
-References: D. Kraft, ACM TOMS 20 (1994) 262-281, doi:10.1145/192115.192124; R. H. Byrd, M. E.
-Hribar, J. Nocedal, SIAM J. Optim. 9 (1999) 877-900, doi:10.1137/S1052623497325107.
+    merit          cost + penalty * violations: a step must reduce it
+    local model    at the current point, and its best step (local_model.py)
+    correction     second-order, of a step that violates curved constraints: their values at its end
+    kink           of a constraint: its derivatives at the end of a rejected step are asked for, and
+                   the linearisations on both sides count from then on
+    rho            actual over predicted reduction of the merit
 """
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Generator
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
-from scipy.optimize import BFGS, Bounds, NonlinearConstraint, lsq_linear, minimize
 from typing_extensions import override
 
-from cluster_est.methods.callback_bridge import Ask, run_with, search_in_thread
-from cluster_est.methods.differences import (
-    SHORTER,
-    Differences,
-    Scheme,
-    suitable_step,
-    without_guesses,
-)
-from cluster_est.methods.gradients import CostDerivatives, derivatives
+from cluster_est.methods.differences import Differences, without_guesses
+from cluster_est.methods.gradients import CostDerivatives, JacobianProvider, derivatives
 from cluster_est.methods.method import (
     CUT_SHORT,
-    TOLERANCE,
     Ending,
     Evaluation,
     Method,
@@ -43,392 +37,26 @@ from cluster_est.methods.method import (
     undefined_reason,
     worst_constraint,
 )
-from cluster_est.methods.sqp.local_model import Hessian
-from cluster_est.methods.sqp.trust_region import NEARLY_OPTIMAL, SqpOptions, trust_region_search
+from cluster_est.methods.sqp.local_model import Hessian, ModelStep, SqpLocalModel
 from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
-CAPACITY = 32
-"""Points; libraries ask again for the last few only."""
+INITIAL_RADIUS = 1.0
+"""In units of each unknown's size."""
+REFINED_RADIUS = 1e-2
+"""The least radius that central differences begin with."""
+ACCEPTED, POOR, GOOD = 0.05, 0.25, 0.75
+"""Values of rho: the least that is accepted, and those that shrink and widen the region."""
+SHRINK, WIDEN = 0.25, 3.0
+FLOOR = 1e-16
+"""A cost this much smaller than the largest so far counts as zero."""
+NEARLY_OPTIMAL = 1e-3
+AT_A_KINK = (
+    "no step longer than xtol lowers the cost; the gradient is not zero there, as at a kink or "
+    "where simulations are noisy"
+)
 
-
-class EvaluationCache:
-    """Evaluations and derivatives by point, and the best point.
-
-    The library sees z = (x - origin) / typical, in which all unknowns are alike. The origin is the
-    start, and may be moved to a point from which the library is to start anew.
-
-    Parameters
-    ----------
-    space, ask
-        The space that is searched, and the function that has points evaluated.
-    scheme, relative_step
-        Of the differences; the scheme may be changed.
-    """
-
-    def __init__(self, space: SearchSpace, ask: Ask, scheme: Scheme, relative_step: float) -> None:
-        self._space, self._ask, self._relative_step = space, ask, relative_step
-        self._evaluations: OrderedDict[bytes, Evaluation] = OrderedDict()
-        self._derivatives: OrderedDict[tuple[bytes, Scheme], CostDerivatives] = OrderedDict()
-        self.origin = space.start
-        self.scheme = scheme
-        self.gradients = 0
-        self.failures = 0
-        """Of points, one after the other."""
-        self.progress = Progress(0, np.nan)
-        self.best: tuple[FloatArray, Evaluation] | None = None
-
-    def forget_derivatives(self) -> None:
-        """Have all derivatives asked for anew, with other steps than those that failed."""
-        relative = self._relative_step or suitable_step(self._space, self.scheme)
-        self._relative_step = SHORTER * relative
-        self._derivatives.clear()
-
-    def point(self, z: FloatArray) -> FloatArray:
-        """Return the point of the space: within bounds, and exactly the origin where z is 0."""
-        space = self._space
-        return np.clip(self.origin + np.asarray(z) * space.typical, space.lower, space.upper)
-
-    def evaluation(self, z: FloatArray) -> Evaluation:
-        """Return the evaluation at z; ask for it only if it is not in the cache."""
-        x = self.point(z)
-        key = x.tobytes()
-        if key not in self._evaluations:
-            purpose = "start" if self.best is None else "trial"
-            (at,) = self._ask(Points(x[None, :], purpose, self.progress))
-            self._evaluations[key] = at
-            self.failures = 0 if is_defined(at) else self.failures + 1
-            if len(self._evaluations) > CAPACITY:
-                self._evaluations.popitem(last=False)
-            if self.best is None or at.rank < self.best[1].rank:
-                self.best = (x, at)
-        return self._evaluations[key]
-
-    def derivatives(self, z: FloatArray) -> CostDerivatives:
-        """Return the derivatives at z by x; ask for them only if they are not in the cache."""
-        return self._derivatives_at(self.point(z), self.evaluation(z))
-
-    def derivatives_at_best(self) -> CostDerivatives:
-        """Return those at the best point, which must be there."""
-        assert self.best is not None
-        return self._derivatives_at(*self.best)
-
-    def _derivatives_at(self, x: FloatArray, at: Evaluation) -> CostDerivatives:
-        key = (x.tobytes(), self.scheme)
-        if key not in self._derivatives:
-            self.gradients += 1
-            requests = derivatives(
-                self._space, x, at, self.scheme, self._relative_step, self.progress
-            )
-            self._derivatives[key] = run_with(requests, self._ask)
-            if len(self._derivatives) > CAPACITY:
-                self._derivatives.popitem(last=False)
-        return self._derivatives[key]
-
-    def has_derivatives(self, z: FloatArray) -> bool:
-        """Return whether the derivatives at z are in the cache."""
-        return (self.point(z).tobytes(), self.scheme) in self._derivatives
-
-
-Algorithm = Literal["slsqp", "trust_constr"]
-FAILED_COST = 1e10
-ENDLESS = 1_000_000
-"""SciPy's limit of iterations: ours is on the number of derivatives."""
-GRADIENT_TOLERANCE = 1e-14
-"""Next to none: trust-constr takes a stationary point of its barrier for one of the problem."""
-STANDSTILL, STANDSTILLS = 1e-9, 5
-"""Steps of SLSQP, in typical sizes, that are less than derivatives by differences can tell, and so
-many in a row: at a feasible point it has converged then, though its own tolerance is finer."""
-RESTARTS = 5
-"""Runs of SciPy, of which each but the last met a derivative that was not known."""
-FAILURES = 3
-"""Points that failed in a row, after which a short step says nothing of a minimum."""
-BARRIER_MARGIN = 0.01
-"""Distance from a bound at which the barrier of trust-constr begins, in typical sizes."""
-
-
-class _FeasiblePointError(Exception):
-    """Raised through SciPy at a feasible point, where there is nothing to minimise."""
-
-
-class _StandstillError(Exception):
-    """Raised through SciPy where it only takes steps that make no difference."""
-
-
-class _LimitError(Exception):
-    """Raised through SciPy at the limit of derivatives."""
-
-
-class _QuietBFGS(BFGS):  # type: ignore[misc]
-    """SciPy's, without its warning that a function is linear."""
-
-    def update(self, delta_x: FloatArray, delta_grad: FloatArray) -> None:
-        if np.any(delta_grad != 0.0):
-            super().update(delta_x, delta_grad)
-
-
-def scipy_search(space: SearchSpace, settings: SqpOptions, algorithm: Algorithm) -> Search:
-    """Minimise the cost of `space` under its bounds and constraints with SciPy."""
-    return search_in_thread(lambda ask: _ScipyCallbacks(space, settings, ask).solve(algorithm))
-
-
-class _ScipyCallbacks:
-    """The functions that SciPy calls, on one cache of evaluations."""
-
-    def __init__(self, space: SearchSpace, settings: SqpOptions, ask: Ask) -> None:
-        self._space, self._settings = space, settings
-        self._equality = space.equality
-        scheme: Scheme = "central" if settings.differences == "central" else "forward"
-        self._cache = EvaluationCache(space, ask, scheme, settings.relative_step)
-        self._origin = np.zeros(space.size)
-        self._scale = 1.0
-        self._last, self._standstills = self._origin, 0
-        self._feasibility_only = False
-        self._guessed = np.zeros(space.size, dtype=bool)
-        """Unknowns whose derivatives were not known somewhere in the last run."""
-        self._constraints_before: FloatArray = np.zeros(len(self._equality))
-
-    def solve(self, algorithm: Algorithm) -> Solution:
-        at = self._cache.evaluation(self._origin)
-        if not is_defined(at):
-            return Solution(self._space.start, np.nan, Ending.START_FAILED, undefined_reason(at))
-        self._feasibility_only = at.residuals.size == 0
-        run = {"slsqp": self._slsqp, "trust_constr": self._trust_constr}[algorithm]
-        with np.errstate(all="ignore"):
-            try:
-                ending, message = self._until_known(run)
-                if self._settings.differences in ("auto", "sensitivities"):
-                    self._cache.scheme = "central"
-                    ending, message = self._until_known(run)
-            except _FeasiblePointError:
-                ending, message = Ending.CONVERGED, ""
-            except _LimitError:
-                ending, message = Ending.MAX_ITERATIONS, ""
-        return self._solution(ending, message)
-
-    def _until_known(self, run: Callable[[], tuple[Ending, str]]) -> tuple[Ending, str]:
-        """Run SciPy; again, from the best point, if a derivative was not known on the way."""
-        for i in range(RESTARTS):
-            if i:
-                self._cache.forget_derivatives()
-            self._guessed = np.zeros(self._space.size, dtype=bool)
-            ending, message = self._once(run)
-            if ending is Ending.DERIVATIVES_FAILED or not self._guessed.any():
-                break
-        return ending, message
-
-    def _once(self, run: Callable[[], tuple[Ending, str]]) -> tuple[Ending, str]:
-        """Start SciPy from the best point."""
-        cache = self._cache
-        if cache.best is not None:
-            cache.origin = cache.best[0]
-        self._last, self._standstills = self._origin, 0
-        at = self.evaluation(self._origin)
-        if self._feasibility_only:
-            self._scale = 1.0
-        else:
-            found = cache.derivatives(self._origin)
-            if found.frozen.all():
-                return Ending.DERIVATIVES_FAILED, ""
-            steepest = float(np.abs(found.gradient * self._space.typical).max())
-            self._scale = max(abs(at.cost), steepest) or 1.0
-        return run()
-
-    def _slsqp(self) -> tuple[Ending, str]:
-        constraints = []
-        for kind, mask, sign in (("eq", self._equality, 1.0), ("ineq", ~self._equality, -1.0)):
-            if mask.any():
-                constraints.append(
-                    {
-                        "type": kind,
-                        "fun": lambda z, m=mask, s=sign: s * self.constraints(z)[m],
-                        "jac": lambda z, m=mask, s=sign: s * self.constraint_jacobian(z)[m],
-                    }
-                )
-        try:
-            found = minimize(
-                self.cost,
-                self._origin,
-                jac=self.gradient,
-                method="SLSQP",
-                bounds=list(zip(*self._bounds(), strict=True)),
-                constraints=constraints,
-                callback=self._note_slsqp,
-                options={"ftol": self._settings.ftol, "maxiter": ENDLESS},
-            )
-        except _StandstillError:
-            return Ending.CONVERGED, ""
-        ending = Ending.CONVERGED if found.status == 0 else Ending.STALLED
-        return ending, "" if found.status == 0 else f"SLSQP: {found.message}"
-
-    def _trust_constr(self) -> tuple[Ending, str]:
-        constraints = []
-        if len(self._equality):
-            lowest = np.where(self._equality, 0.0, -np.inf)
-            constraints.append(
-                NonlinearConstraint(
-                    self.constraints, lowest, 0.0, self.constraint_jacobian, hess=_QuietBFGS()
-                )
-            )
-        lower, upper = self._bounds()
-        bounded = bool(np.isfinite(lower).any() or np.isfinite(upper).any())
-        options: dict[str, Any] = {
-            "xtol": self._settings.xtol,
-            "gtol": GRADIENT_TOLERANCE,
-            "maxiter": ENDLESS,
-        }
-        if bounded or constraints:  # its default factorisation warns of dependent constraints
-            options |= {"sparse_jacobian": False, "factorization_method": "SVDFactorization"}
-        margin = np.minimum(BARRIER_MARGIN, 0.1 * (upper - lower))
-        found = minimize(
-            self.cost,
-            np.clip(self._origin, lower + margin, upper - margin),
-            jac=self.gradient,
-            hess=self._hessian(),
-            method="trust-constr",
-            bounds=Bounds(lower, upper, keep_feasible=True) if bounded else None,
-            constraints=constraints,
-            callback=lambda intermediate_result: self._note(
-                intermediate_result.x, intermediate_result
-            ),
-            options=options,
-        )
-        return Ending.CONVERGED, f"trust-constr: {found.message}"
-
-    def _hessian(self) -> Any:
-        found = self._cache.derivatives(self._origin) if not self._feasibility_only else None
-        if found is None or found.gauss_newton is None or self._settings.hessian == "quasi_newton":
-            return _QuietBFGS()
-        typical = self._space.typical
-
-        def gauss_newton(z: FloatArray) -> FloatArray:
-            defined = is_defined(self.evaluation(z))
-            matrix = self._cache.derivatives(z).gauss_newton if defined else None
-            if matrix is None:
-                return np.eye(len(typical))
-            return np.asarray(matrix * np.outer(typical, typical) / self._scale)
-
-        return gauss_newton
-
-    def _bounds(self) -> tuple[FloatArray, FloatArray]:
-        space, origin = self._space, self._cache.origin
-        return (space.lower - origin) / space.typical, (space.upper - origin) / space.typical
-
-    def evaluation(self, z: FloatArray) -> Evaluation:
-        at = self._cache.evaluation(z)
-        if self._feasibility_only and at.feasible:
-            raise _FeasiblePointError
-        return at
-
-    def cost(self, z: FloatArray) -> float:
-        at = self.evaluation(z)
-        if not is_defined(at):
-            return FAILED_COST
-        return 0.5 * float(z @ z) if self._feasibility_only else at.cost / self._scale
-
-    def gradient(self, z: FloatArray) -> FloatArray:
-        if self._feasibility_only:
-            return np.array(z)
-        if not is_defined(self.evaluation(z)):
-            return np.zeros(self._space.size)
-        return np.asarray(self._derivatives(z).gradient * self._space.typical / self._scale)
-
-    def constraints(self, z: FloatArray) -> FloatArray:
-        """Return the constraints; where a simulation failed, the last values, as the cost tells."""
-        at = self.evaluation(z)
-        if is_defined(at):
-            self._constraints_before = at.constraints
-        return self._constraints_before
-
-    def constraint_jacobian(self, z: FloatArray) -> FloatArray:
-        if not is_defined(self.evaluation(z)):
-            return np.zeros((len(self._equality), self._space.size))
-        return np.asarray(self._derivatives(z).constraint_jacobian * self._space.typical)
-
-    def _derivatives(self, z: FloatArray) -> CostDerivatives:
-        cache = self._cache
-        if not cache.has_derivatives(z) and cache.gradients >= self._settings.max_iterations:
-            raise _LimitError
-        found = cache.derivatives(z)
-        self._guessed |= found.frozen
-        return found
-
-    def _note_slsqp(self, z: FloatArray) -> None:
-        """Add a line, and end where nothing moves any more."""
-        moved = float(np.abs(z - self._last).max())
-        self._note(z)
-        self._standstills = self._standstills + 1 if moved <= STANDSTILL else 0
-        if self._standstills >= STANDSTILLS and self._cache.evaluation(z).feasible:
-            raise _StandstillError
-
-    def _note(self, z: FloatArray, state: Any = None) -> None:
-        """Add a line to the iteration table, without further evaluations."""
-        cache = self._cache
-        if cache.best is None:
-            return
-        at = cache.best[1]
-        cache.progress = Progress(
-            cache.gradients,
-            at.cost,
-            step=float(np.linalg.norm(z - self._last)),
-            optimality=self._optimality(z) if state is None else float(state.optimality),
-            damping=np.nan if state is None else float(state.tr_radius),
-            violation=at.violation if len(self._equality) else np.nan,
-        )
-        self._last = np.array(z)
-
-    def _optimality(self, z: FloatArray) -> float:
-        """Return the Lagrangian's largest derivative, at the multipliers that make it least."""
-        if not self._cache.has_derivatives(z) or not is_defined(self._cache.evaluation(z)):
-            return self._cache.progress.optimality
-        at, lower, upper = self._cache.evaluation(z), *self._bounds()
-        active = self._equality | (at.constraints >= -TOLERANCE)
-        low, high = z <= lower + TOLERANCE, z >= upper - TOLERANCE
-        identity = np.eye(len(z))
-        normals = np.vstack([self.constraint_jacobian(z)[active], -identity[low], identity[high]])
-        gradient = self.gradient(z)
-        if not len(normals):
-            return float(np.abs(gradient).max())
-        least = np.concatenate(
-            [np.where(self._equality[active], -np.inf, 0.0), np.zeros(low.sum() + high.sum())]
-        )
-        multipliers = lsq_linear(normals.T, -gradient, (least, np.inf)).x
-        return float(np.abs(gradient + normals.T @ multipliers).max())
-
-    def _cut_short(self, x: FloatArray) -> bool:
-        """Return whether failures ended the search where the cost can still fall."""
-        if self._feasibility_only or self._cache.failures < FAILURES:
-            return False
-        self._cache.origin = x
-        self._cache.derivatives(self._origin)
-        return self._optimality(self._origin) > NEARLY_OPTIMAL
-
-    def _solution(self, ending: Ending, message: str) -> Solution:
-        cache = self._cache
-        assert cache.best is not None  # the start was evaluated
-        x, at = cache.best
-        if not at.feasible:
-            ended = ending in (Ending.CONVERGED, Ending.STALLED)
-            ending = Ending.INFEASIBLE if ended else ending
-            message = worst_constraint(self._space, at)
-        if ending is Ending.CONVERGED and self._cut_short(x):
-            ending, message = Ending.STALLED, CUT_SHORT
-        found = Solution(x, at.cost, ending, message, cache.progress.iteration, at=at)
-        if self._feasibility_only or ending is Ending.DERIVATIVES_FAILED:
-            return found
-        found = without_guesses(self._space, found, self._guessed)
-        if self._space.problem.cost.weights(at.residuals, self._space.outputs) is None:
-            return found
-        jacobian = cache.derivatives_at_best().residual_jacobian
-        if jacobian is None:
-            return found
-        found = replace(
-            found,
-            jacobian=jacobian.matrix,
-            difference_steps=jacobian.steps,
-            frozen=jacobian.frozen,
-        )
-        return without_guesses(self._space, found, jacobian.frozen)
+DerivativeRequests = Generator[Points, list[Evaluation], CostDerivatives]
 
 
 @dataclass(frozen=True)
@@ -487,16 +115,267 @@ class Sqp(Method):
 
     @override
     def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
-        settings = SqpOptions(
-            self.max_iterations,
-            self.ftol,
-            self.xtol,
-            self.differences,
-            self.relative_step,
-            self.hessian,
-            self.speculative_gradient,
-        )
         if self.algorithm == "native":
-            return trust_region_search(space, settings)
+            return trust_region_search(space, self)
+        from cluster_est.methods.sqp.scipy_constrained import scipy_search  # slow to import
 
-        return scipy_search(space, settings, self.algorithm)
+        return scipy_search(space, self)
+
+
+def trust_region_search(space: SearchSpace, settings: Sqp) -> Search:
+    """Minimise the cost of `space` under its bounds and constraints.
+
+    The solution has the Jacobian of the residuals where the cost gives them weights.
+    """
+    x = space.start
+    (at,) = yield Points(x[None, :], "start", Progress(0, np.nan))
+    if not is_defined(at):
+        return Solution(x, np.nan, Ending.START_FAILED, undefined_reason(at))
+    search = _TrustRegionSearch(space, settings, x, at)
+    ending: Ending | None = None
+    while ending is None:
+        ending = yield from search.iterate()
+        if ending is not None and search.refine(ending):
+            ending = None
+    return (yield from search.solution(ending))
+
+
+@dataclass(frozen=True)
+class _TrialStep:
+    """A step, the evaluation at its end, and the actual reduction of the merit."""
+
+    step: ModelStep
+    x: FloatArray
+    at: Evaluation
+    reduction: float
+
+    @property
+    def rho(self) -> float:
+        """The actual over the predicted reduction."""
+        predicted = self.step.predicted_reduction
+        return self.reduction / predicted if predicted > 0.0 else -1.0
+
+
+class _TrustRegionSearch:
+    """State of one search: the current point, the model around it, and the trust region."""
+
+    def __init__(self, space: SearchSpace, settings: Sqp, x: FloatArray, at: Evaluation) -> None:
+        self._space, self._settings = space, settings
+        weighted = space.problem.cost.weights(at.residuals, space.outputs) is not None
+        differences = (
+            settings.differences if weighted or settings.differences != "sensitivities" else "auto"
+        )
+        self._provider = JacobianProvider(space, differences, settings.relative_step)
+        self._feasibility_only = at.residuals.size == 0
+        self._model = SqpLocalModel(space, settings.hessian, self._feasibility_only)
+        self._penalty = self._model.penalty
+        self._x, self._at, self._best = x, at, (x, at)
+        self._multipliers = np.zeros(len(space.constraint_names))
+        self._shrunk_by_failures = False
+        self._radius, self._largest_cost = INITIAL_RADIUS, abs(at.cost)
+        self._speculative: tuple[FloatArray, list[Evaluation]] | None = None
+        self._progress = Progress(0, at.cost, violation=self._table_violation(at))
+
+    def iterate(self) -> Generator[Points, list[Evaluation], Ending | None]:
+        """Go from derivatives to the next point. Return the ending, if it is one."""
+        if self._feasible_point_suffices():
+            return Ending.CONVERGED
+        yield from self._differentiate(self._x, self._at)
+        if self._model.derivatives.frozen.all():
+            return Ending.DERIVATIVES_FAILED
+        ending = self._convergence()
+        return (yield from self._advance()) if ending is None else ending
+
+    def refine(self, ending: Ending) -> bool:
+        """Change to central differences if forward ones have converged; return whether."""
+        converged = ending is Ending.CONVERGED or (
+            ending is Ending.STALLED and self._progress.optimality < NEARLY_OPTIMAL
+        )
+        if not converged or self._feasible_point_suffices() or not self._provider.refine():
+            return False
+        self._speculative = None
+        self._radius = max(self._radius, REFINED_RADIUS)
+        return True
+
+    def solution(self, ending: Ending) -> Search:
+        """Return the point of least merit among the feasible ones, else that of least violation."""
+        x, at = self._best
+        if self._at.feasible and self._penalty.merit(self._at) <= self._penalty.merit(at):
+            x, at = self._x, self._at
+        message = self._provider.note
+        if ending is Ending.STALLED and self._progress.iteration > 0:
+            zero = abs(at.cost) <= FLOOR * self._largest_cost
+            settled = zero or self._progress.optimality < NEARLY_OPTIMAL
+            if settled or not self._shrunk_by_failures:
+                ending = Ending.CONVERGED
+            message = message if settled else CUT_SHORT if self._shrunk_by_failures else AT_A_KINK
+        if not at.feasible:
+            ended = ending in (Ending.CONVERGED, Ending.STALLED)
+            ending = Ending.INFEASIBLE if ended else ending
+            message = worst_constraint(self._space, at)
+        iterations = self._progress.iteration
+        found = Solution(x, at.cost, ending, message, iterations, at=at)
+        if self._feasibility_only or ending is Ending.DERIVATIVES_FAILED:
+            return found
+        found = without_guesses(self._space, found, self._model.derivatives.frozen)
+        if not self._model.is_at(x) and self._model.derivatives.residual_jacobian is not None:
+            yield from self._differentiate(x, at)
+        jacobian = self._model.derivatives.residual_jacobian
+        if jacobian is None:
+            return found
+        found = replace(
+            found,
+            jacobian=jacobian.matrix,
+            difference_steps=jacobian.steps,
+            frozen=jacobian.frozen,
+        )
+        return without_guesses(self._space, found, jacobian.frozen)
+
+    def _differentiate(
+        self, x: FloatArray, at: Evaluation
+    ) -> Generator[Points, list[Evaluation], None]:
+        """Ask for the derivatives, unless they came with the trial."""
+        requests, answered, self._speculative = self._derivatives(x, at), self._speculative, None
+        if answered is not None and np.array_equal(answered[0], x):
+            requests = _begun(requests, answered[1])
+        found = yield from requests
+        self._model.move_to(x, at, found, self._multipliers)
+
+    def _derivatives(self, x: FloatArray, at: Evaluation) -> DerivativeRequests:
+        relative = self._settings.relative_step
+        scheme = self._provider.scheme or "forward"
+        return derivatives(
+            self._space, x, at, scheme, relative, self._progress, provider=self._provider
+        )
+
+    def _convergence(self) -> Ending | None:
+        """Return an ending if a long step predicts no reduction, or at the limit of iterations."""
+        step = self._model.step(max(self._radius, INITIAL_RADIUS))
+        predicted, size = step.predicted_reduction, self._merit_scale(self._at)
+        optimality = float(np.sqrt(max(predicted, 0.0) / size)) if size > 0.0 else 0.0
+        self._progress = replace(self._progress, optimality=optimality, damping=self._radius)
+        change = max(predicted, abs(step.model.change(step.vector)))
+        if change <= self._settings.ftol * size or predicted <= 0.0:
+            return Ending.CONVERGED
+        if self._progress.iteration >= self._settings.max_iterations:
+            return Ending.MAX_ITERATIONS
+        return None
+
+    def _advance(self) -> Generator[Points, list[Evaluation], Ending | None]:
+        """Try steps until one reduces the merit or the trust region is too small."""
+        corrected = linearised = False
+        while self._radius > self._settings.xtol:
+            trial = yield from self._try()
+            violated = self._violates_constraints(trial)
+            if violated and not corrected:
+                corrected = True
+                better = yield from self._correct(trial)
+                least = max(trial.reduction, ACCEPTED * trial.step.predicted_reduction)
+                if better.reduction > least:
+                    return self._accept(better)
+            if trial.rho >= ACCEPTED or self._feasible_point_suffices():
+                return self._accept(trial)
+            if violated and not linearised and self._model.has_kink(trial.step, trial.at):
+                linearised, corrected = True, False
+                found = yield from self._derivatives(trial.x, trial.at)
+                self._model.add_linearisation(trial.x, trial.at, found)
+                continue
+            if not is_defined(trial.at):
+                self._shrunk_by_failures = True
+                if self._model.derivatives.walls.any() and not self._model.along_walls:
+                    self._model.along_walls = True
+                    continue
+            self._radius = SHRINK * min(self._radius, self._model.length(trial.step.vector))
+        return Ending.STALLED
+
+    def _try(self) -> Generator[Points, list[Evaluation], _TrialStep]:
+        """Evaluate the model's best step."""
+        step = self._model.step(self._radius)
+        x = self._clip(self._x + step.vector)
+        points = x[None, :]
+        if self._settings.speculative_gradient and self._provider.scheme is not None:
+            points = np.vstack([points, next(self._derivatives(x, self._at)).x])
+        at, *others = yield Points(points, "trial", self._progress)
+        self._speculative = (x, others) if others else None
+        self._model.compare(step, at)
+        return self._trial(step, x, at)
+
+    def _correct(self, trial: _TrialStep) -> Generator[Points, list[Evaluation], _TrialStep]:
+        """Evaluate the step with its second-order correction."""
+        vector = self._model.corrected(trial.step, trial.at, self._radius)
+        x = self._clip(self._x + vector)
+        (at,) = yield Points(x[None, :], "correction", self._progress)
+        return self._trial(replace(trial.step, vector=x - self._x), x, at)
+
+    def _trial(self, step: ModelStep, x: FloatArray, at: Evaluation) -> _TrialStep:
+        if at.rank < self._best[1].rank:
+            self._best = (x, at)
+        return _TrialStep(step, x, at, self._penalty.merit(self._at) - self._penalty.merit(at))
+
+    def _violates_constraints(self, trial: _TrialStep) -> bool:
+        """Return whether rho is below a half, mostly because constraints are curved."""
+        step = trial.step
+        if not is_defined(trial.at) or trial.reduction > 0.5 * step.predicted_reduction:
+            return False
+        excess = self._penalty.violations(trial.at) - step.model.violation(step.vector)
+        return self._penalty.value * excess > 0.5 * (step.predicted_reduction - trial.reduction)
+
+    def _accept(self, trial: _TrialStep) -> Ending | None:
+        """Move to a trial point. Return the ending, if it is one."""
+        length = self._model.length(trial.step.vector)
+        self._radius = _next_radius(self._radius, trial.rho, length)
+        self._shrunk_by_failures &= self._radius < REFINED_RADIUS
+        self._x, self._at, self._multipliers = trial.x, trial.at, trial.step.multipliers
+        self._largest_cost = max(self._largest_cost, abs(trial.at.cost))
+        self._progress = Progress(
+            self._progress.iteration + 1,
+            trial.at.cost,
+            step=float(np.linalg.norm(trial.step.vector / self._space.typical)),
+            optimality=self._progress.optimality,
+            damping=self._radius,
+            violation=self._table_violation(trial.at),
+        )
+        violation = self._penalty.value * self._penalty.violations(trial.at)
+        reduction = max(trial.reduction, trial.step.predicted_reduction)
+        least = self._settings.ftol * self._merit_scale(trial.at)
+        if self._model.derivatives.frozen.any() or self._model.along_walls:
+            return None  # an end must be one by all derivatives
+        if trial.at.feasible and reduction + violation <= least:
+            return Ending.CONVERGED
+        return Ending.STALLED if length <= self._settings.xtol else None
+
+    def _feasible_point_suffices(self) -> bool:
+        """Return whether there is nothing to minimise and the constraints are satisfied."""
+        return self._feasibility_only and self._best[1].feasible
+
+    def _merit_scale(self, at: Evaluation) -> float:
+        """Return the scale to which changes of the merit are relative."""
+        size = max(abs(at.cost), FLOOR * self._largest_cost)
+        return size if at.feasible else size + self._penalty.value * self._penalty.violations(at)
+
+    def _clip(self, x: FloatArray) -> FloatArray:
+        return np.clip(x, self._space.lower, self._space.upper)
+
+    def _table_violation(self, at: Evaluation) -> float:
+        return at.violation if len(at.constraints) else np.nan
+
+
+def _begun(requests: DerivativeRequests, answers: list[Evaluation]) -> DerivativeRequests:
+    """Go on with requests of which the first has been answered."""
+    next(requests)
+    try:
+        points = requests.send(answers)
+        while True:
+            points = requests.send((yield points))
+    except StopIteration as end:
+        found: CostDerivatives = end.value
+        return found
+
+
+def _next_radius(radius: float, rho: float, length: float) -> float:
+    """Return the next trust radius, after a step of some length."""
+    if rho < POOR:
+        return SHRINK * min(radius, length)
+    if rho >= GOOD and length >= 0.8 * radius:
+        return WIDEN * radius
+    return radius

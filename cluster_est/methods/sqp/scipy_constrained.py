@@ -1,0 +1,426 @@
+"""SciPy's constrained minimisers: SLSQP, and the trust region `trust-constr`.
+
+They see unknowns in units of their typical sizes and a cost that is 1 or less at the start, because
+their tolerances are absolute. They have no failed simulations: a large cost takes their place, so
+that they shorten their step. Whatever they return, the best point that they asked for is the
+solution.
+
+References: D. Kraft, ACM TOMS 20 (1994) 262-281, doi:10.1145/192115.192124; R. H. Byrd, M. E.
+Hribar, J. Nocedal, SIAM J. Optim. 9 (1999) 877-900, doi:10.1137/S1052623497325107.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.optimize import BFGS, Bounds, NonlinearConstraint, lsq_linear, minimize
+
+from cluster_est.methods.callback_bridge import Ask, run_with, search_in_thread
+from cluster_est.methods.differences import (
+    SHORTER,
+    Scheme,
+    suitable_step,
+    without_guesses,
+)
+from cluster_est.methods.gradients import CostDerivatives, derivatives
+from cluster_est.methods.method import (
+    CUT_SHORT,
+    TOLERANCE,
+    Ending,
+    Evaluation,
+    Points,
+    Progress,
+    Search,
+    Solution,
+    is_defined,
+    undefined_reason,
+    worst_constraint,
+)
+from cluster_est.methods.sqp.sqp import NEARLY_OPTIMAL, Sqp
+from cluster_est.problem.search_space import SearchSpace
+from workers.messages import FloatArray
+
+CAPACITY = 32
+"""Points; libraries ask again for the last few only."""
+
+
+class EvaluationCache:
+    """Evaluations and derivatives by point, and the best point.
+
+    The library sees z = (x - origin) / typical, in which all unknowns are alike. The origin is the
+    start, and may be moved to a point from which the library is to start anew.
+
+    Parameters
+    ----------
+    space, ask
+        The space that is searched, and the function that has points evaluated.
+    scheme, relative_step
+        Of the differences; the scheme may be changed.
+    """
+
+    def __init__(self, space: SearchSpace, ask: Ask, scheme: Scheme, relative_step: float) -> None:
+        self._space, self._ask, self._relative_step = space, ask, relative_step
+        self._evaluations: OrderedDict[bytes, Evaluation] = OrderedDict()
+        self._derivatives: OrderedDict[tuple[bytes, Scheme], CostDerivatives] = OrderedDict()
+        self.origin = space.start
+        self.scheme = scheme
+        self.gradients = 0
+        self.failures = 0
+        """Of points, one after the other."""
+        self.progress = Progress(0, np.nan)
+        self.best: tuple[FloatArray, Evaluation] | None = None
+
+    def forget_derivatives(self) -> None:
+        """Have all derivatives asked for anew, with other steps than those that failed."""
+        relative = self._relative_step or suitable_step(self._space, self.scheme)
+        self._relative_step = SHORTER * relative
+        self._derivatives.clear()
+
+    def point(self, z: FloatArray) -> FloatArray:
+        """Return the point of the space: within bounds, and exactly the origin where z is 0."""
+        space = self._space
+        return np.clip(self.origin + np.asarray(z) * space.typical, space.lower, space.upper)
+
+    def evaluation(self, z: FloatArray) -> Evaluation:
+        """Return the evaluation at z; ask for it only if it is not in the cache."""
+        x = self.point(z)
+        key = x.tobytes()
+        if key not in self._evaluations:
+            purpose = "start" if self.best is None else "trial"
+            (at,) = self._ask(Points(x[None, :], purpose, self.progress))
+            self._evaluations[key] = at
+            self.failures = 0 if is_defined(at) else self.failures + 1
+            if len(self._evaluations) > CAPACITY:
+                self._evaluations.popitem(last=False)
+            if self.best is None or at.rank < self.best[1].rank:
+                self.best = (x, at)
+        return self._evaluations[key]
+
+    def derivatives(self, z: FloatArray) -> CostDerivatives:
+        """Return the derivatives at z by x; ask for them only if they are not in the cache."""
+        return self._derivatives_at(self.point(z), self.evaluation(z))
+
+    def derivatives_at_best(self) -> CostDerivatives:
+        """Return those at the best point, which must be there."""
+        assert self.best is not None
+        return self._derivatives_at(*self.best)
+
+    def _derivatives_at(self, x: FloatArray, at: Evaluation) -> CostDerivatives:
+        key = (x.tobytes(), self.scheme)
+        if key not in self._derivatives:
+            self.gradients += 1
+            requests = derivatives(
+                self._space, x, at, self.scheme, self._relative_step, self.progress
+            )
+            self._derivatives[key] = run_with(requests, self._ask)
+            if len(self._derivatives) > CAPACITY:
+                self._derivatives.popitem(last=False)
+        return self._derivatives[key]
+
+    def has_derivatives(self, z: FloatArray) -> bool:
+        """Return whether the derivatives at z are in the cache."""
+        return (self.point(z).tobytes(), self.scheme) in self._derivatives
+
+
+FAILED_COST = 1e10
+ENDLESS = 1_000_000
+"""SciPy's limit of iterations: ours is on the number of derivatives."""
+GRADIENT_TOLERANCE = 1e-14
+"""Next to none: trust-constr takes a stationary point of its barrier for one of the problem."""
+STANDSTILL, STANDSTILLS = 1e-9, 5
+"""Steps of SLSQP, in typical sizes, that are less than derivatives by differences can tell, and so
+many in a row: at a feasible point it has converged then, though its own tolerance is finer."""
+RESTARTS = 5
+"""Runs of SciPy, of which each but the last met a derivative that was not known."""
+FAILURES = 3
+"""Points that failed in a row, after which a short step says nothing of a minimum."""
+BARRIER_MARGIN = 0.01
+"""Distance from a bound at which the barrier of trust-constr begins, in typical sizes."""
+
+
+class _FeasiblePointError(Exception):
+    """Raised through SciPy at a feasible point, where there is nothing to minimise."""
+
+
+class _StandstillError(Exception):
+    """Raised through SciPy where it only takes steps that make no difference."""
+
+
+class _LimitError(Exception):
+    """Raised through SciPy at the limit of derivatives."""
+
+
+class _QuietBFGS(BFGS):  # type: ignore[misc]
+    """SciPy's, without its warning that a function is linear."""
+
+    def update(self, delta_x: FloatArray, delta_grad: FloatArray) -> None:
+        if np.any(delta_grad != 0.0):
+            super().update(delta_x, delta_grad)
+
+
+def scipy_search(space: SearchSpace, settings: Sqp) -> Search:
+    """Minimise the cost of `space` under its bounds and constraints with SciPy."""
+    return search_in_thread(lambda ask: _ScipyCallbacks(space, settings, ask).solve())
+
+
+class _ScipyCallbacks:
+    """The functions that SciPy calls, on one cache of evaluations."""
+
+    def __init__(self, space: SearchSpace, settings: Sqp, ask: Ask) -> None:
+        self._space, self._settings = space, settings
+        self._equality = space.equality
+        scheme: Scheme = "central" if settings.differences == "central" else "forward"
+        self._cache = EvaluationCache(space, ask, scheme, settings.relative_step)
+        self._origin = np.zeros(space.size)
+        self._scale = 1.0
+        self._last, self._standstills = self._origin, 0
+        self._feasibility_only = False
+        self._guessed = np.zeros(space.size, dtype=bool)
+        """Unknowns whose derivatives were not known somewhere in the last run."""
+        self._constraints_before: FloatArray = np.zeros(len(self._equality))
+
+    def solve(self) -> Solution:
+        at = self._cache.evaluation(self._origin)
+        if not is_defined(at):
+            return Solution(self._space.start, np.nan, Ending.START_FAILED, undefined_reason(at))
+        self._feasibility_only = at.residuals.size == 0
+        run = self._slsqp if self._settings.algorithm == "slsqp" else self._trust_constr
+        with np.errstate(all="ignore"):
+            try:
+                ending, message = self._until_known(run)
+                if self._settings.differences in ("auto", "sensitivities"):
+                    self._cache.scheme = "central"
+                    ending, message = self._until_known(run)
+            except _FeasiblePointError:
+                ending, message = Ending.CONVERGED, ""
+            except _LimitError:
+                ending, message = Ending.MAX_ITERATIONS, ""
+        return self._solution(ending, message)
+
+    def _until_known(self, run: Callable[[], tuple[Ending, str]]) -> tuple[Ending, str]:
+        """Run SciPy; again, from the best point, if a derivative was not known on the way."""
+        for i in range(RESTARTS):
+            if i:
+                self._cache.forget_derivatives()
+            self._guessed = np.zeros(self._space.size, dtype=bool)
+            ending, message = self._once(run)
+            if ending is Ending.DERIVATIVES_FAILED or not self._guessed.any():
+                break
+        return ending, message
+
+    def _once(self, run: Callable[[], tuple[Ending, str]]) -> tuple[Ending, str]:
+        """Start SciPy from the best point."""
+        cache = self._cache
+        if cache.best is not None:
+            cache.origin = cache.best[0]
+        self._last, self._standstills = self._origin, 0
+        at = self.evaluation(self._origin)
+        if self._feasibility_only:
+            self._scale = 1.0
+        else:
+            found = cache.derivatives(self._origin)
+            if found.frozen.all():
+                return Ending.DERIVATIVES_FAILED, ""
+            steepest = float(np.abs(found.gradient * self._space.typical).max())
+            self._scale = max(abs(at.cost), steepest) or 1.0
+        return run()
+
+    def _slsqp(self) -> tuple[Ending, str]:
+        constraints = []
+        for kind, mask, sign in (("eq", self._equality, 1.0), ("ineq", ~self._equality, -1.0)):
+            if mask.any():
+                constraints.append(
+                    {
+                        "type": kind,
+                        "fun": lambda z, m=mask, s=sign: s * self.constraints(z)[m],
+                        "jac": lambda z, m=mask, s=sign: s * self.constraint_jacobian(z)[m],
+                    }
+                )
+        try:
+            found = minimize(
+                self.cost,
+                self._origin,
+                jac=self.gradient,
+                method="SLSQP",
+                bounds=list(zip(*self._bounds(), strict=True)),
+                constraints=constraints,
+                callback=self._note_slsqp,
+                options={"ftol": self._settings.ftol, "maxiter": ENDLESS},
+            )
+        except _StandstillError:
+            return Ending.CONVERGED, ""
+        ending = Ending.CONVERGED if found.status == 0 else Ending.STALLED
+        return ending, "" if found.status == 0 else f"SLSQP: {found.message}"
+
+    def _trust_constr(self) -> tuple[Ending, str]:
+        constraints = []
+        if len(self._equality):
+            lowest = np.where(self._equality, 0.0, -np.inf)
+            constraints.append(
+                NonlinearConstraint(
+                    self.constraints, lowest, 0.0, self.constraint_jacobian, hess=_QuietBFGS()
+                )
+            )
+        lower, upper = self._bounds()
+        bounded = bool(np.isfinite(lower).any() or np.isfinite(upper).any())
+        options: dict[str, Any] = {
+            "xtol": self._settings.xtol,
+            "gtol": GRADIENT_TOLERANCE,
+            "maxiter": ENDLESS,
+        }
+        if bounded or constraints:  # its default factorisation warns of dependent constraints
+            options |= {"sparse_jacobian": False, "factorization_method": "SVDFactorization"}
+        margin = np.minimum(BARRIER_MARGIN, 0.1 * (upper - lower))
+        found = minimize(
+            self.cost,
+            np.clip(self._origin, lower + margin, upper - margin),
+            jac=self.gradient,
+            hess=self._hessian(),
+            method="trust-constr",
+            bounds=Bounds(lower, upper, keep_feasible=True) if bounded else None,
+            constraints=constraints,
+            callback=lambda intermediate_result: self._note(
+                intermediate_result.x, intermediate_result
+            ),
+            options=options,
+        )
+        return Ending.CONVERGED, f"trust-constr: {found.message}"
+
+    def _hessian(self) -> Any:
+        found = self._cache.derivatives(self._origin) if not self._feasibility_only else None
+        if found is None or found.gauss_newton is None or self._settings.hessian == "quasi_newton":
+            return _QuietBFGS()
+        typical = self._space.typical
+
+        def gauss_newton(z: FloatArray) -> FloatArray:
+            defined = is_defined(self.evaluation(z))
+            matrix = self._cache.derivatives(z).gauss_newton if defined else None
+            if matrix is None:
+                return np.eye(len(typical))
+            return np.asarray(matrix * np.outer(typical, typical) / self._scale)
+
+        return gauss_newton
+
+    def _bounds(self) -> tuple[FloatArray, FloatArray]:
+        space, origin = self._space, self._cache.origin
+        return (space.lower - origin) / space.typical, (space.upper - origin) / space.typical
+
+    def evaluation(self, z: FloatArray) -> Evaluation:
+        at = self._cache.evaluation(z)
+        if self._feasibility_only and at.feasible:
+            raise _FeasiblePointError
+        return at
+
+    def cost(self, z: FloatArray) -> float:
+        at = self.evaluation(z)
+        if not is_defined(at):
+            return FAILED_COST
+        return 0.5 * float(z @ z) if self._feasibility_only else at.cost / self._scale
+
+    def gradient(self, z: FloatArray) -> FloatArray:
+        if self._feasibility_only:
+            return np.array(z)
+        if not is_defined(self.evaluation(z)):
+            return np.zeros(self._space.size)
+        return np.asarray(self._derivatives(z).gradient * self._space.typical / self._scale)
+
+    def constraints(self, z: FloatArray) -> FloatArray:
+        """Return the constraints; where a simulation failed, the last values, as the cost tells."""
+        at = self.evaluation(z)
+        if is_defined(at):
+            self._constraints_before = at.constraints
+        return self._constraints_before
+
+    def constraint_jacobian(self, z: FloatArray) -> FloatArray:
+        if not is_defined(self.evaluation(z)):
+            return np.zeros((len(self._equality), self._space.size))
+        return np.asarray(self._derivatives(z).constraint_jacobian * self._space.typical)
+
+    def _derivatives(self, z: FloatArray) -> CostDerivatives:
+        cache = self._cache
+        if not cache.has_derivatives(z) and cache.gradients >= self._settings.max_iterations:
+            raise _LimitError
+        found = cache.derivatives(z)
+        self._guessed |= found.frozen
+        return found
+
+    def _note_slsqp(self, z: FloatArray) -> None:
+        """Add a line, and end where nothing moves any more."""
+        moved = float(np.abs(z - self._last).max())
+        self._note(z)
+        self._standstills = self._standstills + 1 if moved <= STANDSTILL else 0
+        if self._standstills >= STANDSTILLS and self._cache.evaluation(z).feasible:
+            raise _StandstillError
+
+    def _note(self, z: FloatArray, state: Any = None) -> None:
+        """Add a line to the iteration table, without further evaluations."""
+        cache = self._cache
+        if cache.best is None:
+            return
+        at = cache.best[1]
+        cache.progress = Progress(
+            cache.gradients,
+            at.cost,
+            step=float(np.linalg.norm(z - self._last)),
+            optimality=self._optimality(z) if state is None else float(state.optimality),
+            damping=np.nan if state is None else float(state.tr_radius),
+            violation=at.violation if len(self._equality) else np.nan,
+        )
+        self._last = np.array(z)
+
+    def _optimality(self, z: FloatArray) -> float:
+        """Return the Lagrangian's largest derivative, at the multipliers that make it least."""
+        if not self._cache.has_derivatives(z) or not is_defined(self._cache.evaluation(z)):
+            return self._cache.progress.optimality
+        at, lower, upper = self._cache.evaluation(z), *self._bounds()
+        active = self._equality | (at.constraints >= -TOLERANCE)
+        low, high = z <= lower + TOLERANCE, z >= upper - TOLERANCE
+        identity = np.eye(len(z))
+        normals = np.vstack([self.constraint_jacobian(z)[active], -identity[low], identity[high]])
+        gradient = self.gradient(z)
+        if not len(normals):
+            return float(np.abs(gradient).max())
+        least = np.concatenate(
+            [np.where(self._equality[active], -np.inf, 0.0), np.zeros(low.sum() + high.sum())]
+        )
+        multipliers = lsq_linear(normals.T, -gradient, (least, np.inf)).x
+        return float(np.abs(gradient + normals.T @ multipliers).max())
+
+    def _cut_short(self, x: FloatArray) -> bool:
+        """Return whether failures ended the search where the cost can still fall."""
+        if self._feasibility_only or self._cache.failures < FAILURES:
+            return False
+        self._cache.origin = x
+        self._cache.derivatives(self._origin)
+        return self._optimality(self._origin) > NEARLY_OPTIMAL
+
+    def _solution(self, ending: Ending, message: str) -> Solution:
+        cache = self._cache
+        assert cache.best is not None  # the start was evaluated
+        x, at = cache.best
+        if not at.feasible:
+            ended = ending in (Ending.CONVERGED, Ending.STALLED)
+            ending = Ending.INFEASIBLE if ended else ending
+            message = worst_constraint(self._space, at)
+        if ending is Ending.CONVERGED and self._cut_short(x):
+            ending, message = Ending.STALLED, CUT_SHORT
+        found = Solution(x, at.cost, ending, message, cache.progress.iteration, at=at)
+        if self._feasibility_only or ending is Ending.DERIVATIVES_FAILED:
+            return found
+        found = without_guesses(self._space, found, self._guessed)
+        if self._space.problem.cost.weights(at.residuals, self._space.outputs) is None:
+            return found
+        jacobian = cache.derivatives_at_best().residual_jacobian
+        if jacobian is None:
+            return found
+        found = replace(
+            found,
+            jacobian=jacobian.matrix,
+            difference_steps=jacobian.steps,
+            frozen=jacobian.frozen,
+        )
+        return without_guesses(self._space, found, jacobian.frozen)
