@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import os
 import queue
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
-from typing import ClassVar, Protocol, Self, final
+from typing import Any, ClassVar, Protocol, Self, final
 
 from typing_extensions import override
 
@@ -29,12 +29,16 @@ SLOW_SECONDS = 0.5
 CLOSE_SECONDS = 1.0
 
 
-class _EvaluatorProtocol(Protocol):
+class AnyEvaluator(Protocol):
     """An evaluator, or what stands before one."""
 
     def evaluate(self, batch: TaskBatch) -> list[Outcome]: ...
 
+    def once(self, task: Task) -> Outcome: ...
+
     def free_instance(self) -> None: ...
+
+    def stop(self) -> None: ...
 
     def close(self) -> None: ...
 
@@ -73,69 +77,39 @@ class _EvaluatorHere:
             )
         return outcomes
 
+    def once(self, task: Task) -> Outcome:
+        """Answer one task."""
+        return self.evaluate(TaskBatch.of([task]))[0]
 
-class LocalExecutor(WorkerPool):
-    """One thread for each worker, each with an instance of the FMU.
+    def stop(self) -> None:
+        """Do nothing: what is simulated in this process cannot be ended."""
+
+
+class ThreadPool(WorkerPool):
+    """One thread for each worker, which is an evaluator or stands before one.
 
     With one worker quick simulations run in the caller's thread. Slow ones do not: an interrupt
     could not come through.
-
-    The default, for fits that take seconds. An FMU that crashes takes this process with it, and not
-    every FMU allows several instances in one process: `processes` and `ray` have neither weakness.
     """
 
-    name: ClassVar[str] = "local"
-    in_process: ClassVar[bool] = True
-
-    def __init__(self, evaluators: Sequence[_EvaluatorProtocol]) -> None:
+    def __init__(self, evaluators: Sequence[AnyEvaluator]) -> None:
         self.workers = len(evaluators)
         self._evaluators = list(evaluators)
-        self._idle: queue.SimpleQueue[_EvaluatorProtocol] = queue.SimpleQueue()
+        self._idle: queue.SimpleQueue[AnyEvaluator] = queue.SimpleQueue()
         for evaluator in evaluators:
             self._idle.put(evaluator)
         self._backlog = TaskBacklog(shares=2 * self.workers)
         self._threads = ThreadPoolExecutor(self.workers)
-        self._running: dict[Future[list[Outcome]], TaskBatch] = {}
+        self._running: dict[Future[Any], TaskBatch] = {}
         self._closed = False
-
-    @classmethod
-    @override
-    def open(
-        cls,
-        model: Model,
-        experiments: tuple[Experiment, ...],
-        workers: int | None,
-        address: str | None,
-        limits: Limits | None = None,
-    ) -> Self:
-        set_environment_here(model)
-        count = model.at_most(workers or 1)
-        if count > 1 and describe_model(model).once_per_process:
-            count = 1
-        evaluators: list[_EvaluatorHere] = []
-        try:
-            for i in range(count):
-                each = Evaluator(model.of_worker(i), experiments, f"local-{i}")
-                evaluators.append(_EvaluatorHere(each))
-        except BaseException:
-            for evaluator in evaluators:
-                evaluator.close()
-            raise
-        return cls(evaluators)
 
     def one_worker(self, tasks: Sequence[Task], *, last: bool = False) -> list[Outcome]:
         evaluator = self._evaluators[-1 if last else 0]
-        return self.in_turn(tasks, lambda task: evaluator.evaluate(TaskBatch.of([task])))
-
-    def in_turn(
-        self, tasks: Sequence[Task], answer: Callable[[Task], list[Outcome]]
-    ) -> list[Outcome]:
-        """Have tasks answered one after the other, in a thread: an interrupt comes through."""
         outcomes: list[Outcome] = []
-        for task in tasks:
-            running = self._threads.submit(answer, task)
+        for task in tasks:  # in a thread: an interrupt comes through
+            running = self._threads.submit(evaluator.once, task)
             self._running[running] = TaskBatch.of([task])
-            outcomes += running.result()
+            outcomes.append(running.result())
             del self._running[running]
         return outcomes
 
@@ -145,12 +119,15 @@ class LocalExecutor(WorkerPool):
 
     def completed(self) -> list[Outcome]:
         if self._here:
-            return self._evaluate_here()
+            batch = self._backlog.take()
+            outcomes = self._evaluators[0].evaluate(batch)
+            self._backlog.learn(batch, outcomes)
+            return outcomes
         self._fill()
         if not self._running:
             return []
         done, _ = wait(self._running, return_when=FIRST_COMPLETED)
-        outcomes: list[Outcome] = []
+        outcomes = []
         for future in done:
             batch = self._running.pop(future)
             answers = future.result()
@@ -177,6 +154,8 @@ class LocalExecutor(WorkerPool):
             self._idle.put(evaluator)
 
     def close(self) -> None:
+        for evaluator in self._evaluators:
+            evaluator.stop()  # first, so that no thread waits for a simulation any more
         self._closed = True
         self._backlog.clear()
         _, endless = wait(self._running, CLOSE_SECONDS)
@@ -197,12 +176,6 @@ class LocalExecutor(WorkerPool):
             batch = self._backlog.take()
             self._running[self._threads.submit(self._evaluate, batch)] = batch
 
-    def _evaluate_here(self) -> list[Outcome]:
-        batch = self._backlog.take()
-        outcomes = self._evaluators[0].evaluate(batch)
-        self._backlog.learn(batch, outcomes)
-        return outcomes
-
     def _evaluate(self, batch: TaskBatch) -> list[Outcome]:
         evaluator = self._idle.get()
         try:
@@ -211,7 +184,43 @@ class LocalExecutor(WorkerPool):
             self._idle.put(evaluator)
 
 
-class ProcessExecutor(WorkerPool):
+class LocalExecutor(ThreadPool):
+    """Evaluators in this process.
+
+    The default, for fits that take seconds. An FMU that crashes takes this process with it, and not
+    every FMU allows several instances in one process: `processes` and `ray` have neither weakness.
+    """
+
+    name: ClassVar[str] = "local"
+    in_process: ClassVar[bool] = True
+
+    @classmethod
+    @override
+    def open(
+        cls,
+        model: Model,
+        experiments: tuple[Experiment, ...],
+        workers: int | None,
+        address: str | None,
+        limits: Limits | None = None,
+    ) -> Self:
+        set_environment_here(model)
+        count = model.at_most(workers or 1)
+        if count > 1 and describe_model(model).once_per_process:
+            count = 1
+        evaluators: list[_EvaluatorHere] = []
+        try:
+            for i in range(count):
+                each = Evaluator(model.of_worker(i), experiments, f"local-{i}")
+                evaluators.append(_EvaluatorHere(each))
+        except BaseException:
+            for evaluator in evaluators:
+                evaluator.close()
+            raise
+        return cls(evaluators)
+
+
+class ProcessExecutor(ThreadPool):
     """For FMUs that crash, hang, leak or exist once in a process, on the cores of one machine.
 
     It starts in half a second, where Ray takes several. `local` is faster for simulations of less
@@ -220,11 +229,6 @@ class ProcessExecutor(WorkerPool):
 
     name: ClassVar[str] = "processes"
     in_process: ClassVar[bool] = False
-
-    def __init__(self, guards: Sequence[SupervisedEvaluator]) -> None:
-        self.workers = len(guards)
-        self._guards = list(guards)
-        self._threads = LocalExecutor(guards)
 
     @classmethod
     @override
@@ -252,28 +256,3 @@ class ProcessExecutor(WorkerPool):
                 guard.close()
             raise failed[0]
         return cls(guards)
-
-    def one_worker(self, tasks: Sequence[Task], *, last: bool = False) -> list[Outcome]:
-        guard = self._guards[-1 if last else 0]
-        return self._threads.in_turn(tasks, lambda task: [guard.once(task)])
-
-    def submit(self, tasks: Sequence[Task]) -> None:
-        self._threads.submit(tasks)
-
-    def completed(self) -> list[Outcome]:
-        return self._threads.completed()
-
-    def cancel(self, tasks: Collection[int]) -> list[int]:
-        return self._threads.cancel(tasks)
-
-    @property
-    def busy(self) -> int:
-        return self._threads.busy
-
-    def free_instances(self, workers: int) -> None:
-        self._threads.free_instances(workers)
-
-    def close(self) -> None:
-        for guard in self._guards:
-            guard.stop()  # first, so that no thread waits for a simulation any more
-        self._threads.close()

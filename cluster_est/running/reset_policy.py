@@ -62,11 +62,10 @@ class ResetDecision:
 
 def recorded(facts: Mapping[str, Any]) -> ResetDecision | None:
     """Return the decision that a run.json holds; None if it does not say."""
-    found = facts.get("reset_policy") or facts.get("renewal") or {}
-    policy = found.get("policy", found.get("renew"))  # as runs of earlier versions call them
-    if policy not in WAYS:
+    found = facts.get("reset_policy") or {}
+    if found.get("policy") not in WAYS:
         return None
-    return ResetDecision(policy, str(found.get("sentence")), bool(found.get("plain")))
+    return ResetDecision(found["policy"], str(found.get("sentence")), bool(found.get("plain")))
 
 
 @dataclass(frozen=True)

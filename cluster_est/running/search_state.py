@@ -203,26 +203,6 @@ class SearchState:
         )
 
 
-class OutcomeCache:
-    """Outcomes that answer a repeated question without simulating, up to a size."""
-
-    def __init__(self) -> None:
-        self._known: dict[Question, Outcome] = {}
-        self._bytes = 0
-
-    def get(self, question: Question) -> Outcome | None:
-        return self._known.get(question)
-
-    def remember(self, question: Question, outcome: Outcome) -> None:
-        kept = (outcome.residuals, outcome.sensitivities)
-        size = OUTCOME_BYTES + sum(0 if each is None else each.nbytes for each in kept)
-        if self._bytes + size > MEMORY_BYTES:
-            self._known.clear()
-            self._bytes = 0
-        self._known[question] = outcome
-        self._bytes += size
-
-
 Slot = tuple[SearchState, int, int]
 """A search, the index of its point, and the position of the experiment: where an outcome goes."""
 
@@ -256,7 +236,8 @@ class PendingTasks:
         self._next_task = 0
         self._under_way: dict[int, _Asked] = {}
         self._waiting: dict[Question, list[Slot]] = {}
-        self._known = OutcomeCache()
+        self._known: dict[Question, Outcome] = {}
+        self._known_bytes = 0
         self._sizes: dict[tuple[int, bool], int] = {}
         self.simulations = 0
         self.failures = 0
@@ -332,10 +313,20 @@ class PendingTasks:
         if asked is None:
             return
         outcome, question = self.note(outcome), asked.question
-        self._known.remember(question, outcome)
+        self._remember(question, outcome)
         for slot in self._waiting.pop(question, []):
             _place(slot, outcome)
             yield slot[0]
+
+    def _remember(self, question: Question, outcome: Outcome) -> None:
+        """Keep what answers a repeated question without simulating, up to a size."""
+        kept = (outcome.residuals, outcome.sensitivities)
+        size = OUTCOME_BYTES + sum(0 if each is None else each.nbytes for each in kept)
+        if self._known_bytes + size > MEMORY_BYTES:
+            self._known.clear()
+            self._known_bytes = 0
+        self._known[question] = outcome
+        self._known_bytes += size
 
     def note(self, outcome: Outcome) -> Outcome:
         """Count and record the outcome of a task; what it is taken for."""
