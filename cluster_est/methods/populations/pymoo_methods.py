@@ -7,6 +7,7 @@ pymoo takes long to import, so only a search imports it.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
@@ -23,6 +24,8 @@ from cluster_est.methods.populations.population_method import (
 )
 from workers.messages import FloatArray
 
+Rivals = Literal["member", "worst"] | None
+
 
 class PymooStrategy(PopulationStrategy):
     """An algorithm of pymoo whose random numbers all come from a generator.
@@ -32,24 +35,19 @@ class PymooStrategy(PopulationStrategy):
 
     Parameters
     ----------
-    kind, options
-        Class of the algorithm, and what it is made with besides its first generation and seed.
+    method
+        Whose algorithm it is.
     box, size, goal, generator
         As in `PopulationMethod.strategy`.
-    rivals
-        Whom a new point must be better than to survive: the one "member" in whose place it would
-        come, or the "worst" of the population; None where it depends on other new points.
     """
 
     def __init__(
         self,
-        kind: Any,
+        method: PymooMethod,
         box: UnitBox,
         size: int,
         goal: PopulationGoal,
         generator: np.random.Generator,
-        rivals: Literal["member", "worst"] | None = None,
-        **options: Any,
     ) -> None:
         from pymoo.config import Config
         from pymoo.core.problem import Problem
@@ -66,13 +64,14 @@ class PymooStrategy(PopulationStrategy):
             xu=np.ones(unknowns),
         )
         first = box.first_generation(size, generator)
+        kind, options = method.algorithm(size)
         # as a seed, a generator is used as it is
         self._algorithm = kind(sampling=first, seed=generator, **options)
         self._algorithm.setup(problem, termination=NoTermination())
         if getattr(self._algorithm, "survival", None) is not None:
             self._algorithm.survival = _SeededSurvival(self._algorithm.survival, generator)
         self._asked: Any = None
-        self._rivals = rivals
+        self._rivals = method.rivals
 
     def ask(self) -> FloatArray:
         self._asked = self._algorithm.ask()
@@ -112,7 +111,29 @@ class _SeededSurvival:
 
 
 @dataclass(frozen=True)
-class DifferentialEvolution(PopulationMethod):
+class PymooMethod(PopulationMethod):
+    """A population that an algorithm of pymoo moves."""
+
+    rivals: ClassVar[Rivals] = None
+    """Whom a new point must be better than to survive: the one member in whose place it would come,
+    or the worst of the population; None where it depends on other new points."""
+
+    @abstractmethod
+    def algorithm(self, size: int) -> tuple[Any, dict[str, Any]]:
+        """Return the class of the algorithm, and what it is made with for generations of a size.
+
+        Besides its first generation and seed.
+        """
+
+    @override
+    def strategy(
+        self, box: UnitBox, size: int, goal: PopulationGoal, generator: np.random.Generator
+    ) -> PopulationStrategy:
+        return PymooStrategy(self, box, size, goal, generator)
+
+
+@dataclass(frozen=True)
+class DifferentialEvolution(PymooMethod):
     """Each point steps by the difference of two others, and stays where that does not help.
 
     The population to try first where several minima are likely and all unknowns have bounds. It
@@ -142,6 +163,7 @@ class DifferentialEvolution(PopulationMethod):
     """
 
     name: ClassVar[str] = "de"
+    rivals: ClassVar[Rivals] = "member"
 
     window: int = field(default=60, metadata={"least": 1})
     base: Literal["rand", "best"] = "rand"
@@ -154,28 +176,20 @@ class DifferentialEvolution(PopulationMethod):
         return max(30, 10 * unknowns)
 
     @override
-    def strategy(
-        self, box: UnitBox, size: int, goal: PopulationGoal, generator: np.random.Generator
-    ) -> PopulationStrategy:
+    def algorithm(self, size: int) -> tuple[Any, dict[str, Any]]:
         from pymoo.algorithms.soo.nonconvex.de import DE
 
-        return PymooStrategy(
-            DE,
-            box,
-            size,
-            goal,
-            generator,
-            rivals="member",
-            pop_size=size,
-            variant=f"DE/{self.base}/1/bin",
-            F=self.weight,
-            CR=self.crossover,
-            prob_mut=0.0,
-        )
+        return DE, {
+            "pop_size": size,
+            "variant": f"DE/{self.base}/1/bin",
+            "F": self.weight,
+            "CR": self.crossover,
+            "prob_mut": 0.0,
+        }
 
 
 @dataclass(frozen=True)
-class GeneticAlgorithm(PopulationMethod):
+class GeneticAlgorithm(PymooMethod):
     """The fittest of parents and children live on; children mix two parents and mutate.
 
     For costs that jump, or where good values of single unknowns can be combined. It finds the
@@ -204,6 +218,7 @@ class GeneticAlgorithm(PopulationMethod):
     """
 
     name: ClassVar[str] = "ga"
+    rivals: ClassVar[Rivals] = "worst"
 
     xtol: float = field(default=0.0, metadata={"least": 0.0})
     ftol: float = field(default=1e-4, metadata={"least": 0.0})
@@ -217,28 +232,20 @@ class GeneticAlgorithm(PopulationMethod):
         return max(50, 10 * unknowns)
 
     @override
-    def strategy(
-        self, box: UnitBox, size: int, goal: PopulationGoal, generator: np.random.Generator
-    ) -> PopulationStrategy:
+    def algorithm(self, size: int) -> tuple[Any, dict[str, Any]]:
         from pymoo.algorithms.soo.nonconvex.ga import GA
         from pymoo.operators.crossover.sbx import SBX
         from pymoo.operators.mutation.pm import PM
 
-        return PymooStrategy(
-            GA,
-            box,
-            size,
-            goal,
-            generator,
-            rivals="worst",
-            pop_size=size,
-            crossover=SBX(prob=self.crossover_probability, eta=self.crossover_eta),
-            mutation=PM(eta=self.mutation_eta),
-        )
+        return GA, {
+            "pop_size": size,
+            "crossover": SBX(prob=self.crossover_probability, eta=self.crossover_eta),
+            "mutation": PM(eta=self.mutation_eta),
+        }
 
 
 @dataclass(frozen=True)
-class Isres(PopulationMethod):
+class Isres(PymooMethod):
     """An evolution strategy that now and then prefers a low cost to satisfied constraints.
 
     For minima on nonlinear constraints, above all where the region that satisfies them is narrow
@@ -277,26 +284,19 @@ class Isres(PopulationMethod):
         return 20 * (unknowns + 1)
 
     @override
-    def strategy(
-        self, box: UnitBox, size: int, goal: PopulationGoal, generator: np.random.Generator
-    ) -> PopulationStrategy:
+    def algorithm(self, size: int) -> tuple[Any, dict[str, Any]]:
         from pymoo.algorithms.soo.nonconvex.isres import ISRES
 
-        return PymooStrategy(
-            ISRES,
-            box,
-            size,
-            goal,
-            generator,
-            n_offsprings=size,
-            PF=self.ranking,
-            gamma=self.gamma,
-            alpha=self.alpha,
-        )
+        return ISRES, {
+            "n_offsprings": size,
+            "PF": self.ranking,
+            "gamma": self.gamma,
+            "alpha": self.alpha,
+        }
 
 
 @dataclass(frozen=True)
-class ParticleSwarm(PopulationMethod):
+class ParticleSwarm(PymooMethod):
     """Points fly on, drawn to the best point of their own and of all.
 
     For a look over a wide region with a small population. Its last digits come slowly: `de` and
@@ -326,6 +326,7 @@ class ParticleSwarm(PopulationMethod):
     """
 
     name: ClassVar[str] = "pso"
+    rivals: ClassVar[Rivals] = "member"
 
     window: int = field(default=50, metadata={"least": 1})
     inertia: float = field(default=0.73, metadata={"least": 0.0})
@@ -340,25 +341,17 @@ class ParticleSwarm(PopulationMethod):
         return max(25, 5 * unknowns)
 
     @override
-    def strategy(
-        self, box: UnitBox, size: int, goal: PopulationGoal, generator: np.random.Generator
-    ) -> PopulationStrategy:
+    def algorithm(self, size: int) -> tuple[Any, dict[str, Any]]:
         from pymoo.algorithms.soo.nonconvex.pso import PSO
 
         inertia, own, social = self.inertia, self.own, self.social
         if self.adaptive:
             inertia, own, social = 0.9, 2.0, 2.0
-        return PymooStrategy(
-            PSO,
-            box,
-            size,
-            goal,
-            generator,
-            rivals="member",
-            pop_size=size,
-            w=inertia,
-            c1=own,
-            c2=social,
-            adaptive=self.adaptive,
-            max_velocity_rate=self.speed,
-        )
+        return PSO, {
+            "pop_size": size,
+            "w": inertia,
+            "c1": own,
+            "c2": social,
+            "adaptive": self.adaptive,
+            "max_velocity_rate": self.speed,
+        }
