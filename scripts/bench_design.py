@@ -341,7 +341,7 @@ def precision() -> None:
         signals = dict.fromkeys(data.system.outputs, SignalLimits(-1e6, 1e6))
         found = design(
             result,
-            replace(limits, signals=signals),
+            limits.changed(signals=signals),
             settings=DesignSettings(criterion="d", candidates=CANDIDATES),
         )
         came = errors_with(alone, measured(data, found.experiment, 1))
