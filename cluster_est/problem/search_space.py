@@ -298,7 +298,10 @@ class SearchSpace:
         """(experiments, all parameters): with what follows from others, and auxiliary ones."""
         values = self.base.copy()
         rows, places, counts = self._places
-        values[rows, places] = np.repeat(self._physical(x), counts)
+        moved = x.astype(np.float64)
+        for i in np.flatnonzero(self.logarithmic).tolist():
+            moved[i] = self.unknowns[i].to_physical(float(x[i]))
+        values[rows, places] = np.repeat(moved, counts)
         if self.problem.derived:
             columns = {p.name: values[:, i] for i, p in enumerate(self.problem.parameters)}
             for i, formula in self.problem.derived:
@@ -318,13 +321,6 @@ class SearchSpace:
     def logarithmic(self) -> npt.NDArray[np.bool_]:
         """(unknowns,): whether each is searched by its logarithm."""
         return np.array([unknown.log for unknown in self.unknowns], dtype=bool)
-
-    def _physical(self, x: FloatArray) -> FloatArray:
-        """(unknowns,): physical values."""
-        values = x.astype(np.float64)
-        for i in np.flatnonzero(self.logarithmic).tolist():
-            values[i] = self.unknowns[i].to_physical(float(x[i]))
-        return values
 
     @cached_property
     def _free(self) -> npt.NDArray[np.bool_]:

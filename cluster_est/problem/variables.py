@@ -65,7 +65,13 @@ def check_experiment(
     where = f"experiment {experiment.id!r}"
     for name, value in experiment.values:
         _check_start(description, name, f"{where}.values", real=False)
-        _check_structure(model, description.variables[name], value, where)
+        variable = description.variables[name]
+        chosen = dict(model.structure).get(variable.name, variable.start)
+        if variable.causality == "structuralParameter" and value != chosen:
+            raise ProblemError(
+                f"{where}.values: {variable.name!r} says how large arrays are, so it must be the "
+                "same in all experiments but is not; give it under values of the whole problem"
+            )
     _check_inputs(experiment, description, where)
     for name in experiment.recorded:
         _check_recorded(description.variable(name, f"{where}.outputs"), description, name, where)
@@ -128,15 +134,6 @@ def _check_recorded(
             f"{where}.{dotted('outputs', name)}: must be a variable that {description.file} "
             "computes but is "
             f"of causality {variable.causality!r}; choose an output or a local variable"
-        )
-
-
-def _check_structure(model: Model, variable: ModelVariable, value: Value, where: str) -> None:
-    chosen = dict(model.structure).get(variable.name, variable.start)
-    if variable.causality == "structuralParameter" and value != chosen:
-        raise ProblemError(
-            f"{where}.values: {variable.name!r} says how large arrays are, so it must be the same "
-            "in all experiments but is not; give it under values of the whole problem"
         )
 
 

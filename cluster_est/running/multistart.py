@@ -219,7 +219,13 @@ def search_from_starts(
     ]
 
     def enough(solutions: Sequence[Solution]) -> bool:
-        return _nothing_new(space, solutions, multistart)
+        """Whether the last of them have found no new minimum."""
+        if multistart.patience == 0 or len(solutions) <= multistart.patience:
+            return False
+        _, number = cluster(space, solutions, multistart.same)
+        before = set(number[: -multistart.patience]) - {-1}
+        latest = set(number[-multistart.patience :]) - {-1}
+        return bool(before) and latest <= before
 
     solutions = runner.run(requests, at_once, enough)
     minima, minimum = cluster(space, solutions, multistart.same)
@@ -402,15 +408,6 @@ def _same(space: SearchSpace, one: Solution, other: Solution, same: float) -> bo
     width = space.upper - space.lower
     width = np.where(np.isfinite(width), width, space.typical)
     return bool(np.all(np.abs(one.x - other.x) <= same * width))
-
-
-def _nothing_new(space: SearchSpace, solutions: Sequence[Solution], multistart: Multistart) -> bool:
-    if multistart.patience == 0 or len(solutions) <= multistart.patience:
-        return False
-    _, number = cluster(space, solutions, multistart.same)
-    before = set(number[: -multistart.patience]) - {-1}
-    latest = set(number[-multistart.patience :]) - {-1}
-    return bool(before) and latest <= before
 
 
 def _rank(solution: Solution) -> tuple[float, float]:

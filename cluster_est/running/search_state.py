@@ -65,13 +65,6 @@ def with_priors(space: SearchSpace, x: FloatArray, e: int, outcome: Outcome) -> 
     return replace(outcome, residuals=np.concatenate([known, space.priors.residuals(e, x)]))
 
 
-def with_continuity(space: SearchSpace, x: FloatArray, e: int, outcome: Outcome) -> Outcome:
-    """Return the outcome of a segment with the differences between its end and the next start."""
-    if space.continuity is None or not outcome.ok or outcome.residuals is None:
-        return outcome
-    return replace(outcome, residuals=space.continuity.applied(e, x, outcome.residuals))
-
-
 def violation(constraints: FloatArray, equality: npt.NDArray[np.bool_]) -> float:
     """The largest violation; 0 where all are satisfied, infinite where one has no value."""
     if np.isnan(constraints).any():
@@ -163,7 +156,10 @@ class SearchState:
         if point is None:  # dropped, or the search has ended
             return
         space, x = self.request.space, point.x
-        point.outcomes[e] = with_priors(space, x, e, with_continuity(space, x, e, outcome))
+        if space.continuity is not None and outcome.ok and outcome.residuals is not None:
+            joined = space.continuity.applied(e, x, outcome.residuals)
+            outcome = replace(outcome, residuals=joined)
+        point.outcomes[e] = with_priors(space, x, e, outcome)
         point.missing -= 1
         if point.missing == 0:
             del self.pending[index]

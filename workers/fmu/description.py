@@ -204,10 +204,14 @@ def describe(
     else:
         completes_steps = flag(exchange.get("needsCompletedIntegratorStep"))
     offered = [offer.interface for offer in offers]
+    guid = root.get("instantiationToken") or root.get("guid")
+    if not guid:
+        key = "guid" if version == "2.0" else "instantiationToken"
+        raise ModelError(f"{file}: its {XML} must have a {key} but has none; export it again")
     return ModelDescription(
         file=file,
         version=version,
-        guid=_guid(root, version, file),
+        guid=guid,
         tool=" ".join((root.get("generationTool") or "").split()),
         offers=offers,
         variables=declared.variables,
@@ -283,14 +287,6 @@ def _check_structural(
                 f"{file}: the structural parameter {name!r} must be a size, which is at least 0, "
                 f"but is {value}; change it"
             )
-
-
-def _guid(root: Element, version: Version, file: str) -> str:
-    guid = root.get("instantiationToken") or root.get("guid")
-    if not guid:
-        key = "guid" if version == "2.0" else "instantiationToken"
-        raise ModelError(f"{file}: its {XML} must have a {key} but has none; export it again")
-    return guid
 
 
 def _section(root: Element, tag: str) -> Element:

@@ -14,7 +14,7 @@ import sys
 import threading
 import weakref
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from ctypes import c_void_p
 from typing import Any
 
@@ -191,7 +191,9 @@ class FunctionTable:
             accessors=accessors,
             interpolates_inputs=description.interpolates_inputs,
             completes_steps=description.completes_steps,
-            eventful=_has_events(description),
+            # an input that jumps may be an event for it
+            eventful=description.event_indicators > 0
+            or any(v.variability == "discrete" for v in description.variables.values()),
             n_states=len(description.states) if exchange else 0,
             n_indicators=description.event_indicators if exchange else 0,
         )
@@ -225,13 +227,6 @@ class FunctionTable:
         whole = f"fmi{self._description.version[0]}{name}"
         function = getattr(self._fmu.dll, whole, None)
         return 0 if function is None else ctypes.cast(function, c_void_p).value or 0
-
-
-def _has_events(description: ModelDescription) -> bool:
-    """Return whether an input that jumps may be an event for the FMU."""
-    if description.event_indicators > 0:
-        return True
-    return any(v.variability == "discrete" for v in description.variables.values())
 
 
 _CLASSES = {
@@ -391,7 +386,8 @@ class FmuInstance:
         tell_of_first_instance()
         open_log(name, self.log, shown=self._model.logging_on)
         try:
-            with _load_lock, _unchanged_working_folder(), kept_signal_handlers():
+            # fmpy leaves the working folder while it loads a library
+            with _load_lock, contextlib.chdir(os.getcwd()), kept_signal_handlers():
                 fmu = model_class(
                     guid=self._description.guid,
                     modelIdentifier=identifier,
@@ -436,13 +432,3 @@ class FmuInstance:
         if any(is_about_licence(line) for line in (*self.log, str(error))):
             advice = "Get the licence that it asks for, or export it without the need of one"
         return f"{self._model.name}: cannot be loaded and instantiated ({error}).{log} {advice}"
-
-
-@contextlib.contextmanager
-def _unchanged_working_folder() -> Iterator[None]:
-    """Come back to the working folder, which fmpy leaves while it loads a library."""
-    before = os.getcwd()
-    try:
-        yield
-    finally:
-        os.chdir(before)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 from xml.etree.ElementTree import Element
 
-from workers.fmu.variable import KINDS, Kind, ModelVariable
+from workers.fmu.variable import KINDS, ModelVariable
 from workers.fmu.xml import (
     NOTHING,
     TYPES,
@@ -186,7 +186,10 @@ def _scalar(
         return number(attribute(key), notes, key, name)
 
     causality = _one_of(own, "causality", _CAUSALITIES, notes) or "local"
-    variability = _variability(own, causality, kind, notes)
+    variability = _one_of(own, "variability", _VARIABILITIES, notes)
+    if variability is None and causality.endswith("arameter"):
+        variability = "fixed"
+    variability = variability or ("continuous" if kind == "real" else "discrete")
     low, high = _ordered(limit("min"), limit("max"), name, notes)
     nominal = limit("nominal")
     if attribute("nominal") is not None and not nominal:
@@ -223,15 +226,6 @@ def _one_of(own: Element, key: str, known: tuple[str, ...], notes: ReadingNotes)
         return text
     notes.add(f"attributes {key} that FMI does not know are ignored", own.get("name"))
     return None
-
-
-def _variability(own: Element, causality: str, kind: Kind, notes: ReadingNotes) -> str:
-    text = _one_of(own, "variability", _VARIABILITIES, notes)
-    if text is not None:
-        return text
-    if causality in ("parameter", "calculatedParameter", "structuralParameter"):
-        return "fixed"
-    return "continuous" if kind == "real" else "discrete"
 
 
 def _settable(

@@ -393,7 +393,8 @@ class LocalModel:
         norms = self._jacobian.norms()
         self.scale = np.maximum(largest, norms)
         self.optimality = _optimality(space, x, self._jacobian, norms, self._residuals)
-        longest = _longest_step(space, x)
+        unsized = (space.start == 0.0) & ~np.isfinite(space.upper - space.lower)
+        longest = np.where(unsized, np.inf, LONGEST_STEP * unknown_sizes(space, x))
         self._bounds = np.maximum(space.lower - x, -longest), np.minimum(space.upper - x, longest)
         self._diagonal = np.where(self.scale > 0.0, self.scale, 1.0)
         self._walls = derivatives.walls
@@ -433,12 +434,6 @@ class LocalModel:
 def unknown_sizes(space: SearchSpace, x: FloatArray) -> FloatArray:
     """Return the size (unknowns,) of each unknown, to which the length of a step is relative."""
     return np.maximum(np.abs(x), space.typical)
-
-
-def _longest_step(space: SearchSpace, x: FloatArray) -> FloatArray:
-    """Return the largest change (unknowns,) of each; infinite where its size is not known."""
-    unknown = (space.start == 0.0) & ~np.isfinite(space.upper - space.lower)
-    return np.where(unknown, np.inf, LONGEST_STEP * unknown_sizes(space, x))
 
 
 def _weights(space: SearchSpace, at: Evaluation) -> FloatArray:
