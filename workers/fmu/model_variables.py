@@ -187,7 +187,11 @@ def _scalar(
 
     causality = _one_of(own, "causality", _CAUSALITIES, notes) or "local"
     variability = _one_of(own, "variability", _VARIABILITIES, notes)
-    if variability is None and causality.endswith("arameter"):
+    if variability is None and causality in (
+        "parameter",
+        "calculatedParameter",
+        "structuralParameter",
+    ):
         variability = "fixed"
     variability = variability or ("continuous" if kind == "real" else "discrete")
     low, high = _ordered(limit("min"), limit("max"), name, notes)
