@@ -40,7 +40,7 @@ from cluster_est.running.multistart import (
 from cluster_est.running.resources import Note, Record, Resources, Show, one_blas_thread
 from cluster_est.running.runner import Runner
 from cluster_est.running.sizes import with_sizes
-from cluster_est.shooting.segments import Shooting
+from cluster_est.shooting.record_segments import Shooting
 from cluster_est.shooting.shoot import ShotFit, check_shooting, fit_whole_records, shoot
 from cluster_est.uncertainty import (
     UncertaintySettings,

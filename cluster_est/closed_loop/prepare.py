@@ -24,10 +24,10 @@ from cluster_est.costs.sum_squared import SumSquared
 from cluster_est.errors import ProblemError
 from cluster_est.fit import check_method
 from cluster_est.problem.compatibility import NOT_PLAIN
-from cluster_est.problem.idle_inputs import silent_notes
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import make_space
+from cluster_est.problem.variables import silent_notes
 from cluster_est.running.arguments import check_problem, check_resources
 from cluster_est.running.environment import Monitor, RunEnvironment
 from cluster_est.running.resources import Record, Resources, TaskOrigin, one_blas_thread

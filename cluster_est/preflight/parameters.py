@@ -15,9 +15,9 @@ from cluster_est.preflight.subject import (
     listed,
     unanswered,
 )
-from cluster_est.problem.idle_inputs import silent_inputs, stays
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.unknowns import Unknown
+from cluster_est.problem.variables import silent_inputs, stays
 from cluster_est.toml import dotted
 from workers.messages import FloatArray
 from workers.probes.probes import MovementProbe

@@ -24,8 +24,8 @@ from cluster_est.problem.search_space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.shooting.first_states import FirstStates, spread_of_states
+from cluster_est.shooting.record_segments import SegmentedProblem
 from cluster_est.shooting.segment_space import states_alone, weighted, with_states
-from cluster_est.shooting.segments import SegmentedProblem
 from workers.messages import FloatArray, Output
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.search_space import SearchSpace
 from cluster_est.problem.unknowns import StateContinuity, StateEnd, Unknown
-from cluster_est.shooting.segments import SegmentedProblem
+from cluster_est.shooting.record_segments import SegmentedProblem
 from workers.messages import FloatArray
 
 

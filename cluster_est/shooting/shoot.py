@@ -20,6 +20,7 @@ from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest, assemble_evaluation, with_priors
 from cluster_est.running.sizes import with_sizes
 from cluster_est.shooting.first_states import FirstStates, first_states
+from cluster_est.shooting.record_segments import SegmentedProblem, Shooting, cut
 from cluster_est.shooting.segment_search import (
     JOINED,
     SegmentSearch,
@@ -30,7 +31,6 @@ from cluster_est.shooting.segment_search import (
     search_segments,
 )
 from cluster_est.shooting.segment_space import make_segment_space
-from cluster_est.shooting.segments import SegmentedProblem, Shooting, cut
 from cluster_est.uncertainty import intervals
 from cluster_est.uncertainty.covariance.normal_equations import jacobian_blocks
 from cluster_est.uncertainty.spaces import with_start

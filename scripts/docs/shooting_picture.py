@@ -17,7 +17,7 @@ import cluster_est as ce
 from cluster_est.problem.search_space import make_space
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.shooting.first_states import first_states
-from cluster_est.shooting.segments import Shooting, cut
+from cluster_est.shooting.record_segments import Shooting, cut
 from workers.messages import FloatArray
 
 WIDTH, HEIGHT = 860, 560

@@ -28,8 +28,7 @@ from workers.fmu.binary_dependencies import is_about_licence, load_failure
 from workers.fmu.description import ModelDescription
 from workers.fmu.platforms import binary_path
 from workers.fmu.seats import Seat
-from workers.fmu.signal_handlers import kept_signal_handlers
-from workers.fmu.surroundings import tell_of_first_instance
+from workers.fmu.surroundings import kept_signal_handlers, tell_of_first_instance
 from workers.kernels.fmi.component import FmiComponent, nothing_loaded
 from workers.kernels.fmi.values import TYPES
 from workers.messages import Model

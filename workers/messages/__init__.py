@@ -4,7 +4,7 @@ The coordinator sends a `Model` and its `Experiment`s once to every worker, and 
 (one point, one experiment). The worker answers each with an `Outcome`, failures included.
 """
 
-from workers.messages.experiments import Curve, Experiment, SignalBound, UserFunction
+from workers.messages.measured_experiment import Curve, Experiment, SignalBound, UserFunction
 from workers.messages.model import Effect, Model, Seats, Solver
 from workers.messages.signals import Input, Output
 from workers.messages.tasks import (

@@ -40,9 +40,8 @@ from workers.errors import ModelError
 from workers.evaluate import Evaluator, FmuProbe
 from workers.fmu.archive import unpack
 from workers.fmu.instance import instances_made
-from workers.fmu.surroundings import enter_working_folder
+from workers.fmu.surroundings import enter_working_folder, resident_bytes
 from workers.messages import IntArray
-from workers.probes.memory import resident_bytes
 from workers.process.forked import (
     END,
     FORK,

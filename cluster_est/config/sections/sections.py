@@ -18,7 +18,7 @@ from cluster_est.running.multistart import Multistart
 from cluster_est.running.resources import Budget, LogSettings, Resources
 from cluster_est.sensitivity.settings import SensitivitySettings
 from cluster_est.settings import ConfigSection, Count, Finite, Known, Pair, Samples, one_of
-from cluster_est.shooting.segments import Shooting
+from cluster_est.shooting.record_segments import Shooting
 from cluster_est.uncertainty import UncertaintySettings
 
 

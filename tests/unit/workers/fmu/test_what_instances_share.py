@@ -15,7 +15,7 @@ from workers.errors import ModelError
 from workers.fmu import instance
 from workers.fmu import seats as room
 from workers.fmu.seats import Seat, has_lost
-from workers.fmu.signal_handlers import ROOM, kept_signal_handlers
+from workers.fmu.surroundings import ROOM, kept_signal_handlers
 from workers.messages import Seats
 
 HOLDS = """
