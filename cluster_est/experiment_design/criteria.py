@@ -19,6 +19,9 @@ from cluster_est.plug_in import check_class_attributes
 from cluster_est.statistics.projection import inverse, log_determinant
 from workers.messages import FloatArray, IntArray
 
+Models = Sequence[FittedCandidate]
+Predictions = Sequence[PredictedExperiment]
+
 
 class DesignCriterion(ABC):
     """A measure of what an experiment will tell."""
@@ -40,12 +43,7 @@ class DesignCriterion(ABC):
         check_class_attributes(cls)
 
     @abstractmethod
-    def value(
-        self,
-        models: Sequence[FittedCandidate],
-        predicted: Sequence[PredictedExperiment],
-        parameters: Sequence[str],
-    ) -> float:
+    def value(self, models: Models, predicted: Predictions, parameters: Sequence[str]) -> float:
         """Return the worth of an experiment; more is better.
 
         Parameters
@@ -70,12 +68,7 @@ class DOptimality(DesignCriterion):
     called: ClassVar[str] = "smaller volume of the parameters' region (log)"
 
     @override
-    def value(
-        self,
-        models: Sequence[FittedCandidate],
-        predicted: Sequence[PredictedExperiment],
-        parameters: Sequence[str],
-    ) -> float:
+    def value(self, models: Models, predicted: Predictions, parameters: Sequence[str]) -> float:
         before, after = covariances(models[0], predicted[0], parameters)
         return 0.5 * (log_determinant(before) - log_determinant(after))
 
@@ -118,12 +111,7 @@ class AOptimality(DesignCriterion):
     called: ClassVar[str] = "smaller standard errors (log)"
 
     @override
-    def value(
-        self,
-        models: Sequence[FittedCandidate],
-        predicted: Sequence[PredictedExperiment],
-        parameters: Sequence[str],
-    ) -> float:
+    def value(self, models: Models, predicted: Predictions, parameters: Sequence[str]) -> float:
         before, after = covariances(models[0], predicted[0], parameters)
         return -0.5 * float(np.log(np.mean(np.diag(after) / np.diag(before))))
 
@@ -143,12 +131,7 @@ class VOptimality(DesignCriterion):
     called: ClassVar[str] = "smaller standard deviations of predictions (log)"
 
     @override
-    def value(
-        self,
-        models: Sequence[FittedCandidate],
-        predicted: Sequence[PredictedExperiment],
-        parameters: Sequence[str],
-    ) -> float:
+    def value(self, models: Models, predicted: Predictions, parameters: Sequence[str]) -> float:
         del parameters  # all of them make what is predicted uncertain
         before, after = prediction_variances(models[0], predicted[0])
         return -0.5 * float(np.log(np.mean(after / before)))
@@ -193,12 +176,7 @@ class Discrimination(DesignCriterion):
     called: ClassVar[str] = "expected probability of the true model"
 
     @override
-    def value(
-        self,
-        models: Sequence[FittedCandidate],
-        predicted: Sequence[PredictedExperiment],
-        parameters: Sequence[str],
-    ) -> float:
+    def value(self, models: Models, predicted: Predictions, parameters: Sequence[str]) -> float:
         del parameters  # all models count as they are
         weights = np.array([fitted.model.weight for fitted in models])
         expected = expected_probabilities(evidence_table(predicted), weights)
@@ -220,7 +198,7 @@ def expected_probabilities(evidence: FloatArray, weights: FloatArray) -> FloatAr
     return np.asarray(weights / np.add.reduce(rivals, axis=1))
 
 
-def evidence_table(predicted: Sequence[PredictedExperiment]) -> FloatArray:
+def evidence_table(predicted: Predictions) -> FloatArray:
     """Return (true model, rival): the evidence that an experiment is expected to give."""
     outputs = [each.outputs for each in predicted]
     factors = [each.factor for each in predicted]
