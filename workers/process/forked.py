@@ -16,11 +16,12 @@ import sys
 import tempfile
 import threading
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing import reduction
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import TypeVar
 
 from workers.errors import ModelError
 from workers.fmu.surroundings import READ_AT_START
@@ -72,6 +73,7 @@ class BatchReport:
     spent: bool = False
 
 
+Answer = TypeVar("Answer")
 MOST_WAITING = 4096
 """Programs that may wait for a shared template at once."""
 
@@ -129,12 +131,7 @@ class TemplateClient:
         order = StartOrder(installation, _environment(installation[0].environment), _folder())
         with self._lock, _standard_error() as errors:
             handles = orders, progress, errors
-            with contextlib.suppress(EOFError, OSError):
-                return self._ask(order, handles)
-            try:
-                return self._ask(order, handles)
-            except EOFError as error:
-                raise OSError("the process that should have started it has ended") from error
+            return _at_second_try(lambda: self._ask(order, handles))
 
     def close(self) -> None:
         """End it; fork servers that came from it go on. Again does nothing."""
@@ -194,6 +191,16 @@ class TemplateClient:
         if self._process is not None:
             self._process.wait()  # a shared one has left it, and goes on for the others
         self._orders = self._process = None
+
+
+def _at_second_try(ask: Callable[[], Answer]) -> Answer:
+    """Ask a process for another one, and its successor if it has ended."""
+    with contextlib.suppress(EOFError, OSError):
+        return ask()
+    try:
+        return ask()
+    except EOFError as error:
+        raise OSError("the process that should have started it has ended") from error
 
 
 def _hang_up(connection: Connection) -> None:
@@ -336,12 +343,7 @@ class ForkClient:
             If none can be started.
         """
         self.progress[:] = 0
-        with contextlib.suppress(EOFError, OSError):
-            return self._fork(effects)
-        try:
-            return self._fork(effects)
-        except EOFError as error:
-            raise OSError("the process that should have started it has ended") from error
+        return _at_second_try(lambda: self._fork(effects))
 
     def wait(self, process: int) -> int | None:
         """The exit code of a process that ends, or minus the signal that ended it.

@@ -243,7 +243,7 @@ class Simulator:
         )  # fmt: skip
         if isinstance(kinds, str):
             return None, kinds
-        for instance in (self.instance, *self._sensitivity_source.perturbed_instances):
+        for instance in (self.instance, *self._sensitivity_source.perturbed):
             if instance.is_new and not self._integrator.starts(instance, bound, point):
                 return None, "an instance could not be started"
         sensitivity_pass = self._sensitivity_source.prepare_pass(
@@ -252,7 +252,8 @@ class Simulator:
         run = self._integrator.run(bound, point[None], no_hooks(1), 0, sensitivity_pass)
         if run.codes[0] != failure.FINISHED:
             if run.codes[0] >= failure.FATAL:
-                self._sensitivity_source.replace_perturbed_instances()
+                for instance in self._sensitivity_source.perturbed:
+                    instance.replace()
             return None, run.messages[0]
         sensitivities = np.full((len(point), *run.outputs.shape[1:]), np.nan)
         forward = sensitivity_pass.forward
