@@ -91,6 +91,18 @@ class ResidualJacobian:
         entries = self.blocks.row_count * self.blocks.size
         return self.blocks if self.blocks.sparse and entries > LARGE else None
 
+    def added_to(self, solution: Solution, space: SearchSpace, *, dense: bool = False) -> Solution:
+        """Return a solution with these derivatives, as one array where small or `dense`."""
+        large = None if dense else self.blocks_if_large
+        found = replace(
+            solution,
+            jacobian=self.matrix if large is None else None,
+            block_jacobian=large,
+            difference_steps=self.steps,
+            frozen=self.frozen,
+        )
+        return without_guesses(space, found, self.frozen)
+
 
 def without_guesses(
     space: SearchSpace, solution: Solution, frozen: npt.NDArray[np.bool_]

@@ -37,7 +37,7 @@ import numpy as np
 from typing_extensions import override
 
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.methods.differences import Differences, ResidualJacobian, without_guesses
+from cluster_est.methods.differences import Differences, ResidualJacobian
 from cluster_est.methods.gradients import JacobianProvider
 from cluster_est.methods.least_squares.iteration import (
     CLOSE,
@@ -338,16 +338,7 @@ class _End:
             iterations=state.progress.iteration,
             at=state.at,
         )
-        if jacobian is None:
-            return found
-        found = replace(
-            found,
-            jacobian=jacobian.dense_if_small,
-            block_jacobian=jacobian.blocks_if_large,
-            difference_steps=jacobian.steps,
-            frozen=jacobian.frozen,
-        )
-        return without_guesses(space, found, jacobian.frozen)
+        return found if jacobian is None else jacobian.added_to(found, space)
 
 
 def _corrected(

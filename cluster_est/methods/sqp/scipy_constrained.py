@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -417,10 +416,4 @@ class _ScipyCallbacks:
         jacobian = cache.derivatives_at_best().residual_jacobian
         if jacobian is None:
             return found
-        found = replace(
-            found,
-            jacobian=jacobian.matrix,
-            difference_steps=jacobian.steps,
-            frozen=jacobian.frozen,
-        )
-        return without_guesses(self._space, found, jacobian.frozen)
+        return jacobian.added_to(found, self._space, dense=True)

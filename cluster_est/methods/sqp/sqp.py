@@ -223,13 +223,7 @@ class _TrustRegionSearch:
         jacobian = self._model.derivatives.residual_jacobian
         if jacobian is None:
             return found
-        found = replace(
-            found,
-            jacobian=jacobian.matrix,
-            difference_steps=jacobian.steps,
-            frozen=jacobian.frozen,
-        )
-        return without_guesses(self._space, found, jacobian.frozen)
+        return jacobian.added_to(found, self._space, dense=True)
 
     def _differentiate(
         self, x: FloatArray, at: Evaluation
