@@ -290,7 +290,7 @@ class _Density:
         return found
 
 
-LEAST_WALKERS = 16
+USUAL_WALKERS = 16
 PER_UNKNOWN = 4
 """Walkers; twice the number of unknowns is the least with which differences span all directions."""
 FORGOTTEN = 10.0
@@ -329,7 +329,7 @@ def sample_posterior(
         The source of all chance.
     """
     check_posterior(space, settings.walkers)
-    count = settings.walkers or max(LEAST_WALKERS, PER_UNKNOWN * space.size)
+    count = settings.walkers or max(USUAL_WALKERS, PER_UNKNOWN * space.size)
     chain = WalkerChain()
     starts = _starts(space, solution, intervals, count, generator)
     method = EnsembleSampling(starts, settings.posterior, chain)
