@@ -337,20 +337,20 @@ def sample_posterior(
     (solved,) = runner.run([SearchRequest("posterior", method, space, seed)])
     if solved.ending is Ending.START_FAILED:
         why = f"none of {count} walkers began at a point with a density"
-        return _nothing(space, chain, settings, why)
+        return _without_draws(space, chain, settings, why)
     if len(chain.states) < settings.posterior:
         done = f"{len(chain.states):,} of {settings.posterior:,} steps"
-        return _nothing(space, chain, settings, f"it was cut short after {done}")
+        return _without_draws(space, chain, settings, f"it was cut short after {done}")
     if not np.isfinite(chain.densities[-1]).all():
         lost = int((~np.isfinite(chain.densities[-1])).sum())
-        return _nothing(
+        return _without_draws(
             space, chain, settings, f"{lost} of {count} walkers found no point with a density"
         )
     return _summed_up(space, solution, chain, settings)
 
 
-def _nothing(
-    space: SearchSpace, chain: WalkerChain, settings: UncertaintySettings, why: str
+def _without_draws(
+    space: SearchSpace, chain: WalkerChain, settings: UncertaintySettings, why: str = ""
 ) -> PosteriorResult:
     return PosteriorResult(
         labels=tuple(unknown.label for unknown in space.unknowns),
@@ -421,17 +421,12 @@ def _summed_up(
         if unknown.log:
             values[:, :, i] = np.clip(np.exp(kept[:, :, i]), unknown.parameter.lower,
                                       unknown.parameter.upper)  # fmt: skip
-    found = _intervals(space, solution, kept, values, settings.confidence)
-    return PosteriorResult(
-        labels=tuple(unknown.label for unknown in space.unknowns),
+    return replace(
+        _without_draws(space, chain, settings),
         values=values,
         log_densities=densities,
-        intervals=found,
-        confidence=settings.confidence,
-        steps=len(states),
+        intervals=_intervals(space, solution, kept, values, settings.confidence),
         discarded=discarded,
-        failures=chain.failures,
-        asked=chain.asked,
     )
 
 

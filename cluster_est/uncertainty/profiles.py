@@ -390,18 +390,14 @@ def _result(
     settings: UncertaintySettings,
 ) -> ProfileResult:
     """Join the two sides of a profile."""
-    target, unknown = low.target, space.unknowns[low.target.unknown]
+    target = low.target
     points = [*(low.point(space, refit) for refit in low.path[:0:-1])]
     points += [high.point(space, refit) for refit in high.path]
     best = min((*low.path, *high.path), key=lambda refit: refit.cost)
     better = best.cost < solution.cost - BETTER * target.rise
-    return ProfileResult(
-        label=unknown.label,
-        value=unknown.to_physical(float(solution.x[target.unknown])),
-        cost=solution.cost,
+    return replace(
+        _undetermined(space, solution, target.unknown, settings),
         rise=target.rise,
-        confidence=settings.confidence,
-        labels=tuple(each.label for each in space.unknowns),
         points=tuple(points),
         lower=low.limit(space),
         upper=high.limit(space),
