@@ -21,15 +21,14 @@ if TYPE_CHECKING:
     from cluster_est.config.reader import read_config
     from cluster_est.errors import ClusterEstError
     from cluster_est.experiment_design.design import design
-    from cluster_est.methods.least_squares.method import LeastSquares
+    from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
     from cluster_est.problem.fmu_file import read_model
     from cluster_est.problem.parameter import Parameter
     from cluster_est.problem.problem import Problem
     from cluster_est.problem.tables.files import read_table
     from cluster_est.results.result import Result
     from cluster_est.running.multistart import Multistart
-    from cluster_est.running.records import Budget
-    from cluster_est.running.resources import Resources
+    from cluster_est.running.resources import Budget, Resources
     from cluster_est.studies.fit import fit, simulate
     from cluster_est.studies.residual_function import residuals
     from cluster_est.studies.save_report_export import export, report, save
@@ -99,7 +98,7 @@ _MODULES = {
     "cluster_est.errors": ("ClusterEstError",),
     "cluster_est.experiment_design.design": ("design",),
     "cluster_est.studies.fit": ("fit", "simulate"),
-    "cluster_est.methods.least_squares.method": ("LeastSquares",),
+    "cluster_est.methods.least_squares.levenberg_marquardt": ("LeastSquares",),
     "cluster_est.problem.fmu_file": ("read_model",),
     "cluster_est.problem.parameter": ("Parameter",),
     "cluster_est.problem.problem": ("Problem",),
@@ -109,8 +108,7 @@ _MODULES = {
     "cluster_est.results.result": ("Result",),
     "cluster_est.results.fit_tables": ("Estimate",),
     "cluster_est.running.multistart": ("Multistart",),
-    "cluster_est.running.records": ("Budget",),
-    "cluster_est.running.resources": ("Resources",),
+    "cluster_est.running.resources": ("Budget", "Resources"),
     "cluster_est.uncertainty": ("UncertaintySettings",),
     "workers.messages": ("Effect", "Experiment", "Input", "Model", "Output", "Solver"),
 }
@@ -124,7 +122,7 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     found = getattr(import_module(_WHERE[name]), name)
     if name == "Experiment":  # `workers`, where the class stands, reads no tables
-        tables = import_module("cluster_est.problem.tables.experiment")
+        tables = import_module("cluster_est.problem.tables.experiment_from_table")
         found.from_table = staticmethod(tables.experiment_from_table)
         found.hold_out = import_module("cluster_est.problem.held_out").hold_out
     globals()[name] = found

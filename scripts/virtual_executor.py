@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
-from cluster_est.executors.base import Executor
+from cluster_est.executors.executor import Executor
 from workers.messages import FloatArray, Outcome, Status, Task
 
 Answer = Callable[[Task], FloatArray]

@@ -19,8 +19,8 @@ from build_fmus import SCAFFOLD
 from fmus import build as own
 from hypothesis import settings
 
+from cluster_est.running import reset_policy
 from cluster_est.running.resources import one_blas_thread
-from cluster_est.running.trials import reset_policy
 from workers.kernels.fmi import compiling
 
 settings.register_profile("project", deadline=None, derandomize=True)
@@ -153,10 +153,9 @@ def fmpy_prints() -> Iterator[None]:
     from fmpy.logging import addLoggerProxy
 
     import workers.fmu.instance
-    import workers.fmu.logger
 
     theirs = fmpy.fmi2.fmi2CallbackFunctions()
     theirs.logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(fmpy.fmi2.printLogMessage)
     addLoggerProxy(byref(theirs))
     yield
-    workers.fmu.instance.CALLBACKS = workers.fmu.logger.make_callbacks()
+    workers.fmu.instance.CALLBACKS = workers.fmu.instance.make_callbacks()

@@ -8,8 +8,8 @@ import os
 import ray
 
 from workers.messages import Experiment, Limits, Model
+from workers.process.forked import share_template
 from workers.process.supervisor import SupervisedEvaluator
-from workers.process.template_client import share_template
 from workers.wire import OutcomeColumns, TaskBatch
 
 

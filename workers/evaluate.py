@@ -1,12 +1,17 @@
-"""Tasks in, outcomes out. A failed simulation is an outcome like any other; nothing raises."""
+"""Tasks in, outcomes out. A failed simulation is an outcome like any other; nothing raises.
+
+Probes ask an evaluator whatever else `cluster-est check` wants to know of an FMU.
+"""
 
 from __future__ import annotations
 
 import os
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,10 +31,14 @@ from workers.messages import (
     Trajectory,
     Want,
 )
-from workers.residuals.base import SimulatedOutputs
-from workers.residuals.experiment import BatchComparison, ExperimentComparison, reduce_residuals
-from workers.simulation.batch import SimulationBatch
+from workers.residuals.comparison import SimulatedOutputs
+from workers.residuals.experiment_residuals import (
+    BatchComparison,
+    ExperimentComparison,
+    reduce_residuals,
+)
 from workers.simulation.bind_experiment import BoundExperiment
+from workers.simulation.integrator import SimulationBatch
 from workers.simulation.simulator import Simulator
 from workers.wire import TaskBatch
 
@@ -299,3 +308,17 @@ def _where_not_linear(found: Linearisation | None) -> str | None:
                 f"{matrix[at, row, column]} at t = {found.times[at]:.9g} s"
             )
     return None
+
+
+class FmuProbe(ABC):
+    """Asks for more than a simulation: what `cluster-est check` wants to know of an FMU."""
+
+    @abstractmethod
+    def answer(self, evaluator: Evaluator) -> Any:
+        """Find it out with an FMU that was just loaded; what is returned travels back.
+
+        Raises
+        ------
+        ModelError
+            If it cannot be found out; travels back too.
+        """

@@ -18,7 +18,7 @@ from cluster_est.preflight.data_checks import sigma_findings
 from cluster_est.preflight.subject import CheckPage, bare_problem
 from cluster_est.preflight.unit_checks import unit_findings
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
 from cluster_est.results.fit_tables import constraints_at_start
 from cluster_est.results.output_errors import Simulation
 from cluster_est.run_folder.run_identity import RunKind

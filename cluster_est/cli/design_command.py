@@ -15,7 +15,7 @@ from cluster_est.cli.printed_runs import print_any_run
 from cluster_est.cli.printing import say
 from cluster_est.cli.terminal import EXIT_CODES, run_as_told, say_if_compiled_first, say_report
 from cluster_est.errors import RunFolderError
-from cluster_est.experiment_design.findings.sentences import STEM, TABLE
+from cluster_est.experiment_design.design_sentences import STEM, TABLE
 from cluster_est.run_folder.run_files import read_facts, read_run_columns
 from cluster_est.studies.configured import ConfiguredStudy
 from cluster_est.studies.configured_design import read_design

@@ -84,7 +84,7 @@ def print_iterations(console: Console, run_folder: Path, search: str | None) -> 
 
 
 def _final_rank(row: dict[str, Any]) -> tuple[float, float]:
-    from cluster_est.methods.base import TOLERANCE  # all methods: nothing that `show` waits for
+    from cluster_est.methods.method import TOLERANCE  # all methods: nothing that `show` waits for
 
     violation = row["violation"]
     violation = 0.0 if violation is None or math.isnan(violation) else violation

@@ -17,13 +17,12 @@ from rich.text import Text
 
 from cluster_est.cli.parent_process import ExitCode
 from cluster_est.cli.printing import say
-from cluster_est.problem.effects.process_noise import noise_names
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.process_noise import noise_names
 from cluster_est.run_folder.context import Existing
 from cluster_est.run_folder.run_files import RunStatus
 from cluster_est.run_folder.run_progress import left_of_step, pace_of, what_is_done
-from cluster_est.running.records import Budget, RunSnapshot, Show
-from cluster_est.running.resources import Resources
+from cluster_est.running.resources import Budget, Resources, RunSnapshot, Show
 from cluster_est.studies.configured import ConfiguredStudy, Destination, Listener, RunEnd, do_run
 from workers.kernels.fmi.compiling import compiled_before
 

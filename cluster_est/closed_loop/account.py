@@ -32,7 +32,7 @@ from cluster_est.closed_loop.findings.wording import (
 )
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
-from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.facts import fitted_to_held_out
 from cluster_est.results.fit_tables import EffectCurve

@@ -20,11 +20,10 @@ from cluster_est.closed_loop.selection.declared_model import fit_declared
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.errors import EffectError, ProblemError
-from cluster_est.problem.effects.declared import DeclaredCoefficient, DeclaredEffect, make_effect
-from cluster_est.problem.effects.process_noise import refuse_process_noise
-from cluster_est.problem.effects.shaped_curve import checked_shape
-from cluster_est.problem.effects.table_values import Monotone
+from cluster_est.problem.declared_effects import DeclaredCoefficient, DeclaredEffect, make_effect
+from cluster_est.problem.free_curves import Monotone, checked_shape
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.process_noise import refuse_process_noise
 from cluster_est.running.arguments import check_problem
 from cluster_est.running.resources import Resources
 from workers.effects.forms import FormCoefficient
@@ -205,7 +204,7 @@ def add_effect(
         Of a form that is a free curve, such as "table": the standard deviation of what its slope
         changes by over one unit of its argument, a prior; whether it is "increasing" or
         "decreasing", a constraint; and the bounds of its values. See
-        `cluster_est.problem.effects.table_values`.
+        `cluster_est.problem.free_curves`.
 
     Raises
     ------

@@ -19,7 +19,7 @@ from cluster_est.closed_loop.synthetic_experiments import with_outputs
 from cluster_est.closed_loop.thresholds import PreparationThresholds
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
 from cluster_est.problem.tables.jumps import after_jumps
 from cluster_est.results.output_errors import output_residuals
 from cluster_est.statistics.noise.outliers import PROVEN, IsolatedOutliers, isolated_outliers

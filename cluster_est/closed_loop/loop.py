@@ -24,12 +24,11 @@ from cluster_est.closed_loop.process_noise.passes import close_loop_under_noise
 from cluster_est.closed_loop.search import search_for_effects
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import FitStart
-from cluster_est.problem.effects.process_noise import noise_names
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.process_noise import noise_names
+from cluster_est.problem.search_space import make_space
 from cluster_est.running.environment import RunEnvironment
-from cluster_est.running.records import Note, Record, Show
-from cluster_est.running.resources import Resources
+from cluster_est.running.resources import Note, Record, Resources, Show
 from cluster_est.running.study import Study, run_study
 
 

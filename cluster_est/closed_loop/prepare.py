@@ -21,16 +21,15 @@ from cluster_est.closed_loop.synthetic_experiments import (
 )
 from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench
 from cluster_est.errors import ProblemError
+from cluster_est.problem.compatibility import NOT_PLAIN
 from cluster_est.problem.costs import SumSquared
-from cluster_est.problem.effects.process_noise import noise_names
-from cluster_est.problem.idle_inputs import silent_notes
-from cluster_est.problem.observed_outputs import NOT_PLAIN
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.process_noise import noise_names
+from cluster_est.problem.search_space import make_space
+from cluster_est.problem.variables import silent_notes
 from cluster_est.running.arguments import check_method, check_problem, check_resources
 from cluster_est.running.environment import RunEnvironment
-from cluster_est.running.records import Record, TaskOrigin
-from cluster_est.running.resources import Resources, one_blas_thread
+from cluster_est.running.resources import Record, Resources, TaskOrigin, one_blas_thread
 from cluster_est.statistics.noise.estimate import SHORTEST
 from cluster_est.statistics.records import make_records
 from cluster_est.toml import dotted

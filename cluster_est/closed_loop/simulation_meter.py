@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cluster_est.running.records import Record, TaskOrigin
+from cluster_est.running.resources import Record, TaskOrigin
 from workers.messages import Experiment, Outcome
 
 

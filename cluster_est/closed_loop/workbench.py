@@ -15,11 +15,10 @@ from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.synthetic_experiments import EnlargedCopy, SyntheticKind
 from cluster_est.closed_loop.thresholds import LoopThresholds
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Ending, Evaluation, Method
-from cluster_est.methods.given_points import GivenPoints
-from cluster_est.problem.effects.process_noise import noise_names, without_noise
+from cluster_est.methods.method import Ending, Evaluation, GivenPoints, Method
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.problem.process_noise import noise_names, without_noise
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.multistart import with_best_sensors
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest

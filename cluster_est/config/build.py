@@ -23,22 +23,17 @@ from cluster_est.config.sections import (
     ParameterSection,
 )
 from cluster_est.errors import ConfigError, ModelError
-from cluster_est.problem.effects.declared import (
+from cluster_est.problem.declared_effects import (
     DeclaredCoefficient,
     DeclaredEffect,
     MadeEffect,
     make_effect,
 )
-from cluster_est.problem.effects.sensors import shared_sensor
-from cluster_est.problem.effects.table_values import (
-    UNBOUNDED,
-    TableShape,
-    ValueTable,
-    check_table_name,
-)
 from cluster_est.problem.fmu_file import choose_interface
+from cluster_est.problem.free_curves import UNBOUNDED, TableShape, ValueTable, check_table_name
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.sensors import shared_sensor
 from cluster_est.problem.variables import check_value
 from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription, describe, describe_model

@@ -21,10 +21,14 @@ from cluster_est.config.sections import Config, Normalise, TimeBase
 from cluster_est.errors import ConfigError
 from cluster_est.problem.held_out import hold_out, within
 from cluster_est.problem.tables.files import MeasuredTable, read_table
-from cluster_est.problem.tables.grades import with_grades
-from cluster_est.problem.tables.measured import ColumnChange, MeasuredColumns, interval
+from cluster_est.problem.tables.measured import (
+    ColumnChange,
+    MeasuredColumns,
+    TableSource,
+    interval,
+    with_grades,
+)
 from cluster_est.problem.tables.stand_ins import by_column
-from cluster_est.problem.tables.unused import TableSource
 from cluster_est.settings import MOST_TIMES
 from cluster_est.toml import dotted
 from workers.fmu.description import nearest

@@ -2,61 +2,25 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from cluster_est.config.config_text import read_toml
 from cluster_est.errors import ConfigError, ProblemError
-from cluster_est.experiment_design.candidates import RECORDED
-from cluster_est.experiment_design.criteria import CRITERIA
-from cluster_est.experiment_design.limits import ExperimentLimits, InputLimits, SignalLimits
+from cluster_est.experiment_design.limits import ExperimentLimits
 from cluster_est.experiment_design.request import DesignSettings
 from cluster_est.experiment_design.targets import PredictionTarget
-from cluster_est.experiment_design.waveforms import WAVEFORMS
 from cluster_est.problem.tables.files import read_table
-from cluster_est.settings import LARGEST, ConfigSection, Count, Finite, Pair, checked, one_of
+from cluster_est.settings import (
+    ConfigSection,
+    Count,
+    checked,
+)
 from workers.messages import Experiment, Input, Interpolation
 from workers.messages.checks import as_path
-
-
-def _pair(value: object) -> object:
-    """One number is short for a range of that number alone."""
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    return [value, value] if number else value
-
-
-class InputLimitsSection(ConfigSection):
-    """Limits of one input."""
-
-    lower: Finite = Field(description="in the input's unit")
-    upper: Finite = Field(description="in the input's unit")
-    rate: float = Field(math.inf, gt=0.0, description="largest change in a second")
-    start: Finite | None = Field(None, description="value that it begins at; default: any")
-    hold: Finite = Field(
-        0.0,
-        ge=0.0,
-        description="seconds for which a level is held at least, and the shortest half period of "
-        "a wave; 0: four samples",
-    )
-
-
-class SignalLimitsSection(ConfigSection):
-    """Limits of one output or other variable of the FMU."""
-
-    lower: float = Field(-math.inf, description="in the variable's unit; default: none")
-    upper: float = Field(math.inf, description="in the variable's unit; default: none")
-
-
-class StartLimitsSection(ConfigSection):
-    """A start value that may be chosen."""
-
-    lower: Finite = Field(description="in the variable's unit")
-    upper: Finite = Field(description="in the variable's unit")
 
 
 class PredictionSection(ConfigSection):
@@ -81,57 +45,13 @@ class PredictionSection(ConfigSection):
     )
 
 
-class LimitsSections(ConfigSection):
+class LimitsSections(DesignSettings, ExperimentLimits):
     """A whole file of limits."""
 
-    duration: Annotated[Pair, BeforeValidator(_pair)] = Field(
-        description="seconds, or [shortest, longest]"
+    predictions: list[PredictionSection] = Field(  # type: ignore[assignment]
+        default_factory=list, description=DesignSettings.model_fields["predictions"].description
     )
-    sample_time: Finite = Field(
-        gt=0.0, description="seconds between two samples of inputs and outputs"
-    )
-    like: str = Field(
-        "",
-        description="experiment of the run that the next one begins like, and whose outputs are "
-        "measured; default: the first training experiment",
-    )
-    criterion: str = Field(
-        "",
-        description=f"{one_of(CRITERIA)}: tell the rivals of a finding apart, narrow parameters "
-        "together (d) or each (a), or narrow predictions (v); default: v where there are "
-        "predictions, discriminate where there are rivals, else d",
-    )
-    parameters: list[str] = Field(
-        default_factory=list,
-        description="names of the parameters that are narrowed; default: all that experiments "
-        "share",
-    )
-    predictions: list[PredictionSection] = Field(
-        default_factory=list,
-        description="what is predicted, for v; default: all outputs of all experiments of the run",
-    )
-    rivals: list[str] = Field(
-        default_factory=list,
-        description="names of the models that are told apart, as show prints them; default: all "
-        "that the run kept",
-    )
-    waveforms: list[str] = Field(
-        default_factory=list,
-        description=f"families of inputs: {one_of([*WAVEFORMS, RECORDED])}; default: all",
-    )
-    candidates: int = Field(120, ge=10, le=LARGEST, description="inputs that are looked at")
     seed: Count = Field(0, description="of the random generator")
-    inputs: dict[str, InputLimitsSection] = Field(
-        default_factory=dict, description="inputs that are designed, by the FMU's names"
-    )
-    signals: dict[str, SignalLimitsSection] = Field(
-        default_factory=dict,
-        description="outputs and other variables that must stay within limits; default: outputs "
-        "leave what the run has seen by half of its range at most",
-    )
-    start: dict[str, StartLimitsSection] = Field(
-        default_factory=dict, description="start values that may be chosen, by the FMU's names"
-    )
 
 
 OPTION = "--predict"
@@ -221,7 +141,7 @@ def with_named_targets(
             PredictionTarget(name, tuple(o.strip() for o in outputs.split(",") if o.strip()))
         )
     try:
-        return replace(settings, predictions=tuple(targets))
+        return settings.changed(predictions=tuple(targets))
     except ProblemError as error:
         raise ConfigError(f"{OPTION}: {error}") from None
 
@@ -256,26 +176,14 @@ def read_limits(path: str | Path) -> LimitsFile:
     text, raw = read_toml(path, "--limits: there is no file")
     found = checked(LimitsSections, raw, str(path))
     try:
-        return _built(found, text, path.parent)
+        targets = prediction_targets(found.predictions, path.parent)
+        limits = {name: getattr(found, name) for name in ExperimentLimits.model_fields}
+        settings = {name: getattr(found, name) for name in DesignSettings.model_fields}
+        return LimitsFile(
+            ExperimentLimits(**limits),
+            DesignSettings(**settings | {"predictions": targets}),
+            found.seed,
+            text,
+        )
     except ProblemError as error:
         raise ConfigError(f"{path}: {error}") from None
-
-
-def _built(found: LimitsSections, text: str, base: Path) -> LimitsFile:
-    limits = ExperimentLimits(
-        inputs={name: InputLimits(**each.model_dump()) for name, each in found.inputs.items()},
-        duration=found.duration,
-        sample_time=found.sample_time,
-        signals={name: SignalLimits(**each.model_dump()) for name, each in found.signals.items()},
-        like=found.like,
-        start={name: SignalLimits(**each.model_dump()) for name, each in found.start.items()},
-    )
-    settings = DesignSettings(
-        criterion=found.criterion,
-        parameters=tuple(found.parameters),
-        rivals=tuple(found.rivals),
-        waveforms=tuple(found.waveforms),
-        candidates=found.candidates,
-        predictions=prediction_targets(found.predictions, base),
-    )
-    return LimitsFile(limits, settings, found.seed, text)

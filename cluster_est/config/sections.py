@@ -13,13 +13,12 @@ from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.config.experiment_keys import ExperimentDefaultsSection, ExperimentSection
 from cluster_est.executors import EXECUTORS
 from cluster_est.problem.costs import COSTS
-from cluster_est.problem.effects.table_values import Monotone
+from cluster_est.problem.free_curves import Monotone
 from cluster_est.running.multistart import Multistart
-from cluster_est.running.records import Budget, LogSettings
-from cluster_est.running.resources import Resources
+from cluster_est.running.resources import Budget, LogSettings, Resources
 from cluster_est.sensitivity.settings import SensitivitySettings
 from cluster_est.settings import ConfigSection, Count, Finite, Known, Pair, Samples, one_of
-from cluster_est.shooting.settings import Shooting
+from cluster_est.shooting.record_segments import Shooting
 from cluster_est.uncertainty import UncertaintySettings
 
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from cluster_est.executors.base import Executor, WorkerPool
+from cluster_est.executors.executor import Executor, WorkerPool
 
 EXECUTORS = {
     "local": "cluster_est.executors.local:LocalExecutor",
-    "processes": "cluster_est.executors.processes:ProcessExecutor",
+    "processes": "cluster_est.executors.local:ProcessExecutor",
     "ray": "cluster_est.executors.ray_pool:RayPool",
 }
 

@@ -71,28 +71,21 @@ class TaskBacklog:
         most = max(1, -(-len(self._tasks) // self._shares))
         batch: list[Task] = []
         seconds = 0.0
-        while self._tasks and self._takes_more(len(batch), seconds, most):
-            if batch and not _alike(self._tasks[0], batch[0]):
+        while self._tasks:
+            task, count = self._tasks[0], len(batch)
+            few = 0 < count < FEW and seconds + self.next_seconds <= self._few_seconds
+            full = seconds >= (BATCH_SECONDS if count < most else LEAST_SECONDS)
+            if full and not (few and count < most):
                 break
-            task = self._tasks.popleft()
+            if batch and (task.want, task.effects) != (batch[0].want, batch[0].effects):
+                break
+            self._tasks.popleft()
             batch.append(task)
             seconds += self._seconds.get(task.experiment, FIRST_GUESS)
         return TaskBatch.of(batch)
-
-    def _takes_more(self, count: int, seconds: float, most: int) -> bool:
-        """Whether the next task joins a batch of so many, which take so long."""
-        if count >= most:
-            return seconds < LEAST_SECONDS
-        few = 0 < count < FEW and seconds + self.next_seconds <= self._few_seconds
-        return seconds < BATCH_SECONDS or few
 
     def learn(self, batch: TaskBatch, outcomes: Sequence[Outcome]) -> None:
         """Remember how long the simulations of a batch took."""
         for experiment, outcome in zip(batch.experiments.tolist(), outcomes, strict=True):
             known = self._seconds.get(experiment, outcome.seconds)
             self._seconds[experiment] = known + MEMORY * (outcome.seconds - known)
-
-
-def _alike(one: Task, other: Task) -> bool:
-    """Return whether two tasks may travel in one batch."""
-    return one.want == other.want and one.effects == other.effects

@@ -1,23 +1,27 @@
-"""Simulations in this process, in threads: the compiled loops release the interpreter's lock."""
+"""Simulations on this machine without Ray: in threads of this process, or each in one of its own.
+
+Threads simulate at the same time because the compiled loops release the interpreter's lock.
+"""
 
 from __future__ import annotations
 
 import os
 import queue
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
-from typing import ClassVar, Protocol, Self, final
+from typing import Any, ClassVar, Protocol, Self, final
 
 from typing_extensions import override
 
 from cluster_est.errors import ExecutorError
 from cluster_est.executors.backlog import TaskBacklog
-from cluster_est.executors.base import WorkerPool
+from cluster_est.executors.executor import WorkerPool
 from workers.evaluate import Evaluator
 from workers.fmu.description import describe_model
 from workers.fmu.surroundings import set_environment_here
 from workers.messages import Experiment, Limits, Model, Outcome, Task
+from workers.process.supervisor import SupervisedEvaluator
 from workers.wire import TaskBatch
 
 SLOW_SECONDS = 0.5
@@ -25,12 +29,16 @@ SLOW_SECONDS = 0.5
 CLOSE_SECONDS = 1.0
 
 
-class _EvaluatorProtocol(Protocol):
+class AnyEvaluator(Protocol):
     """An evaluator, or what stands before one."""
 
     def evaluate(self, batch: TaskBatch) -> list[Outcome]: ...
 
+    def once(self, task: Task) -> Outcome: ...
+
     def free_instance(self) -> None: ...
+
+    def stop(self) -> None: ...
 
     def close(self) -> None: ...
 
@@ -69,69 +77,39 @@ class _EvaluatorHere:
             )
         return outcomes
 
+    def once(self, task: Task) -> Outcome:
+        """Answer one task."""
+        return self.evaluate(TaskBatch.of([task]))[0]
 
-class LocalExecutor(WorkerPool):
-    """One thread for each worker, each with an instance of the FMU.
+    def stop(self) -> None:
+        """Do nothing: what is simulated in this process cannot be ended."""
+
+
+class ThreadPool(WorkerPool):
+    """One thread for each worker, which is an evaluator or stands before one.
 
     With one worker quick simulations run in the caller's thread. Slow ones do not: an interrupt
     could not come through.
-
-    The default, for fits that take seconds. An FMU that crashes takes this process with it, and not
-    every FMU allows several instances in one process: `processes` and `ray` have neither weakness.
     """
 
-    name: ClassVar[str] = "local"
-    in_process: ClassVar[bool] = True
-
-    def __init__(self, evaluators: Sequence[_EvaluatorProtocol]) -> None:
+    def __init__(self, evaluators: Sequence[AnyEvaluator]) -> None:
         self.workers = len(evaluators)
         self._evaluators = list(evaluators)
-        self._idle: queue.SimpleQueue[_EvaluatorProtocol] = queue.SimpleQueue()
+        self._idle: queue.SimpleQueue[AnyEvaluator] = queue.SimpleQueue()
         for evaluator in evaluators:
             self._idle.put(evaluator)
         self._backlog = TaskBacklog(shares=2 * self.workers)
         self._threads = ThreadPoolExecutor(self.workers)
-        self._running: dict[Future[list[Outcome]], TaskBatch] = {}
+        self._running: dict[Future[Any], TaskBatch] = {}
         self._closed = False
-
-    @classmethod
-    @override
-    def open(
-        cls,
-        model: Model,
-        experiments: tuple[Experiment, ...],
-        workers: int | None,
-        address: str | None,
-        limits: Limits | None = None,
-    ) -> Self:
-        set_environment_here(model)
-        count = model.at_most(workers or 1)
-        if count > 1 and describe_model(model).once_per_process:
-            count = 1
-        evaluators: list[_EvaluatorHere] = []
-        try:
-            for i in range(count):
-                each = Evaluator(model.of_worker(i), experiments, f"local-{i}")
-                evaluators.append(_EvaluatorHere(each))
-        except BaseException:
-            for evaluator in evaluators:
-                evaluator.close()
-            raise
-        return cls(evaluators)
 
     def one_worker(self, tasks: Sequence[Task], *, last: bool = False) -> list[Outcome]:
         evaluator = self._evaluators[-1 if last else 0]
-        return self.in_turn(tasks, lambda task: evaluator.evaluate(TaskBatch.of([task])))
-
-    def in_turn(
-        self, tasks: Sequence[Task], answer: Callable[[Task], list[Outcome]]
-    ) -> list[Outcome]:
-        """Have tasks answered one after the other, in a thread: an interrupt comes through."""
         outcomes: list[Outcome] = []
-        for task in tasks:
-            running = self._threads.submit(answer, task)
+        for task in tasks:  # in a thread: an interrupt comes through
+            running = self._threads.submit(evaluator.once, task)
             self._running[running] = TaskBatch.of([task])
-            outcomes += running.result()
+            outcomes.append(running.result())
             del self._running[running]
         return outcomes
 
@@ -141,12 +119,15 @@ class LocalExecutor(WorkerPool):
 
     def completed(self) -> list[Outcome]:
         if self._here:
-            return self._evaluate_here()
+            batch = self._backlog.take()
+            outcomes = self._evaluators[0].evaluate(batch)
+            self._backlog.learn(batch, outcomes)
+            return outcomes
         self._fill()
         if not self._running:
             return []
         done, _ = wait(self._running, return_when=FIRST_COMPLETED)
-        outcomes: list[Outcome] = []
+        outcomes = []
         for future in done:
             batch = self._running.pop(future)
             answers = future.result()
@@ -173,6 +154,8 @@ class LocalExecutor(WorkerPool):
             self._idle.put(evaluator)
 
     def close(self) -> None:
+        for evaluator in self._evaluators:
+            evaluator.stop()  # first, so that no thread waits for a simulation any more
         self._closed = True
         self._backlog.clear()
         _, endless = wait(self._running, CLOSE_SECONDS)
@@ -193,15 +176,83 @@ class LocalExecutor(WorkerPool):
             batch = self._backlog.take()
             self._running[self._threads.submit(self._evaluate, batch)] = batch
 
-    def _evaluate_here(self) -> list[Outcome]:
-        batch = self._backlog.take()
-        outcomes = self._evaluators[0].evaluate(batch)
-        self._backlog.learn(batch, outcomes)
-        return outcomes
-
     def _evaluate(self, batch: TaskBatch) -> list[Outcome]:
         evaluator = self._idle.get()
         try:
             return evaluator.evaluate(batch)
         finally:
             self._idle.put(evaluator)
+
+
+class LocalExecutor(ThreadPool):
+    """Evaluators in this process.
+
+    The default, for fits that take seconds. An FMU that crashes takes this process with it, and not
+    every FMU allows several instances in one process: `processes` and `ray` have neither weakness.
+    """
+
+    name: ClassVar[str] = "local"
+    in_process: ClassVar[bool] = True
+
+    @classmethod
+    @override
+    def open(
+        cls,
+        model: Model,
+        experiments: tuple[Experiment, ...],
+        workers: int | None,
+        address: str | None,
+        limits: Limits | None = None,
+    ) -> Self:
+        set_environment_here(model)
+        count = model.at_most(workers or 1)
+        if count > 1 and describe_model(model).once_per_process:
+            count = 1
+        evaluators: list[_EvaluatorHere] = []
+        try:
+            for i in range(count):
+                each = Evaluator(model.of_worker(i), experiments, f"local-{i}")
+                evaluators.append(_EvaluatorHere(each))
+        except BaseException:
+            for evaluator in evaluators:
+                evaluator.close()
+            raise
+        return cls(evaluators)
+
+
+class ProcessExecutor(ThreadPool):
+    """For FMUs that crash, hang, leak or exist once in a process, on the cores of one machine.
+
+    It starts in half a second, where Ray takes several. `local` is faster for simulations of less
+    than a millisecond.
+    """
+
+    name: ClassVar[str] = "processes"
+    in_process: ClassVar[bool] = False
+
+    @classmethod
+    @override
+    def open(
+        cls,
+        model: Model,
+        experiments: tuple[Experiment, ...],
+        workers: int | None,
+        address: str | None,
+        limits: Limits | None = None,
+    ) -> Self:
+        count = model.at_most(workers or 1)
+        limits = limits or Limits()
+        with ThreadPoolExecutor(count) as starters:
+            starting = [
+                starters.submit(
+                    SupervisedEvaluator, model.of_worker(i), experiments, f"process-{i}", limits
+                )
+                for i in range(count)
+            ]
+        failed = [each.exception() for each in starting if each.exception() is not None]
+        guards = [each.result() for each in starting if each.exception() is None]
+        if failed and failed[0] is not None:
+            for guard in guards:
+                guard.close()
+            raise failed[0]
+        return cls(guards)

@@ -6,7 +6,7 @@ import heapq
 import math
 from collections.abc import Collection, Sequence
 
-from cluster_est.executors.base import Executor, OutcomeSource
+from cluster_est.executors.executor import Executor, OutcomeSource
 from workers.messages import (
     Effect,
     Experiment,

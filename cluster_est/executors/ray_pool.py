@@ -28,7 +28,7 @@ from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from cluster_est.errors import ExecutorError
 from cluster_est.executors.backlog import TaskBacklog
-from cluster_est.executors.base import WorkerPool
+from cluster_est.executors.executor import WorkerPool
 from cluster_est.executors.ray_cluster import (
     connect,
     cores,

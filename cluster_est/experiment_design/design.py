@@ -1,16 +1,14 @@
-"""The recipe of a design: fit the models, draw inputs, simulate them, keep the best.
+"""The recipe of a design: fit the models, draw inputs, simulate them, refit to the best, keep one.
+
+A search picks the input of which it expects the most, and so those of which it expects too much,
+where outputs are no straight functions of the parameters. So the leading inputs are looked at once
+more before one is chosen: the outputs that one model predicts take the place of measurements, and
+each other model is fitted to them and to the earlier experiments. By how much its sum of squares
+grows is twice the evidence.
 
 References: A. C. Atkinson, V. V. Fedorov, Biometrika 62 (1975) 57-70,
 doi:10.1093/biomet/62.1.57; A. C. Atkinson, A. N. Donev, R. D. Tobias, Optimum Experimental
 Designs, with SAS (2007).
-
-Evidence by refits: what a rival really makes of an input, not to first order alone.
-
-A search picks the input of which it expects the most, and so those of which it expects too much,
-where outputs are no straight functions of the parameters. So the leading inputs are looked at once
-more: the outputs that one model predicts take the place of measurements, and each other model is
-fitted to them and to the earlier experiments. By how much its sum of squares grows is twice the
-evidence.
 """
 
 from __future__ import annotations
@@ -24,12 +22,22 @@ import numpy as np
 from typing_extensions import override
 
 from cluster_est.errors import BudgetError, ProblemError
-from cluster_est.experiment_design.candidates import RECORDED, CandidateInput, CandidateMaker
+from cluster_est.experiment_design.candidate_inputs import RECORDED, CandidateInput, CandidateMaker
 from cluster_est.experiment_design.criteria import expected_probabilities
-from cluster_est.experiment_design.findings.result import DesignResult, make_result
+from cluster_est.experiment_design.design_result import DesignResult, make_result
+from cluster_est.experiment_design.input_search import (
+    CandidateScorer,
+    ScoredCandidate,
+    ranked,
+    search,
+)
 from cluster_est.experiment_design.limits import ExperimentLimits, SignalLimits
 from cluster_est.experiment_design.models import FittedCandidate, NoiseOfOutputs, fit_candidates
-from cluster_est.experiment_design.prediction import DesignQueue, own_starts, with_predictions
+from cluster_est.experiment_design.predicted_outputs import (
+    DesignQueue,
+    own_starts,
+    with_predictions,
+)
 from cluster_est.experiment_design.request import (
     DesignRequest,
     DesignSettings,
@@ -38,16 +46,14 @@ from cluster_est.experiment_design.request import (
     models_of,
     narrowed_labels,
 )
-from cluster_est.experiment_design.search import CandidateScorer, ScoredCandidate, ranked, search
 from cluster_est.experiment_design.waveforms import WAVEFORMS
-from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
 from cluster_est.results.result import Result
 from cluster_est.running.environment import RunEnvironment
-from cluster_est.running.records import Note, Record, Show
-from cluster_est.running.resources import Resources, one_blas_thread
+from cluster_est.running.resources import Note, Record, Resources, Show, one_blas_thread
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.running.study import Study, run_study
 from workers.messages import Experiment, FloatArray, Output

@@ -3,89 +3,81 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
+from pydantic import Field, InstanceOf, Strict, model_validator
 
 from cluster_est.errors import ProblemError
-from cluster_est.experiment_design.candidates import RECORDED
+from cluster_est.experiment_design.candidate_inputs import RECORDED
 from cluster_est.experiment_design.criteria import CRITERIA, DesignCriterion
 from cluster_est.experiment_design.limits import ExperimentLimits
 from cluster_est.experiment_design.models import CandidateModel
 from cluster_est.experiment_design.targets import PredictionTarget, target_experiments
 from cluster_est.experiment_design.waveforms import WAVEFORMS
-from cluster_est.plug_in import check_options
-from cluster_est.problem.effects.process_noise import refuse_process_noise
-from cluster_est.problem.observed_outputs import NOT_PLAIN
+from cluster_est.problem.compatibility import NOT_PLAIN
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import make_space
-from cluster_est.problem.search_space.unknown import Unknown
+from cluster_est.problem.process_noise import refuse_process_noise
+from cluster_est.problem.search_space import make_space
+from cluster_est.problem.unknowns import Unknown
+from cluster_est.settings import LARGEST, Names, Settings, one_of, sentence
 from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription, nearest
 from workers.messages import Experiment
-from workers.messages.checks import as_tuple
 
 
-@dataclass(frozen=True)
-class DesignSettings:
-    """What an experiment is chosen for, and how hard it is searched for.
+class DesignSettings(Settings):
+    """What an experiment is chosen for, and how hard it is searched for."""
 
-    Attributes
-    ----------
-    criterion
-        "discriminate" to tell the rivals of a finding apart, "d" or "a" to narrow parameters, "v"
-        to narrow predictions; "" for "v" where there are `predictions`, to discriminate where there
-        are rivals, else "d".
-    parameters
-        Names or labels of the parameters that are narrowed; empty for all that experiments share.
-    predictions
-        What is predicted, for "v"; empty for all outputs of all experiments of the run.
-    rivals
-        Names of the models that are told apart; empty for all that the run kept.
-    waveforms
-        Families of inputs, and "recorded" for the inputs of the run's experiments as they are;
-        empty for all.
-    candidates
-        How many inputs are looked at.
+    section: ClassVar[str] = "design"
 
-    Raises
-    ------
-    ProblemError
-        If one is of the wrong kind or out of its range.
-    """
+    criterion: str = Field(
+        "",
+        description=f"{one_of(CRITERIA)}: tell the rivals of a finding apart, narrow parameters "
+        "together (d) or each (a), or narrow predictions (v); default: v where there are "
+        "predictions, discriminate where there are rivals, else d",
+    )
+    parameters: Names = Field(
+        (),
+        description="names of the parameters that are narrowed; default: all that experiments "
+        "share",
+    )
+    rivals: Names = Field(
+        (),
+        description="names of the models that are told apart, as show prints them; default: all "
+        "that the run kept",
+    )
+    waveforms: Names = Field(
+        (), description=f"families of inputs: {one_of([*WAVEFORMS, RECORDED])}; default: all"
+    )
+    candidates: int = Field(120, ge=10, le=LARGEST, description="inputs that are looked at")
+    predictions: Annotated[tuple[InstanceOf[PredictionTarget], ...], Strict(False)] = Field(
+        (),
+        description="what is predicted, for v; default: all outputs of all experiments of the run",
+    )
 
-    criterion: str = ""
-    parameters: tuple[str, ...] = ()
-    rivals: tuple[str, ...] = ()
-    waveforms: tuple[str, ...] = ()
-    candidates: int = field(default=120, metadata={"least": 10})
-    predictions: tuple[PredictionTarget, ...] = ()
-
-    def __post_init__(self) -> None:
-        check_options(self, "design", ProblemError)
-        for key in ("parameters", "rivals", "waveforms"):
-            given = getattr(self, key)
-            object.__setattr__(self, key, as_tuple(given, str, key, ProblemError))
-        targets = as_tuple(self.predictions, PredictionTarget, "predictions", ProblemError)
-        object.__setattr__(self, "predictions", targets)
+    @model_validator(mode="after")
+    def _check_choices(self) -> Self:
         if self.criterion and self.criterion not in CRITERIA:
             known = ", ".join(repr(name) for name in CRITERIA)
-            raise ProblemError(
+            raise sentence(
                 f"criterion: must be one of {known} but is {self.criterion!r}"
                 f"{nearest(self.criterion, CRITERIA)}"
             )
         if self.predictions and self.criterion and not CRITERIA[self.criterion].predicts:
-            raise ProblemError(
+            raise sentence(
                 f'predictions: must go with the criterion "v", which narrows them, but it is '
                 f"{self.criterion!r}; change one of the two"
             )
         known_waveforms = [*WAVEFORMS, RECORDED]
         for name in self.waveforms:
             if name not in known_waveforms:
-                raise ProblemError(
+                raise sentence(
                     f"waveforms: must be of {', '.join(known_waveforms)} but has {name!r}"
                     f"{nearest(name, known_waveforms)}"
                 )
+        return self
 
 
 ALONE = "the fitted model"

@@ -19,7 +19,7 @@ from workers.effects.definition import (
     variable_symbol,
 )
 from workers.effects.expression import Max
-from workers.effects.source import CAssignment, EffectArray, SymbolLocations
+from workers.effects.machine_code import CAssignment, EffectArray, SymbolLocations
 from workers.messages import Value
 
 

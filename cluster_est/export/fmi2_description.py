@@ -10,8 +10,8 @@ from xml.etree.ElementTree import Element, SubElement
 from cluster_est.export.wrapper_layout import AddedVariable, WrapperLayout, fits
 from workers.fmu.archive import open_archive
 from workers.fmu.description import ModelDescription
-from workers.fmu.parsing.xml import XML, ReadingNotes, flag, parse, whole
 from workers.fmu.variable import ModelVariable
+from workers.fmu.xml import XML, ReadingNotes, flag, parse, whole
 from workers.messages import Value
 
 _ROOT = (

@@ -28,8 +28,8 @@ from cluster_est.export.wrapper_layout import WrapperLayout, lay_out
 from cluster_est.run_folder.run_identity import versions
 from cluster_est.whole_files import ELSEWHERE, write_whole, writing
 from workers.fmu.archive import open_archive
-from workers.fmu.parsing.xml import XML
 from workers.fmu.platforms import PLATFORM, binary_path, platforms_in
+from workers.fmu.xml import XML
 
 _README = """# {name}
 

@@ -23,7 +23,7 @@ from cluster_est.config.sections import EffectSection
 from cluster_est.errors import RunFolderError
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.parameter_constraints import label_of
+from cluster_est.problem.unknowns import label_of
 from cluster_est.problem.variables import coefficient_names
 from cluster_est.results.fit_tables import Estimate
 from cluster_est.run_folder.logged_simulation import config_base
@@ -33,8 +33,7 @@ from cluster_est.run_folder.run_files import (
     read_facts,
     read_run_table,
 )
-from workers.effects.definition import EffectDefinition, define_all
-from workers.effects.units import UNKNOWN, coefficient_units
+from workers.effects.definition import UNKNOWN, EffectDefinition, coefficient_units, define_all
 from workers.fmu.description import ModelDescription, nearest
 from workers.messages import Experiment, Value
 

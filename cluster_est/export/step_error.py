@@ -19,7 +19,7 @@ from cluster_est.errors import ClusterEstError
 from cluster_est.export.repaired_model import RepairedModel
 from cluster_est.results.output_errors import output_residuals
 from workers.evaluate import Evaluator
-from workers.fmu.parsing.xml import XML
+from workers.fmu.xml import XML
 from workers.messages import Experiment, Model, Solver, Task
 from workers.wire import TaskBatch
 

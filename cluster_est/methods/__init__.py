@@ -5,19 +5,21 @@ A new method is one file with a subclass of `Method` and one line here.
 
 from __future__ import annotations
 
-from cluster_est.methods.base import Method
-from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.methods.least_squares.scipy_least_squares import ScipyLeastSquares
+from cluster_est.methods.method import Method
 from cluster_est.methods.nelder_mead import NelderMead
 from cluster_est.methods.pattern_search.asynchronous import AsynchronousPatternSearch
-from cluster_est.methods.pattern_search.method import PatternSearch
+from cluster_est.methods.pattern_search.synchronous import PatternSearch
 from cluster_est.methods.populations.cmaes import Cmaes
-from cluster_est.methods.populations.differential_evolution import DifferentialEvolution
-from cluster_est.methods.populations.genetic import GeneticAlgorithm
-from cluster_est.methods.populations.isres import Isres
 from cluster_est.methods.populations.nsga2 import Nsga2
-from cluster_est.methods.populations.particle_swarm import ParticleSwarm
-from cluster_est.methods.sqp.method import Sqp
+from cluster_est.methods.populations.pymoo_methods import (
+    DifferentialEvolution,
+    GeneticAlgorithm,
+    Isres,
+    ParticleSwarm,
+)
+from cluster_est.methods.sqp.sqp import Sqp
 
 METHODS: dict[str, type[Method]] = {
     LeastSquares.name: LeastSquares,

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from workers.messages import FloatArray, IntArray
-from workers.messages.equality import by_content
+from workers.messages.types import by_content
 
 LEAST_SIZE = 200
 """Number of unknowns from which on blocks pay."""

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Generator
 from typing import TypeVar
 
-from cluster_est.methods.base import Evaluation, Points, Search, Solution
+from cluster_est.methods.method import Evaluation, Points, Search, Solution
 
 Ask = Callable[[Points], list[Evaluation]]
 T = TypeVar("T")

@@ -29,10 +29,18 @@ import numpy as np
 from typing_extensions import override
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Ending, Evaluation, Method, Points, Progress, Search, Solution
 from cluster_est.methods.callback_bridge import Ask, search_in_thread
 from cluster_est.methods.coordinates import ScaledCoordinates
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.method import (
+    Ending,
+    Evaluation,
+    Method,
+    Points,
+    Progress,
+    Search,
+    Solution,
+)
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.toml import dotted
 from workers.messages import FloatArray
 

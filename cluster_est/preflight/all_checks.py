@@ -36,8 +36,8 @@ from cluster_est.preflight.subject import (
     unanswered,
 )
 from cluster_est.preflight.unit_checks import misread_units
-from cluster_est.problem.effects.sensors import sensor_outputs
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.sensors import sensor_outputs
 from cluster_est.results.initial_errors import (
     estimates_start,
     free_start_advice,

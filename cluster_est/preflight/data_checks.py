@@ -13,10 +13,10 @@ import numpy.typing as npt
 from cluster_est.config.sections import Config
 from cluster_est.preflight.subject import CheckFinding, listed, note, passed
 from cluster_est.problem.costs import SumSquared
-from cluster_est.problem.idle_inputs import driven_or_constant, idle_inputs, stays
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.tables.jumps import after_jumps, jump_findings, samples_after
 from cluster_est.problem.tables.stand_ins import stand_ins
+from cluster_est.problem.variables import driven_or_constant, idle_inputs, stays
 from cluster_est.statistics.noise.estimate import estimate_noise, quantisation_step
 from cluster_est.statistics.noise.outliers import isolated_outliers
 from cluster_est.statistics.records import make_records

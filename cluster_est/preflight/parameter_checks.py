@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.methods.derivatives.differences import relative_noise
+from cluster_est.methods.differences import relative_noise
 from cluster_est.preflight.subject import (
     CheckFinding,
     CheckSubject,
@@ -18,9 +18,9 @@ from cluster_est.preflight.subject import (
     passed,
     unanswered,
 )
-from cluster_est.problem.idle_inputs import silent_inputs, stays
 from cluster_est.problem.parameter import Parameter
-from cluster_est.problem.search_space.unknown import Unknown
+from cluster_est.problem.unknowns import Unknown
+from cluster_est.problem.variables import silent_inputs, stays
 from cluster_est.toml import dotted
 from workers.messages import FloatArray
 from workers.probes.probes import MovementProbe

@@ -23,8 +23,8 @@ from cluster_est.preflight.subject import (
 )
 from cluster_est.problem.problem import Problem
 from cluster_est.results.output_errors import Simulation
-from cluster_est.running.trials import reset_policy
-from cluster_est.running.trials.side_by_side import DISTURBED, two_simulations
+from cluster_est.running import reset_policy
+from cluster_est.running.threads_trial import DISTURBED, two_simulations
 from workers.messages import FloatArray, ResetPolicy, Status
 from workers.probes.probes import (
     InstanceProbe,

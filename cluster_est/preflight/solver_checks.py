@@ -22,8 +22,12 @@ from cluster_est.preflight.subject import (
 )
 from cluster_est.toml import dotted
 from workers.messages import FloatArray, Solver
-from workers.probes.probes import SolverProbe, StiffnessProbe
-from workers.probes.sensitivities import DirectionalProbe, SensitivityCostProbe
+from workers.probes.probes import (
+    DirectionalProbe,
+    SensitivityCostProbe,
+    SolverProbe,
+    StiffnessProbe,
+)
 from workers.process.trial import NoAnswer
 from workers.simulation.integrator import DEFAULT_RTOL
 from workers.simulation.jacobian import MAX_JACOBIAN_ERROR

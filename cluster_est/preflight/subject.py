@@ -16,12 +16,12 @@ import numpy as np
 from cluster_est.errors import ModelError
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.results.output_errors import Simulation
+from workers.evaluate import FmuProbe
 from workers.fmu.description import ModelDescription, describe
 from workers.fmu.variable import ModelVariable
 from workers.messages import Experiment, FloatArray, Interface, Model, Output, ResetPolicy, Solver
-from workers.probes.base import FmuProbe
 from workers.process.trial import NoAnswer, ProbeBench
 
 

@@ -13,15 +13,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.config.sections import Config
-from cluster_est.preflight.subject import CheckFinding, CheckSubject, fault, note, unanswered
+from cluster_est.preflight.subject import (
+    CheckFinding,
+    CheckSubject,
+    fault,
+    note,
+    unanswered,
+)
 from cluster_est.preflight.table_columns import split_suffix, split_unit
+from cluster_est.problem.tables.measured import TableSource
 from cluster_est.problem.tables.units import (
     UnitConversion,
     conversion,
     likely_conversions,
     same_unit,
 )
-from cluster_est.problem.tables.unused import TableSource
 from cluster_est.results.output_errors import Simulation
 from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription

@@ -12,8 +12,8 @@ from cluster_est.problem.costs import Cost, SumSquared
 from cluster_est.problem.formulas import Formula, ParameterConstraint
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.tables.jumps import jump_findings
+from cluster_est.problem.tables.measured import TableSource
 from cluster_est.problem.tables.stand_ins import of_experiment, stand_in_findings
-from cluster_est.problem.tables.unused import TableSource
 from cluster_est.problem.variables import (
     check_effects,
     check_experiment,
@@ -28,7 +28,7 @@ from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription, describe_model
 from workers.messages import Effect, Experiment, Model
 from workers.messages.checks import as_pairs, as_tuple, check_kind, check_text
-from workers.messages.equality import by_content
+from workers.messages.types import by_content
 from workers.simulation.fixed_step import communication_notes
 
 

@@ -1,4 +1,4 @@
-"""The names of a problem against the variables of its FMU."""
+"""The names of a problem against the variables of its FMU, and inputs that it does not drive."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from cluster_est.errors import ModelError, ProblemError
 from cluster_est.problem.parameter import Parameter
@@ -14,6 +15,9 @@ from workers.fmu.description import ModelDescription, nearest
 from workers.fmu.variable import ModelVariable
 from workers.messages import Effect, Experiment, Model, Value
 from workers.messages.checks import shown
+
+if TYPE_CHECKING:
+    from cluster_est.problem.problem import Problem
 
 
 def refuse_repeated(what: str, names: Sequence[str]) -> None:
@@ -65,7 +69,13 @@ def check_experiment(
     where = f"experiment {experiment.id!r}"
     for name, value in experiment.values:
         _check_start(description, name, f"{where}.values", real=False)
-        _check_structure(model, description.variables[name], value, where)
+        variable = description.variables[name]
+        chosen = dict(model.structure).get(variable.name, variable.start)
+        if variable.causality == "structuralParameter" and value != chosen:
+            raise ProblemError(
+                f"{where}.values: {variable.name!r} says how large arrays are, so it must be the "
+                "same in all experiments but is not; give it under values of the whole problem"
+            )
     _check_inputs(experiment, description, where)
     for name in experiment.recorded:
         _check_recorded(description.variable(name, f"{where}.outputs"), description, name, where)
@@ -128,15 +138,6 @@ def _check_recorded(
             f"{where}.{dotted('outputs', name)}: must be a variable that {description.file} "
             "computes but is "
             f"of causality {variable.causality!r}; choose an output or a local variable"
-        )
-
-
-def _check_structure(model: Model, variable: ModelVariable, value: Value, where: str) -> None:
-    chosen = dict(model.structure).get(variable.name, variable.start)
-    if variable.causality == "structuralParameter" and value != chosen:
-        raise ProblemError(
-            f"{where}.values: {variable.name!r} says how large arrays are, so it must be the same "
-            "in all experiments but is not; give it under values of the whole problem"
         )
 
 
@@ -269,3 +270,53 @@ def _whole_numbers(type_: str) -> tuple[float, float, str]:
     if type_.startswith("U"):
         return 0.0, 2.0**most - 1, f"a whole number of {bits} bits that is not negative"
     return -(2.0 ** (most - 1)), 2.0 ** (most - 1) - 1, f"a whole number of {bits} bits"
+
+
+MOST_NAMED = 4
+"""Inputs in a note."""
+
+
+def idle_inputs(problem: Problem, description: ModelDescription) -> dict[str, list[str]]:
+    """Return the inputs of the FMU that nothing drives, with the experiments in which."""
+    targets = {p.target for p in problem.parameters if not p.auxiliary}
+    found: dict[str, list[str]] = {}
+    for variable in description.inputs():
+        names = {variable.name, *variable.aliases}
+        if variable.kind not in ("real", "integer", "boolean") or names & targets:
+            continue
+        for each in problem.experiments:
+            if names.isdisjoint({i.variable for i in each.inputs} | dict(each.values).keys()):
+                found.setdefault(variable.name, []).append(each.id)
+    return found
+
+
+def stays(variable: ModelVariable) -> str:
+    """Return the value of an input that nothing drives, with its unit."""
+    return f"{variable.start or 0.0:g} {variable.unit}".strip()
+
+
+def driven_or_constant(name: str) -> str:
+    """Return the two keys of which one says what an input is."""
+    data, constant = dotted("inputs", name), dotted("values", name)
+    return f'{data} = "COLUMN", or {constant} = NUMBER if it is constant'
+
+
+def silent_inputs(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
+    """Return the inputs that nothing drives in any experiment."""
+    idle, count = idle_inputs(problem, description), len(problem.experiments)
+    return tuple(name for name, ids in idle.items() if len(ids) == count)
+
+
+def silent_notes(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
+    """Say which inputs nothing drives; nothing where all are driven."""
+    names = silent_inputs(problem, description)
+    if not names:
+        return ()
+    named = [f"{n} ({stays(description.variables[n])})" for n in names[:MOST_NAMED]]
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    one = len(names) == 1
+    return (
+        f"input{'' if one else 's'} {', '.join(named)}{more} {'has' if one else 'have'} no data "
+        f"and {'keeps its start value' if one else 'keep their start values'}; "
+        f"{driven_or_constant(names[0])}",
+    )

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.methods.base import Method, Solution
+from cluster_est.methods.method import Method, Solution
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.results import fit_tables as tables
 from cluster_est.results.guarded import GuardedSteps
 from cluster_est.results.output_errors import Simulation, output_errors

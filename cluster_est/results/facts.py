@@ -6,9 +6,9 @@ import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from cluster_est.problem.effects.process_noise import process_noise_notes, vanished_noise
-from cluster_est.problem.idle_inputs import silent_notes
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.process_noise import process_noise_notes, vanished_noise
+from cluster_est.problem.variables import silent_notes
 from cluster_est.results.fit_tables import Estimate
 from cluster_est.results.initial_errors import initial_notes
 from cluster_est.results.observation import observation_notes

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from cluster_est.methods.base import TOLERANCE, OtherPoint, Solution
+from cluster_est.methods.method import TOLERANCE, OtherPoint, Solution
 from cluster_est.problem import display
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import SearchSpace
-from cluster_est.problem.search_space.unknown import scope_of
+from cluster_est.problem.search_space import SearchSpace
+from cluster_est.problem.unknowns import scope_of
 from cluster_est.results.output_errors import Simulation
 from cluster_est.running.multistart import MultistartResult
 from cluster_est.running.search_state import assemble_evaluation
@@ -21,7 +21,7 @@ from cluster_est.statistics.residual_findings import ResidualDiagnostics
 from cluster_est.uncertainty import ConfidenceInterval, Uncertainty
 from workers.fmu.description import describe_model
 from workers.messages import FloatArray
-from workers.messages.equality import by_content
+from workers.messages.types import by_content
 
 
 @dataclass(frozen=True)
@@ -312,19 +312,18 @@ def coefficient_units(problem: Problem) -> dict[str, str]:
     """Units of the effects' coefficients, by "EFFECT.COEFFICIENT"; "" where the FMU names none."""
     if not problem.effects:
         return {}
-    from workers.effects import units  # SymPy takes long to import
-    from workers.effects.definition import define_all
+    from workers.effects import definition as effects  # SymPy takes long to import
 
     model = problem.model
     description = describe_model(model)
     found: dict[str, str] = {}
-    for definition in define_all(
+    for definition in effects.define_all(
         problem.effects, description, model.interface, problem.experiments
     ):
         names = [f"{definition.effect.name}.{c.name}" for c in definition.form.coefficients]
-        texts = units.coefficient_units(definition, description)
+        texts = effects.coefficient_units(definition, description)
         pairs = zip(names, texts, strict=True)
-        found |= {name: "" if units.UNKNOWN in unit else unit for name, unit in pairs}
+        found |= {name: "" if effects.UNKNOWN in unit else unit for name, unit in pairs}
     return found
 
 

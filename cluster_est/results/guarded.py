@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from cluster_est.errors import BudgetError, ClusterEstError
-from cluster_est.methods.base import Solution
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.method import Solution
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.uncertainty import Uncertainty, not_assessed
 
 LOG = logging.getLogger("cluster_est")

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.results.output_errors import Simulation, output_residuals
 from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription

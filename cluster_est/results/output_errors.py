@@ -9,7 +9,7 @@ import numpy as np
 
 from cluster_est.problem.problem import Problem
 from workers.messages import Experiment, FloatArray, Outcome, Output, Role, Trajectory
-from workers.messages.equality import by_content
+from workers.messages.types import by_content
 from workers.residuals.observed import (
     bounds_of_categories,
     learnt_from,

@@ -6,17 +6,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cluster_est.methods.base import Ending, Solution
+from cluster_est.methods.method import Ending, Solution
 from cluster_est.problem.costs import SumSquared
-from cluster_est.problem.effects.process_noise import noise_names
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.process_noise import noise_names
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.results.observation import lack_normal_law
 from cluster_est.results.output_errors import Simulation, output_residuals
 from cluster_est.statistics.projection import OrthogonalProjection
 from cluster_est.statistics.records import StackedRecords, make_records
 from cluster_est.statistics.residual_findings import ResidualDiagnostics
 from cluster_est.statistics.residual_tests import ResidualTests
-from cluster_est.uncertainty.covariance.layout import active_bounds, has_jacobian, jacobian_blocks
+from cluster_est.uncertainty.covariance.normal_equations import (
+    active_bounds,
+    has_jacobian,
+    jacobian_blocks,
+)
 from workers.messages import FloatArray
 
 EXACT = 1e-5

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from cluster_est.errors import RunFolderError
-from cluster_est.methods.base import Solution
+from cluster_est.methods.method import Solution
 from cluster_est.problem import display
 from cluster_est.problem.problem import Problem
 from cluster_est.results.curves import (
@@ -42,7 +42,7 @@ from cluster_est.uncertainty import (
     ProfileResult,
     Uncertainty,
 )
-from cluster_est.uncertainty.rows import (
+from cluster_est.uncertainty.uncertainty_rows import (
     bootstrap_rows,
     correlation_rows,
     direction_rows,
@@ -52,7 +52,7 @@ from cluster_est.uncertainty.rows import (
 from workers.fmu.description import nearest
 from workers.messages import FloatArray, Role
 from workers.messages.checks import check_text
-from workers.messages.equality import by_content
+from workers.messages.types import by_content
 
 
 @by_content

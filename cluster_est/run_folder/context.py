@@ -16,8 +16,8 @@ from cluster_est.run_folder.run_folder import RunFolder, RunResult, check_free
 from cluster_est.run_folder.run_identity import RunIdentity
 from cluster_est.run_folder.run_progress import search_title
 from cluster_est.running.environment import EarlierRun, Monitor
-from cluster_est.running.records import RunSnapshot, SearchIteration, Show, TaskOrigin
-from cluster_est.running.trials.reset_policy import ResetDecision, recorded
+from cluster_est.running.reset_policy import ResetDecision, recorded
+from cluster_est.running.resources import RunSnapshot, SearchIteration, Show, TaskOrigin
 from workers.messages import Outcome
 
 

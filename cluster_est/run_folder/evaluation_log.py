@@ -28,7 +28,7 @@ from cluster_est.run_folder.log_segment import (
     segments,
     slim,
 )
-from cluster_est.running.records import LogSettings, TaskOrigin
+from cluster_est.running.resources import LogSettings, TaskOrigin
 from cluster_est.whole_files import AGAIN, writing
 from workers.messages import FloatArray, Outcome, Trajectory
 

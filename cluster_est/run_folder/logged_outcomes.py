@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from cluster_est.executors.base import OutcomeSource
+from cluster_est.executors.executor import OutcomeSource
 from cluster_est.run_folder.log_segment import mend, read_segment, residuals_hash, segments
 from workers.messages import USUAL, FloatArray, IntArray, Outcome, Status, Trajectory, Want
 

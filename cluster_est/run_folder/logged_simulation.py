@@ -19,7 +19,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.variables import coefficient_names
 from cluster_est.run_folder.log_segment import logged_cost, read_log, residuals_hash
 from cluster_est.run_folder.run_files import is_ended, read_config_text, read_facts
-from cluster_est.running.trials.reset_policy import recorded
+from cluster_est.running.reset_policy import recorded
 from workers.fmu.description import nearest
 from workers.messages import Effect, FloatArray, Limits, Outcome, Status, Task, Want
 from workers.process.supervisor import SupervisedEvaluator

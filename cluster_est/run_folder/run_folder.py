@@ -22,8 +22,8 @@ from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.run_folder.run_files import CHECKSUM, RunStatus, may_be_resumed, write_run_columns
 from cluster_est.run_folder.run_identity import FORMAT, RunIdentity, RunKind, versions
 from cluster_est.run_folder.run_progress import PROGRESS, ProgressFile
-from cluster_est.running.records import RunSnapshot, SearchIteration, TaskOrigin
-from cluster_est.running.trials.reset_policy import ResetDecision
+from cluster_est.running.reset_policy import ResetDecision
+from cluster_est.running.resources import RunSnapshot, SearchIteration, TaskOrigin
 from cluster_est.whole_files import AGAIN, ELSEWHERE, SEAL, sealed, write_whole, writing
 from workers.messages import Outcome
 

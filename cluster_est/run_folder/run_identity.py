@@ -14,7 +14,7 @@ from typing import Any, Self
 
 from cluster_est.config.sections import Config
 from cluster_est.problem.problem import Problem
-from cluster_est.running.records import LogSettings
+from cluster_est.running.resources import LogSettings
 from cluster_est.toml import to_toml
 from workers.messages import content_hash
 

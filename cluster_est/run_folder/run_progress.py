@@ -16,8 +16,8 @@ from typing import Any
 
 from cluster_est.closed_loop.stages import stage_title
 from cluster_est.errors import RunFolderError
-from cluster_est.methods.base import Progress
-from cluster_est.running.records import RunSnapshot, SearchIteration
+from cluster_est.methods.method import Progress
+from cluster_est.running.resources import RunSnapshot, SearchIteration
 from cluster_est.whole_files import MEND, SEAL, is_damaged, is_sealed, sealed
 
 PROGRESS = "progress.jsonl"

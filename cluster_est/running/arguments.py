@@ -14,9 +14,8 @@ from cluster_est.executors import EXECUTORS
 from cluster_est.methods import ALIASES, METHODS, Method
 from cluster_est.plug_in import check_options
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import SearchSpace, make_space
-from cluster_est.running.records import Budget
-from cluster_est.running.resources import Resources
+from cluster_est.problem.search_space import SearchSpace, make_space
+from cluster_est.running.resources import Budget, Resources
 from cluster_est.toml import dotted
 from workers.fmu.description import nearest
 from workers.messages import Limits

@@ -21,23 +21,16 @@ import numpy.typing as npt
 from pydantic import Field, Strict
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Method, Solution
-from cluster_est.methods.given_points import GivenPoints
-from cluster_est.problem.effects.sensors import (
-    NEUTRAL,
-    OFFSET,
-    SCALE,
-    UnstartedSensor,
-    unstarted_sensors,
-)
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.method import GivenPoints, Method, Solution
+from cluster_est.problem.search_space import SearchSpace
+from cluster_est.problem.sensors import NEUTRAL, OFFSET, SCALE, UnstartedSensor, unstarted_sensors
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest, suited
 from cluster_est.settings import Count, Finite, Positive, Settings
 from cluster_est.toml import dotted
 from workers.fmu.description import nearest
 from workers.messages import FloatArray, Outcome
-from workers.messages.equality import by_content
+from workers.messages.types import by_content
 from workers.residuals.observed import best_scale_and_offset
 
 AT_ONCE = 16
@@ -226,7 +219,13 @@ def search_from_starts(
     ]
 
     def enough(solutions: Sequence[Solution]) -> bool:
-        return _nothing_new(space, solutions, multistart)
+        """Whether the last of them have found no new minimum."""
+        if multistart.patience == 0 or len(solutions) <= multistart.patience:
+            return False
+        _, number = cluster(space, solutions, multistart.same)
+        before = set(number[: -multistart.patience]) - {-1}
+        latest = set(number[-multistart.patience :]) - {-1}
+        return bool(before) and latest <= before
 
     solutions = runner.run(requests, at_once, enough)
     minima, minimum = cluster(space, solutions, multistart.same)
@@ -409,15 +408,6 @@ def _same(space: SearchSpace, one: Solution, other: Solution, same: float) -> bo
     width = space.upper - space.lower
     width = np.where(np.isfinite(width), width, space.typical)
     return bool(np.all(np.abs(one.x - other.x) <= same * width))
-
-
-def _nothing_new(space: SearchSpace, solutions: Sequence[Solution], multistart: Multistart) -> bool:
-    if multistart.patience == 0 or len(solutions) <= multistart.patience:
-        return False
-    _, number = cluster(space, solutions, multistart.same)
-    before = set(number[: -multistart.patience]) - {-1}
-    latest = set(number[-multistart.patience :]) - {-1}
-    return bool(before) and latest <= before
 
 
 def _rank(solution: Solution) -> tuple[float, float]:

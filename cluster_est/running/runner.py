@@ -8,15 +8,14 @@ workers did.
 from __future__ import annotations
 
 import contextlib
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.executors.base import Executor
-from cluster_est.methods.base import (
+from cluster_est.executors.executor import Executor
+from cluster_est.methods.method import (
     BudgetTooShortError,
     Ending,
     Evaluation,
@@ -25,109 +24,10 @@ from cluster_est.methods.base import (
     Solution,
 )
 from cluster_est.running.interrupts import DeferredInterrupts, later
-from cluster_est.running.pending_tasks import PendingTasks
-from cluster_est.running.records import Budget, Note, Record, RunSnapshot, SearchIteration, Show
-from cluster_est.running.search_state import SearchRequest, SearchState, suited
-from cluster_est.running.time_left import (
-    BudgetWatch,
-    WorkDone,
-    evaluations_left,
-    share_done,
-    time_left,
-)
+from cluster_est.running.resources import Budget, Note, Record, SearchIteration, Show
+from cluster_est.running.search_state import PendingTasks, SearchRequest, SearchState, suited
+from cluster_est.running.time_left import BudgetWatch, RunDisplay
 from workers.messages import Effect, FloatArray, Outcome, ResetPolicy, Status, Task, Want
-
-
-class RunDisplay:
-    """Tells a display how far a runner is.
-
-    Parameters
-    ----------
-    show
-        Called with each snapshot; None where nobody looks.
-    executor, budget, pending
-        Of the runner.
-    clock
-        Gives seconds; for tests.
-
-    Attributes
-    ----------
-    phase
-        What the recipe is about, in words that begin a line; "" where it is no recipe of phases.
-    """
-
-    def __init__(
-        self,
-        show: Show | None,
-        executor: Executor,
-        budget: BudgetWatch,
-        pending: PendingTasks,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._show, self._executor, self._budget = show, executor, budget
-        self._pending, self._clock = pending, clock
-        self._begun = clock()
-        self._before = (0, 0, 0)
-        self.phase = ""
-
-    def begin(self) -> None:
-        """Note that searches begin together."""
-        self._begun = self._clock()
-        budget = self._budget
-        self._before = self._pending.simulations, budget.evaluations, budget.requests
-
-    def show(self, searches: Sequence[SearchState]) -> None:
-        """Show how far they are."""
-        if self._show is None:
-            return
-        running = [s for s in searches if s.solution is None] or list(searches)
-        busy = self._executor.busy
-        left, at_most = self._left(searches)
-        self._show(
-            RunSnapshot(
-                search=running[0].request.name,
-                progress=running[0].progress,
-                evaluations=self._budget.evaluations,
-                simulations=self._pending.simulations,
-                failures=self._pending.failures,
-                busy=busy,
-                workers=self._executor.workers,
-                seconds=self._budget.seconds,
-                phase=self.phase,
-                ended=sum(s.solution is not None for s in searches),
-                searches=len(searches),
-                left=left,
-                at_most=at_most,
-                waiting=max(0, self._pending.under_way - busy),
-                pace=self._pace(searches),
-            )
-        )
-
-    def _pace(self, searches: Sequence[SearchState]) -> float:
-        """Return the seconds of an iteration so far; NaN where there are none, or many searches."""
-        iterations = searches[0].progress.iteration if len(searches) == 1 else 0
-        return (self._clock() - self._begun) / iterations if iterations else math.nan
-
-    def _left(self, searches: Sequence[SearchState]) -> tuple[float, bool]:
-        """Return the seconds that searches take from now on, and whether they are a limit.
-
-        NaN if nobody knows.
-        """
-        seconds = self._clock() - self._begun
-        simulations, evaluations, requests = self._before
-        work = WorkDone(
-            seconds,
-            self._pending.simulations - simulations,
-            self._pending.under_way,
-            self._executor.busy,
-            self._budget.evaluations - evaluations,
-            self._budget.requests - requests,
-        )
-        limits = [self._budget.left(work), time_left(share_done(searches), seconds)]
-        limit = min((each for each in limits if math.isfinite(each)), default=math.nan)
-        about = work.seconds_for(evaluations_left(searches))
-        return (limit, True) if math.isnan(about) or limit < about else (about, False)
-
 
 SUBMITTED_AT_ONCE = 1000
 HURRY_SECONDS = 3.0
@@ -241,7 +141,10 @@ class Runner:
         searches = [self._open(request) for request in requests]
         for search in searches:
             search.counts = enough is None
-        self._in_step = self._shares_budget(searches)
+        # The order of requests decides which searches a budget cuts: they go in step then. Searches
+        # that are no use once one of them is cut need not.
+        counted = self._budget.evaluations_left < np.inf
+        self._in_step = counted and len(searches) > 1 and not self._whole
         try:
             if not self.interrupted:
                 with DeferredInterrupts() as interrupts:
@@ -311,13 +214,6 @@ class Runner:
             else:
                 self._advance(search, None)
 
-    def _shares_budget(self, searches: Sequence[SearchState]) -> bool:
-        """Return whether the order of their requests decides which searches a budget cuts.
-
-        They go in step then. Searches that are no use once one of them is cut need not.
-        """
-        return self._budget.counts_evaluations and len(searches) > 1 and not self._whole
-
     def _advance_in_step(self, begun: Sequence[SearchState]) -> None:
         """Let searches that share a budget go on in their order, once all of them can."""
         under_way = [search for search in begun if search.solution is None]
@@ -359,27 +255,25 @@ class Runner:
         answers: dict[int, Outcome] = {}
         self._executor.submit(tasks)
         try:
-            with DeferredInterrupts() as interrupts, self._hurry():
+            # after an interrupt only what takes a few seconds is simulated still
+            hurry = later(HURRY_SECONDS) if self.interrupted else contextlib.nullcontext()
+            with DeferredInterrupts() as interrupts, hurry:
                 while len(answers) < len(tasks):
                     with interrupts.waiting():
                         outcomes = self._executor.completed()
                     for outcome in outcomes:
-                        self._answer(own, outcome, answers)
+                        if outcome.task in own:
+                            answers[outcome.task] = self._pending.note(outcome)
+                        else:  # left over from a search that was ended from outside
+                            self._receive(outcome)
         except KeyboardInterrupt:
             self._interrupt()
             if self._whole:
                 raise
-        return [answers.get(task.id, _not_simulated(task)) for task in tasks]
-
-    def _hurry(self) -> contextlib.AbstractContextManager[None]:
-        """After an interrupt only what takes a few seconds is simulated still."""
-        return later(HURRY_SECONDS) if self.interrupted else contextlib.nullcontext()
-
-    def _answer(self, own: set[int], outcome: Outcome, answers: dict[int, Outcome]) -> None:
-        if outcome.task in own:
-            answers[outcome.task] = self._pending.note(outcome)
-        else:  # left over from a search that was ended from outside
-            self._receive(outcome)
+        said = "the run was interrupted before it ran"
+        return [
+            answers.get(task.id, Outcome(task.id, Status.NOT_RUN, message=said)) for task in tasks
+        ]
 
     def _open(self, request: SearchRequest) -> SearchState:
         generator = np.random.default_rng(request.seed)
@@ -409,7 +303,7 @@ class Runner:
         """Return whether the points that must follow these would be beyond the budget."""
         if self._whole or not points.follow_up or self._budget.exhausted:
             return False
-        return not self._budget.has_room(len(points.x) + points.follow_up)
+        return len(points.x) + points.follow_up > self._budget.evaluations_left
 
     def _ask(self, search: SearchState, points: Points) -> None:
         """Queue the tasks of a request."""
@@ -474,7 +368,3 @@ class Runner:
 
 def _solutions(searches: Sequence[SearchState]) -> list[Solution]:
     return [search.solution for search in searches if search.solution is not None]
-
-
-def _not_simulated(task: Task) -> Outcome:
-    return Outcome(task.id, Status.NOT_RUN, message="the run was interrupted before it ran")

@@ -1,13 +1,20 @@
-"""A search in progress: what it has asked for, what has come back, and what it is sent."""
+"""A search in progress: what it has asked for, what has come back, and what it is sent.
+
+Several searches may wait for the same task: a simulation is never asked for twice while it is under
+way or remembered.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.methods.base import (
+from cluster_est.executors.executor import Executor
+from cluster_est.methods.method import (
     Ending,
     Evaluation,
     Method,
@@ -17,9 +24,10 @@ from cluster_est.methods.base import (
     Solution,
     joined_residuals,
 )
-from cluster_est.problem.search_space.space import SearchSpace
-from cluster_est.running.records import SearchIteration
-from workers.messages import Effect, FloatArray, Outcome, Want
+from cluster_est.problem.costs import SumSquared
+from cluster_est.problem.search_space import SearchSpace
+from cluster_est.running.resources import Record, SearchIteration, TaskOrigin
+from workers.messages import REDUCTIONS, Effect, FloatArray, Outcome, Status, Task, Want
 
 
 def assemble_evaluation(
@@ -55,13 +63,6 @@ def with_priors(space: SearchSpace, x: FloatArray, e: int, outcome: Outcome) -> 
         return outcome
     known = np.zeros(0) if outcome.residuals is None else outcome.residuals
     return replace(outcome, residuals=np.concatenate([known, space.priors.residuals(e, x)]))
-
-
-def with_continuity(space: SearchSpace, x: FloatArray, e: int, outcome: Outcome) -> Outcome:
-    """Return the outcome of a segment with the differences between its end and the next start."""
-    if space.continuity is None or not outcome.ok or outcome.residuals is None:
-        return outcome
-    return replace(outcome, residuals=space.continuity.applied(e, x, outcome.residuals))
 
 
 def violation(constraints: FloatArray, equality: npt.NDArray[np.bool_]) -> float:
@@ -155,7 +156,10 @@ class SearchState:
         if point is None:  # dropped, or the search has ended
             return
         space, x = self.request.space, point.x
-        point.outcomes[e] = with_priors(space, x, e, with_continuity(space, x, e, outcome))
+        if space.continuity is not None and outcome.ok and outcome.residuals is not None:
+            joined = space.continuity.applied(e, x, outcome.residuals)
+            outcome = replace(outcome, residuals=joined)
+        point.outcomes[e] = with_priors(space, x, e, outcome)
         point.missing -= 1
         if point.missing == 0:
             del self.pending[index]
@@ -195,21 +199,189 @@ class SearchState:
         )
 
 
-class OutcomeCache:
-    """Outcomes that answer a repeated question without simulating, up to a size."""
+Slot = tuple[SearchState, int, int]
+"""A search, the index of its point, and the position of the experiment: where an outcome goes."""
 
-    def __init__(self) -> None:
+
+class _Asked(NamedTuple):
+    """A task that was asked for, and what it answers."""
+
+    origin: TaskOrigin
+    question: Question
+
+
+class PendingTasks:
+    """Stands between searches and an executor.
+
+    Parameters
+    ----------
+    executor
+        Where tasks run.
+    record
+        Called once for each simulation, in the order in which they end.
+
+    Attributes
+    ----------
+    simulations, failures
+        How many there were.
+    """
+
+    def __init__(self, executor: Executor, record: Record) -> None:
+        self._executor = executor
+        self._record = record
+        self._next_task = 0
+        self._under_way: dict[int, _Asked] = {}
+        self._waiting: dict[Question, list[Slot]] = {}
         self._known: dict[Question, Outcome] = {}
-        self._bytes = 0
+        self._known_bytes = 0
+        self._sizes: dict[tuple[int, bool], int] = {}
+        self.simulations = 0
+        self.failures = 0
 
-    def get(self, question: Question) -> Outcome | None:
-        return self._known.get(question)
+    @property
+    def under_way(self) -> int:
+        """Tasks that were made and have not been answered."""
+        return len(self._under_way)
 
-    def remember(self, question: Question, outcome: Outcome) -> None:
+    def task(
+        self,
+        name: str,
+        want: Want,
+        experiment: int,
+        values: FloatArray,
+        effects: tuple[Effect, ...],
+    ) -> Task:
+        """A new task for a simulation outside any search; the caller submits it."""
+        return self._make(
+            (experiment, values.tobytes(), effects, want, np.inf), values, name, 0, want
+        )
+
+    def _make(
+        self, question: Question, values: FloatArray, name: str, index: int, purpose: str
+    ) -> Task:
+        experiment, _, effects, want, bound = question
+        task = Task(self._next_task, experiment, values, want, effects, bound)
+        self._next_task += 1
+        self._under_way[task.id] = _Asked(TaskOrigin(task, name, index, purpose), question)
+        return task
+
+    def request(self, search: SearchState, points: Points) -> Iterator[Task]:
+        """Give the tasks of a search's next points, experiment by experiment.
+
+        What is known already, or asked for by another search, takes no task.
+        """
+        space = search.request.space
+        first = search.expect(points)
+        bounds = _bounds(space, points).tolist()
+        values = [space.physical(x) for x in points.x]
+        finite = [np.asarray(np.isfinite(each).all(axis=1)) for each in values]
+        places = [(p, e) for e in range(len(space.experiments)) for p in range(len(points.x))]
+        if points.asynchronous:  # a point is answered when it is complete, so one after the other
+            places.sort()
+        for p, e in places:
+            slot = search, first + p, e
+            if not finite[p][e]:
+                _place(slot, _no_values(space, values[p][e]))
+                continue
+            task = self._ask(slot, space.experiments[e], values[p][e], bounds[p])
+            if task is not None:
+                yield task
+
+    def _ask(self, slot: Slot, experiment: int, values: FloatArray, bound: float) -> Task | None:
+        """Make a task for what is not known and nobody has asked for; else fill the slot."""
+        search, index, place = slot
+        space = search.request.space
+        effects, want = space.problem.effects, space.wants[place]
+        want = "sensitivities" if search.sensitivities else want
+        question = (experiment, values.tobytes(), effects, want, bound)
+        if (known := self._known.get(question)) is not None:
+            _place(slot, known)
+            return None
+        if question in self._waiting:
+            self._waiting[question].append(slot)
+            return None
+        self._waiting[question] = [slot]
+        return self._make(question, values, search.request.name, index, search.purpose)
+
+    def receive(self, outcome: Outcome) -> Iterator[SearchState]:
+        """Fill the slots that wait for an outcome, one by one; after each, whose it was."""
+        asked = self._under_way.get(outcome.task)
+        if asked is None:
+            return
+        outcome, question = self.note(outcome), asked.question
+        self._remember(question, outcome)
+        for slot in self._waiting.pop(question, []):
+            _place(slot, outcome)
+            yield slot[0]
+
+    def _remember(self, question: Question, outcome: Outcome) -> None:
+        """Keep what answers a repeated question without simulating, up to a size."""
         kept = (outcome.residuals, outcome.sensitivities)
         size = OUTCOME_BYTES + sum(0 if each is None else each.nbytes for each in kept)
-        if self._bytes + size > MEMORY_BYTES:
+        if self._known_bytes + size > MEMORY_BYTES:
             self._known.clear()
-            self._bytes = 0
+            self._known_bytes = 0
         self._known[question] = outcome
-        self._bytes += size
+        self._known_bytes += size
+
+    def note(self, outcome: Outcome) -> Outcome:
+        """Count and record the outcome of a task; what it is taken for."""
+        origin = self._under_way.pop(outcome.task).origin
+        if outcome.residuals is not None:
+            found = len(outcome.residuals)
+            kind = origin.task.experiment, origin.task.want in REDUCTIONS
+            wanted = self._sizes.setdefault(kind, found)
+            if found != wanted:  # of a user's function, on a worker that saw no other point yet
+                message = f"there are {found} residuals but there were {wanted} at the first point"
+                seconds, worker = outcome.seconds, outcome.worker
+                outcome = Outcome(
+                    outcome.task, Status.NOT_FINITE, message=message, seconds=seconds, worker=worker
+                )
+        self.simulations += 1
+        self.failures += outcome.failed
+        self._record(origin, outcome)
+        return outcome
+
+    def drop_unwanted(self) -> None:
+        """Take back what no search waits for any more and no worker has begun."""
+        unwanted = {
+            question
+            for question, slots in self._waiting.items()
+            if not any(index in owner.pending for owner, index, _ in slots)
+        }
+        self._cancel([t for t, asked in self._under_way.items() if asked.question in unwanted])
+
+    def drop_all(self) -> None:
+        """Take back all that no worker has begun."""
+        self._cancel(list(self._under_way))
+
+    def _cancel(self, tasks: list[int]) -> None:
+        for task in self._executor.cancel(tasks):
+            self._waiting.pop(self._under_way.pop(task).question, None)
+
+
+def _place(slot: Slot, outcome: Outcome) -> None:
+    search, index, e = slot
+    search.place(index, e, outcome)
+
+
+def _bounds(space: SearchSpace, points: Points) -> FloatArray:
+    """Return the sums of squares (points,) above which no experiment need be simulated further.
+
+    What other experiments and priors add to a cost is not negative, so that a sum of one
+    experiment that is above the bound of the cost is enough.
+    """
+    if points.bounds is None or not isinstance(space.problem.cost, SumSquared):
+        return np.full(len(points.x), np.inf)
+    return points.bounds
+
+
+def _no_values(space: SearchSpace, values: FloatArray) -> Outcome:
+    """The outcome of a point at which a parameter has no value."""
+    named = [p.name for p in space.problem.parameters if not p.auxiliary]
+    first = int(np.flatnonzero(~np.isfinite(values))[0])
+    return Outcome(
+        -1,
+        Status.NOT_FINITE,
+        message=f"parameter {named[first]!r} is {values[first]}, so nothing was simulated",
+    )

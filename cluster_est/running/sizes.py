@@ -14,8 +14,8 @@ from typing import ClassVar
 import numpy as np
 from typing_extensions import override
 
-from cluster_est.methods.base import Ending, Evaluation, Method, Points, Search, Solution
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.method import Ending, Evaluation, Method, Points, Search, Solution
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from workers.messages import FloatArray
@@ -96,7 +96,9 @@ class _Sizes(Method):
                     ratio = _change(space, at, found, i) / float(targets[i])
                     if 1.0 / CLEAR <= ratio <= CLEAR:
                         open_[i] = False
-                        sizes[i] = _power_of_two(abs(float(point[i] - x[i])) / ratio)
+                        # of other units by a power of two it changes no bit
+                        exponent = np.round(np.log2(abs(float(point[i] - x[i])) / ratio))
+                        sizes[i] = float(2.0**exponent)
                     steps[i] *= _factor(ratio)
         return Solution(sizes, at.cost, Ending.CONVERGED if at.ok else Ending.START_FAILED)
 
@@ -129,8 +131,3 @@ def _factor(ratio: float) -> float:
     if not np.isfinite(ratio):
         return SHORTER
     return float(np.clip(1.0 / ratio, 1.0 / FARTHEST, FARTHEST)) if ratio > 0.0 else LONGER
-
-
-def _power_of_two(value: float) -> float:
-    """Return the power of two next to a value: other units by such a factor change no bit."""
-    return float(2.0 ** np.round(np.log2(value)))

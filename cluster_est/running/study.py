@@ -10,10 +10,8 @@ from abc import ABC, abstractmethod
 from typing import Generic, TypeVar
 
 from cluster_est.running.arguments import check_resources
-from cluster_est.running.environment import Monitor, RunEnvironment
-from cluster_est.running.records import Note, Record, Show
-from cluster_est.running.resources import Resources
-from cluster_est.running.shared_pools import SharedPools
+from cluster_est.running.environment import Monitor, RunEnvironment, SharedPools
+from cluster_est.running.resources import Note, Record, Resources, Show
 
 Answer = TypeVar("Answer", covariant=True)
 

@@ -8,16 +8,17 @@ a rate that changes all the time.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from cluster_est.errors import BudgetError
-from cluster_est.methods.given_points import GivenPoints
-from cluster_est.running.records import Budget
-from cluster_est.running.search_state import SearchState
+from cluster_est.executors.executor import Executor
+from cluster_est.methods.method import GivenPoints
+from cluster_est.running.resources import Budget, RunSnapshot, Show
+from cluster_est.running.search_state import PendingTasks, SearchState
 from workers.messages import FloatArray
 
 TELLING_ITERATIONS = 25
@@ -28,57 +29,7 @@ LEAST_ENDED = 3
 """Searches that have ended, from whose lengths those of the others are known."""
 
 
-@dataclass(frozen=True)
-class WorkDone:
-    """The work of a runner so far.
-
-    Attributes
-    ----------
-    seconds
-        Since it began.
-    simulations, under_way, busy
-        That have ended, that are asked for, and those of them that workers are at.
-    evaluations, requests
-        Points that were asked for, and in how many requests.
-    """
-
-    seconds: float
-    simulations: int
-    under_way: int
-    busy: int
-    evaluations: int
-    requests: int
-
-    @property
-    def done(self) -> float:
-        """Simulations that have ended; of those that workers are at, on average, a half."""
-        return self.simulations + 0.5 * self.busy
-
-    def seconds_for(self, evaluations: float) -> float:
-        """Return the seconds of what is asked for and of further evaluations; NaN if not known."""
-        if not self.simulations or not self.evaluations:
-            return np.nan
-        of_each = (self.simulations + self.under_way) / self.evaluations
-        left = self.under_way - 0.5 * self.busy + of_each * evaluations
-        return left * self.seconds / self.done
-
-    @property
-    def per_request(self) -> float:
-        """Points of a request, on average."""
-        return self.evaluations / max(self.requests, 1)
-
-
-def left_of_budget(work: WorkDone, evaluations: int | None) -> float:
-    """Return the seconds until so many further points are evaluated; NaN if not known.
-
-    The last request may exceed a budget: on average by half of a request.
-    """
-    if evaluations is None:
-        return np.inf
-    return work.seconds_for(evaluations + 0.5 * work.per_request if evaluations else 0.0)
-
-
-def share_done(searches: Sequence[SearchState]) -> float:
+def _share_done(searches: Sequence[SearchState]) -> float:
     """Return the share of the work of searches that is done at least; NaN if nobody knows.
 
     Of a search with few iterations that is the share of these, of given points that of those that
@@ -98,22 +49,12 @@ def _share(search: SearchState) -> float:
     if not 0 < most <= TELLING_ITERATIONS:
         return np.nan
     answered = 1.0 - waits / search.requested if search.requested else 0.0
-    return float(min(1.0, (search.progress.iteration + _of_iteration(search, answered)) / most))
+    # only an iteration that is a single request has a share that is done
+    of_iteration = answered if search.purpose == "generation" else 0.0
+    return float(min(1.0, (search.progress.iteration + of_iteration) / most))
 
 
-def _of_iteration(search: SearchState, answered: float) -> float:
-    """Return the share of an iteration that is done, where it is a single request."""
-    return answered if search.purpose == "generation" else 0.0
-
-
-def time_left(share: float, seconds: float) -> float:
-    """Return the seconds that the rest of the work takes at most; NaN if nobody knows."""
-    if np.isnan(share) or share < LEAST_SHARE:
-        return np.nan
-    return seconds * (1.0 - share) / share
-
-
-def evaluations_left(searches: Sequence[SearchState]) -> float:
+def _evaluations_left(searches: Sequence[SearchState]) -> float:
     """Return how many points searches that converge will still ask for; NaN if nobody knows.
 
     From the lengths of those that have ended, if there are some, and how far the others are.
@@ -185,13 +126,7 @@ class BudgetWatch:
     @property
     def exhausted(self) -> bool:
         """True where nothing new may be asked for."""
-        longest = self._budget.seconds
-        late = longest is not None and self.seconds >= longest
-        return self.used_up or self.evaluations_left == 0 or late
-
-    def has_room(self, points: int) -> bool:
-        """Return whether so many points can be evaluated before it ends by their number."""
-        return points <= self.evaluations_left
+        return self.used_up or self.evaluations_left == 0 or self.seconds_left == 0.0
 
     @property
     def evaluations_left(self) -> float:
@@ -200,19 +135,10 @@ class BudgetWatch:
         return np.inf if most is None else max(most - self.evaluations, 0)
 
     @property
-    def counts_evaluations(self) -> bool:
-        """True where it may end by the number of evaluations."""
-        return self._budget.evaluations is not None
-
-    def left(self, work: WorkDone) -> float:
-        """Return the seconds until it is used up; infinite without one, NaN if not known.
-
-        `work` is what was done since the runner began, or since its last step did.
-        """
+    def seconds_left(self) -> float:
+        """Seconds until it is used up; infinite where the clock ends nothing."""
         longest = self._budget.seconds
-        points = int(self.evaluations_left) if self.counts_evaluations else None
-        time_limit = np.inf if longest is None else max(longest - self.seconds, 0.0)
-        return float(np.fmin(time_limit, left_of_budget(work, points)))
+        return np.inf if longest is None else max(longest - self.seconds, 0.0)
 
     def error(self) -> BudgetError:
         """Return the error that says so."""
@@ -220,3 +146,103 @@ class BudgetWatch:
             f"budget: was used up after {self.evaluations} evaluations in {self.seconds:.0f} s; "
             "raise budget.evaluations or budget.seconds, or leave them out"
         )
+
+
+class RunDisplay:
+    """Tells a display how far a runner is.
+
+    Parameters
+    ----------
+    show
+        Called with each snapshot; None where nobody looks.
+    executor, budget, pending
+        Of the runner.
+    clock
+        Gives seconds; for tests.
+
+    Attributes
+    ----------
+    phase
+        What the recipe is about, in words that begin a line; "" where it is no recipe of phases.
+    """
+
+    def __init__(
+        self,
+        show: Show | None,
+        executor: Executor,
+        budget: BudgetWatch,
+        pending: PendingTasks,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._show, self._executor, self._budget = show, executor, budget
+        self._pending, self._clock = pending, clock
+        self._begun = clock()
+        self._before = (0, 0, 0)
+        self.phase = ""
+
+    def begin(self) -> None:
+        """Note that searches begin together."""
+        self._begun = self._clock()
+        budget = self._budget
+        self._before = self._pending.simulations, budget.evaluations, budget.requests
+
+    def show(self, searches: Sequence[SearchState]) -> None:
+        """Show how far they are."""
+        if self._show is None:
+            return
+        running = [s for s in searches if s.solution is None] or list(searches)
+        busy, seconds = self._executor.busy, self._clock() - self._begun
+        left, at_most = self._left(searches, seconds)
+        iterations = searches[0].progress.iteration if len(searches) == 1 else 0
+        self._show(
+            RunSnapshot(
+                search=running[0].request.name,
+                progress=running[0].progress,
+                evaluations=self._budget.evaluations,
+                simulations=self._pending.simulations,
+                failures=self._pending.failures,
+                busy=busy,
+                workers=self._executor.workers,
+                seconds=self._budget.seconds,
+                phase=self.phase,
+                ended=sum(s.solution is not None for s in searches),
+                searches=len(searches),
+                left=left,
+                at_most=at_most,
+                waiting=max(0, self._pending.under_way - busy),
+                pace=seconds / iterations if iterations else math.nan,
+            )
+        )
+
+    def _left(self, searches: Sequence[SearchState], seconds: float) -> tuple[float, bool]:
+        """Return the seconds that searches take from now on, and whether they are a limit.
+
+        NaN if nobody knows.
+        """
+        budget, share = self._budget, _share_done(searches)
+        points = budget.evaluations_left
+        if 0.0 < points < math.inf:  # the last request may exceed it, on average by half of one
+            evaluations = budget.evaluations - self._before[1]
+            requests = budget.requests - self._before[2]
+            points += 0.5 * evaluations / max(requests, 1)
+        limits = [
+            budget.seconds_left,
+            self._seconds_for(points, seconds),
+            seconds * (1.0 - share) / share if share >= LEAST_SHARE else math.nan,
+        ]
+        limit = min((each for each in limits if math.isfinite(each)), default=math.nan)
+        about = self._seconds_for(_evaluations_left(searches), seconds)
+        return (limit, True) if math.isnan(about) or limit < about else (about, False)
+
+    def _seconds_for(self, points: float, seconds: float) -> float:
+        """Return the seconds of what is asked for and of further points; NaN if not known.
+
+        Of simulations that workers are at, on average, a half is done.
+        """
+        simulations = self._pending.simulations - self._before[0]
+        evaluations = self._budget.evaluations - self._before[1]
+        if not simulations or not evaluations:
+            return math.nan
+        under_way, half = self._pending.under_way, 0.5 * self._executor.busy
+        of_each = (simulations + under_way) / evaluations
+        return (under_way - half + of_each * points) * seconds / (simulations + half)

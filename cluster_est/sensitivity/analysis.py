@@ -26,14 +26,13 @@ from scipy.linalg import qr
 from typing_extensions import override
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.given_points import GivenPoints
-from cluster_est.problem.prior_weights import without_priors
+from cluster_est.methods.method import GivenPoints
+from cluster_est.problem.compatibility import without_priors
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.arguments import check_problem
 from cluster_est.running.environment import RunEnvironment
-from cluster_est.running.records import Note, Record, Show
-from cluster_est.running.resources import Resources, one_blas_thread
+from cluster_est.running.resources import Note, Record, Resources, Show, one_blas_thread
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.running.study import Study, run_study

@@ -11,16 +11,16 @@ import numpy as np
 import pyarrow as pa
 
 from cluster_est.errors import RunFolderError
-from cluster_est.methods.base import Evaluation
+from cluster_est.methods.method import Evaluation
 from cluster_est.problem.costs import Cost
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.sensitivity.settings import SensitivitySettings
 from cluster_est.statistics.records import make_records
 from workers.fmu.description import nearest
 from workers.messages import FloatArray, IntArray
 from workers.messages.checks import check_text
-from workers.messages.equality import by_content
+from workers.messages.types import by_content
 
 COST, LOG_COST = "cost", "log(cost)"
 

@@ -8,11 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Ending, Method, Solution
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.methods.given_points import GivenPoints
-from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
+from cluster_est.methods.method import Ending, GivenPoints, Method, Solution
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.segments import SURPRISING, SegmentState, ShootingSummary
 from cluster_est.running.environment import RunEnvironment
@@ -21,7 +20,8 @@ from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest, assemble_evaluation, with_priors
 from cluster_est.running.sizes import with_sizes
 from cluster_est.shooting.first_states import FirstStates, first_states
-from cluster_est.shooting.search import (
+from cluster_est.shooting.record_segments import SegmentedProblem, Shooting, cut
+from cluster_est.shooting.segment_search import (
     JOINED,
     SegmentSearch,
     SegmentSolution,
@@ -30,11 +30,9 @@ from cluster_est.shooting.search import (
     response,
     search_segments,
 )
-from cluster_est.shooting.segments import SegmentedProblem, cut
-from cluster_est.shooting.settings import Shooting
-from cluster_est.shooting.space import make_segment_space
+from cluster_est.shooting.segment_space import make_segment_space
 from cluster_est.uncertainty import intervals
-from cluster_est.uncertainty.covariance.layout import jacobian_blocks
+from cluster_est.uncertainty.covariance.normal_equations import jacobian_blocks
 from cluster_est.uncertainty.spaces import with_start
 from workers.messages import FloatArray, Outcome, Trajectory
 

@@ -21,11 +21,9 @@ from cluster_est.run_folder.context import Existing, RunContext
 from cluster_est.run_folder.run_files import RunStatus
 from cluster_est.run_folder.run_folder import RunResult
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
-from cluster_est.running.environment import RunEnvironment, WorkerSource
+from cluster_est.running.environment import RunEnvironment, SharedPools, WorkerSource
 from cluster_est.running.interrupts import stopped_by
-from cluster_est.running.records import Show
-from cluster_est.running.resources import Resources
-from cluster_est.running.shared_pools import SharedPools
+from cluster_est.running.resources import Resources, Show
 from cluster_est.running.study import Study
 from cluster_est.sensitivity.analysis import Sensitivity
 from cluster_est.studies.fit import Fit

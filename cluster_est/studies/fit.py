@@ -11,13 +11,12 @@ import numpy as np
 from typing_extensions import override
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Method
-from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.problem.effects.process_noise import check_process_noise
-from cluster_est.problem.observed_outputs import check_observed_outputs
-from cluster_est.problem.prior_weights import check_priors
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
+from cluster_est.methods.method import Method
+from cluster_est.problem.compatibility import check_observed_outputs, check_priors
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.problem.process_noise import check_process_noise
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.results import fit_tables as rows
 from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.guarded import GuardedSteps
@@ -38,12 +37,11 @@ from cluster_est.running.multistart import (
     check_starts,
     search_from_starts,
 )
-from cluster_est.running.records import Note, Record, Show
-from cluster_est.running.resources import Resources, one_blas_thread
+from cluster_est.running.resources import Note, Record, Resources, Show, one_blas_thread
 from cluster_est.running.runner import Runner
 from cluster_est.running.sizes import with_sizes
 from cluster_est.running.study import Study, run_study
-from cluster_est.shooting.settings import Shooting
+from cluster_est.shooting.record_segments import Shooting
 from cluster_est.shooting.shoot import SearchResult, check_shooting, fit_whole_records, shoot
 from cluster_est.uncertainty import (
     UncertaintySettings,

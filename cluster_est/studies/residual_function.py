@@ -9,13 +9,12 @@ import numpy as np
 from typing_extensions import override
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Ending, Method, Points, Search, Solution
-from cluster_est.methods.derivatives.differences import Scheme, jacobian, without_guesses
+from cluster_est.methods.differences import Scheme, jacobian, without_guesses
+from cluster_est.methods.method import Ending, Method, Points, Search, Solution
+from cluster_est.problem.compatibility import check_observed_outputs, check_priors
 from cluster_est.problem.costs import SumSquared
-from cluster_est.problem.observed_outputs import check_observed_outputs
-from cluster_est.problem.prior_weights import check_priors
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.arguments import check_problem, check_resources
 from cluster_est.running.environment import open_executor
 from cluster_est.running.resources import Resources

@@ -22,7 +22,7 @@ from cluster_est.run_folder.lock import locked_by_sweep
 from cluster_est.run_folder.resume import check_resumable
 from cluster_est.run_folder.run_files import RunStatus, RunWorth, read_facts, run_worth
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
-from cluster_est.running.shared_pools import SharedPools, pool_key
+from cluster_est.running.environment import SharedPools, pool_key
 from cluster_est.studies.configured import ConfiguredStudy, Destination, Listener, configure, do_run
 from cluster_est.sweep.matrix import (
     FAILED,

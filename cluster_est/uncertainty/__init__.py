@@ -16,19 +16,22 @@ from cluster_est.uncertainty.bootstrap import (
 )
 from cluster_est.uncertainty.covariance.covariance import assess, intervals, not_assessed
 from cluster_est.uncertainty.covariance.derivatives import examine, linearise, sharpen
-from cluster_est.uncertainty.covariance.directions import UndeterminedDirection
-from cluster_est.uncertainty.covariance.result import (
+from cluster_est.uncertainty.covariance.local_uncertainty import (
     ConfidenceInterval,
     DerivedInterval,
     Uncertainty,
+    UndeterminedDirection,
 )
-from cluster_est.uncertainty.posterior.density import check_posterior
-from cluster_est.uncertainty.posterior.posterior import sample_posterior
-from cluster_est.uncertainty.posterior.prediction import PredictedBand, predicted_bands
-from cluster_est.uncertainty.posterior.result import PosteriorInterval, PosteriorResult
-from cluster_est.uncertainty.profiles.profile import check_profiles, profiles, select
-from cluster_est.uncertainty.profiles.result import ProfilePoint, ProfileResult
-from cluster_est.uncertainty.settings import UncertaintySettings
+from cluster_est.uncertainty.posterior import check_posterior, sample_posterior
+from cluster_est.uncertainty.posterior_draws import (
+    PosteriorInterval,
+    PosteriorResult,
+    PredictedBand,
+    predicted_bands,
+)
+from cluster_est.uncertainty.profile_points import ProfilePoint, ProfileResult
+from cluster_est.uncertainty.profiles import check_profiles, profiles, select
+from cluster_est.uncertainty.uncertainty_settings import UncertaintySettings
 
 __all__ = [
     "BootstrapInterval",

@@ -19,15 +19,15 @@ import numpy as np
 from scipy.special import ndtr, stdtrit
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Ending, Method, Solution
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.method import Ending, Method, Solution
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
-from cluster_est.uncertainty.covariance.layout import is_shared
-from cluster_est.uncertainty.settings import UncertaintySettings
+from cluster_est.uncertainty.covariance.normal_equations import is_shared
 from cluster_est.uncertainty.spaces import resampled
+from cluster_est.uncertainty.uncertainty_settings import UncertaintySettings
 from workers.messages import FloatArray
-from workers.messages.equality import by_content
+from workers.messages.types import by_content
 
 LEAST_EXPERIMENTS = 5
 LEAST_DRAWS = 20

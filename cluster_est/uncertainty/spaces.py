@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.problem.search_space.prior_rows import KnownPrior
-from cluster_est.problem.search_space.space import SearchSpace
-from cluster_est.problem.search_space.unknown import Unknown
+from cluster_est.problem.search_space import SearchSpace
+from cluster_est.problem.unknowns import KnownPrior, Unknown
 from workers.messages import FloatArray
 
 

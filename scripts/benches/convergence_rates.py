@@ -20,11 +20,11 @@ import cluster_est as ce
 from benches import Row
 from benches.common import EXAMPLES, example
 from cluster_est.methods import METHODS
-from cluster_est.methods.base import Ending
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.methods.method import Ending
+from cluster_est.problem.search_space import make_space
 from cluster_est.running.environment import open_executor
 from cluster_est.running.multistart import Multistart, sample
-from cluster_est.running.records import SearchIteration
+from cluster_est.running.resources import SearchIteration
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 

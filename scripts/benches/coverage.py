@@ -22,8 +22,8 @@ from benches import Row
 from benches.common import MODELS
 from cluster_est import Experiment, Input, LeastSquares, Model, Output, Parameter, Problem, Solver
 from cluster_est.executors.local import LocalExecutor
-from cluster_est.methods.base import Solution
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.methods.method import Solution
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty import UncertaintySettings, assess, profiles

@@ -31,8 +31,8 @@ from scipy.optimize import least_squares
 import cluster_est as ce
 from benches import Row
 from benches.common import Array, WrittenModel
-from cluster_est.methods.base import Method, Search
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.methods.method import Method, Search
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.multistart import Multistart, sample
 
 OPTIONS = {"starts": 10, "most": 3000, "budget": 0}

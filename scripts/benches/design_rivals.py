@@ -29,12 +29,12 @@ from benches import Row
 from benches.design_precision import limits_of, measured
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.experiment_design.design import design
-from cluster_est.experiment_design.findings.result import DesignResult
-from cluster_est.experiment_design.findings.sentences import TOLD_APART
+from cluster_est.experiment_design.design_result import DesignResult
+from cluster_est.experiment_design.design_sentences import TOLD_APART
+from cluster_est.experiment_design.input_search import ranked
 from cluster_est.experiment_design.models import CandidateModel, fit_candidates
-from cluster_est.experiment_design.prediction import DesignQueue
+from cluster_est.experiment_design.predicted_outputs import DesignQueue
 from cluster_est.experiment_design.request import models_of
-from cluster_est.experiment_design.search import ranked
 from cluster_est.problem.problem import Problem
 from cluster_est.running.environment import RunEnvironment
 from workers.messages import Experiment

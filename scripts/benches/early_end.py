@@ -19,7 +19,7 @@ from benches import Row
 from benches.common import EXAMPLES, example
 from benches.dear_simulations import made_problem, write_model
 from cluster_est.methods import METHODS
-from cluster_est.running.records import TaskOrigin
+from cluster_est.running.resources import TaskOrigin
 from workers.messages import Outcome, Status
 
 OPTIONS = {"points": 2000, "tanks": 2}

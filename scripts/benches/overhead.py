@@ -23,7 +23,7 @@ from build_fmus import build
 from benches import Row
 from benches.common import ROOT
 from cluster_est.executors import executor_class
-from cluster_est.executors.base import Executor
+from cluster_est.executors.executor import Executor
 from cluster_est.running.resources import one_blas_thread
 from workers.messages import Experiment, Model, Output, Solver, Task
 

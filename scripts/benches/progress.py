@@ -22,10 +22,10 @@ import cluster_est as ce
 from benches import Row
 from benches.common import Array, example
 from cluster_est.methods import METHODS
-from cluster_est.methods.base import Method
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.methods.method import Method
+from cluster_est.problem.search_space import make_space
 from cluster_est.running.multistart import Multistart, search_from_starts
-from cluster_est.running.records import RunSnapshot
+from cluster_est.running.resources import RunSnapshot
 from cluster_est.running.runner import Runner
 from workers.evaluate import Evaluator
 from workers.messages import Task

@@ -26,11 +26,10 @@ from virtual_executor import VirtualExecutor
 
 from benches import Row
 from cluster_est import Experiment, LeastSquares, Model, Output, Parameter, Problem, Solver
-from cluster_est.methods.base import Ending, Method, Points, Search, Solution
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.methods.method import Ending, Method, Points, Search, Solution
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.run_folder.evaluation_log import EvaluationLog
-from cluster_est.running.records import SearchIteration
-from cluster_est.running.resources import one_blas_thread
+from cluster_est.running.resources import SearchIteration, one_blas_thread
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty import assess

@@ -19,7 +19,7 @@ from fmus.build import build
 import cluster_est as ce
 from benches import Row
 from benches.common import searches_by_turns
-from cluster_est.methods.derivatives.differences import Differences
+from cluster_est.methods.differences import Differences
 from workers.evaluate import Evaluator
 from workers.messages import Model, Task
 from workers.wire import TaskBatch

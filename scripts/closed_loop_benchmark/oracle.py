@@ -16,8 +16,8 @@ import numpy as np
 from closed_loop_benchmark.data import Data, start_label
 from closed_loop_benchmark.effect import Effect
 from cluster_est import ClusterEstError, LeastSquares, Parameter, Problem, Resources
-from cluster_est.methods.base import Solution
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.methods.method import Solution
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.problem.variables import coefficient_names
 from cluster_est.running.environment import open_executor
 from cluster_est.running.runner import Runner

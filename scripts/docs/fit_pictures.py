@@ -10,11 +10,10 @@ from benches.shooting import SYSTEMS, made_problem
 from docs.svg import Axes, document, text
 
 import cluster_est as ce
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.shooting.first_states import first_states
-from cluster_est.shooting.segments import cut
-from cluster_est.shooting.settings import Shooting
+from cluster_est.shooting.record_segments import Shooting, cut
 from workers.messages import FloatArray
 
 SEGMENTS, STOP, THINNED = 20, 10.0, 2

@@ -12,7 +12,7 @@ from docs.svg import document
 from cluster_est.closed_loop.candidates.own_states import own_states_of
 from workers.effects.expression import parse
 from workers.effects.forms import FORMS, EffectForm
-from workers.effects.memory import MEMORIES, SampledSignal
+from workers.effects.signal_memory import MEMORIES, SampledSignal
 from workers.messages import FloatArray
 
 COLUMNS, TILE, DRAWN, HEAD = 8, 104, 84, 34

@@ -7,7 +7,7 @@ import pytest
 
 from cluster_est.experiment_design.criteria import CRITERIA
 from cluster_est.experiment_design.models import PredictedOutput
-from cluster_est.experiment_design.prediction import PredictedExperiment
+from cluster_est.experiment_design.predicted_outputs import PredictedExperiment
 
 EVERY = pytest.mark.parametrize("name", CRITERIA)
 LABELS = ("a", "b")

@@ -17,8 +17,8 @@ from support.truth.example_models import REFERENCES, sampled_experiment
 from cluster_est import Parameter, Problem
 from cluster_est.errors import ExecutorError
 from cluster_est.executors import EXECUTORS, Executor, WorkerPool, executor_class
+from cluster_est.running.reset_policy import open_with_reset
 from cluster_est.running.resources import Resources
-from cluster_est.running.trials.reset_policy import open_with_reset
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
 from workers.messages import Experiment, Input, Model, Outcome, Output, Solver, Status, Task

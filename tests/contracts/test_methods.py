@@ -14,8 +14,7 @@ from support.thinning import thinned
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods import METHODS, LeastSquares, Nsga2, ScipyLeastSquares
-from cluster_est.methods.base import Ending, Points, Solution
-from cluster_est.methods.given_points import GivenPoints
+from cluster_est.methods.method import Ending, GivenPoints, Points, Solution
 
 PRODUCT = thinned(
     [

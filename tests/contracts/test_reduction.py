@@ -16,9 +16,9 @@ from support.thinning import thinned
 
 from cluster_est import Budget, Experiment, Multistart, Output, Parameter, fit
 from cluster_est.methods import METHODS, DifferentialEvolution, LeastSquares, Nsga2, PatternSearch
-from cluster_est.methods.given_points import GivenPoints
+from cluster_est.methods.method import GivenPoints
 from cluster_est.problem.costs import COSTS
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.multistart import search_from_starts
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest

@@ -27,8 +27,8 @@ from cluster_est.closed_loop.selection.rounds import (
     SelectionRound,
 )
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
-from cluster_est.methods.base import Ending, Solution
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.methods.method import Ending, Solution
+from cluster_est.problem.search_space import make_space
 from cluster_est.results.output_errors import OutputError
 from cluster_est.running.runner import Runner
 from cluster_est.statistics.omnibus import OmnibusTest

@@ -7,8 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from cluster_est.methods import Method
-from cluster_est.methods.base import Ending, Points, Search, Solution
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.method import Ending, Points, Search, Solution
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.running.search_state import SearchRequest
 
 

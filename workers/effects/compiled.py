@@ -16,7 +16,7 @@ from typing import Any
 import sympy as sp
 
 from workers.effects.definition import SIGNAL, TIME, EffectDefinition, variable_symbol
-from workers.effects.source import CAssignment, EffectArray, SymbolLocations, compile_function
+from workers.effects.machine_code import CAssignment, EffectArray, SymbolLocations, compile_function
 
 
 @dataclass(frozen=True)

@@ -125,7 +125,7 @@ class FormCoefficient:
     held
         It stays at its value of the grid when the effect is fitted.
     unit
-        In the words that `workers.effects.units` knows, such as "site / v^2".
+        In the words that `workers.effects.definition` knows, such as "site / v^2".
     """
 
     name: str
@@ -168,8 +168,8 @@ class EffectForm:
     reaction
         At a pair of derivatives: what is added to the second.
     memory
-        Name of what it does to the signal as a whole, see `workers.effects.memory`, with its first
-        coefficient; the equation then is "s".
+        Name of what it does to the signal as a whole, see `workers.effects.signal_memory`, with its
+        first coefficient; the equation then is "s".
     when
         Conditions under which a search should try it; all must hold.
     order

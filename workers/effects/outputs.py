@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from workers.effects.definition import SIGNAL, TIME, EffectDefinition, variable_symbol
-from workers.effects.memory import MEMORIES, SampledSignal
-from workers.effects.source import CAssignment, EffectArray, SymbolLocations, compile_function
+from workers.effects.machine_code import CAssignment, EffectArray, SymbolLocations, compile_function
+from workers.effects.signal_memory import MEMORIES, SampledSignal
 from workers.grid import SignalGrid
 from workers.kernels.record import OutputHooks, OutputWorkspace, OwnStateMotion, apply_to_outputs
 from workers.messages import FloatArray, IntArray

@@ -20,17 +20,21 @@ from xml.etree.ElementTree import Element
 
 from workers.errors import ModelError
 from workers.fmu.archive import DAMAGED, open_archive
-from workers.fmu.parsing.elements import UnitDefinition, Version, read_units
-from workers.fmu.parsing.model_variables import read_variables
-from workers.fmu.parsing.structure import (
-    InterfaceOffer,
-    VariableDependency,
-    read_offers,
-    read_structure,
-)
-from workers.fmu.parsing.xml import XML, ReadingNotes, first_line, flag, number, parse
+from workers.fmu.model_variables import read_variables
 from workers.fmu.platforms import missing_binary, platforms_in
+from workers.fmu.structure import InterfaceOffer, VariableDependency, read_offers, read_structure
 from workers.fmu.variable import ModelVariable
+from workers.fmu.xml import (
+    XML,
+    ReadingNotes,
+    UnitDefinition,
+    Version,
+    first_line,
+    flag,
+    number,
+    parse,
+    read_units,
+)
 from workers.messages import Interface, Model
 
 
@@ -200,10 +204,14 @@ def describe(
     else:
         completes_steps = flag(exchange.get("needsCompletedIntegratorStep"))
     offered = [offer.interface for offer in offers]
+    guid = root.get("instantiationToken") or root.get("guid")
+    if not guid:
+        key = "guid" if version == "2.0" else "instantiationToken"
+        raise ModelError(f"{file}: its {XML} must have a {key} but has none; export it again")
     return ModelDescription(
         file=file,
         version=version,
-        guid=_guid(root, version, file),
+        guid=guid,
         tool=" ".join((root.get("generationTool") or "").split()),
         offers=offers,
         variables=declared.variables,
@@ -279,14 +287,6 @@ def _check_structural(
                 f"{file}: the structural parameter {name!r} must be a size, which is at least 0, "
                 f"but is {value}; change it"
             )
-
-
-def _guid(root: Element, version: Version, file: str) -> str:
-    guid = root.get("instantiationToken") or root.get("guid")
-    if not guid:
-        key = "guid" if version == "2.0" else "instantiationToken"
-        raise ModelError(f"{file}: its {XML} must have a {key} but has none; export it again")
-    return guid
 
 
 def _section(root: Element, tag: str) -> Element:

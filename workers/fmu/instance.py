@@ -1,4 +1,7 @@
-"""One loaded, instantiated FMU: fmpy loads it, compiled loops call it by address."""
+"""One loaded, instantiated FMU: fmpy loads it, compiled loops call it by address.
+
+Its messages are collected.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,11 @@ import ctypes
 import math
 import os
 import re
+import sys
 import threading
+import weakref
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable
 from ctypes import c_void_p
 from typing import Any
 
@@ -21,14 +26,76 @@ from workers.errors import ModelError
 from workers.fmu.archive import unpack
 from workers.fmu.binary_dependencies import is_about_licence, load_failure
 from workers.fmu.description import ModelDescription
-from workers.fmu.logger import CALLBACKS, log_message_3, open_log
 from workers.fmu.platforms import binary_path
 from workers.fmu.seats import Seat
-from workers.fmu.signal_handlers import kept_signal_handlers
-from workers.fmu.surroundings import tell_of_first_instance
+from workers.fmu.surroundings import kept_signal_handlers, tell_of_first_instance
 from workers.kernels.fmi.component import FmiComponent, nothing_loaded
 from workers.kernels.fmi.values import TYPES
 from workers.messages import Model
+
+_logs: weakref.WeakValueDictionary[str, deque[str]] = weakref.WeakValueDictionary()
+_shown: set[str] = set()
+"""Instances whose messages are shown."""
+_STATUSES = ("ok", "warning", "discard", "error", "fatal", "pending")
+
+
+def _log(_environment: object, instance: bytes, status: int, _category: bytes, text: bytes) -> None:
+    """Receive a message from any instance; fmpy's proxy knows one logger for all of them."""
+    _append((instance or b"").decode(errors="replace"), status, text)
+
+
+def open_log(name: str, log: deque[str], *, shown: bool) -> None:
+    """Collect the messages of an instance in `log`, for as long as that is in use.
+
+    If `shown`, they go to stderr too.
+    """
+    _logs[name] = log
+    if shown:
+        _shown.add(name)
+
+
+def log_message_3(name: str) -> Callable[[object, int, bytes, bytes], None]:
+    """Return a function that receives the messages of one instance of FMI 3.0."""
+    return lambda _environment, status, _category, text: _append(name, status, text)
+
+
+def _append(name: str, status: int, message: bytes) -> None:
+    text = (message or b"").decode(errors="replace").strip()
+    log = _logs.get(name.strip())
+    if log is None and len(_logs) == 1:  # some FMUs name no instance, or another one
+        log = next(iter(_logs.values()), None)
+    if log is not None and status > 0:
+        log.append(text)
+    if name in _shown:
+        of = _STATUSES[status] if 0 <= status < len(_STATUSES) else str(status)
+        sys.stderr.write(f"{of}: {text}\n")
+        sys.stderr.flush()  # the next call may end the process
+
+
+def make_callbacks() -> ctypes.Structure:
+    """Make the callbacks of FMI 2.0, and the logger of all its instances in this process."""
+    from ctypes import byref
+
+    from fmpy import calloc, free
+    from fmpy.fmi2 import (
+        fmi2CallbackAllocateMemoryTYPE,
+        fmi2CallbackFreeMemoryTYPE,
+        fmi2CallbackFunctions,
+        fmi2CallbackLoggerTYPE,
+    )
+    from fmpy.logging import addLoggerProxy
+
+    callbacks = fmi2CallbackFunctions()
+    callbacks.logger = fmi2CallbackLoggerTYPE(_log)
+    callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
+    callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(free)
+    addLoggerProxy(byref(callbacks))
+    return callbacks  # type: ignore[no-any-return]
+
+
+CALLBACKS = make_callbacks()
+"""Of FMI 2.0, for all instances."""
+
 
 _REQUIRED = {
     "reset": "Reset",
@@ -123,7 +190,9 @@ class FunctionTable:
             accessors=accessors,
             interpolates_inputs=description.interpolates_inputs,
             completes_steps=description.completes_steps,
-            eventful=_has_events(description),
+            # an input that jumps may be an event for it
+            eventful=description.event_indicators > 0
+            or any(v.variability == "discrete" for v in description.variables.values()),
             n_states=len(description.states) if exchange else 0,
             n_indicators=description.event_indicators if exchange else 0,
         )
@@ -157,13 +226,6 @@ class FunctionTable:
         whole = f"fmi{self._description.version[0]}{name}"
         function = getattr(self._fmu.dll, whole, None)
         return 0 if function is None else ctypes.cast(function, c_void_p).value or 0
-
-
-def _has_events(description: ModelDescription) -> bool:
-    """Return whether an input that jumps may be an event for the FMU."""
-    if description.event_indicators > 0:
-        return True
-    return any(v.variability == "discrete" for v in description.variables.values())
 
 
 _CLASSES = {
@@ -323,7 +385,8 @@ class FmuInstance:
         tell_of_first_instance()
         open_log(name, self.log, shown=self._model.logging_on)
         try:
-            with _load_lock, _unchanged_working_folder(), kept_signal_handlers():
+            # fmpy leaves the working folder while it loads a library
+            with _load_lock, contextlib.chdir(os.getcwd()), kept_signal_handlers():
                 fmu = model_class(
                     guid=self._description.guid,
                     modelIdentifier=identifier,
@@ -368,13 +431,3 @@ class FmuInstance:
         if any(is_about_licence(line) for line in (*self.log, str(error))):
             advice = "Get the licence that it asks for, or export it without the need of one"
         return f"{self._model.name}: cannot be loaded and instantiated ({error}).{log} {advice}"
-
-
-@contextlib.contextmanager
-def _unchanged_working_folder() -> Iterator[None]:
-    """Come back to the working folder, which fmpy leaves while it loads a library."""
-    before = os.getcwd()
-    try:
-        yield
-    finally:
-        os.chdir(before)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import fmpy
 
-from workers.fmu.parsing.elements import Version
+from workers.fmu.xml import Version
 
 PLATFORM: str = fmpy.platform
 """This machine's platform in FMI 2.0's names."""

@@ -4,12 +4,18 @@ The coordinator sends a `Model` and its `Experiment`s once to every worker, and 
 (one point, one experiment). The worker answers each with an `Outcome`, failures included.
 """
 
-from workers.messages.comparison import Curve, SignalBound, UserFunction
-from workers.messages.experiment import Experiment
+from workers.messages.measured_experiment import Curve, Experiment, SignalBound, UserFunction
 from workers.messages.model import Effect, Model, Seats, Solver
-from workers.messages.outcome import Linearisation, MatrixSeries, Outcome, Status, Trajectory
-from workers.messages.samples import Input, Output
-from workers.messages.task import Limits, Task
+from workers.messages.signals import Input, Output
+from workers.messages.tasks import (
+    Limits,
+    Linearisation,
+    MatrixSeries,
+    Outcome,
+    Status,
+    Task,
+    Trajectory,
+)
 from workers.messages.types import (
     REDUCTIONS,
     USUAL,

@@ -8,10 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from workers.errors import ModelError
-from workers.evaluate import Evaluator
+from workers.evaluate import Evaluator, FmuProbe
 from workers.kernels.fmi import failure
 from workers.messages import Experiment, FloatArray, Model, ResetPolicy
-from workers.probes.base import FmuProbe
 from workers.simulation.simulator import Simulator
 
 

@@ -7,7 +7,7 @@ failure costs its neighbours nothing.
 
 No simulation is ended because others were quicker, or because the machine is busy: steps are
 counted by the solvers (`Solver.max_steps`), and what stands still is told from what waits for its
-turn (see `workers.process.watch`). Only `Limits.seconds` goes by the clock on the wall.
+turn (see `workers.process.progress_watch`). Only `Limits.seconds` goes by the clock on the wall.
 """
 
 from __future__ import annotations
@@ -20,11 +20,10 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
 from workers.errors import ModelError
+from workers.fmu.surroundings import resident_bytes
 from workers.messages import USUAL, Experiment, Limits, Model, Outcome, Status, Task
-from workers.probes.memory import resident_bytes
-from workers.process.forked import ForkClient
-from workers.process.orders import BatchReport
-from workers.process.watch import ProgressWatch
+from workers.process.forked import BatchReport, ForkClient
+from workers.process.progress_watch import ProgressWatch
 from workers.wire import TaskBatch
 
 LOAD_SECONDS = 300.0

@@ -1,15 +1,28 @@
-"""The process that fork servers are copied from: all imports are done and the kernels are read.
+"""The process that fork servers are copied from, and the fork servers: all imports are done there.
 
-There is one for a program, or for all actors of a pool on one machine, started with the first FMU
-that needs a process of its own; for every other one a fork server is there in milliseconds instead
-of the second that imports take. Nothing of an FMU is ever loaded here, so that no FMU leaves
-anything to another. It ends when all who have a connection to it have closed that or ended; the
-fork servers that came from it have connections of their own and do not need it.
+There is one template for a program, or for all actors of a pool on one machine, started with the
+first FMU that needs a process of its own; for every other one a fork server is there in
+milliseconds instead of the second that imports take. Nothing of an FMU is ever loaded in the
+template, so that no FMU leaves anything to another. It ends when all who have a connection to it
+have closed that or ended; the fork servers that came from it have connections of their own and do
+not need it.
+
+A fork server forks the processes of one installation. Forking a worker itself would copy locks that
+its other threads hold; a fork server never has a second thread. It comes from the template with its
+evaluator prepared, does what a `ForkClient` says over one connection, and ends, with all that it
+has forked, when the connection ends or it is told to.
+
+The fork server of `multiprocessing` is not used because it prepares modules, not objects: each of
+its children would be sent the model and the experiments and prepare the evaluator again. There is
+one for a whole program, not one for each model, so what FMUs print could not be kept apart, and it
+imports the program's main module. When a parent is killed it ends without its children: one that
+simulates goes on until it reads from its connection.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import gc
 import os
 import signal
@@ -19,13 +32,118 @@ from collections.abc import Sequence
 from multiprocessing import reduction
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from workers.errors import ModelError
-from workers.evaluate import Evaluator
+from workers.evaluate import Evaluator, FmuProbe
+from workers.fmu.archive import unpack
+from workers.fmu.instance import instances_made
+from workers.fmu.surroundings import enter_working_folder, resident_bytes
 from workers.messages import IntArray
-from workers.process.fork_server import serve_forks
-from workers.process.orders import Installation, StartOrder
-from workers.process.watch import map_progress
+from workers.process.forked import (
+    END,
+    FORK,
+    FORK_FOR_EFFECTS,
+    BatchReport,
+    Installation,
+    StartOrder,
+)
+from workers.process.progress_watch import map_progress
+from workers.wire import OutcomeColumns
+
+DIES_WITH_PARENT = 1
+"""PR_SET_PDEATHSIG of Linux's prctl."""
+FIRST_TO_GO = "1000"
+"""What Linux ends first when memory runs out."""
+
+
+def serve(connection: Connection, evaluator: Evaluator | ModelError) -> None:
+    """Load the FMU, say None or the ModelError, then answer batches until there are no more."""
+    gc.freeze()  # what was forked is shared with others as long as nobody writes to it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _leave_before_others()
+    try:
+        if isinstance(evaluator, ModelError):
+            raise evaluator
+        enter_working_folder(evaluator.model)
+        evaluator.load()
+    except ModelError as error:
+        connection.send(error)
+        return
+    connection.send(None)
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            asked = connection.recv()
+            if isinstance(asked, FmuProbe):
+                connection.send(_probed(asked, evaluator))
+                continue
+            answers = OutcomeColumns.of(evaluator.evaluate(asked))
+            has = resident_bytes("self"), instances_made(), evaluator.has_lost_seat
+            connection.send(BatchReport(answers, *has))
+    evaluator.close()
+
+
+def _probed(probe: FmuProbe, evaluator: Evaluator) -> Any:
+    try:
+        return probe.answer(evaluator)
+    except ModelError as error:
+        return error
+
+
+def _leave_before_others() -> None:
+    """End when the parent does, even in the middle of a simulation; go first if memory is short."""
+    if sys.platform != "linux":
+        return
+    ctypes.CDLL(None).prctl(DIES_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text(FIRST_TO_GO, encoding="ascii")
+
+
+def serve_forks(orders: Connection, evaluator: Evaluator | ModelError) -> None:
+    """Fork and wait as told: `FORK` and a connection's handle, or the id of an ended process.
+
+    `evaluator` is ready but for the FMU; or what is wrong with it, for the processes to say.
+    """
+    running: set[int] = set()
+    if isinstance(evaluator, Evaluator):
+        model = evaluator.model
+        with contextlib.suppress(ModelError):  # which those say that load it
+            unpack(model.name, model.archive, model.archive_hash)  # compared once for all of them
+    with contextlib.suppress(EOFError, OSError):
+        while (order := orders.recv()) != END:
+            if order == FORK_FOR_EFFECTS:
+                import workers.simulation.bind_effects  # noqa: F401 (for all processes that follow)
+            if order in (FORK, FORK_FOR_EFFECTS):
+                handle = reduction.recv_handle(orders)
+                child = os.fork()
+                if child == 0:
+                    orders.close()
+                    draw_anew()
+                    connection = Connection(handle)  # kept: an FMU may have closed it
+                    serve(connection, evaluator)
+                    os._exit(0)
+                os.close(handle)
+                running.add(child)
+                orders.send(child)
+            else:
+                _, status = os.waitpid(order, 0)
+                running.discard(order)
+                orders.send(os.waitstatus_to_exitcode(status))
+    for child in running:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(child, signal.SIGKILL)
+
+
+def draw_anew() -> None:
+    """Give a forked process a random state of its own.
+
+    An FMU in Python shares this interpreter. With the state that all forks inherit it would draw
+    the same numbers in each, and what never repeats would seem to. Python's `random` does the same
+    by itself.
+    """
+    np.random.seed()
 
 
 def main(descriptor: int, listening: int | None = None, address: str = "") -> None:

@@ -15,10 +15,9 @@ from typing import Any, Self, final
 from typing_extensions import override
 
 from workers.errors import ModelError
-from workers.evaluate import Evaluator
+from workers.evaluate import Evaluator, FmuProbe
 from workers.fmu.surroundings import set_environment_here
 from workers.messages import Experiment, Model
-from workers.probes.base import FmuProbe
 from workers.process.forked import CAN_FORK, ForkClient
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from workers.errors import ModelError
 from workers.messages import Experiment, FloatArray, UserFunction
-from workers.residuals.base import Comparison, ComparisonResult, SimulatedOutputs, positions
+from workers.residuals.comparison import Comparison, ComparisonResult, SimulatedOutputs, positions
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ import numpy as np
 
 from workers.grid import SignalGrid
 from workers.messages import Experiment, FloatArray, Output
-from workers.residuals.base import Comparison, ComparisonResult, SimulatedOutputs, positions
+from workers.residuals.comparison import Comparison, ComparisonResult, SimulatedOutputs, positions
 from workers.residuals.ordinal import CategoryBounds, category_bounds, ordinal_residuals
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from workers.effects.compiled import InnerEffects, compile_inner
 from workers.effects.definition import EffectDefinition, define
-from workers.effects.memory import MEMORIES, SampledSignal
 from workers.effects.outputs import apply_output_effect
+from workers.effects.signal_memory import MEMORIES, SampledSignal
 from workers.errors import EffectError
 from workers.fmu.description import ModelDescription, nearest
 from workers.grid import SignalGrid

@@ -13,7 +13,7 @@ from workers.fmu.variable import ModelVariable
 from workers.grid import SignalGrid, build_grid
 from workers.kernels.fmi.component import StartValues, VariableReferences
 from workers.kernels.fmi.values import TYPES, VariableAccess
-from workers.messages import Experiment, FloatArray, Input, IntArray, Model
+from workers.messages import Experiment, FloatArray, IntArray, Model
 from workers.simulation.fixed_step import CommunicationPoints, communication_points, step_lengths
 
 _CALLED = {"Enumeration": "Int64"}
@@ -126,7 +126,11 @@ def bind_experiment(
     where = f"experiment {experiment.id!r}"
     outputs = recorded or experiment.recorded
     experiment = replace(
-        experiment, inputs=tuple(_held_if_discrete(description, each) for each in experiment.inputs)
+        experiment,
+        inputs=tuple(  # a variable that changes at events alone is held between its samples
+            replace(each, interpolation="hold") if description.holds(each.variable) else each
+            for each in experiment.inputs
+        ),
     )
     grid = build_grid(experiment, outputs)
     if model.interface == "co_simulation":
@@ -189,11 +193,6 @@ def _array_starts(description: ModelDescription, variable: ModelVariable) -> lis
     found = [v for v in description.variables.values() if (v.reference, v.type) == own]
     starts = {v.element: v.start or 0.0 for v in found}
     return [starts.get(e, 0.0) for e in range(variable.size)]
-
-
-def _held_if_discrete(description: ModelDescription, given: Input) -> Input:
-    """Hold an input whose variable changes at events alone, between its samples."""
-    return replace(given, interpolation="hold") if description.holds(given.variable) else given
 
 
 def _texts(texts: Sequence[str]) -> tuple[IntArray, IntArray]:

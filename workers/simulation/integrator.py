@@ -1,17 +1,17 @@
-"""Integration of one FMU by a compiled loop: rows of values in, outputs out."""
+"""Integration of one FMU by a compiled loop: rows of values in, a batch of outputs out."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from workers.errors import ModelError
 from workers.fmu.description import ModelDescription
 from workers.fmu.instance import FmuInstance
-from workers.fmu.signal_handlers import kept_signal_handlers
+from workers.fmu.surroundings import kept_signal_handlers
 from workers.kernels import linearise
 from workers.kernels.fmi import failure
 from workers.kernels.fmi.arguments import KernelArguments
@@ -22,15 +22,57 @@ from workers.kernels.solvers.co_simulation import co_simulate_batch
 from workers.kernels.solvers.cvode import CvodeBatch
 from workers.kernels.solvers.dormand_prince import dormand_prince_batch
 from workers.kernels.solvers.rk4 import rk4_batch
-from workers.messages import FloatArray, IntArray, Model
+from workers.messages import FloatArray, IntArray, Linearisation, Model
 from workers.messages.types import RUNNING, no_watcher
-from workers.simulation.batch import SimulationBatch
 from workers.simulation.bind_experiment import BoundExperiment
 from workers.simulation.jacobian import (
     MAX_JACOBIAN_ERROR,
     compare_with_differences,
     directional_jacobian,
 )
+
+
+@dataclass(frozen=True)
+class SimulationBatch:
+    """Results of a batch of simulations.
+
+    Attributes
+    ----------
+    outputs : (points, times, outputs)
+    messages : (points,)
+        Empty where a simulation reached its end, else a sentence.
+    codes : (points,)
+        See `workers.kernels.fmi.failure`.
+    steps : (points,)
+        Steps of the solver; 0 where that is not known.
+    linearisations
+        By point, where that was asked for and the simulation reached its end.
+    sensitivities
+        (parameters, times, outputs) by point, where sensitivities were asked for and to be had;
+        NaN for parameters by which there are none.
+    innovations
+        (residuals,) by point, where there is process noise: they take the place of the residuals,
+        and `outputs` are predictions from one measured time to the next.
+    """
+
+    outputs: FloatArray
+    messages: list[str]
+    codes: IntArray
+    steps: IntArray
+    linearisations: dict[int, Linearisation] = field(default_factory=dict)
+    sensitivities: dict[int, FloatArray] = field(default_factory=dict)
+    innovations: dict[int, FloatArray] = field(default_factory=dict)
+
+    @classmethod
+    def empty(cls, points: int, times: int, outputs: int) -> SimulationBatch:
+        """Make one of which nothing is simulated yet."""
+        return cls(
+            np.full((points, times, outputs), np.nan),
+            [""] * points,
+            np.zeros(points, np.int64),
+            np.zeros(points, np.int64),
+        )
+
 
 Batch = Callable[[KernelArguments], int]
 """Simulates many points and returns how many of them: up to the first that failed."""

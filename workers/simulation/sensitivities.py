@@ -76,7 +76,8 @@ class SensitivitySource:
     def __init__(self, model: Model, description: ModelDescription) -> None:
         self._model, self._description = model, description
         self._kinds: IntArray | None = None
-        self._perturbed: list[FmuInstance] = []
+        self.perturbed: list[FmuInstance] = []
+        """Instances for parameters by which there are only differences."""
 
     def unavailable_reason(self, bound: BoundExperiment) -> str:
         """Return why an experiment has none; "" where it may have them."""
@@ -151,7 +152,7 @@ class SensitivitySource:
     def _handles(self, kinds: IntArray, handle: int) -> IntArray:
         """Return (parameters, 2) handles of instances, above and below each value."""
         handles = np.full((len(kinds), 2), handle, np.int64)
-        instances = iter(self._perturbed)
+        instances = iter(self.perturbed)
         for row in np.flatnonzero(kinds == DIFFERENCES):
             handles[row] = [next(instances).component.handle for _ in range(2)]
         return handles
@@ -203,18 +204,8 @@ class SensitivitySource:
         self._kinds = kinds
         return kinds
 
-    @property
-    def perturbed_instances(self) -> tuple[FmuInstance, ...]:
-        """The instances that are kept for differences."""
-        return tuple(self._perturbed)
-
-    def replace_perturbed_instances(self) -> None:
-        """Replace the perturbed instances after a fatal error."""
-        for instance in self._perturbed:
-            instance.replace()
-
     def close(self) -> None:
-        for instance in self._perturbed:
+        for instance in self.perturbed:
             instance.free()
 
     def _add_perturbed_instances(self) -> int:
@@ -229,7 +220,7 @@ class SensitivitySource:
             for instance in added:
                 instance.free()
             return NOT_AVAILABLE
-        self._perturbed += added
+        self.perturbed += added
         return DIFFERENCES
 
     def _perturbed_values(self, point: FloatArray) -> FloatArray:

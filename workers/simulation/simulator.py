@@ -16,16 +16,14 @@ from workers.kernels.fmi.hooks import no_hooks
 from workers.kernels.solvers.cvode import CvodeBatch
 from workers.kernels.solvers.stiffness import stiffness
 from workers.messages import Effect, Experiment, FloatArray, Input, IntArray, Model
-from workers.simulation.batch import SimulationBatch
 from workers.simulation.bind_experiment import BoundExperiment, bind_experiment
 from workers.simulation.effect_bindings import EffectBindings
-from workers.simulation.integrator import FmuIntegrator
+from workers.simulation.integrator import FmuIntegrator, SimulationBatch
 from workers.simulation.sensitivities import SensitivitySource
 
 if TYPE_CHECKING:
     from workers.effects.definition import EffectDefinition
-    from workers.simulation.filtering import FilterPass
-    from workers.simulation.linearise import LinearisationPass
+    from workers.simulation.linearise import FilterPass, LinearisationPass
 
 
 class Simulator:
@@ -194,7 +192,7 @@ class Simulator:
         noise = [each for each in active if each[0].form.is_noise]
         if not noise:
             return None
-        from workers.simulation.filtering import StateNoise, prepare_filter
+        from workers.simulation.linearise import StateNoise, prepare_filter
 
         states = (*self._description.states, *one.prepared.effect_states)
         found = [StateNoise.of(d, coefficients[first:]) for d, first in noise]
@@ -245,7 +243,7 @@ class Simulator:
         )  # fmt: skip
         if isinstance(kinds, str):
             return None, kinds
-        for instance in (self.instance, *self._sensitivity_source.perturbed_instances):
+        for instance in (self.instance, *self._sensitivity_source.perturbed):
             if instance.is_new and not self._integrator.starts(instance, bound, point):
                 return None, "an instance could not be started"
         sensitivity_pass = self._sensitivity_source.prepare_pass(
@@ -254,7 +252,8 @@ class Simulator:
         run = self._integrator.run(bound, point[None], no_hooks(1), 0, sensitivity_pass)
         if run.codes[0] != failure.FINISHED:
             if run.codes[0] >= failure.FATAL:
-                self._sensitivity_source.replace_perturbed_instances()
+                for instance in self._sensitivity_source.perturbed:
+                    instance.replace()
             return None, run.messages[0]
         sensitivities = np.full((len(point), *run.outputs.shape[1:]), np.nan)
         forward = sensitivity_pass.forward
@@ -364,10 +363,10 @@ class Simulator:
                 f"{self._model.name}: process noise needs model.interface model_exchange and the "
                 f"solver dormand_prince or rk4, but they are {self._model.interface} and {solver}"
             )
-        from workers.simulation.filtering import (
+        from workers.simulation.linearise import (  # compiles a loop of its own
             StateNoise,
             prepare_filter,
-        )  # compiles a loop of its own
+        )
 
         without_effects = self._bound[experiment]
         acting = [each for each in active if not each[0].form.is_noise or each[0].states]

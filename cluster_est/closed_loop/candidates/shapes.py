@@ -16,7 +16,7 @@ import sympy as sp
 from cluster_est.closed_loop.candidates.own_states import Function, OwnStates, own_states_of
 from workers.effects.expression import parse
 from workers.effects.forms import EffectForm
-from workers.effects.memory import MEMORIES, SampledSignal
+from workers.effects.signal_memory import MEMORIES, SampledSignal
 from workers.messages import FloatArray
 
 _ARGUMENTS = ("t", "s", "v", "w")

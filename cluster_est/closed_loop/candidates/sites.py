@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from cluster_est.closed_loop.candidates.kinematics import CONSTANT, integrated_states
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.problem.effects.process_noise import noise_names
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.process_noise import noise_names
 from workers.effects.forms import FORMS, EffectForm
 from workers.effects.site import EffectSite, open_pairs, open_sites
 from workers.fmu.description import ModelDescription

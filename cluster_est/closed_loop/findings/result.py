@@ -34,7 +34,7 @@ from cluster_est.results.fit_tables import EffectCurve, fit_tables
 from cluster_est.results.result import Result
 from cluster_est.results.shapes.effect_table import curve_table
 from workers.messages import FloatArray, Role
-from workers.messages.equality import by_content
+from workers.messages.types import by_content
 
 
 class ErrorScale(enum.StrEnum):

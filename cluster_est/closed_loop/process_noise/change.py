@@ -11,9 +11,9 @@ from cluster_est.closed_loop.findings.effects import ErrorChange, NoiseChange
 from cluster_est.closed_loop.process_noise.held import released
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.workbench import LoopWorkbench
-from cluster_est.problem.effects.process_noise import noise_names, without_noise
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.process_noise import noise_names, without_noise
+from cluster_est.problem.search_space import make_space
 from cluster_est.results.output_errors import output_residuals
 from cluster_est.results.result import Result
 from workers.messages import Role

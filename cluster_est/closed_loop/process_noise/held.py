@@ -15,10 +15,10 @@ from dataclasses import dataclass, field, replace
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.errors import ProblemError
-from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.problem.effects.process_noise import noise_parameters
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.process_noise import noise_parameters
+from cluster_est.problem.search_space import make_space
 from cluster_est.toml import dotted
 
 WITH_NOISE = LeastSquares(trials=2, max_iterations=40, ftol=1e-8, xtol=1e-8)

@@ -14,7 +14,7 @@ from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, 
 from cluster_est.closed_loop.screening.directions import CandidatePoint, added_at
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
-from cluster_est.problem.search_space.unknown import Unknown
+from cluster_est.problem.unknowns import Unknown
 from workers.effects.site import EffectSite
 from workers.messages import FloatArray
 

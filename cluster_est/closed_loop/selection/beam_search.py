@@ -50,7 +50,7 @@ from cluster_est.closed_loop.selection.single_effect import (
 )
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
-from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 
 AGAIN = LeastSquares(trials=1, max_iterations=15, ftol=1e-6, xtol=1e-7, differences="forward")
 

@@ -16,9 +16,9 @@ from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.synthetic_experiments import shortened_kinds
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.errors import ProblemError
-from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.problem.effects.sensors import unstarted_sensors
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
+from cluster_est.problem.search_space import SearchSpace
+from cluster_est.problem.sensors import unstarted_sensors
 from workers.messages import FloatArray
 
 THOROUGH = LeastSquares(trials=1, max_iterations=25, ftol=1e-7, xtol=1e-8, differences="forward")

@@ -15,7 +15,7 @@ from cluster_est.closed_loop.selection.refinement.linear_step import (
 from cluster_est.closed_loop.selection.refinement.refits import SHORT, full_refit
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 

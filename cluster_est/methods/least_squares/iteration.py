@@ -1,11 +1,11 @@
 """One iteration of a least-squares search: from a local model to the next point.
 
-Steps along a curved valley: second-order corrections from trials that were evaluated anyway.
-
-A trial x + v shows the curvature of the residuals along v. Solving for the step again with the
-residuals r(x + v) - J v in place of r gives v + b, where b is the second-order correction: half the
-geodesic acceleration of M. K. Transtrum, J. P. Sethna, arXiv:1201.5885 (2012). Along the parabola
-s v + s^2 b a step can be longer than the trial.
+Steps from several damping factors are tried at once. Along a curved valley they are corrected to
+second order from trials that were evaluated anyway: a trial x + v shows the curvature of the
+residuals along v. Solving for the step again with the residuals r(x + v) - J v in place of r gives
+v + b, where b is the second-order correction: half the geodesic acceleration of M. K. Transtrum,
+J. P. Sethna, arXiv:1201.5885 (2012). Along the parabola s v + s^2 b a step can be longer than the
+trial.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cluster_est.methods.base import Ending, Evaluation, Points, Progress
 from cluster_est.methods.least_squares.linear_map import LocalModel, unknown_sizes
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.method import Ending, Evaluation, Points, Progress
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 CORRECTED = 2

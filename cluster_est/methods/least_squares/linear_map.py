@@ -15,7 +15,6 @@ step, lambda the damping.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import final
@@ -24,17 +23,18 @@ import numpy as np
 from typing_extensions import override
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Evaluation
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.methods.derivatives.differences import ResidualJacobian
-from cluster_est.methods.least_squares.chain_elimination import eliminate, make_chains
+from cluster_est.methods.differences import ResidualJacobian
 from cluster_est.methods.least_squares.sparse_step import (
     FactoredJacobian,
     Mask,
     SparseStepSolver,
+    eliminate,
+    make_chains,
     solve_shared,
 )
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.method import Evaluation
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray, IntArray
 
 LARGEST_RATIO = 1e10
@@ -273,74 +273,20 @@ class FactoredChains(FactoredJacobian):
         return result, float(np.sqrt(size))
 
 
-class LinearMap(ABC):
-    """A weighted Jacobian J."""
+class _DenseMatrix:
+    """A Jacobian as one array, with the products of a `BlockMatrix`."""
 
-    @abstractmethod
-    def norms(self) -> FloatArray:
-        """Return the norms (unknowns,) of the columns."""
-
-    @abstractmethod
-    def transposed_product(self, values: FloatArray) -> FloatArray:
-        """Return J'v (unknowns,) of one value for each residual."""
-
-    @abstractmethod
-    def product(self, step: FloatArray) -> FloatArray:
-        """Return J p (residuals,) of one value for each unknown."""
-
-    @abstractmethod
-    def solver(
-        self, residuals: FloatArray, scale: FloatArray, lower: FloatArray, upper: FloatArray
-    ) -> StepSolver | SparseStepSolver:
-        """Return a solver of steps; see `StepSolver`."""
-
-
-def linear_map(derivatives: ResidualJacobian, factor: FloatArray) -> LinearMap:
-    """Return a Jacobian with each row multiplied by a factor, in the form that suits its size."""
-    if derivatives.blocks.sparse:
-        return _BlockMap(derivatives.blocks.scaled_rows(factor))
-    return _DenseMap(factor[:, None] * derivatives.matrix)
-
-
-@final
-class _DenseMap(LinearMap):
     def __init__(self, matrix: FloatArray) -> None:
-        self._matrix = matrix
+        self.matrix = matrix
 
     def norms(self) -> FloatArray:
-        return np.asarray(np.linalg.norm(self._matrix, axis=0))
+        return np.asarray(np.linalg.norm(self.matrix, axis=0))
 
     def transposed_product(self, values: FloatArray) -> FloatArray:
-        return np.asarray(self._matrix.T @ values)
+        return np.asarray(self.matrix.T @ values)
 
     def product(self, step: FloatArray) -> FloatArray:
-        return np.asarray(self._matrix @ step)
-
-    def solver(
-        self, residuals: FloatArray, scale: FloatArray, lower: FloatArray, upper: FloatArray
-    ) -> StepSolver:
-        return StepSolver(self._matrix, residuals, scale, lower, upper)
-
-
-@final
-class _BlockMap(LinearMap):
-    def __init__(self, matrix: BlockMatrix) -> None:
-        self._matrix = matrix
-
-    def norms(self) -> FloatArray:
-        return self._matrix.norms()
-
-    def transposed_product(self, values: FloatArray) -> FloatArray:
-        return self._matrix.transposed_product(values)
-
-    def product(self, step: FloatArray) -> FloatArray:
-        return self._matrix.product(step)
-
-    def solver(
-        self, residuals: FloatArray, scale: FloatArray, lower: FloatArray, upper: FloatArray
-    ) -> SparseStepSolver:
-        factor = FactoredChains if self._matrix.links.any() else FactoredBlocks
-        return SparseStepSolver(factor, self._matrix, residuals, scale, lower, upper)
+        return np.asarray(self.matrix @ step)
 
 
 LONGEST_STEP = 10.0
@@ -386,17 +332,37 @@ class LocalModel:
     ) -> None:
         self._roots = np.sqrt(_weights(space, at))
         self._residuals = self._roots * at.residuals
-        self._jacobian = linear_map(derivatives, self._roots)
+        self._jacobian: BlockMatrix | _DenseMatrix
+        if derivatives.blocks.sparse:
+            self._jacobian = derivatives.blocks.scaled_rows(self._roots)
+        else:
+            self._jacobian = _DenseMatrix(self._roots[:, None] * derivatives.matrix)
         with np.errstate(over="ignore"):
             self.squares = float(np.add.reduce(self._residuals * self._residuals))
         norms = self._jacobian.norms()
         self.scale = np.maximum(largest, norms)
-        self.optimality = _optimality(space, x, self._jacobian, norms, self._residuals)
-        longest = _longest_step(space, x)
+        gradient = self._jacobian.transposed_product(self._residuals)
+        sizes = norms * np.linalg.norm(self._residuals)
+        blocked = (x <= space.lower) & (gradient > 0.0)
+        blocked |= (x >= space.upper) & (gradient < 0.0)
+        free = ~blocked & (sizes > 0.0)
+        self.optimality = float(np.max(np.abs(gradient[free]) / sizes[free], initial=0.0))
+        unsized = (space.start == 0.0) & ~np.isfinite(space.upper - space.lower)
+        longest = np.where(unsized, np.inf, LONGEST_STEP * unknown_sizes(space, x))
         self._bounds = np.maximum(space.lower - x, -longest), np.minimum(space.upper - x, longest)
         self._diagonal = np.where(self.scale > 0.0, self.scale, 1.0)
         self._walls = derivatives.walls
-        self._solver = self._jacobian.solver(self._residuals, self._diagonal, *self._bounds)
+        self._solver = self._solver_of(self._residuals, *self._bounds)
+
+    def _solver_of(
+        self, residuals: FloatArray, lower: FloatArray, upper: FloatArray
+    ) -> StepSolver | SparseStepSolver:
+        """Return a solver of steps in the form that suits the size of the Jacobian."""
+        matrix, scale = self._jacobian, self._diagonal
+        if isinstance(matrix, _DenseMatrix):
+            return StepSolver(matrix.matrix, residuals, scale, lower, upper)
+        factor = FactoredChains if matrix.links.any() else FactoredBlocks
+        return SparseStepSolver(factor, matrix, residuals, scale, lower, upper)
 
     def step(self, damping: float) -> FloatArray:
         """Return the step p that minimises the model plus damping |D p|^2."""
@@ -408,13 +374,12 @@ class LocalModel:
             return None
         lower, upper = self._bounds
         lower, upper = np.where(self._walls < 0, 0.0, lower), np.where(self._walls > 0, 0.0, upper)
-        solver = self._jacobian.solver(self._residuals, self._diagonal, lower, upper)
-        return solver.step(damping)
+        return self._solver_of(self._residuals, lower, upper).step(damping)
 
     def corrected(self, step: FloatArray, at: Evaluation, damping: float) -> FloatArray:
         """Return the step for residuals with the curvature that `at`, its end, shows."""
         curved = self._roots * at.residuals - self._jacobian.product(step)
-        return self._jacobian.solver(curved, self._diagonal, *self._bounds).step(damping)
+        return self._solver_of(curved, *self._bounds).step(damping)
 
     def predicted_reduction(self, step: FloatArray) -> float:
         """Return the reduction of the cost that the model predicts for a step."""
@@ -434,12 +399,6 @@ def unknown_sizes(space: SearchSpace, x: FloatArray) -> FloatArray:
     return np.maximum(np.abs(x), space.typical)
 
 
-def _longest_step(space: SearchSpace, x: FloatArray) -> FloatArray:
-    """Return the largest change (unknowns,) of each; infinite where its size is not known."""
-    unknown = (space.start == 0.0) & ~np.isfinite(space.upper - space.lower)
-    return np.where(unknown, np.inf, LONGEST_STEP * unknown_sizes(space, x))
-
-
 def _weights(space: SearchSpace, at: Evaluation) -> FloatArray:
     weights = space.problem.cost.weights(at.residuals, space.outputs)
     if weights is None:
@@ -448,13 +407,3 @@ def _weights(space: SearchSpace, at: Evaluation) -> FloatArray:
             f'{space.problem.cost.name!r}; use method.name = "sqp" or another cost'
         )
     return np.clip(weights, 0.0, LARGEST_WEIGHT)
-
-
-def _optimality(
-    space: SearchSpace, x: FloatArray, jacobian: LinearMap, norms: FloatArray, residuals: FloatArray
-) -> float:
-    gradient = jacobian.transposed_product(residuals)
-    norms = norms * np.linalg.norm(residuals)
-    blocked = ((x <= space.lower) & (gradient > 0.0)) | ((x >= space.upper) & (gradient < 0.0))
-    free = ~blocked & (norms > 0.0)
-    return float(np.max(np.abs(gradient[free]) / norms[free], initial=0.0))

@@ -12,7 +12,15 @@ import numpy.typing as npt
 from typing_extensions import override
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import (
+from cluster_est.methods.callback_bridge import Ask, run_with, search_in_thread
+from cluster_est.methods.differences import (
+    SHORTER,
+    Scheme,
+    jacobian,
+    suitable_step,
+    without_guesses,
+)
+from cluster_est.methods.method import (
     CUT_SHORT,
     Ending,
     Evaluation,
@@ -22,16 +30,8 @@ from cluster_est.methods.base import (
     Search,
     Solution,
 )
-from cluster_est.methods.callback_bridge import Ask, run_with, search_in_thread
-from cluster_est.methods.derivatives.differences import (
-    SHORTER,
-    Scheme,
-    jacobian,
-    suitable_step,
-    without_guesses,
-)
 from cluster_est.problem.costs import SumSquared
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 FAILED_RESIDUAL = 1e100

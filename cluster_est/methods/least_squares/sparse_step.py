@@ -6,19 +6,28 @@ substitution (A. Bjorck, Numerical Methods for Least Squares Problems (1996),
 doi:10.1137/1.9781611971484, section 6.3). Symbols: J the Jacobian, r the residuals, D the scaling,
 p the step, lambda the damping.
 
-The minimum of a strictly convex quadratic function within bounds, from unbounded minima.
+Bounds are kept by a sequence of such solutions (block principal pivoting): unknowns that leave
+their bounds are fixed there, and fixed ones whose multiplier has the wrong sign are freed, all at
+once as long as that lessens their number, else one at a time, which ends after finitely many rounds
+(J. J. Judice, F. M. Pires, Comput. Oper. Res. 21 (1994) 587-596,
+doi:10.1016/0305-0548(94)90106-6). A round costs the same however many unknowns change, so it suits
+problems of thousands of unknowns.
 
-Unknowns that leave their bounds are fixed there, and fixed ones whose multiplier has the wrong sign
-are freed, all at once as long as that lessens their number, else one at a time, which ends after
-finitely many rounds (block principal pivoting): J. J. Judice, F. M. Pires, Comput. Oper. Res. 21
-(1994) 587-596, doi:10.1016/0305-0548(94)90106-6. A round costs the same however many unknowns
-change, so it suits problems of thousands of unknowns.
+Parts may also be chained: segments of a record share the states that one begins with, which stand
+in its own rows and in those of the one before. The rows of a part and what the parts before have
+left are then factorised together, which eliminates the unknowns that stand in no later part; what
+remains is handed on. So work and memory grow linearly with the number of parts, and no normal
+equations are formed, which would square the condition (sequential orthogonal factorisation: G. J.
+Bierman, Factorization Methods for Discrete Sequential Estimation (1977), chapter IV; for multiple
+shooting see H. G. Bock, K. J. Plitt, IFAC Proc. Vol. 17 (1984) 1603-1608,
+doi:10.1016/S1474-6670(17)61205-9).
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
 from typing import Protocol, final
 
 import numpy as np
@@ -188,3 +197,172 @@ def solve_shared(
         rows.append(part)
     joined = np.vstack(rows)
     return np.asarray(np.linalg.lstsq(joined[:, :count], -joined[:, count], rcond=None)[0])
+
+
+@dataclass(frozen=True)
+class ChainLink:
+    """One block of a chain.
+
+    Attributes
+    ----------
+    columns : (eliminated + handed on + border,)
+        Unknowns: those that no later block has, those that the next one has, then the chain's
+        border.
+    eliminated, handed
+        How many of each.
+    arrived
+        How many of `eliminated`, at its beginning, the block before has handed on.
+    triangle : (m, columns + 1)
+        Triangular factor of its Jacobian and residuals.
+    """
+
+    columns: IntArray
+    eliminated: int
+    handed: int
+    arrived: int
+    triangle: FloatArray = field(repr=False)
+
+    def products(self, step: FloatArray) -> FloatArray:
+        """(m,): J p + r, multiplied by an orthogonal matrix."""
+        return np.asarray(self.triangle[:, :-1] @ step[self.columns] + self.triangle[:, -1])
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Blocks that follow each other, and the border: unknowns that are not eliminated along them.
+
+    Attributes
+    ----------
+    links
+        In their order.
+    border
+        Unknowns that any of them shares with others.
+    """
+
+    links: tuple[ChainLink, ...]
+    border: IntArray
+
+
+@dataclass(frozen=True)
+class EliminatedChain:
+    """A chain after the elimination.
+
+    Attributes
+    ----------
+    chain
+        Which one.
+    rows
+        For each link (eliminated, columns + 1): the rows that hold its eliminated unknowns.
+    rest : (k, border + 1)
+        All information on the border.
+    """
+
+    chain: Chain
+    rows: tuple[FloatArray, ...] = field(repr=False)
+    rest: FloatArray = field(repr=False)
+
+    def substitute(self, step: FloatArray, border: FloatArray, right: float) -> None:
+        """Fill in the eliminated unknowns of a step whose border is given.
+
+        Parameters
+        ----------
+        step : (unknowns,)
+            Is filled in.
+        border : (border,)
+            Values of the chain's border.
+        right
+            1 for the residuals' part of the solution, 0 for the response to the border alone.
+        """
+        following = np.zeros(0)
+        for link, rows in zip(reversed(self.chain.links), reversed(self.rows), strict=True):
+            known = np.concatenate([following, border, [right]])
+            values = -(rows[:, link.eliminated :] @ known)
+            for j in reversed(range(link.eliminated)):
+                above = values[j] - rows[j, j + 1 : link.eliminated] @ values[j + 1 :]
+                pivot = rows[j, j]
+                values[j] = above / pivot if pivot != 0.0 else 0.0
+            step[link.columns[: link.eliminated]] = values
+            following = values[: link.arrived]
+
+
+def make_chains(matrix: BlockMatrix, residuals: FloatArray, border: Mask) -> list[Chain]:
+    """Order the columns of each block, factorise its rows, and join blocks to chains.
+
+    Parameters
+    ----------
+    matrix, residuals
+        J and r.
+    border : (unknowns,)
+        Those that stay; every other one acts on one block, or on two that follow each other.
+    """
+    last = np.full(matrix.size, -1)
+    for e, columns in enumerate(matrix.columns):
+        last[columns] = e
+    inner = [columns[~border[columns]] for columns in matrix.columns]
+    handed = [columns[last[columns] > e] for e, columns in enumerate(inner)]
+    nothing = np.zeros(0, np.intp)
+    found: list[Chain] = []
+    members: list[int] = []
+    for e in range(len(inner)):
+        members.append(e)
+        if len(handed[e]):
+            continue
+        shared = [matrix.columns[m][border[matrix.columns[m]]] for m in members]
+        common = np.unique(np.concatenate([nothing, *shared]))
+        links = []
+        for m in members:
+            arrived = nothing if m == members[0] else handed[m - 1]
+            ending = np.setdiff1d(inner[m], np.concatenate([arrived, handed[m]]))
+            eliminated = np.concatenate([arrived, ending])
+            order = np.concatenate([eliminated, handed[m], common])
+            counts = len(eliminated), len(handed[m]), len(arrived)
+            links.append(ChainLink(order, *counts, _triangle(matrix, residuals, m, order)))
+        found.append(Chain(tuple(links), common))
+        members = []
+    return found
+
+
+def _triangle(matrix: BlockMatrix, residuals: FloatArray, e: int, order: IntArray) -> FloatArray:
+    """The triangular factor of a block and its residuals, with its columns in an order."""
+    place = np.full(matrix.size, -1)
+    place[order] = np.arange(len(order))
+    rows = matrix.rows[e]
+    joined = np.zeros((rows.stop - rows.start, len(order) + 1))
+    joined[:, place[matrix.columns[e]]] = matrix.blocks[e]
+    joined[:, -1] = residuals[rows]
+    return np.asarray(np.linalg.qr(joined, mode="r"))
+
+
+def eliminate(chain: Chain, fixed: Mask, values: FloatArray, roots: FloatArray) -> EliminatedChain:
+    """Eliminate all but the border, with damping.
+
+    Parameters
+    ----------
+    chain
+        Which one.
+    fixed, values : (unknowns,)
+        Unknowns that are not free, and their values: their columns count as zero, and the
+        residuals contain their effect.
+    roots : (unknowns,)
+        sqrt(lambda) D.
+    """
+    kept: list[FloatArray] = []
+    carried = np.zeros((0, len(chain.border) + 1))
+    given = np.where(fixed, values, 0.0)
+    for link in chain.links:
+        width = len(link.columns) + 1
+        rows, arrived, n = len(carried), link.arrived, link.eliminated
+        system = np.zeros((rows + len(link.triangle) + n, width))
+        system[:rows, :arrived] = carried[:, :arrived]
+        system[:rows, n + link.handed :] = carried[:, arrived:]
+        own = system[rows : rows + len(link.triangle)]
+        own[:, :-1] = link.triangle[:, :-1] * ~fixed[link.columns]
+        own[:, -1] = link.products(given)
+        diagonal = np.arange(n)
+        system[rows + len(link.triangle) + diagonal, diagonal] = roots[link.columns[:n]]
+        triangle = np.asarray(np.linalg.qr(system, mode="r"))
+        if len(triangle) < n:
+            triangle = np.vstack([triangle, np.zeros((n - len(triangle), width))])
+        kept.append(triangle[:n])
+        carried = triangle[n:, n:]
+    return EliminatedChain(chain, tuple(kept), carried)

@@ -17,16 +17,16 @@ from typing import ClassVar
 import numpy as np
 from typing_extensions import override
 
-from cluster_est.methods.base import Ending, Evaluation, Points, Progress, Search, Solution
-from cluster_est.methods.pattern_search.method import (
+from cluster_est.methods.method import Ending, Evaluation, Points, Progress, Search, Solution
+from cluster_est.methods.pattern_search.poll_directions import PatternMethod
+from cluster_est.methods.pattern_search.state import PatternState, key
+from cluster_est.methods.pattern_search.synchronous import (
     contracted,
     mesh_after_step,
     progress_of,
     solution_of,
 )
-from cluster_est.methods.pattern_search.poll_directions import PatternMethod
-from cluster_est.methods.pattern_search.state import PatternState, key
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 NONE = -1

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.methods.base import TOLERANCE
+from cluster_est.methods.method import TOLERANCE
 from workers.messages import FloatArray
 
 MARGIN = 0.5 * TOLERANCE

@@ -16,9 +16,9 @@ from scipy.linalg import qr
 from typing_extensions import override
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Method
 from cluster_est.methods.coordinates import NearbyNormals
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.method import Method
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 Basis = Literal["2n", "n+1"]

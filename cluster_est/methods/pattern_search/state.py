@@ -1,11 +1,10 @@
 """The state of a pattern search, and the points that its next poll may request.
 
-Quadratic models of a cost and its constraints through points that were evaluated anyway.
-
-Of all quadratics through too few points the one with the least second derivatives (in the
-Frobenius norm) is taken: A. L. Custodio, H. Rocha, L. N. Vicente, Incorporating minimum Frobenius
-norm models in direct search, Comput. Optim. Appl. 46 (2010) 265-278,
-doi:10.1007/s10589-009-9283-0.
+Besides the poll's directions it asks for the minimum of quadratic models of the cost and its
+constraints, through points that were evaluated anyway. Of all quadratics through too few points the
+one with the least second derivatives (in the Frobenius norm) is taken: A. L. Custodio, H. Rocha,
+L. N. Vicente, Incorporating minimum Frobenius norm models in direct search, Comput. Optim. Appl. 46
+(2010) 265-278, doi:10.1007/s10589-009-9283-0.
 """
 
 from __future__ import annotations
@@ -15,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.methods.base import Ending, Evaluation
 from cluster_est.methods.coordinates import ScaledCoordinates
+from cluster_est.methods.method import Ending, Evaluation
 from cluster_est.methods.pattern_search.augmented_lagrangian import (
     CLOSE,
     AugmentedLagrangian,
@@ -29,7 +28,7 @@ from cluster_est.methods.pattern_search.poll_directions import (
     directions,
     reflection,
 )
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray, IntArray
 
 ROUNDING = 2.0**-40

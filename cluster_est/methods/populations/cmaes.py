@@ -18,13 +18,13 @@ from typing import Any, ClassVar
 import numpy as np
 from typing_extensions import override
 
-from cluster_est.methods.populations.generation import (
+from cluster_est.methods.populations.population_method import (
     PopulationGoal,
     PopulationMember,
+    PopulationMethod,
     PopulationStrategy,
     UnitBox,
 )
-from cluster_est.methods.populations.method import PopulationMethod
 from workers.messages import FloatArray
 
 DEGENERATE = {"conditioncov", "noeffectaxis", "noeffectcoord", "tolupsigma"}

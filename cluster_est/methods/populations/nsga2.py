@@ -9,30 +9,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import compress
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
 from typing_extensions import override
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Evaluation, OtherPoint
-from cluster_est.methods.populations.generation import (
+from cluster_est.methods.method import Evaluation, OtherPoint
+from cluster_est.methods.populations.population_method import (
     PopulationGoal,
     PopulationMember,
-    PopulationStrategy,
-    UnitBox,
 )
-from cluster_est.methods.populations.method import PopulationMethod
-from cluster_est.methods.populations.pymoo_strategy import PymooStrategy
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.populations.pymoo_methods import PymooMethod
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 Kind = Literal["outputs", "experiments"]
 
 
 @dataclass(frozen=True)
-class Nsga2(PopulationMethod):
+class Nsga2(PymooMethod):
     """Looks for all compromises between objectives: the points that nothing beats in all of them.
 
     To see what a better fit of one output, or one experiment, costs the others, before weights are
@@ -97,23 +94,16 @@ class Nsga2(PopulationMethod):
         return 100
 
     @override
-    def strategy(
-        self, box: UnitBox, size: int, goal: PopulationGoal, generator: np.random.Generator
-    ) -> PopulationStrategy:
+    def algorithm(self, size: int) -> tuple[Any, dict[str, Any]]:
         from pymoo.algorithms.moo.nsga2 import NSGA2
         from pymoo.operators.crossover.sbx import SBX
         from pymoo.operators.mutation.pm import PM
 
-        return PymooStrategy(
-            NSGA2,
-            box,
-            size,
-            goal,
-            generator,
-            pop_size=size,
-            crossover=SBX(prob=0.9, eta=self.crossover_eta),
-            mutation=PM(eta=self.mutation_eta),
-        )
+        return NSGA2, {
+            "pop_size": size,
+            "crossover": SBX(prob=0.9, eta=self.crossover_eta),
+            "mutation": PM(eta=self.mutation_eta),
+        }
 
     @override
     def goal(self, space: SearchSpace) -> PopulationGoal:

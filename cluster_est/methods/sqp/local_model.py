@@ -2,48 +2,168 @@
 
 The cost is modelled to second order, the constraints to first. The step minimises this model of the
 cost plus a penalty on violated constraints, within the bounds and a box around the point, the trust
-region.
+region. Three things make the model: the Hessian, the linearisations and the penalty.
 
-Linearisations of constraints that are the largest of many smooth functions.
+Hessian: two approximations compete, neither of which needs further evaluations. Gauss-Newton's
+matrix of the cost, 2 J'WJ, is right where residuals are small and constraints straight. A
+quasi-Newton matrix is that one, or a multiple of the identity where there is none, updated by the
+change of the gradient along each of the last steps: it takes up what large residuals and curved
+constraints add. Whichever predicted the last steps better makes the next one, as in J. E. Dennis,
+D. M. Gay, R. E. Welsch, ACM TOMS 7 (1981) 348-368, doi:10.1145/355958.355965. Updates are those of
+Broyden, Fletcher, Goldfarb and Shanno, damped so that the matrix stays positive definite
+(J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), procedure 18.2,
+doi:10.1007/978-0-387-40065-5). The symbols are theirs: B the matrix, s a step, y the change of the
+Lagrangian's gradient along it.
 
-The largest deviation of a signal over time, or the farthest of many points, follows one time or
-point as the unknowns change, until another takes over. There it has a kink, and the best point is
-often on the kink. A linearisation from one side shows one of the smooth functions only: every step
-along it violates the other one, is rejected, and the trust region shrinks to nothing although the
-cost decreases along the kink.
+Linearisations: the largest deviation of a signal over time, or the farthest of many points, follows
+one time or point as the unknowns change, until another takes over. There it has a kink, and the
+best point is often on the kink. A linearisation from one side shows one of the smooth functions
+only: every step along it violates the other one, is rejected, and the trust region shrinks to
+nothing although the cost decreases along the kink. So, once a step was rejected in this way, the
+derivatives at its end are asked for, too. They show the other function. From then on the constraint
+counts as the largest of its linearisations here and at the last points around, as the cutting
+planes of bundle methods do (K. C. Kiwiel, Methods of Descent for Nondifferentiable Optimization,
+Lecture Notes in Mathematics 1133 (1985), doi:10.1007/BFb0074500). Before a kink was met only those
+of the point itself count, because old linearisations of smooth, curved constraints may cut off
+points that satisfy them.
 
-So, once a step was rejected in this way, the derivatives at its end are asked for, too. They show
-the other function. From then on the constraint counts as the largest of its linearisations
-here and at the last points around, as the cutting planes of bundle methods do (K. C. Kiwiel,
-Methods of Descent for Nondifferentiable Optimization, Lecture Notes in Mathematics 1133 (1985),
-doi:10.1007/BFb0074500). Before a kink was met only those of the point itself count, because old
-linearisations of smooth, curved constraints may cut off points that satisfy them.
-
-The penalty on violated constraints, in the exact l1 merit function.
-
-    merit = cost + penalty * sum of the violations
-
-A penalty above all multipliers makes a solution of the constrained problem a minimum of the merit.
-One far above makes a search creep along curved constraints, and trust linearised constraints where
-they are wrong. So it starts low and grows, tenfold at a time, only while a step would not reduce
-the linearised violation although the model could: the weakest form of the steering rule of
-R. H. Byrd, J. Nocedal, R. A. Waltz, Optim. Methods Softw. 23 (2008) 197-213,
-doi:10.1080/10556780701394169.
+Penalty: in the exact l1 merit function, merit = cost + penalty * sum of the violations, a penalty
+above all multipliers makes a solution of the constrained problem a minimum of the merit. One far
+above makes a search creep along curved constraints, and trust linearised constraints where they are
+wrong. So it starts low and grows, tenfold at a time, only while a step would not reduce the
+linearised violation although the model could: the weakest form of the steering rule of R. H. Byrd,
+J. Nocedal, R. A. Waltz, Optim. Methods Softw. 23 (2008) 197-213, doi:10.1080/10556780701394169.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.methods.base import TOLERANCE, Evaluation, is_defined
-from cluster_est.methods.derivatives.gradients import CostDerivatives
-from cluster_est.methods.sqp.hessian import Hessian, HessianApproximations
+from cluster_est.methods.gradients import CostDerivatives
+from cluster_est.methods.method import TOLERANCE, Evaluation, is_defined
 from cluster_est.methods.sqp.quadratic_program import QuadraticSubproblem, penalised_step
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
+
+Hessian = Literal["auto", "gauss_newton", "quasi_newton"]
+MEMORY = 30
+"""Steps that the updates are made of."""
+ERROR_DECAY = 0.5
+"""Factor of the older prediction errors at each step."""
+RIDGE = 1e-12
+
+
+class HessianApproximations:
+    """Two approximations of the Hessian, updated at each iterate, and their prediction errors."""
+
+    def __init__(self, kind: Hessian) -> None:
+        self._kind = kind
+        self._iterates: list[tuple[FloatArray, CostDerivatives]] = []
+        self._errors = np.zeros(2)
+        self._matrices: list[FloatArray] = []
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The better approximation at the last point: positive semidefinite, (n, n)."""
+        return self._matrices[self._better]
+
+    @property
+    def _better(self) -> int:
+        return int(len(self._matrices) > 1 and self._errors[1] < self._errors[0])
+
+    def update(
+        self,
+        x: FloatArray,
+        derivatives: CostDerivatives,
+        multipliers: FloatArray,
+        sizes: FloatArray,
+    ) -> None:
+        """Add an iterate.
+
+        Parameters
+        ----------
+        x, derivatives
+            The point and its derivatives.
+        multipliers : (constraints,)
+            Of the Lagrangian, as far as they are known.
+        sizes : (n,)
+            A noticeable change of each unknown.
+        """
+        self._iterates.append((x, derivatives))
+        self._iterates = self._iterates[-MEMORY - 1 :]
+        pairs = self._pairs(multipliers)
+        gauss_newton = derivatives.gauss_newton
+        if gauss_newton is None:
+            self._matrices = [_bfgs(_scaled_identity(pairs, derivatives.gradient, sizes), pairs)]
+            return
+        scale = np.trace(gauss_newton * np.outer(sizes, sizes))
+        gauss_newton = gauss_newton + np.diag(RIDGE * max(float(scale), 1e-300) / sizes**2)
+        both = [gauss_newton, _bfgs(gauss_newton, pairs)]
+        chosen = {"auto": both, "gauss_newton": both[:1], "quasi_newton": both[1:]}
+        self._matrices = chosen[self._kind]
+
+    def compare(self, step: FloatArray, linear: float, actual: float) -> None:
+        """Compare the predictions of both approximations with the change along a step.
+
+        Parameters
+        ----------
+        step : (n,)
+            From the last point.
+        linear, actual
+            The change of the Lagrangian that its gradient alone predicts, and the actual one.
+        """
+        if len(self._matrices) < 2 or not np.isfinite(actual):
+            return
+        predicted = [linear + 0.5 * float(step @ (matrix @ step)) for matrix in self._matrices]
+        errors = np.abs(np.array(predicted) - actual)
+        total = max(float(errors[0] + errors[1]), 1e-300)
+        self._errors = ERROR_DECAY * self._errors + errors / total
+
+    def _pairs(self, multipliers: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+        """Return the steps s, and the changes y of the Lagrangian's gradient along them.
+
+        A derivative that is known at one end alone has no change.
+        """
+        pairs = []
+        for (x, before), (x_after, after) in pairwise(self._iterates):
+            if (before.frozen != after.frozen).any():
+                continue
+            bent = after.constraint_jacobian - before.constraint_jacobian
+            pairs.append((x_after - x, after.gradient - before.gradient + bent.T @ multipliers))
+        return pairs
+
+
+def _scaled_identity(
+    pairs: list[tuple[FloatArray, FloatArray]], gradient: FloatArray, sizes: FloatArray
+) -> FloatArray:
+    """Return the identity in units of `sizes`, times y'y / s'y of the last step."""
+    curvature = max(float(np.abs(sizes * gradient).max(initial=0.0)), 1e-300)
+    if pairs:
+        s, y = pairs[-1][0] / sizes, pairs[-1][1] * sizes
+        if s @ y > 0.0:
+            curvature = float(y @ y / (s @ y))
+    return np.diag(curvature / sizes**2)
+
+
+def _bfgs(matrix: FloatArray, pairs: list[tuple[FloatArray, FloatArray]]) -> FloatArray:
+    """Return the matrix after damped updates, from the oldest step to the latest."""
+    for s, y in pairs:
+        b_s = matrix @ s
+        s_b_s, s_y = float(s @ b_s), float(s @ y)
+        if not s_b_s > 0.0:
+            continue
+        if s_y < 0.2 * s_b_s:
+            theta = 0.8 * s_b_s / (s_b_s - s_y)
+            y = theta * y + (1.0 - theta) * b_s
+        matrix = matrix - np.outer(b_s, b_s) / s_b_s
+        matrix = matrix + np.outer(y, y) / float(s @ y)
+    return 0.5 * (matrix + matrix.T)
+
 
 LARGEST_DISTANCE = 10.0
 """Linearisations from farther away than this many trust radii do not count."""
@@ -270,7 +390,7 @@ class SqpLocalModel:
         """Return the step with the same Jacobian but the constraints' values `after` the trial.
 
         The second-order correction for curved constraints, which a step along their tangents
-        violates (R. Fletcher, section 14.4, as in trust_region.py).
+        violates (R. Fletcher, section 14.4, as in sqp.py).
         """
         values = step.model.values.copy()
         values[: len(self._equality)] = (

@@ -13,13 +13,20 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy.optimize import BFGS, Bounds, NonlinearConstraint, lsq_linear, minimize
 
-from cluster_est.methods.base import (
+from cluster_est.methods.callback_bridge import Ask, run_with, search_in_thread
+from cluster_est.methods.differences import (
+    SHORTER,
+    Scheme,
+    suitable_step,
+    without_guesses,
+)
+from cluster_est.methods.gradients import CostDerivatives, derivatives
+from cluster_est.methods.method import (
     CUT_SHORT,
     TOLERANCE,
     Ending,
@@ -32,16 +39,8 @@ from cluster_est.methods.base import (
     undefined_reason,
     worst_constraint,
 )
-from cluster_est.methods.callback_bridge import Ask, run_with, search_in_thread
-from cluster_est.methods.derivatives.differences import (
-    SHORTER,
-    Scheme,
-    suitable_step,
-    without_guesses,
-)
-from cluster_est.methods.derivatives.gradients import CostDerivatives, derivatives
-from cluster_est.methods.sqp.trust_region import NEARLY_OPTIMAL, SqpOptions
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.sqp.sqp import NEARLY_OPTIMAL, Sqp
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 CAPACITY = 32
@@ -126,7 +125,6 @@ class EvaluationCache:
         return (self.point(z).tobytes(), self.scheme) in self._derivatives
 
 
-Algorithm = Literal["slsqp", "trust_constr"]
 FAILED_COST = 1e10
 ENDLESS = 1_000_000
 """SciPy's limit of iterations: ours is on the number of derivatives."""
@@ -163,15 +161,15 @@ class _QuietBFGS(BFGS):  # type: ignore[misc]
             super().update(delta_x, delta_grad)
 
 
-def scipy_search(space: SearchSpace, settings: SqpOptions, algorithm: Algorithm) -> Search:
+def scipy_search(space: SearchSpace, settings: Sqp) -> Search:
     """Minimise the cost of `space` under its bounds and constraints with SciPy."""
-    return search_in_thread(lambda ask: _ScipyCallbacks(space, settings, ask).solve(algorithm))
+    return search_in_thread(lambda ask: _ScipyCallbacks(space, settings, ask).solve())
 
 
 class _ScipyCallbacks:
     """The functions that SciPy calls, on one cache of evaluations."""
 
-    def __init__(self, space: SearchSpace, settings: SqpOptions, ask: Ask) -> None:
+    def __init__(self, space: SearchSpace, settings: Sqp, ask: Ask) -> None:
         self._space, self._settings = space, settings
         self._equality = space.equality
         scheme: Scheme = "central" if settings.differences == "central" else "forward"
@@ -184,12 +182,12 @@ class _ScipyCallbacks:
         """Unknowns whose derivatives were not known somewhere in the last run."""
         self._constraints_before: FloatArray = np.zeros(len(self._equality))
 
-    def solve(self, algorithm: Algorithm) -> Solution:
+    def solve(self) -> Solution:
         at = self._cache.evaluation(self._origin)
         if not is_defined(at):
             return Solution(self._space.start, np.nan, Ending.START_FAILED, undefined_reason(at))
         self._feasibility_only = at.residuals.size == 0
-        run = {"slsqp": self._slsqp, "trust_constr": self._trust_constr}[algorithm]
+        run = self._slsqp if self._settings.algorithm == "slsqp" else self._trust_constr
         with np.errstate(all="ignore"):
             try:
                 ending, message = self._until_known(run)
@@ -418,10 +416,4 @@ class _ScipyCallbacks:
         jacobian = cache.derivatives_at_best().residual_jacobian
         if jacobian is None:
             return found
-        found = replace(
-            found,
-            jacobian=jacobian.matrix,
-            difference_steps=jacobian.steps,
-            frozen=jacobian.frozen,
-        )
-        return without_guesses(self._space, found, jacobian.frozen)
+        return jacobian.added_to(found, self._space, dense=True)

@@ -23,7 +23,7 @@ from cluster_est.problem.tables.mat_file import contents
 from workers.fmu.description import nearest
 from workers.messages import FloatArray
 from workers.messages.checks import as_path
-from workers.messages.equality import by_content
+from workers.messages.types import by_content
 
 MISSING = ["", "NaN", "nan", "NAN", "NA", "N/A", "null", "None"]
 

@@ -1,18 +1,22 @@
 """Columns of a measured table as signals of an experiment: the rows used, scaled, and checked.
 
-Config files and `Experiment.from_table` both read their columns here.
+Config files and `Experiment.from_table` both read their columns here, words that stand in an order
+(low, medium, high) among them, and what a config leaves unused is found here.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 
 from cluster_est.errors import DataError
-from cluster_est.problem.tables.files import MeasuredTable
-from cluster_est.problem.tables.stand_ins import is_missing
+from cluster_est.problem.tables.files import MeasuredTable, is_text, read_table, trimmed_cells
+from cluster_est.problem.tables.stand_ins import FoundStandIn, is_missing
 from workers.fmu.description import nearest
 from workers.messages import FloatArray, Input, Interpolation, Output
 from workers.messages.signals import check_length, check_times, refuse_value
@@ -218,3 +222,141 @@ def relative_without_sigma(where: str, name: str) -> str:
         f"{where}.relative_sigma.{name}: must have sigma.{name} beside it, the noise where the "
         "signal is 0, but has not; add it"
     )
+
+
+def with_grades(
+    columns: MeasuredColumns, variable: str, column: str, grades: Sequence[str]
+) -> MeasuredColumns:
+    """Return columns with the words of one as their places among the grades, from 1 on.
+
+    Parameters
+    ----------
+    columns
+        Of the experiment's table.
+    variable, column
+        The output that was measured, and its column.
+    grades
+        All words, the lowest first.
+
+    Raises
+    ------
+    DataError
+        If a word is given twice or is none of the grades, or the column has no words.
+    """
+    table, where = columns.table, f"{columns.where}.outputs.{variable}"
+    repeated = [word for word, count in Counter(grades).items() if count > 1]
+    if repeated:
+        raise DataError(
+            f"{where}.ordinal: must name each grade once but names {repeated[0]!r} more often; "
+            "remove one"
+        )
+    cells = table.columns.get(column)
+    if cells is None:
+        raise DataError(f"{where}: {table.without(column)}")
+    if isinstance(cells, pa.ChunkedArray) and pa.types.is_dictionary(cells.type):
+        cells = cells.cast(cells.type.value_type)
+    if isinstance(cells, np.ndarray) or not is_text(cells):
+        raise DataError(
+            f"{where}.ordinal: {table.path}, column {column!r}: must hold the words that are "
+            "listed but holds numbers; write ordinal = true"
+        )
+    words = trimmed_cells(cells, decimal_comma=False).to_pylist()
+    places = {word: float(place) for place, word in enumerate(grades, 1)}
+    for i, word in enumerate(words):
+        if word is not None and word not in places:
+            raise DataError(
+                f"{where}.ordinal: {table.path}, column {column!r}, row {table.row(i)}: must be "
+                f"one of the grades that are listed but is {word!r}{nearest(word, grades)}"
+            )
+    numbers = np.array([np.nan if w is None else places[w] for w in words], np.float64)
+    graded = replace(table, columns={**table.columns, column: numbers})
+    return replace(columns, table=graded, missing=())  # words are no numbers of the file
+
+
+@dataclass(frozen=True)
+class TableSource:
+    """The table of an experiment, and what of it is used.
+
+    Attributes
+    ----------
+    experiment
+        The experiment's id.
+    path, rows
+        Of the file, and the rows (from, to) that are used; None for all.
+    time, sample_time
+        Column with the times, or seconds between rows.
+    used
+        Columns that the experiment uses, the time among them.
+    named
+        (key of the config, column) of each signal, such as ("outputs.y", "position").
+    missing
+        Numbers that mean that nothing was measured.
+    stand_ins
+        Numbers in the columns of its signals that hardly are measurements.
+    """
+
+    experiment: str
+    path: Path
+    time: str | None
+    sample_time: float | None
+    rows: tuple[int, int] | None
+    used: tuple[str, ...]
+    named: tuple[tuple[str, str], ...] = ()
+    missing: tuple[float, ...] = ()
+    stand_ins: tuple[FoundStandIn, ...] = ()
+
+    def unused(self) -> UnusedColumns:
+        """Read the file again, for its other columns.
+
+        There are none where the file cannot be read any more, or does not say the times.
+        """
+        try:
+            table = read_table(self.path)
+            reader = MeasuredColumns(table, self.experiment, self.rows, missing=self.missing)
+            times = reader.times(self.time, self.sample_time, self.used[-1])
+        except DataError:
+            return UnusedColumns(np.zeros(0), {})
+        found = {}
+        for name in reader.table.columns:
+            if name in self.used:
+                continue
+            try:
+                values = reader.column(name)
+            except DataError:  # no numbers
+                continue
+            if len(values) == len(times):
+                found[name] = values
+        return UnusedColumns(times, found)
+
+
+@dataclass(frozen=True)
+class UnusedColumns:
+    """Columns of numbers that an experiment does not use.
+
+    Attributes
+    ----------
+    times : (n,)
+    values
+        Each (n,), by the column's name; NaN where nothing was measured.
+    """
+
+    times: FloatArray
+    values: Mapping[str, FloatArray]
+
+    def at(self, name: str, times: FloatArray) -> FloatArray | None:
+        """Return a column at other times, straight between its samples.
+
+        None where it is constant, or has a number in fewer than half of its rows, or ends before
+        those times do.
+        """
+        values = self.values[name]
+        known = np.isfinite(values)
+        if 2 * np.count_nonzero(known) < len(values) or not len(times):
+            return None
+        when, there = self.times[known], values[known]
+        if len(when) < 2 or np.ptp(there) == 0.0:
+            return None
+        step = float(np.median(np.diff(when)))
+        if times[0] < when[0] - step or times[-1] > when[-1] + step:
+            return None
+        return np.asarray(np.interp(times, when, there))

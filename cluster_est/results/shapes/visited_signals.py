@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.results.fit_tables import EffectCurve
 from cluster_est.results.result import Result
 from cluster_est.results.shapes.effect_shapes import NOTHING_KNOWN, effect_shapes

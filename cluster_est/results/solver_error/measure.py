@@ -12,9 +12,9 @@ import numpy as np
 
 from cluster_est.errors import ClusterEstError
 from cluster_est.executors import executor_class
-from cluster_est.methods.base import Solution
+from cluster_est.methods.method import Solution
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.results.output_errors import Simulation, output_residuals
 from cluster_est.results.solver_error.finer_solver import SolverScale, solver_scale
 from cluster_est.running.resources import Resources

@@ -3,15 +3,15 @@
 A direction that the data do not determine at all does not show as 0 in such a Jacobian, but as the
 sum of the errors of its columns: from the noise of the simulation over the step, and from the
 curvature times the step (forward) or its square (central); see
-`methods.derivatives.differences`.
+`methods.differences`.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from cluster_est.methods.derivatives.differences import difference_steps, relative_noise
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.differences import difference_steps, relative_noise
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray, Output
 
 SAFETY = 30.0

@@ -22,29 +22,29 @@ from itertools import chain
 import numpy as np
 from scipy.special import stdtrit
 
-from cluster_est.methods.base import Solution
+from cluster_est.methods.method import Solution
 from cluster_est.problem.costs import SumSquared
-from cluster_est.problem.search_space.space import SearchSpace
-from cluster_est.uncertainty.covariance.blocks import BlockCovariance
-from cluster_est.uncertainty.covariance.directions import joined
-from cluster_est.uncertainty.covariance.layout import (
-    HELD,
-    ActiveBound,
-    UnknownLayout,
-    active_bounds,
-    has_jacobian,
-    jacobian_blocks,
-    unknown_layout,
+from cluster_est.problem.search_space import SearchSpace
+from cluster_est.uncertainty.covariance.local_uncertainty import (
+    ConfidenceInterval,
+    DerivedInterval,
+    Uncertainty,
+    joined,
 )
 from cluster_est.uncertainty.covariance.noise_covariance import (
     NoiseBasis,
     coloured_covariances,
     most_honest,
 )
-from cluster_est.uncertainty.covariance.result import (
-    ConfidenceInterval,
-    DerivedInterval,
-    Uncertainty,
+from cluster_est.uncertainty.covariance.normal_equations import (
+    HELD,
+    ActiveBound,
+    BlockCovariance,
+    UnknownLayout,
+    active_bounds,
+    has_jacobian,
+    jacobian_blocks,
+    unknown_layout,
 )
 from cluster_est.uncertainty.covariance.system import (
     WEAK,

@@ -9,16 +9,20 @@ from typing import ClassVar
 import numpy as np
 from typing_extensions import override
 
-from cluster_est.methods.base import Ending, Evaluation, Method, Points, Search, Solution
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.methods.derivatives.differences import jacobian, relative_noise
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.methods.differences import jacobian, relative_noise
+from cluster_est.methods.method import Ending, Evaluation, Method, Points, Search, Solution
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty.covariance.accuracy import relative_sizes
 from cluster_est.uncertainty.covariance.covariance import assess, scaled_jacobian
-from cluster_est.uncertainty.covariance.layout import has_jacobian, jacobian_blocks, with_jacobian
-from cluster_est.uncertainty.covariance.result import Uncertainty
+from cluster_est.uncertainty.covariance.local_uncertainty import Uncertainty
+from cluster_est.uncertainty.covariance.normal_equations import (
+    has_jacobian,
+    jacobian_blocks,
+    with_jacobian,
+)
 from cluster_est.uncertainty.covariance.system import NEGLIGIBLE, ScaledJacobian, vectors
 from cluster_est.uncertainty.spaces import with_start
 from workers.messages import FloatArray

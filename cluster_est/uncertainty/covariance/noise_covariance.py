@@ -32,7 +32,7 @@ import numpy.typing as npt
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import chdtrc
 
-from cluster_est.uncertainty.covariance.blocks import (
+from cluster_est.uncertainty.covariance.normal_equations import (
     BlockCovariance,
     BlockFactors,
     block_covariance,

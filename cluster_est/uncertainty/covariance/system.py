@@ -1,12 +1,9 @@
 """The weighted, scaled and factorised Jacobian at a solution, and undetermined directions.
 
-Row weights of the Jacobian and the scatter of the residuals, from the weights of a cost.
-
-A cost F has the gradient 2 J'psi with psi = w r (`Cost.weights`), so the covariance of its minimum
-is that of an M-estimator, A^-1 B A^-1 with A = J' diag(psi') J and B = J' diag(psi^2) J: P. J.
-Huber, Robust Statistics (1981), doi:10.1002/0471725250, section 7.6.
-
-Two forms of it are used:
+The weights of its rows, and the scatter of the residuals, follow from the cost. A cost F has the
+gradient 2 J'psi with psi = w r (`Cost.weights`), so the covariance of its minimum is that of an
+M-estimator, A^-1 B A^-1 with A = J' diag(psi') J and B = J' diag(psi^2) J: P. J. Huber, Robust
+Statistics (1981), doi:10.1002/0471725250, section 7.6. Two forms of it are used:
 
 - Weights that are the same for all residuals of an output in an experiment are taken for what they
   stand for, 1 / sigma^2. Then psi' = w, and with s^2 = r'Wr / (n - k) the covariance is
@@ -27,32 +24,30 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.methods.base import Solution
 from cluster_est.methods.block_matrix import BlockMatrix
+from cluster_est.methods.method import Solution
 from cluster_est.problem.costs import Cost
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.uncertainty.covariance import accuracy
-from cluster_est.uncertainty.covariance.blocks import (
-    BlockFactors,
-    ErrorLimits,
-    UndeterminedCombination,
-    factorise,
-)
-from cluster_est.uncertainty.covariance.directions import (
+from cluster_est.uncertainty.covariance.local_uncertainty import (
     UndeterminedDirection,
     direction,
     sparse_basis,
-)
-from cluster_est.uncertainty.covariance.layout import (
-    UnknownLayout,
-    blocks,
-    jacobian_blocks,
-    null_space,
 )
 from cluster_est.uncertainty.covariance.noise_covariance import (
     EstimateCovariance,
     WeightedResiduals,
     white_covariance,
+)
+from cluster_est.uncertainty.covariance.normal_equations import (
+    BlockFactors,
+    ErrorLimits,
+    UndeterminedCombination,
+    UnknownLayout,
+    blocks,
+    factorise,
+    jacobian_blocks,
+    null_space,
 )
 from workers.messages import FloatArray, IntArray
 

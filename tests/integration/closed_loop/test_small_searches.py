@@ -19,7 +19,7 @@ from support.truth.systems_with_missing_effects import measured, missing_effect_
 
 import cluster_est as ce
 from cluster_est.closed_loop.findings.effects import Verdict
-from cluster_est.problem.tables.unused import TableSource
+from cluster_est.problem.tables.measured import TableSource
 
 SPRING = missing_effect_problem("mass_spring_damper", signals=())
 NOISE = 0.002

@@ -26,11 +26,16 @@ from cluster_est.preflight.subject import (
     bare_problem,
 )
 from cluster_est.problem.parameter import Parameter
+from cluster_est.running import reset_policy
 from cluster_est.running.resources import Resources
-from cluster_est.running.trials import reset_policy
 from workers.messages import Effect, Solver
-from workers.probes.probes import CostProbe, LeftoverProbe, MovementProbe, SimulationCost
-from workers.probes.sensitivities import DirectionalProbe
+from workers.probes.probes import (
+    CostProbe,
+    DirectionalProbe,
+    LeftoverProbe,
+    MovementProbe,
+    SimulationCost,
+)
 from workers.process.trial import BenchHere, NoAnswer, ProbeBench
 
 MINUTE = 60.0

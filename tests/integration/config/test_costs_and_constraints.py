@@ -14,8 +14,8 @@ from cluster_est import LeastSquares, build_problem, fit, simulate
 from cluster_est.cli import main
 from cluster_est.config.reader import parse_config
 from cluster_est.methods.nelder_mead import NelderMead
-from cluster_est.methods.pattern_search.method import PatternSearch
-from cluster_est.methods.sqp.method import Sqp
+from cluster_est.methods.pattern_search.synchronous import PatternSearch
+from cluster_est.methods.sqp.sqp import Sqp
 from cluster_est.toml import to_toml
 
 TRUE = {"m": 1.2, "k": 30.0, "c": 0.6}

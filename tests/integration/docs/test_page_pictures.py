@@ -12,8 +12,8 @@ from scipy.signal import lsim
 
 from cluster_est.problem.costs import COSTS
 from workers.effects.forms import FORMS
-from workers.residuals.base import SimulatedOutputs
-from workers.residuals.experiment import SignalBounds
+from workers.residuals.comparison import SimulatedOutputs
+from workers.residuals.experiment_residuals import SignalBounds
 
 POINT = re.compile(r"-?\d+\.\d+")
 PAGES = {

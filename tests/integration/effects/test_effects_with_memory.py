@@ -11,7 +11,7 @@ from support.thinning import thinned
 from support.truth.exact_linear import position
 from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M, plain, solve
 
-from workers.effects.memory import SampledSignal, rate_limit
+from workers.effects.signal_memory import SampledSignal, rate_limit
 from workers.messages import Effect, Solver
 
 EXACT = Solver("dormand_prince", rtol=1e-10)

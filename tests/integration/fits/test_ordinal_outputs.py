@@ -18,7 +18,7 @@ import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.errors import ProblemError
 from cluster_est.problem.costs import COSTS
-from cluster_est.problem.effects.sensors import shared_sensor
+from cluster_est.problem.sensors import shared_sensor
 
 
 def judged(grades=0, noise=0.0):

@@ -15,7 +15,7 @@ import cluster_est as ce
 from cluster_est.cli import main
 from cluster_est.errors import ProblemError
 from cluster_est.problem.costs import COSTS
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
 from cluster_est.running.environment import RunEnvironment
 from workers.effects.forms import PROCESS_NOISE
 from workers.messages import Effect

@@ -14,8 +14,8 @@ from support.problems.springs import TRUE
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.problem.effects.sensors import shared_sensor
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
+from cluster_est.problem.sensors import shared_sensor
 from cluster_est.running.environment import open_executor
 from cluster_est.running.multistart import make_starts
 from cluster_est.running.runner import Runner

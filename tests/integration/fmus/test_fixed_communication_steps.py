@@ -10,7 +10,7 @@ from support.problems.driven_spring import model_of
 from support.simulated import answer
 
 from cluster_est import Parameter, Problem, fit
-from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from workers.errors import ModelError
 from workers.messages import Effect, Experiment, Input, Model, Outcome, Output, Solver
 

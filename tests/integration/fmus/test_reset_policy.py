@@ -22,8 +22,8 @@ from typing_extensions import override
 from cluster_est.executors import EXECUTORS
 from cluster_est.executors.local import LocalExecutor
 from cluster_est.preflight.subject import bare_problem
+from cluster_est.running import reset_policy as renewal
 from cluster_est.running.resources import Resources
-from cluster_est.running.trials import reset_policy as renewal
 from workers.messages import Outcome, Status, Task
 
 SLOW_IN_3 = pytest.mark.parametrize("fmi", [2, pytest.param(3, marks=pytest.mark.slow)])

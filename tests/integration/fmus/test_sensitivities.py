@@ -13,14 +13,14 @@ from support.run_folders import change_facts
 from support.thinning import thinned
 
 from cluster_est import Experiment, Input, Output, Parameter, Problem, Solver, fit
-from cluster_est.methods.least_squares.method import LeastSquares
-from cluster_est.methods.sqp.method import Sqp
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
+from cluster_est.methods.sqp.sqp import Sqp
 from cluster_est.preflight.solver_checks import sensitivities
 from cluster_est.preflight.subject import CheckSubject, TimeBudget
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
 from workers.evaluate import Evaluator
 from workers.messages import Curve, FloatArray, Model, Outcome, SignalBound, Task
-from workers.probes.sensitivities import SensitivityCost, SensitivityCostProbe
+from workers.probes.probes import SensitivityCost, SensitivityCostProbe
 from workers.process.trial import ProbeBench
 from workers.wire import OutcomeColumns, TaskBatch
 

@@ -5,7 +5,7 @@ import pytest
 from support.problems.springs import spring_problem
 
 from cluster_est import LeastSquares, Parameter, fit
-from cluster_est.methods.base import Ending
+from cluster_est.methods.method import Ending
 
 
 def logged(problem, method, resources=None):

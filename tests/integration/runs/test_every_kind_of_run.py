@@ -9,10 +9,10 @@ from support.thinning import thinned
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.methods.base import Progress
+from cluster_est.methods.method import Progress
 from cluster_est.run_folder.run_folder import RunFolder
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
-from cluster_est.running.records import SearchIteration
+from cluster_est.running.resources import SearchIteration
 
 KNOWN_MASS = "parameters.m.fixed=true"
 SIGMA = "experiment_defaults.sigma.y=0.02"

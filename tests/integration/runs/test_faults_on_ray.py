@@ -22,7 +22,7 @@ from support.problems.springs import ROOT, spring_problem
 
 import cluster_est as ce
 from cluster_est.executors import WorkerPool, executor_class
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from workers.messages import Task

@@ -32,8 +32,8 @@ from cluster_est import Problem, fit
 from cluster_est.cli import main
 from cluster_est.errors import ProblemError, UnsuitableExecutorError
 from cluster_est.preflight.subject import bare_problem
+from cluster_est.running.reset_policy import open_with_reset
 from cluster_est.running.resources import Resources
-from cluster_est.running.trials.reset_policy import open_with_reset
 from workers.evaluate import Evaluator
 from workers.fmu.description import describe_model
 from workers.fmu.instance import FmuInstance

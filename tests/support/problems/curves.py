@@ -8,10 +8,10 @@ from support.problems.answering import AnsweringExecutor, answer_with
 
 from cluster_est import Experiment, LeastSquares, Model, Output, Parameter, Problem, Solver
 from cluster_est.methods import Method
-from cluster_est.methods.base import Solution
+from cluster_est.methods.method import Solution
 from cluster_est.problem.costs import Cost, SumSquared
 from cluster_est.problem.formulas import parse_constraint
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 

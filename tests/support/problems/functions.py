@@ -9,9 +9,9 @@ from support.problems.answering import AnsweringExecutor, answer_with
 from cluster_est import Budget, Experiment, Model, Output, Parameter, Problem, Solver
 from cluster_est.executors import Executor
 from cluster_est.methods import Method
-from cluster_est.methods.base import Points, Solution
+from cluster_est.methods.method import Points, Solution
 from cluster_est.problem.costs import Cost, SumSquared
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest, assemble_evaluation
 from workers.messages import Outcome, Task, UserFunction

@@ -9,8 +9,8 @@ import numpy as np
 
 from cluster_est.closed_loop.findings.words.numbers import readable_time
 from cluster_est.closed_loop.workbench import LoopWorkbench
-from cluster_est.problem.idle_inputs import silent_inputs
-from cluster_est.problem.tables.unused import UnusedColumns
+from cluster_est.problem.tables.measured import UnusedColumns
+from cluster_est.problem.variables import silent_inputs
 from cluster_est.statistics.dependence import Dependence, dependence, periodic_share
 from cluster_est.statistics.records import OutputRecord
 from workers.messages import Experiment, FloatArray

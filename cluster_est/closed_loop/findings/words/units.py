@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from workers.effects.site import is_difference, parts_of
 from workers.fmu.description import ModelDescription
-from workers.fmu.parsing.elements import UnitDefinition
+from workers.fmu.xml import UnitDefinition
 
 if TYPE_CHECKING:  # it is slow to import, and most runs have no use for it
     import pint

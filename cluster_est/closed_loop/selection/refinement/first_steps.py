@@ -23,7 +23,7 @@ from cluster_est.closed_loop.selection.refinement.useful_fit import (
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.thresholds import RefinementThresholds
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 

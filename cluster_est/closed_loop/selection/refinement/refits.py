@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cluster_est.closed_loop.workbench import LoopWorkbench
-from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 
 BRIEFLY = 1e-4
 """Relative fall of the sum of squares that ends a refit at most: of two decimals one is enough to

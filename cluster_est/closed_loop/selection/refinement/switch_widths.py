@@ -23,9 +23,9 @@ from cluster_est.closed_loop.selection.refinement.useful_fit import (
 )
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench
-from cluster_est.methods.base import Evaluation
+from cluster_est.methods.method import Evaluation
 from cluster_est.problem.parameter import Parameter
-from cluster_est.problem.search_space.space import SearchSpace
+from cluster_est.problem.search_space import SearchSpace
 from workers.effects.kinds import GridScale
 from workers.messages import FloatArray
 

@@ -12,8 +12,8 @@ from support.problems.springs import ROOT, spring_problem
 from cluster_est import Effect, Parameter
 from cluster_est.cli import main, terminal
 from cluster_est.cli.terminal import ProgressLine, WorkerHint, line
-from cluster_est.methods.base import Progress
-from cluster_est.running.records import Budget, RunSnapshot
+from cluster_est.methods.method import Progress
+from cluster_est.running.resources import Budget, RunSnapshot
 from workers.kernels.fmi import compiling
 
 

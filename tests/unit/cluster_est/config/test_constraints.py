@@ -5,8 +5,8 @@ import pytest
 from support.spoiled import REMOVED, write_input
 
 from cluster_est import read_problem
-from workers.residuals.base import SimulatedOutputs
-from workers.residuals.experiment import SignalBounds
+from workers.residuals.comparison import SimulatedOutputs
+from workers.residuals.experiment_residuals import SignalBounds
 
 A = "experiments.0"
 INF = np.inf

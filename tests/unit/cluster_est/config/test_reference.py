@@ -14,11 +14,10 @@ from cluster_est.config.choices import build_resources
 from cluster_est.config.reader import parse_config
 from cluster_est.errors import ClusterEstError, ProblemError
 from cluster_est.running.multistart import Multistart
-from cluster_est.running.records import Budget, LogSettings
-from cluster_est.running.resources import Resources
+from cluster_est.running.resources import Budget, LogSettings, Resources
 from cluster_est.sensitivity.settings import SensitivitySettings
 from cluster_est.settings import keys_of
-from cluster_est.shooting.settings import Shooting
+from cluster_est.shooting.record_segments import Shooting
 from cluster_est.uncertainty import UncertaintySettings
 
 REFERENCE = ROOT / "configs" / "reference.toml"

@@ -18,7 +18,7 @@ import ray
 from support.problems.springs import ROOT
 
 from cluster_est.errors import ExecutorError
-from cluster_est.executors import executor_class, ray_answer
+from cluster_est.executors import executor_class, ray_cluster
 
 Failing = Callable[..., list[object]]
 TIMED_OUT = Exception("timed out during startup.\nmore")
@@ -111,7 +111,7 @@ def test_what_keeps_a_cluster_from_being_joined_is_told_apart(
     answer: dict[str, object],
     said: str,
 ) -> None:
-    monkeypatch.setattr(ray_answer, "_ASK", f"print({json.dumps(answer)!r})")
+    monkeypatch.setattr(ray_cluster, "_ASK", f"print({json.dumps(answer)!r})")
     starts = failing()
     if said:
         with pytest.raises(ExecutorError, match=said):

@@ -12,7 +12,7 @@ from cluster_est.executors.log_replay import LogReplayExecutor
 from cluster_est.run_folder.evaluation_log import EvaluationLog
 from cluster_est.run_folder.log_segment import read_log
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
-from cluster_est.running.records import LogSettings, TaskOrigin
+from cluster_est.running.resources import LogSettings, TaskOrigin
 from workers.messages import Outcome, Status, Task, Trajectory
 
 MODEL, EXPERIMENTS = ROSENBROCK.problem().model, ROSENBROCK.problem().experiments

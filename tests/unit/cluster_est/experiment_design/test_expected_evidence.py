@@ -3,7 +3,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from cluster_est.experiment_design.criteria import evidence_table, expected_probabilities
-from cluster_est.experiment_design.prediction import PredictedExperiment
+from cluster_est.experiment_design.predicted_outputs import PredictedExperiment
 
 SAMPLES = 12
 

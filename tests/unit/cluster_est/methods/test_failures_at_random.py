@@ -11,7 +11,7 @@ from support.problems.functions import FunctionProblem
 from support.thinning import thinned
 
 from cluster_est.methods import LeastSquares, ScipyLeastSquares, Sqp
-from cluster_est.methods.base import Ending
+from cluster_est.methods.method import Ending
 
 TIMES = np.linspace(0.0, 4.0, 41)
 TRUE = np.array([0.7, 1.0, -0.4])

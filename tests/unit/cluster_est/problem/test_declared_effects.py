@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cluster_est.errors import ConfigError
-from cluster_est.problem.effects.declared import DeclaredCoefficient, DeclaredEffect, make_effect
-from cluster_est.problem.effects.table_values import TableShape, ValueTable
+from cluster_est.problem.declared_effects import DeclaredCoefficient, DeclaredEffect, make_effect
 from cluster_est.problem.formulas import Formula
+from cluster_est.problem.free_curves import TableShape, ValueTable
 
 
 def declared(form, site, **coefficients):

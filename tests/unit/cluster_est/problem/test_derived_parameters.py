@@ -8,7 +8,7 @@ from support.problems.unloaded import unloaded_problem
 
 from cluster_est.errors import ProblemError
 from cluster_est.problem.parameter import Parameter
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
 
 
 def derived(name, expression, **more):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from support.problems.unloaded import unloaded_problem
 
 from cluster_est.problem.parameter import Parameter
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
 from cluster_est.running.search_state import assemble_evaluation
 from workers.messages import Outcome, Status, UserFunction
 

@@ -7,7 +7,7 @@ from support.problems.seen_springs import with_outputs
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods import METHODS
-from cluster_est.methods.least_squares.method import LeastSquares
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.problem.costs import COSTS
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.priors import LogNormalPrior, NormalPrior

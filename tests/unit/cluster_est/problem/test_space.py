@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from support.problems.unloaded import unloaded_problem
 
 from cluster_est.problem.parameter import Parameter
-from cluster_est.problem.search_space.continuity import StateContinuity, StateEnd
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
+from cluster_est.problem.unknowns import StateContinuity, StateEnd
 from workers.messages import Output
 
 PER = [None, "experiment", "group:rig", "group:day"]

@@ -7,9 +7,9 @@ import pytest
 from support.problems.springs import spring_problem
 
 import cluster_est as ce
-from cluster_est.methods.base import Points
+from cluster_est.methods.method import Points
 from workers.messages import Curve, Outcome, Status, Trajectory
-from workers.messages.equality import same_content
+from workers.messages.types import same_content
 
 TIMES = np.arange(5.0)
 PROBLEM = spring_problem(experiments=2, samples=20).problem

@@ -20,7 +20,7 @@ from cluster_est.run_folder.log_segment import (
     read_segment,
 )
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
-from cluster_est.running.records import TaskOrigin
+from cluster_est.running.resources import TaskOrigin
 from workers.messages import Effect, Outcome, Status, Task, Trajectory
 
 EXPERIMENTS = [("first", "key1"), ("second", "key2")]

@@ -3,9 +3,9 @@ import math
 import pytest
 
 from cluster_est.errors import RunFolderError
-from cluster_est.methods.base import Progress
+from cluster_est.methods.method import Progress
 from cluster_est.run_folder.run_progress import MOST_BYTES, ProgressFile, ProgressTail
-from cluster_est.running.records import RunSnapshot, SearchIteration
+from cluster_est.running.resources import RunSnapshot, SearchIteration
 
 
 def line(search, number, cost, ending=""):

@@ -13,7 +13,7 @@ from support.problems.functions import ROSENBROCK
 from support.shuffling_executor import ShufflingExecutor
 
 from cluster_est.methods import LeastSquares
-from cluster_est.methods.base import Ending
+from cluster_est.methods.method import Ending
 from cluster_est.running.interrupts import DeferredInterrupts, later, stopped_by, terminations
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest

@@ -15,9 +15,9 @@ from support.shuffling_executor import ShufflingExecutor
 from cluster_est import Budget, LeastSquares, Multistart
 from cluster_est.errors import ProblemError
 from cluster_est.methods import Method
-from cluster_est.methods.base import Ending, Search, Solution
+from cluster_est.methods.method import Ending, Search, Solution
 from cluster_est.problem.formulas import parse_constraint
-from cluster_est.problem.search_space.space import SearchSpace, make_space
+from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.multistart import (
     MultistartResult,
     cluster,

@@ -15,9 +15,9 @@ from support.shuffling_executor import ShufflingExecutor
 from cluster_est import Budget, Parameter
 from cluster_est.errors import BudgetError
 from cluster_est.methods import Method
-from cluster_est.methods.base import Ending, Evaluation, Progress, Search
-from cluster_est.problem.search_space.space import SearchSpace, make_space
-from cluster_est.running.records import RunSnapshot, SearchIteration
+from cluster_est.methods.method import Ending, Evaluation, Progress, Search
+from cluster_est.problem.search_space import SearchSpace, make_space
+from cluster_est.running.resources import RunSnapshot, SearchIteration
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from workers.messages import Outcome, Status, Task

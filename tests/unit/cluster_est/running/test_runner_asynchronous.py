@@ -16,9 +16,9 @@ from virtual_executor import VirtualExecutor
 
 from cluster_est import Budget, Parameter
 from cluster_est.methods import LeastSquares, Method
-from cluster_est.methods.base import Ending, Evaluation, Points, Progress, Search, Solution
-from cluster_est.problem.search_space.space import SearchSpace, make_space
-from cluster_est.running.records import SearchIteration
+from cluster_est.methods.method import Ending, Evaluation, Points, Progress, Search, Solution
+from cluster_est.problem.search_space import SearchSpace, make_space
+from cluster_est.running.resources import SearchIteration
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from workers.messages import Outcome, Status, Task

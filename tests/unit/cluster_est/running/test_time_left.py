@@ -10,10 +10,9 @@ from virtual_executor import VirtualExecutor
 
 from cluster_est import Budget, Parameter
 from cluster_est.methods import DifferentialEvolution, Method, PatternSearch
-from cluster_est.methods.base import Search
-from cluster_est.methods.given_points import GivenPoints
-from cluster_est.problem.search_space.space import SearchSpace, make_space
-from cluster_est.running.records import RunSnapshot
+from cluster_est.methods.method import GivenPoints, Search
+from cluster_est.problem.search_space import SearchSpace, make_space
+from cluster_est.running.resources import RunSnapshot
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 

@@ -7,8 +7,8 @@ from support.spoiled import valid_tree, write_input
 
 from cluster_est import Solver, build_problem
 from cluster_est.errors import ConfigError
+from cluster_est.running.environment import SharedPools
 from cluster_est.running.resources import Resources
-from cluster_est.running.shared_pools import SharedPools
 from cluster_est.sweep.matrix import read_sweep
 from cluster_est.toml import to_toml
 from workers.messages import Limits, Task

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from workers.effects.memory import SampledSignal, backlash, delay
 from workers.effects.outputs import PIECES, refine
+from workers.effects.signal_memory import SampledSignal, backlash, delay
 from workers.grid import build_grid
 from workers.messages import Experiment, Input, Output
 

@@ -9,7 +9,7 @@ import pytest
 from workers.effects.definition import coefficients
 from workers.effects.expression import FUNCTIONS
 from workers.effects.forms import FORMS, FormCondition, GridScale, positive
-from workers.effects.memory import MEMORIES
+from workers.effects.signal_memory import MEMORIES
 from workers.effects.site import split_variable
 from workers.messages import Effect
 
@@ -21,7 +21,7 @@ def test_what_is_no_strength_has_a_grid_and_all_has_a_unit(kind, name):
     form = FORMS[kind, name]
     conditions = isinstance(form.when, tuple) and {type(each) for each in form.when}
     assert conditions in (set(), {FormCondition}), "`when` is a tuple: when=(FormCondition.OWN,)"
-    assert form.memory in ("", *MEMORIES), "write its memory in workers/effects/memory.py"
+    assert form.memory in ("", *MEMORIES), "write its memory in workers/effects/signal_memory.py"
     assert bool(form.reaction) is (kind == "pair"), "at a pair, and only there, it has a `reaction`"
     for c in form.coefficients:
         assert isinstance(c.scale, GridScale) is bool(c.grid), (

@@ -12,8 +12,13 @@ from workers.effects.compiled import READ, equations
 from workers.effects.definition import TIME, define
 from workers.effects.expression import FUNCTIONS, parse
 from workers.effects.forms import FORMS
-from workers.effects.machine_code import MachineCode
-from workers.effects.source import CAssignment, EffectArray, SymbolLocations, compile_function
+from workers.effects.machine_code import (
+    CAssignment,
+    EffectArray,
+    MachineCode,
+    SymbolLocations,
+    compile_function,
+)
 from workers.fmu.description import describe_model
 from workers.messages import Effect, Model, Solver
 

@@ -5,8 +5,8 @@ from support.spoiled import GUID, LIBRARY, XML, rename, spoiled_fmu
 
 from workers.errors import ModelError
 from workers.fmu.description import describe, nearest
-from workers.fmu.parsing.elements import BASE_UNITS, UnitDefinition
 from workers.fmu.platforms import PLATFORM, PLATFORM_TUPLE, binary_path, platform_for
+from workers.fmu.xml import BASE_UNITS, UnitDefinition
 
 
 def replaced(content: bytes) -> bytes:

@@ -12,10 +12,10 @@ from contextlib import ExitStack
 import pytest
 
 from workers.errors import ModelError
-from workers.fmu import logger
+from workers.fmu import instance
 from workers.fmu import seats as room
 from workers.fmu.seats import Seat, has_lost
-from workers.fmu.signal_handlers import ROOM, kept_signal_handlers
+from workers.fmu.surroundings import ROOM, kept_signal_handlers
 from workers.messages import Seats
 
 HOLDS = """
@@ -132,15 +132,15 @@ def test_a_program_has_the_same_seats_each_time_but_lost_ones_and_leaves_no_fold
 @pytest.fixture
 def alone(monkeypatch):
     """The log of the only instance of a process."""
-    monkeypatch.setattr(logger, "_logs", weakref.WeakValueDictionary())
+    monkeypatch.setattr(instance, "_logs", weakref.WeakValueDictionary())
     log: deque[str] = deque()
-    logger.open_log("model-1", log, shown=False)
+    instance.open_log("model-1", log, shown=False)
     return log
 
 
 @pytest.mark.parametrize("name", ["model-1", " model-1 ", "", "another name"])
 def test_the_only_instance_gets_what_names_no_other(alone, name):
-    say = logger.log_message_3(name)
+    say = instance.log_message_3(name)
     say(None, 3, b"", b" it could not go on ")
     say(None, 0, b"", b"all is well")
     assert list(alone) == ["it could not go on"]
@@ -148,9 +148,9 @@ def test_the_only_instance_gets_what_names_no_other(alone, name):
 
 def test_with_several_instances_only_a_name_tells(alone):
     other: deque[str] = deque()
-    logger.open_log("model-2", other, shown=False)
-    logger.log_message_3("model-2")(None, 3, b"", b"it could not go on")
-    logger.log_message_3("nobody")(None, 3, b"", b"whose is this")
+    instance.open_log("model-2", other, shown=False)
+    instance.log_message_3("model-2")(None, 3, b"", b"it could not go on")
+    instance.log_message_3("nobody")(None, 3, b"", b"whose is this")
     assert not alone
     assert list(other) == ["it could not go on"]
 

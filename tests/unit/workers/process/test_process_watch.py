@@ -7,8 +7,13 @@ import sys
 import pytest
 
 from workers.messages.types import CALLED, RUNNING, SIMULATIONS, no_watcher
-from workers.process import watch
-from workers.process.watch import ProcessActivity, ProgressWatch, SharedProgress, map_progress
+from workers.process import progress_watch
+from workers.process.progress_watch import (
+    ProcessActivity,
+    ProgressWatch,
+    SharedProgress,
+    map_progress,
+)
 
 
 @pytest.fixture
@@ -20,7 +25,7 @@ def progress():
 def let_pass(monkeypatch):
     """Let seconds pass, after which the system says something of the process."""
     now = [100.0, ProcessActivity(waiting=True, seconds=5.0)]
-    monkeypatch.setattr(watch.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(progress_watch.time, "monotonic", lambda: now[0])
     monkeypatch.setattr(ProcessActivity, "of", staticmethod(lambda process: now[1]))
 
     def then(seconds: float, activity: ProcessActivity | None) -> None:
@@ -36,7 +41,7 @@ def let_pass(monkeypatch):
         (3600.0, True, [5.2, 5.4, 5.6], 0.6),  # a busy machine gives it 0.2 s in an hour
         (10.0, True, [14.0], 9.0),
         (0.5, False, [5.0] * 20, 10.0),
-        (3600.0, False, [5.0], watch.LATE_SECONDS),
+        (3600.0, False, [5.0], progress_watch.LATE_SECONDS),
     ],
     ids=["ready but not let run", "busy without a step", "asleep", "who looks was asleep itself"],
 )
@@ -82,7 +87,7 @@ def test_each_simulation_has_the_time_for_itself(progress, let_pass):
 def test_progress_is_seen_by_another_process():
     shared = SharedProgress()
     code = (
-        "import sys; from workers.process.watch import map_progress; "
+        "import sys; from workers.process.progress_watch import map_progress; "
         "map_progress(int(sys.argv[1]))[:] = 7, 8, 9, 10"
     )
     command = [sys.executable, "-c", code, str(shared.descriptor)]

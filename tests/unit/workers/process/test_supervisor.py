@@ -18,10 +18,9 @@ from support.processes_of_fmus import has_ended, kill, living, parent, wait_unti
 
 from workers.evaluate import Evaluator
 from workers.messages import USUAL, Experiment, Input, Limits, Model, Output, Solver, Status, Task
-from workers.process.orders import END, FORK
+from workers.process.forked import END, FORK, TemplateClient, shared_address
+from workers.process.progress_watch import SharedProgress
 from workers.process.supervisor import SupervisedEvaluator
-from workers.process.template_client import TemplateClient, shared_address
-from workers.process.watch import SharedProgress
 from workers.wire import TaskBatch
 
 CRASHES, ABORTS, EXITS, HANGS, EATS_MEMORY = 1.0, 2.0, 3.0, 4.0, 5.0
@@ -391,7 +390,7 @@ TWO_FORKS = """
 import os
 import sys
 import numpy as np
-from workers.process.fork_server import draw_anew
+from workers.process.template import draw_anew
 
 for _ in range(2):
     if os.fork() == 0:

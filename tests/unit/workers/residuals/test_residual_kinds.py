@@ -26,8 +26,8 @@ from workers.messages import (
     Task,
     UserFunction,
 )
-from workers.residuals.base import SimulatedOutputs
-from workers.residuals.experiment import SignalBounds
+from workers.residuals.comparison import SimulatedOutputs
+from workers.residuals.experiment_residuals import SignalBounds
 from workers.residuals.functions import FunctionComparison
 from workers.residuals.nearest_segment import segment_distances, tolerance_constraints
 

@@ -25,7 +25,7 @@ from cluster_est.closed_loop.selection.rounds import (
     RejectionReason,
     SelectionResult,
 )
-from cluster_est.methods.base import Ending
+from cluster_est.methods.method import Ending
 from cluster_est.statistics.omnibus import OmnibusTest
 
 PROBLEM = made_problem(100, 100, 100, 100)

@@ -18,8 +18,8 @@ from cluster_est.closed_loop.selection.accept import predict, stays_bounded
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart
 from cluster_est.errors import ProblemError
-from cluster_est.methods.given_points import GivenPoints
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.methods.method import GivenPoints
+from cluster_est.problem.search_space import make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 

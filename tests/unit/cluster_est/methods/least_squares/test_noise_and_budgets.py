@@ -7,11 +7,11 @@ from support.problems.springs import spring_problem
 
 import cluster_est as ce
 from cluster_est import Budget, LeastSquares
-from cluster_est.methods.base import Ending, Evaluation, Progress, Solution
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.methods.derivatives.differences import ResidualJacobian
+from cluster_est.methods.differences import ResidualJacobian
 from cluster_est.methods.least_squares.iteration import IterationState
-from cluster_est.methods.least_squares.method import secant_update
+from cluster_est.methods.least_squares.levenberg_marquardt import secant_update
+from cluster_est.methods.method import Ending, Evaluation, Progress, Solution
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from workers.messages import Outcome, Status

@@ -7,7 +7,7 @@ from support.thinning import thinned
 from virtual_executor import VirtualExecutor
 
 from cluster_est.methods import AsynchronousPatternSearch, Method, PatternSearch
-from cluster_est.methods.base import Ending
+from cluster_est.methods.method import Ending
 
 METHOD = AsynchronousPatternSearch()
 BARD = named("bard bounded")

@@ -10,8 +10,8 @@ from support.problems.unloaded import unloaded_problem
 from cluster_est import Parameter
 from cluster_est.errors import ProblemError
 from cluster_est.methods import PatternSearch
-from cluster_est.methods.base import Ending
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.methods.method import Ending
+from cluster_est.problem.search_space import make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 

@@ -30,9 +30,9 @@ from cluster_est.methods import (
     Nsga2,
     ParticleSwarm,
 )
-from cluster_est.methods.base import Ending, Solution
+from cluster_est.methods.method import Ending, Solution
 from cluster_est.problem.costs import SoftL1, SumAbsolute, SumSquared
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from workers.messages import Outcome, Status, Task, UserFunction

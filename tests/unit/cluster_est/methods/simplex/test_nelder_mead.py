@@ -11,7 +11,7 @@ from support.problems.rough import ROUGH
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods import NelderMead
-from cluster_est.methods.base import Ending
+from cluster_est.methods.method import Ending
 
 TIGHT = NelderMead(bounds="enforce", xtol=1e-8, ftol=1e-12)
 

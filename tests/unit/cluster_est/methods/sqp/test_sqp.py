@@ -10,7 +10,7 @@ from support.problems.functions import PROBLEMS, FunctionProblem, followed, name
 from support.thinning import thinned
 
 from cluster_est.methods import Sqp
-from cluster_est.methods.base import Ending
+from cluster_est.methods.method import Ending
 from cluster_est.problem.costs import CauchyCost, HuberCost
 
 METHODS = [

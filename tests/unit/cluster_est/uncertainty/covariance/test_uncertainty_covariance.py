@@ -8,9 +8,9 @@ from scipy.stats import t as student
 from support.problems.curves import Curves
 
 from cluster_est import LeastSquares, Parameter
-from cluster_est.methods.base import Ending, Evaluation, Solution
+from cluster_est.methods.method import Ending, Evaluation, Solution
 from cluster_est.problem.costs import COSTS
-from cluster_est.problem.search_space.space import make_space
+from cluster_est.problem.search_space import make_space
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.uncertainty import assess, examine, linearise
 from workers.messages import Outcome, Status

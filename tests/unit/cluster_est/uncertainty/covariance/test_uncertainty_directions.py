@@ -8,7 +8,7 @@ import pytest
 from support.problems.curves import Curves
 
 from cluster_est import LeastSquares, Parameter
-from cluster_est.methods.base import Ending, Solution
+from cluster_est.methods.method import Ending, Solution
 from cluster_est.problem.costs import GaussianLikelihood
 from cluster_est.uncertainty import assess, examine, linearise
 

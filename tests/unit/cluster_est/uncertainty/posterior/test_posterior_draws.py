@@ -11,7 +11,7 @@ from cluster_est.errors import ProblemError
 from cluster_est.problem.costs import COSTS
 from cluster_est.problem.priors import LogNormalPrior, NormalPrior
 from cluster_est.uncertainty import UncertaintySettings, check_posterior, examine, sample_posterior
-from cluster_est.uncertainty.posterior.posterior import autocorrelation_times, split_shrink_factors
+from cluster_est.uncertainty.posterior import autocorrelation_times, split_shrink_factors
 
 TIMES = np.linspace(0.0, 1.0, 60)
 

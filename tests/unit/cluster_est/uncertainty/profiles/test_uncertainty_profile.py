@@ -10,7 +10,7 @@ from support.shuffling_executor import ShufflingExecutor
 
 from cluster_est import Budget, LeastSquares, Parameter
 from cluster_est.errors import ProblemError
-from cluster_est.methods.base import Ending, Points, Solution
+from cluster_est.methods.method import Ending, Points, Solution
 from cluster_est.problem.costs import COSTS
 from cluster_est.running.runner import Runner
 from cluster_est.uncertainty import UncertaintySettings, assess, check_profiles, profiles, select

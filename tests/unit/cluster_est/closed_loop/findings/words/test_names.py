@@ -9,7 +9,7 @@ from support.named_effects import described, estimate, seen, visited
 
 from cluster_est.closed_loop.findings.words.units import dimension_of
 from workers.effects.forms import FORMS, EffectForm, FormCoefficient
-from workers.fmu.parsing.elements import UnitDefinition
+from workers.fmu.xml import UnitDefinition
 
 UP = np.linspace(0.3, 2.1, 50)
 BOTH = np.linspace(-2.0, 2.0, 50)

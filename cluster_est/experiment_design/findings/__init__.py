@@ -1,1 +1,0 @@
-"""What a design has found: the evidence and precision to expect, as rows, sentences and tables."""

@@ -1,0 +1,243 @@
+"""The search for an input: many at random, then changes of the best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from cluster_est.errors import BudgetError, ProblemError
+from cluster_est.experiment_design.candidate_inputs import CandidateInput, CandidateMaker
+from cluster_est.experiment_design.criteria import DesignCriterion, evidence_table
+from cluster_est.experiment_design.models import FittedCandidate
+from cluster_est.experiment_design.predicted_outputs import (
+    DesignQueue,
+    PredictedExperiment,
+    keeping_limits,
+    predictions,
+)
+from cluster_est.methods.method import TOLERANCE
+from cluster_est.running.runner import Runner
+from workers.messages import FloatArray
+
+FIRST = 0.5
+"""Share of the candidates that are drawn at random; changes of the best are the others."""
+ROUNDS = ((0.2, 6), (0.1, 4), (0.05, 3))
+"""Of changes: their size, and how many of the best are changed."""
+SHRINKING = (0.3, 0.1, 0.03)
+"""Amplitudes that are tried where no candidate keeps the limits."""
+FEWEST_KEPT = 3
+
+
+@dataclass(frozen=True)
+class ScoredCandidate:
+    """A candidate and what it is worth.
+
+    Attributes
+    ----------
+    candidate
+        Which.
+    value
+        Of the criterion; NaN where it leaves its limits or cannot be simulated.
+    violation
+        By how much it leaves them at the estimates; NaN where a simulation failed, or it does so
+        only with other parameters.
+    why
+        What it leaves, or why it cannot be simulated; "" if neither.
+    predicted
+        What each model predicts of it; empty where it has no value.
+    """
+
+    candidate: CandidateInput
+    value: float
+    violation: float = 0.0
+    why: str = ""
+    predicted: tuple[PredictedExperiment, ...] = field(default=(), repr=False)
+
+    @property
+    def ok(self) -> bool:
+        return bool(np.isfinite(self.value))
+
+    @property
+    def evidence(self) -> FloatArray:
+        """What it is expected to say for each model against each rival, by derivatives."""
+        return evidence_table(self.predicted)
+
+
+@dataclass(frozen=True)
+class CandidateScorer:
+    """Simulates candidates and says what they are worth.
+
+    Attributes
+    ----------
+    models, criterion, parameters
+        See `DesignCriterion.value`.
+    queue
+        Where candidates are simulated.
+    """
+
+    models: Sequence[FittedCandidate]
+    criterion: DesignCriterion
+    parameters: tuple[str, ...]
+    queue: DesignQueue
+
+    def score(self, candidates: Sequence[CandidateInput]) -> list[ScoredCandidate]:
+        """Return what each candidate is worth, in their order."""
+        if not candidates:
+            return []
+        return self.queue.use(
+            [candidate.experiment for candidate in candidates],
+            "simulating candidates",
+            lambda runner: self._scored(runner, candidates),
+        )
+
+    def _scored(
+        self, runner: Runner, candidates: Sequence[CandidateInput]
+    ) -> list[ScoredCandidate]:
+        limits = keeping_limits(runner, self.models, candidates)
+        kept = [number for number, (violation, _) in enumerate(limits) if violation <= TOLERANCE]
+        known = dict(zip(kept, predictions(runner, self.models, candidates, kept), strict=True))
+        found = []
+        for number, candidate in enumerate(candidates):
+            predicted, (violation, why) = known.get(number, ""), limits[number]
+            if isinstance(predicted, str):
+                off = violation if violation > TOLERANCE else np.nan
+                found.append(ScoredCandidate(candidate, np.nan, off, why or predicted))
+                continue
+            value = self.criterion.value(self.models, predicted, self.parameters)
+            found.append(ScoredCandidate(candidate, value, predicted=predicted))
+        return found
+
+
+@dataclass(frozen=True)
+class SearchedCandidates:
+    """The candidates that a search has looked at.
+
+    Attributes
+    ----------
+    scored
+        All of them, in their order.
+    wanted
+        How many it should have looked at; more than these if the budget was used up.
+    """
+
+    scored: tuple[ScoredCandidate, ...]
+    wanted: int
+
+
+def search(
+    scorer: CandidateScorer,
+    maker: CandidateMaker,
+    recorded: Sequence[CandidateInput],
+    count: int,
+    generator: np.random.Generator,
+) -> SearchedCandidates:
+    """Look at some candidates, and say what each is worth.
+
+    Half of them are drawn at random, beside what was recorded. Then the best are changed a little
+    at a time: an evolution strategy without recombination (H.-G. Beyer, H.-P. Schwefel, Nat.
+    Comput. 1 (2002) 3-52, doi:10.1023/A:1015059928466).
+
+    Parameters
+    ----------
+    scorer, maker
+        Say what candidates are worth, and make them.
+    recorded
+        Those of the inputs of earlier experiments.
+    count
+        Candidates besides these.
+    generator
+        Of all that is random.
+
+    Raises
+    ------
+    ProblemError
+        If none keeps its limits.
+    BudgetError
+        If the budget is used up before one has been scored.
+    """
+    first = max(1, round(FIRST * count)) if maker.waveforms else 0
+    drawn = [maker.draw(number, generator) for number in range(first)]
+    found = scorer.score([*recorded, *drawn])
+    wanted = len(found) + (count - first if maker.waveforms else 0)
+    try:
+        found += _shrunk(scorer, maker, found, first)
+        if not any(each.ok for each in found):
+            raise none_keeps_limits(found)
+        left = count - first if maker.waveforms else 0
+        for number, (size, parents) in enumerate(ROUNDS):
+            most = left // (len(ROUNDS) - number)
+            left -= most
+            found += _improved(scorer, maker, found, (size, parents, most), generator)
+    except BudgetError:
+        if not any(each.ok for each in found):
+            raise
+    return SearchedCandidates(tuple(found), wanted)
+
+
+def _improved(
+    scorer: CandidateScorer,
+    maker: CandidateMaker,
+    found: Sequence[ScoredCandidate],
+    how: tuple[float, int, int],
+    generator: np.random.Generator,
+) -> list[ScoredCandidate]:
+    """Changes of the best so far; `how` is their size, of how many, and how many changes."""
+    size, parents, most = how
+    best = [each for each in ranked(found) if len(each.candidate.point)][:parents]
+    if not best:
+        return []
+    return scorer.score(
+        [
+            maker.changed(best[i % len(best)].candidate, len(found) + i, size, generator)
+            for i in range(most)
+        ]
+    )
+
+
+def ranked(scored: Sequence[ScoredCandidate]) -> list[ScoredCandidate]:
+    """Return those with a value, the best first."""
+    return sorted((each for each in scored if each.ok), key=lambda each: -each.value)
+
+
+def _shrunk(
+    scorer: CandidateScorer,
+    maker: CandidateMaker,
+    found: Sequence[ScoredCandidate],
+    number: int,
+) -> list[ScoredCandidate]:
+    """Smaller candidates, where hardly any keeps the limits."""
+    more: list[ScoredCandidate] = []
+    large = [each.candidate for each in found if len(each.candidate.point)]
+    for factor in SHRINKING if maker.limits.inputs else ():
+        kept = sum(each.ok for each in (*found, *more) if len(each.candidate.point))
+        if kept >= min(FEWEST_KEPT, len(large)):
+            break
+        more += scorer.score(
+            [maker.shrunk(each, number + len(more) + i, factor) for i, each in enumerate(large)]
+        )
+    return more
+
+
+def none_keeps_limits(found: Sequence[ScoredCandidate]) -> ProblemError:
+    """Say that no input keeps its limits, and how far the closest is off."""
+    if not found:
+        return ProblemError(
+            "waveforms: must leave an input to look at, but none of the run's experiments keeps "
+            "the limits as it was recorded; name another family, or widen the limits"
+        )
+    leaving = [each for each in found if np.isfinite(each.violation)]
+    if not leaving:
+        return ProblemError(
+            f"limits: none of {len(found)} inputs could be used ({found[0].why}); narrow the inputs"
+        )
+    closest = min(leaving, key=lambda each: each.violation)
+    name = closest.why.split()[0]
+    scales = {bound.name: bound.scale for bound in closest.candidate.experiment.bounds}
+    off = closest.violation * scales.get(name.rpartition(".")[0], 1.0)
+    return ProblemError(
+        f"limits: {name} must be kept but none of {len(found)} inputs keeps it with every model, "
+        f"not the smallest either: the closest is {off:.3g} off; widen it, narrow the inputs or "
+        "begin elsewhere"
+    )

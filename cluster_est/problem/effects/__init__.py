@@ -1,1 +1,0 @@
-"""What is added to the model: effects, free curves, sensors, process noise."""

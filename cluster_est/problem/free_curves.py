@@ -1,0 +1,403 @@
+"""The free curve of an effect as a table of values over points, smooth and monotone where known.
+
+Without smoothness each value is a parameter of its own. With it, the unknowns are the value and the
+slope at the first point and the change of slope at each point between, of which a prior says that
+it is normal about 0 with a variance that grows with the distance of the points,
+
+    b_i ~ N(0, s^2 (h_(i-1) + h_i) / 2),
+
+the integrated Wiener process that smoothing splines stand for, as far as the points show it (G.
+Wahba, J. R. Stat. Soc. B 40 (1978) 364-372, doi:10.1111/j.2517-6161.1978.tb01050.x). So more points
+make a table no rougher. The values follow from the unknowns by expressions.
+
+A table may be 0 by definition at one point or two. Then the first value, or the slope too, follow
+from the changes of slope.
+"""
+
+from __future__ import annotations
+
+import keyword
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Literal, get_args
+
+import numpy as np
+
+from cluster_est.errors import ConfigError, EffectError
+from cluster_est.problem.formulas import ParameterConstraint, parse_constraint
+from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.priors import NormalPrior
+from workers.effects.kinds import EffectForm
+from workers.messages.checks import check_choice, check_number, is_number, shown
+
+FARTHEST = 8.0
+"""Standard deviations up to which a change of slope is searched."""
+Monotone = Literal["", "increasing", "decreasing"]
+UNBOUNDED = (-math.inf, math.inf)
+
+
+@dataclass(frozen=True)
+class TableShape:
+    """What is known of the shape of a table.
+
+    Attributes
+    ----------
+    slope_change
+        Standard deviation of the change of its slope over one unit of the abscissa; None for no
+        smoothness.
+    monotone
+        "increasing" or "decreasing": a constraint; "" for neither.
+    bounds
+        Of every value; with `slope_change` of the first one, and of what the others may differ from
+        it by in one interval.
+    """
+
+    slope_change: float | None = None
+    monotone: Monotone = ""
+    bounds: tuple[float, float] = UNBOUNDED
+
+    @property
+    def says_something(self) -> bool:
+        """Whether there is more to it than free values."""
+        return self.slope_change is not None or bool(self.monotone) or self.bounds != UNBOUNDED
+
+
+@dataclass(frozen=True)
+class TableUnknown:
+    """What is searched for a smooth table; `sd` is that of its prior about 0, None without one."""
+
+    name: str
+    start: float
+    lower: float
+    upper: float
+    sd: float | None = None
+
+
+@dataclass(frozen=True)
+class ValueTable:
+    """A table of values.
+
+    Attributes
+    ----------
+    where
+        Opens messages.
+    prefix
+        Begins the names of the unknowns of a smooth table.
+    values
+        Names of the parameters that are its values; None where a value is 0 by definition.
+    points
+        Where they hold, increasing.
+    starts
+        One for each point.
+    shape
+        What is known of it.
+    """
+
+    where: str
+    prefix: str
+    values: tuple[str | None, ...]
+    points: tuple[float, ...]
+    starts: tuple[float, ...]
+    shape: TableShape
+
+    @property
+    def _widths(self) -> list[float]:
+        return [b - a for a, b in pairwise(self.points)]
+
+    @property
+    def _zeros(self) -> list[int]:
+        """Positions of the values that are 0 by definition."""
+        return [i for i, name in enumerate(self.values) if name is None]
+
+    def check(self) -> None:
+        """Refuse what contradicts itself.
+
+        Raises
+        ------
+        ConfigError
+            Saying what to change.
+        """
+        low, high = self.shape.bounds
+        if not all(a < b for a, b in pairwise(self.points)):
+            raise ConfigError(
+                f"{self.where}.points: must increase but do not; sort them with their values"
+            )
+        if not low < high:
+            raise ConfigError(
+                f"{self.where}.bounds: must be [lower, upper] but are {[low, high]}; swap them"
+            )
+        for start in self.starts:
+            if not low <= start <= high:
+                raise ConfigError(
+                    f"{self.where}.start: must lie within the bounds {[low, high]} but has "
+                    f"{start:g}; move one of the two"
+                )
+        smooth = self.shape.slope_change is not None
+        if smooth and not (math.isfinite(low) and math.isfinite(high)):
+            raise ConfigError(
+                f"{self.where}.bounds: must be finite where slope_change says how smooth it is, "
+                f"but are {[low, high]}; say between which values it lies"
+            )
+
+    def unknowns(self) -> Iterator[TableUnknown]:
+        """What a smooth table is made of: first value, first slope, and changes of slope."""
+        change = self.shape.slope_change
+        assert change is not None
+        (low, high), widths, zeros = self.shape.bounds, self._widths, self._zeros
+        slopes = [(b - a) / h for (a, b), h in zip(pairwise(self.starts), widths, strict=True)]
+        steepest = (high - low) / min(widths)
+        if not zeros:
+            yield TableUnknown(f"{self.prefix}level", self.starts[0], low, high)
+        if len(zeros) < 2:
+            yield TableUnknown(f"{self.prefix}slope", slopes[0], -steepest, steepest)
+        pairs = zip(pairwise(slopes), pairwise(widths), strict=True)
+        for i, ((before, after), pair) in enumerate(pairs, 1):
+            sd = change * math.sqrt(0.5 * sum(pair))
+            most = FARTHEST * sd
+            start = min(max(after - before, -most), most)
+            yield TableUnknown(self._bend(i), start, -most, most, sd)
+
+    def expressions(self) -> Iterator[tuple[str, str]]:
+        """Each value of a smooth table by its name, from the unknowns and the values before it."""
+        widths = self._widths
+        texts = [self._first(), f"{self._value(0)} + {widths[0]!r} * ({self._slope()})"]
+        for i, (before, width) in enumerate(pairwise(widths), 1):
+            slope = f"({self._value(i)} - {self._value(i - 1)}) / {before!r}"
+            texts.append(f"{self._value(i)} + {width!r} * ({slope} + {self._bend(i)})")
+        for name, text in zip(self.values, texts, strict=True):
+            if name is not None:
+                yield name, text
+
+    def order(self, steps: str = "") -> Iterator[str]:
+        """The constraints of a monotone table, as texts.
+
+        Parameters
+        ----------
+        steps
+            A formula of what every value has more than the one before it, besides the table's own.
+        """
+        sign = "<=" if self.shape.monotone == "increasing" else ">="
+        for i in range(len(self.values) - 1) if self.shape.monotone else ():
+            more = f" + {steps}" if steps else ""
+            yield f"{self._value(i)} {sign} {self._value(i + 1)}{more}"
+
+    def _bend(self, i: int) -> str:
+        """The change of slope at a point, by its position; its name counts from 1."""
+        return f"{self.prefix}bend_{i + 1}"
+
+    def _value(self, i: int) -> str:
+        """The value at a point in a formula."""
+        return self.values[i] or "0"
+
+    def _bent(self, i: int) -> str:
+        """What the changes of slope before a point make of the value there."""
+        terms = [
+            f"{self.points[i] - self.points[j]!r} * {self._bend(j)}"
+            for j in range(1, min(i, len(self.points) - 1))
+        ]
+        return " + ".join(terms) or "0"
+
+    def _first(self) -> str:
+        """The first value: a level of its own, or such that the table is 0 where it must be."""
+        if not self._zeros:
+            return f"{self.prefix}level"
+        zero = self._zeros[0]
+        distance = self.points[zero] - self.points[0]
+        return f"-({distance!r} * ({self._slope()}) + {self._bent(zero)})"
+
+    def _slope(self) -> str:
+        """The first slope: one of its own, or such that the table is 0 at its second zero too."""
+        if len(self._zeros) < 2:
+            return f"{self.prefix}slope"
+        first, second = self._zeros
+        distance = self.points[second] - self.points[first]
+        return f"(({self._bent(first)}) - ({self._bent(second)})) / {distance!r}"
+
+
+def check_table_name(name: str, where: str, made: str) -> None:
+    """Refuse a name that formulas cannot mention.
+
+    Parameters
+    ----------
+    name
+        Of a map or of an effect.
+    where
+        Opens the message.
+    made
+        What the values are called.
+
+    Raises
+    ------
+    ConfigError
+        With what to do.
+    """
+    if not all(part.isidentifier() and not keyword.iskeyword(part) for part in name.split(".")):
+        raise ConfigError(
+            f"{where}: must have a name of letters, digits and _, because its values are called "
+            f"{made}, but is {name!r}; rename it"
+        )
+
+
+UNSHAPED = TableShape()
+"""Free values: nothing is known of a curve."""
+ENDS = ("low", "high")
+"""The coefficients between which a free curve has its points."""
+
+
+@dataclass(frozen=True)
+class ShapedCurve:
+    """A free curve of which more is known than its form.
+
+    Attributes
+    ----------
+    name, form
+        Of the effect.
+    shape
+        What is known; something must be.
+    coefficients
+        Parameters of the form, as they would be without.
+    chosen
+        Keys, such as "bounds", that were declared of each coefficient beside its start.
+
+    Raises
+    ------
+    ConfigError
+        If the form is no free curve, or what is declared contradicts itself.
+    """
+
+    name: str
+    form: EffectForm
+    shape: TableShape
+    coefficients: tuple[Parameter, ...]
+    chosen: Mapping[str, Sequence[str]]
+
+    def __post_init__(self) -> None:
+        where = f"effects.{self.name}"
+        if not self.form.free:
+            key = next(key for key in vars(UNSHAPED) if self._says(key))
+            raise ConfigError(
+                f"{where}.{key}: must go with a free curve, which is a form like table, "
+                f"coulomb_table or characteristic, but the form is {self.form.name!r}; leave it out"
+            )
+        check_table_name(self.name, where, "NAME.k1, NAME.k2, ...")
+        if self.form.is_characteristic and self.shape.monotone == "decreasing":
+            raise ConfigError(
+                f'{where}.monotone: must be "increasing", because beyond its ends a characteristic '
+                "is the signal itself, but is 'decreasing'; use one that increases, and an effect "
+                "gain that changes the sign"
+            )
+        if self.shape.slope_change is not None:
+            self._check_free_of_keys(where)
+        self.table.check()
+
+    def _says(self, key: str) -> bool:
+        return bool(getattr(self.shape, key) != getattr(UNSHAPED, key))
+
+    def _check_free_of_keys(self, where: str) -> None:
+        """Refuse keys of what follows from other values, or is held."""
+        whys = dict.fromkeys(self.form.curve_values, "the value follows from changes of slope")
+        whys |= dict.fromkeys(ENDS, "changes of slope are counted over fixed points")
+        for name, why in whys.items():
+            for key in self.chosen.get(name or "", ()):
+                if not (name in ENDS and key == "fixed"):
+                    raise ConfigError(
+                        f"{where}.parameters.{name}.{key}: must be left out where there is "
+                        f"slope_change, because {why}; remove one of the two"
+                    )
+
+    @cached_property
+    def _starts(self) -> dict[str, float]:
+        """Of the coefficients, by their names in the form."""
+        cut = len(self.name) + 1
+        return {p.name[cut:]: p.start for p in self.coefficients}
+
+    @cached_property
+    def table(self) -> ValueTable:
+        """The values over their points."""
+        low, high = (self._starts[name] for name in ENDS)
+        if not low < high:
+            raise ConfigError(
+                f"effects.{self.name}.parameters.low.start: must be below that of high, {high:g}, "
+                f"but is {low:g}; change one"
+            )
+        names = self.form.curve_values
+        return ValueTable(
+            f"effects.{self.name}",
+            f"{self.name}.",
+            tuple(None if name is None else f"{self.name}.{name}" for name in names),
+            tuple(np.linspace(low, high, len(names)).tolist()),
+            tuple(0.0 if name is None else self._starts[name] for name in names),
+            self.shape,
+        )
+
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The coefficients in their order, with what they follow from before them."""
+        if self.shape.slope_change is None:
+            return tuple(self._bounded(p) for p in self.coefficients)
+        texts = dict(self.table.expressions())
+        ends = [f"{self.name}.{end}" for end in ENDS]
+        found = [_auxiliary(unknown) for unknown in self.table.unknowns()]
+        for p in self.coefficients:
+            if p.name in texts:
+                found.append(Parameter(p.name, p.start, unit=p.unit, expression=texts[p.name]))
+            else:
+                found.append(replace(p, fixed=True) if p.name in ends else p)
+        return tuple(found)
+
+    def _bounded(self, parameter: Parameter) -> Parameter:
+        """A value within the bounds of all, unless it has its own."""
+        name = parameter.name[len(self.name) + 1 :]
+        if name not in self.form.curve_values or "bounds" in self.chosen.get(name, ()):
+            return parameter
+        low, high = self.shape.bounds
+        return replace(parameter, lower=low, upper=high)
+
+    def constraints(self) -> tuple[ParameterConstraint, ...]:
+        """Those of a monotone curve; of a characteristic, that signal and curve together are."""
+        known = [*(name for name in self.table.values if name is not None)]
+        steps = ""
+        if self.form.is_characteristic:
+            low, high = (f"{self.name}.{end}" for end in ENDS)
+            known += [low, high]
+            steps = f"({high} - {low}) / {len(self.table.points) - 1}"
+        found = []
+        for text in self.table.order(steps):
+            found += parse_constraint(text, known, f"effects.{self.name}.monotone")
+        return tuple(found)
+
+
+def checked_shape(
+    slope_change: float | None, monotone: Monotone, bounds: Sequence[float] | None
+) -> TableShape:
+    """Return what is known of a curve, each of the kind that it must be.
+
+    Raises
+    ------
+    EffectError
+        If one is of another kind.
+    """
+    if slope_change is not None:
+        check_number(slope_change, "effect.slope_change", EffectError, above=0.0)
+    check_choice(monotone, get_args(Monotone), "effect.monotone", EffectError)
+    if bounds is None:
+        return TableShape(slope_change, monotone)
+    pair = tuple(bounds) if isinstance(bounds, Sequence) else ()
+    if len(pair) != 2 or not all(is_number(bound) for bound in pair):
+        raise EffectError(
+            f"effect.bounds: must be two numbers (lower, upper) but is {shown(bounds)}"
+        )
+    return TableShape(slope_change, monotone, (float(pair[0]), float(pair[1])))
+
+
+def _auxiliary(unknown: TableUnknown) -> Parameter:
+    return Parameter(
+        unknown.name,
+        unknown.start,
+        unknown.lower,
+        unknown.upper,
+        auxiliary=True,
+        prior=None if unknown.sd is None else NormalPrior(mean=0.0, sd=unknown.sd),
+    )

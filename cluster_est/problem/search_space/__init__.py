@@ -1,1 +1,0 @@
-"""The space that methods search: unknowns, and what counts beside the experiments' residuals."""

@@ -1,0 +1,387 @@
+"""The reset policy: each simulation begins with a reset, a new instance or a new process.
+
+Most FMUs can be reset, which costs microseconds. Some keep something: a state, a table, values that
+were set once. What is simulated then depends on what was simulated before, without any sign of it.
+So the first worker is asked the same question twice before a search begins, however long that
+takes: what simulations begin with must not depend on how quick a machine is. If the answers are not
+the same bits, a new instance for each simulation is tried, then a new process. With slow FMUs it is
+two or three simulations beside hundreds; `model.reset` in the config saves them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+from cluster_est.errors import UnsuitableExecutorError
+from cluster_est.executors import WorkerPool, executor_class
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.search_space import make_space
+from cluster_est.running.resources import Resources
+from cluster_est.running.threads_trial import TOGETHER, Trial, what_disturbs
+from workers.errors import ModelError
+from workers.messages import Experiment, Limits, Outcome, ResetPolicy, Status, Task
+from workers.process.forked import CAN_FORK
+
+WAYS: tuple[ResetPolicy, ...] = ("reset", "instance", "process")
+NO_ANSWER = (Status.LOST_WORKER, Status.TIMEOUT, Status.OUT_OF_MEMORY)
+"""Ends of a simulation that say nothing of what it would have given."""
+LATER_SECONDS = 1.1
+"""After which a clock that counts seconds has moved."""
+LONG_SECONDS, LONG_AT_THE_END = 60.0, 5.0
+"""Of a simulation that is not done once more only to be compared."""
+NO_LIMITS = Limits(*[float("inf")] * 4)
+BEGINS = {
+    "reset": "a reset of the instance",
+    "instance": "a new instance",
+    "process": "a new process",
+}
+"""What each simulation begins with."""
+
+
+@dataclass(frozen=True)
+class ResetDecision:
+    """The reset policy of a run, and the reason for it.
+
+    Attributes
+    ----------
+    policy
+        One of `WAYS`.
+    sentence
+        What was found.
+    plain
+        Whether that is nothing out of the ordinary.
+    """
+
+    policy: ResetPolicy
+    sentence: str
+    plain: bool = False
+
+
+def recorded(facts: Mapping[str, Any]) -> ResetDecision | None:
+    """Return the decision that a run.json holds; None if it does not say."""
+    found = facts.get("reset_policy") or {}
+    if found.get("policy") not in WAYS:
+        return None
+    return ResetDecision(found["policy"], str(found.get("sentence")), bool(found.get("plain")))
+
+
+@dataclass(frozen=True)
+class RepeatabilityAnswer:
+    """The answer to a `RepeatabilityTest`.
+
+    Attributes
+    ----------
+    same
+        Whether the answers were the same bits; None if that cannot be found out.
+    crashed
+        Whether the process crashed: in the first simulation if `same` is None, else in a later one.
+    message
+        What went wrong, as a verb with its object, or as the first simulation's own message.
+    first
+        The outcome that came out again.
+    at
+        When that was, in seconds of `time.monotonic`.
+    """
+
+    same: bool | None
+    crashed: bool = False
+    message: str = ""
+    first: Outcome | None = None
+    at: float = 0.0
+
+
+@dataclass(frozen=True)
+class RepeatabilityTest:
+    """A test of the first worker: the first task again after the others."""
+
+    tasks: tuple[Task, ...]
+
+    @classmethod
+    def of(cls, problem: Problem) -> RepeatabilityTest:
+        """Experiment, another one that sets most of what this one does not, and the first again.
+
+        What a reset leaves behind shows there at the latest.
+        """
+        first = min(
+            range(len(problem.experiments)), key=lambda e: len(problem.experiments[e].values)
+        )
+        own = _set_by(problem.experiments[first])
+        more = [len(_set_by(e) - own) for e in problem.experiments]
+        asked = [first, *([more.index(max(more))] if max(more) else []), first]
+        everything = tuple(range(len(problem.experiments)))
+        space = make_space(problem, everything)
+        values = space.physical(space.start)[:, : len(problem.model.parameters)]
+        return cls(tuple(Task(i, e, values[e]) for i, e in enumerate(asked)))
+
+    def ask(self, executor: WorkerPool) -> RepeatabilityAnswer:
+        """Ask the first worker, each task once."""
+        (first,) = executor.one_worker(self.tasks[:1]) or (None,)
+        if first is None or not first.ok:
+            crashed = first is not None and first.status is Status.CRASH
+            return RepeatabilityAnswer(None, crashed, first.message if first is not None else "")
+        rest = executor.one_worker(self.tasks[1:])
+        if not all(outcome.ok for outcome in rest[:-1]):
+            # the last one may have begun with a new instance or in a new process: no reset yet
+            rest = executor.one_worker(self.tasks[:1])
+        if not rest or rest[-1].status in NO_ANSWER:
+            return RepeatabilityAnswer(None, message=rest[-1].message if rest else "")
+        last = rest[-1]
+        if last.ok and _bits(last) == _bits(first):
+            return RepeatabilityAnswer(True, first=first, at=time.monotonic())
+        if last.ok:
+            return RepeatabilityAnswer(False, message="keeps something through a reset")
+        crashed = last.status is Status.CRASH
+        what = "crashes" if crashed else "fails"
+        return RepeatabilityAnswer(
+            False, crashed, f"{what} in a simulation after a reset ({last.message})"
+        )
+
+
+class _Start(Protocol):
+    """Starts workers of an executor, whose simulations begin in some way."""
+
+    def __call__(self, kind: str, policy: ResetPolicy, count: int | None) -> WorkerPool: ...
+
+
+def open_with_reset(
+    problem: Problem, resources: Resources, known: ResetDecision | None = None
+) -> tuple[WorkerPool, ResetDecision]:
+    """Start the workers, and decide what every simulation begins with.
+
+    Parameters
+    ----------
+    problem, resources
+        What is simulated, and where.
+    known
+        What was decided before, if an interrupted run is taken up again.
+
+    Raises
+    ------
+    ExecutorError
+        If this executor cannot give each simulation a process of its own, and the FMU needs that;
+        or if it has several workers in this process, and instances there disturb each other.
+    ModelError
+        If the FMU cannot be loaded.
+    """
+    pool, decision = _open(problem, resources, known)
+    try:
+        disturbs = _disturbance(problem, resources, pool)
+        if disturbs and resources.workers is not None:
+            raise UnsuitableExecutorError(
+                f"executor.workers: two instances of {problem.model.name} in one process must not "
+                f"disturb each other to be run by {pool.workers} workers in this process, but they "
+                f'{disturbs}; choose executor.name = "processes" or "ray", or set '
+                "executor.workers = 1"
+            )
+    except BaseException:
+        pool.close()
+        raise
+    if disturbs:
+        pool.close()
+        pool, decision = _open(problem, replace(resources, workers=1), decision)
+    pool.reset = decision.policy
+    return pool, decision
+
+
+def _disturbance(problem: Problem, resources: Resources, pool: WorkerPool) -> str:
+    """Return what instances in this process do to each other; "" if nothing, or there is one."""
+    if not (pool.in_process and pool.workers > 1):
+        return ""
+    if resources.instances is None:
+        return what_disturbs(problem)
+    limited = replace(problem, model=resources.limited(problem.model))
+    return what_disturbs(limited, lambda: pool.free_instances(TOGETHER))
+
+
+def _open(
+    problem: Problem, resources: Resources, known: ResetDecision | None
+) -> tuple[WorkerPool, ResetDecision]:
+    """Do as `open_with_reset`, however many workers there are in this process."""
+
+    def start(kind: str, policy: ResetPolicy, count: int | None) -> WorkerPool:
+        model = replace(problem.model, reset=policy, seats=resources.seats)
+        # what is tried apart for an executor in this process has no more limits than there
+        limits = resources.limits if kind == resources.executor else NO_LIMITS
+        pool = executor_class(kind)
+        if not (CAN_FORK or pool.in_process):
+            raise UnsuitableExecutorError(
+                f'executor.name: "{kind}" needs a system that can fork processes, as Linux and '
+                'macOS can, but this one cannot; choose "local"'
+            )
+        if policy == "process" and pool.in_process:
+            raise UnsuitableExecutorError(
+                'model.reset: "process" needs workers that are processes of their own but '
+                f'executor.name is "{kind}"; choose "processes" or "ray" there'
+            )
+        return pool.open(model, problem.experiments, count, resources.address, limits)
+
+    if problem.model.working_folder and executor_class(resources.executor).in_process:
+        raise UnsuitableExecutorError(
+            "model.working_folder: needs workers that are processes of their own, because a "
+            f'process has one working folder, but executor.name is "{resources.executor}"; choose '
+            '"processes" or "ray" there'
+        )
+    declared = problem.model.reset
+    if known is None and declared != "auto":
+        said = f"each simulation begins with {BEGINS[declared]}, as model.reset says"
+        known = ResetDecision(declared, said, plain=True)
+    if known is not None:
+        return start(resources.executor, known.policy, resources.workers), known
+    return _find_policy(problem, resources, start)
+
+
+_UNKNOWN = (
+    "each simulation begins with a reset, but it could not be tried whether a reset instance is as "
+    "good as a new one, because a simulation at the start values gave no result"
+)
+
+
+def _find_policy(
+    problem: Problem, resources: Resources, start: _Start
+) -> tuple[WorkerPool, ResetDecision]:
+    """Find the least policy with which the test has one answer; a reset if there is none.
+
+    An FMU that this machine does not know with these values is tried in a process of its own: it
+    may crash, or depend on its process.
+    """
+    file, here = problem.model.name, executor_class(resources.executor).in_process
+    question = RepeatabilityTest.of(problem)
+    trial = Trial("survived", problem.model, problem.experiments, question.tasks)
+    apart = (here or resources.executor == "processes") and CAN_FORK and not trial.passed
+    answers: dict[ResetPolicy, RepeatabilityAnswer] = {}
+    for policy in WAYS if CAN_FORK or not here else WAYS[:-1]:
+        elsewhere = apart or (here and policy == "process")
+        where = ("processes", 1) if elsewhere else (resources.executor, resources.workers)
+        try:
+            pool = start(where[0], policy, where[1])
+        except ModelError:
+            if policy == "reset":
+                raise
+            continue
+        try:
+            answers[policy] = question.ask(pool)
+            decision = _decide(file, answers)
+        except BaseException:
+            pool.close()
+            raise
+        if decision is not None and not elsewhere:
+            pool.first, pool.first_at = answers[policy].first, answers[policy].at
+            if pool.on_cluster:
+                decision = _compared(problem, pool, decision, last=True)
+            return pool, decision
+        pool.close()
+        if decision is not None:
+            if here:
+                _refuse_here(file, resources.executor, policy, answers[policy])
+            pool = start(resources.executor, decision.policy, resources.workers)
+            pool.first, pool.first_at = answers[policy].first, answers[policy].at
+            return pool, _tried(problem, pool, decision, trial)
+    decision = _never_the_same(file, answers)
+    return start(resources.executor, decision.policy, resources.workers), decision
+
+
+def _tried(
+    problem: Problem, pool: WorkerPool, decision: ResetDecision, trial: Trial
+) -> ResetDecision:
+    """Compare a second later, and remember a trial that has shown nothing."""
+    if not trial.passed:
+        decision = _compared(problem, pool, decision, later=True)
+        if decision.plain:
+            trial.remember()
+    return decision
+
+
+def compared_at_the_end(
+    problem: Problem, pool: WorkerPool, decision: ResetDecision
+) -> ResetDecision:
+    """Ask the first worker of a run once more what it answered before; the decision after that.
+
+    It is not asked while workers are busy, as after an interrupt, nor for long.
+    """
+    if pool.busy or pool.first is None or pool.first.seconds > LONG_AT_THE_END:
+        return decision
+    # on a cluster nothing was compared later before the run
+    return _compared(problem, pool, decision, later=pool.on_cluster)
+
+
+def _compared(
+    problem: Problem,
+    pool: WorkerPool,
+    decision: ResetDecision,
+    *,
+    last: bool = False,
+    later: bool = False,
+) -> ResetDecision:
+    """Ask a worker what was answered before the run; what its answer makes of a decision.
+
+    The last worker and not the first; later than a clock of seconds stands still.
+    """
+    first, task = pool.first, RepeatabilityTest.of(problem).tasks[:1]
+    if first is None or first.seconds > LONG_SECONDS:
+        return decision
+    if later:
+        time.sleep(max(0.0, pool.first_at + LATER_SECONDS - time.monotonic()))
+    again = pool.one_worker(task, last=last)
+    if all(not outcome.ok or _bits(outcome) == _bits(first) for outcome in again):
+        return decision
+    return ResetDecision(
+        decision.policy,
+        f"{problem.model.name} does not repeat itself: the same simulation gives another result in "
+        "another process, later, or after others, and so may this run; check it with "
+        "cluster-est check",
+    )
+
+
+def _decide(file: str, answers: Mapping[ResetPolicy, RepeatabilityAnswer]) -> ResetDecision | None:
+    """Return the decision that the answers so far allow; None if another policy must be tried."""
+    policy, answer = list(answers.items())[-1]
+    if policy == "reset":
+        if answer.same is None:
+            said = f"{_UNKNOWN} ({answer.message})" if answer.message else _UNKNOWN
+            return ResetDecision("reset", said)
+        said = "a reset instance is as good as a new one"
+        return ResetDecision("reset", said, plain=True) if answer.same else None
+    if not answer.same:
+        return None
+    said = f"{file} {answers['reset'].message}: each simulation begins with {BEGINS[policy]}"
+    return ResetDecision(policy, said)
+
+
+def _never_the_same(file: str, answers: Mapping[ResetPolicy, RepeatabilityAnswer]) -> ResetDecision:
+    """Return the least policy that does not crash, for an FMU that does not repeat itself."""
+    safe = [policy for policy, answer in answers.items() if not answer.crashed]
+    said = (
+        f"{file} does not repeat itself: the same simulation gives other results each time, even "
+        f"in a new {'process' if 'process' in answers else 'instance'}, and so may this run"
+    )
+    return ResetDecision(safe[0] if safe else "reset", said)
+
+
+def _refuse_here(
+    file: str, executor: str, policy: ResetPolicy, answer: RepeatabilityAnswer
+) -> None:
+    """Refuse to run an FMU in this process that would take it along, or spoil what comes next."""
+    if answer.same is None and answer.crashed:
+        raise UnsuitableExecutorError(
+            f"executor.name: {file} must survive its first simulation to be run in this process, "
+            f'but it does not ({answer.message}); choose "processes" or "ray", where only the '
+            "simulations that crash are lost"
+        )
+    if policy == "process":
+        raise UnsuitableExecutorError(
+            f"executor.name: {file} keeps something from one simulation to the next, even in "
+            f'a new instance, so each needs a process of its own, but "{executor}" has one for '
+            'all; choose "processes" or "ray", or set model.reset = "reset" if that does not matter'
+        )
+
+
+def _set_by(experiment: Experiment) -> set[str]:
+    return {name for name, _ in experiment.values}
+
+
+def _bits(outcome: Outcome) -> bytes:
+    found = b"" if outcome.residuals is None else outcome.residuals.tobytes()
+    return found + outcome.constraints.tobytes()

@@ -1,1 +1,0 @@
-"""What is found out about an FMU before a run relies on it."""

@@ -1,0 +1,430 @@
+"""The normal equations of shared and local unknowns, solved experiment by experiment.
+
+An unknown is held at a bound, shared by experiments, or local to one. The residuals of an
+experiment depend on the shared unknowns and on its own. So the Jacobian is a column of blocks
+(A_e, B_e), and its local parts are eliminated one block at a time: the part of A_e orthogonal to
+B_e has all information of an experiment on the shared unknowns. Memory grows with the blocks, not
+with the square of all unknowns; the result is that of the dense (J'J)^-1 (A. Bjorck, Numerical
+Methods for Least Squares Problems (1996), doi:10.1137/1.9781611971484, section 6.3). Singular value
+decompositions take the place of QR, to find what the data do not determine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from cluster_est.methods.block_matrix import BlockMatrix
+from cluster_est.methods.method import TOLERANCE, Solution
+from cluster_est.problem.search_space import SearchSpace
+from cluster_est.uncertainty.covariance import accuracy
+from workers.messages import FloatArray, IntArray
+
+MARGIN = 3.0
+"""Times its limit: a direction with a smaller ratio is reported."""
+
+
+@dataclass(frozen=True)
+class JacobianBlock:
+    """The rows of one experiment.
+
+    Attributes
+    ----------
+    shared : (n, shared)
+        Derivatives for the shared unknowns, or for coordinates that stand for them.
+    local : (n, local)
+        For its own; all columns are scaled to about 1.
+    """
+
+    shared: FloatArray
+    local: FloatArray
+
+
+@dataclass(frozen=True)
+class ErrorLimits:
+    """The error of the product of the Jacobian and a unit vector.
+
+    For a vector v it is |limits * v|.
+
+    Attributes
+    ----------
+    shared : (m,)
+        One for each shared unknown.
+    local
+        For each block, one for each of its local unknowns.
+    embedding : (m, shared)
+        From the blocks' shared coordinates to the shared unknowns.
+    """
+
+    shared: FloatArray
+    local: tuple[FloatArray, ...]
+    embedding: FloatArray
+
+
+@dataclass(frozen=True)
+class UndeterminedCombination:
+    """A direction that the data determine badly or not at all.
+
+    Attributes
+    ----------
+    shared : (m,)
+        Its part in the shared unknowns.
+    local
+        Its part in each block's local unknowns; empty arrays where it has none.
+    ratio
+        Change of the residuals along it, over the changes by its unknowns on their own.
+    limit
+        The ratio that the error of the derivatives alone may cause.
+    """
+
+    shared: FloatArray
+    local: tuple[FloatArray, ...]
+    ratio: float
+    limit: float
+
+    @property
+    def undetermined(self) -> bool:
+        """True if the ratio cannot be told from 0."""
+        return self.ratio <= self.limit
+
+
+@dataclass(frozen=True)
+class _EliminatedBlock:
+    """A block without its local unknowns.
+
+    `inverse` (local, n) is the pseudo-inverse of its local part B, `response` (local, shared) is
+    `inverse` A, minus the change of the local unknowns with the shared ones, `rest` (n, shared) the
+    part of A orthogonal to B, and `projector` (local, local) projects on the local directions that
+    are determined well.
+    """
+
+    inverse: FloatArray
+    response: FloatArray
+    projector: FloatArray
+    rest: FloatArray
+    rank: int
+
+
+@dataclass(frozen=True)
+class BlockFactors:
+    """Blocks whose local unknowns have been eliminated, and the factors for the shared ones.
+
+    Attributes
+    ----------
+    inverse : (shared, shared)
+        Pseudo-inverse of the normal equations of the shared coordinates.
+    rank
+        Number of directions that the data determine.
+    combinations
+        Directions that they do not determine, or hardly.
+    """
+
+    inverse: FloatArray
+    parts: tuple[_EliminatedBlock, ...] = field(repr=False)
+    rank: int
+    combinations: tuple[UndeterminedCombination, ...]
+
+
+@dataclass(frozen=True)
+class BlockCovariance:
+    """The covariance of shared coordinates and local unknowns, without pairs of other blocks.
+
+    Attributes
+    ----------
+    shared : (shared, shared)
+    cross
+        For each block (local, shared).
+    local
+        For each block (local, local).
+    """
+
+    shared: FloatArray
+    cross: tuple[FloatArray, ...]
+    local: tuple[FloatArray, ...]
+
+    def times(self, factor: float) -> BlockCovariance:
+        """Return this covariance times a number."""
+        return BlockCovariance(
+            factor * self.shared,
+            tuple(factor * each for each in self.cross),
+            tuple(factor * each for each in self.local),
+        )
+
+
+def factorise(blocks: Sequence[JacobianBlock], limits: ErrorLimits, weak: float) -> BlockFactors:
+    """Eliminate the local unknowns of each block and join the rest.
+
+    Parameters
+    ----------
+    blocks
+        All with the same shared coordinates.
+    limits
+        A direction is undetermined if its ratio is not above them, and is left out then.
+    weak
+        Directions up to this ratio, or up to `MARGIN` times their limit, are reported too.
+    """
+    width = limits.embedding.shape[1]
+    parts: list[_EliminatedBlock] = []
+    found: list[UndeterminedCombination] = []
+    nothing = tuple(np.zeros(0) for _ in blocks)
+    triangle = np.zeros((0, width))
+    for e, block in enumerate(blocks):
+        part, ratios, vectors, limits_of_rows = _eliminate(block, limits.local[e], weak)
+        parts.append(part)
+        for ratio, vector, edge in zip(ratios, vectors, limits_of_rows, strict=True):
+            local = (*nothing[:e], vector, *nothing[e + 1 :])
+            found.append(
+                UndeterminedCombination(np.zeros(len(limits.shared)), local, float(ratio), edge)
+            )
+        triangle = np.asarray(np.linalg.qr(np.vstack([triangle, part.rest]), mode="r"))
+    square = np.zeros((width, width))
+    square[: len(triangle)] = triangle
+    _, singular, rows = np.linalg.svd(square)
+    kept = []
+    for value, row in zip(singular, rows, strict=True):
+        combination = _complete(value, row, parts, limits)
+        kept.append(not combination.undetermined)
+        if combination.ratio <= max(weak, MARGIN * combination.limit):
+            found.append(combination)
+    scaled = rows[kept] / singular[kept, None]
+    rank = sum(part.rank for part in parts) + sum(kept)
+    return BlockFactors(scaled.T @ scaled, tuple(parts), rank, tuple(found))
+
+
+def block_covariance(
+    factors: BlockFactors, noise: Sequence[Callable[[FloatArray], FloatArray]] | None = None
+) -> BlockCovariance:
+    """Return (J'J)^-1 J'SJ (J'J)^-1 from the factors of J; (J'J)^-1 without S.
+
+    Parameters
+    ----------
+    factors
+        Of J.
+    noise
+        For each block, the product of S and some columns; S connects no two blocks.
+    """
+    if noise is None:
+        shared = factors.inverse
+        cross = tuple(-part.response @ shared for part in factors.parts)
+        own = [part.inverse @ part.inverse.T for part in factors.parts]
+        local = [o - c @ p.response.T for o, c, p in zip(own, cross, factors.parts, strict=True)]
+        return BlockCovariance(shared, cross, tuple(local))
+    influence = [factors.inverse @ part.rest.T for part in factors.parts]
+    shared = np.zeros_like(factors.inverse)
+    products = [
+        (times(each.T), times(part.inverse.T))
+        for part, each, times in zip(factors.parts, influence, noise, strict=True)
+    ]
+    for each, (influenced, _) in zip(influence, products, strict=True):
+        shared += each @ influenced
+    crossed, locals_ = [], []
+    for part, (influenced, inside) in zip(factors.parts, products, strict=True):
+        mixed = part.inverse @ influenced
+        between = mixed @ part.response.T
+        crossed.append(mixed - part.response @ shared)
+        locals_.append(
+            part.inverse @ inside - between - between.T + part.response @ shared @ part.response.T
+        )
+    return BlockCovariance(shared, tuple(crossed), tuple(locals_))
+
+
+def _eliminate(
+    block: JacobianBlock, limits: FloatArray, weak: float
+) -> tuple[_EliminatedBlock, FloatArray, FloatArray, list[float]]:
+    """Eliminate a block's local unknowns; return it, and ratios, vectors, limits of bad ones."""
+    count = block.local.shape[1]
+    left, singular, rows = np.linalg.svd(block.local, full_matrices=False)
+    if len(singular) < count:  # fewer residuals than local unknowns
+        _, _, rows = np.linalg.svd(block.local)
+        singular = np.append(singular, np.zeros(count - len(singular)))
+        left = np.column_stack([left, np.zeros((len(left), count - left.shape[1]))])
+    limits_of_rows = [float(np.linalg.norm(limits * row)) for row in rows]
+    kept = singular > limits_of_rows
+    bad = singular <= np.maximum(weak, MARGIN * np.array(limits_of_rows))
+    basis = left[:, kept]
+    inverse = (rows[kept].T / singular[kept]) @ basis.T
+    rest = block.shared
+    for _ in range(2):  # once leaves rounding errors along what was removed
+        rest = rest - basis @ (basis.T @ rest)
+    projector = rows[~bad].T @ rows[~bad]
+    part = _EliminatedBlock(inverse, inverse @ block.shared, projector, rest, int(kept.sum()))
+    return (
+        part,
+        singular[bad],
+        rows[bad],
+        [edge for edge, b in zip(limits_of_rows, bad, strict=True) if b],
+    )
+
+
+def _complete(
+    singular: float, row: FloatArray, parts: Sequence[_EliminatedBlock], limits: ErrorLimits
+) -> UndeterminedCombination:
+    """Return a direction of the shared coordinates, with the response of the local unknowns.
+
+    Directions that are badly determined within a block are reported of their own and left out here.
+    """
+    shared = limits.embedding @ row
+    local = [-part.projector @ (part.response @ row) for part in parts]
+    length = float(np.sqrt(1.0 + sum(float(y @ y) for y in local)))
+    pairs = zip([limits.shared, *limits.local], [shared, *local], strict=True)
+    limit = float(np.sqrt(sum(float(((a * b) ** 2).sum()) for a, b in pairs))) / length
+    unit = tuple(y / length for y in local)
+    return UndeterminedCombination(shared / length, unit, singular / length, limit)
+
+
+AT_BOUND = 1e-6
+"""Of an unknown's scale: closer to a bound than this, it counts as held there."""
+MUCH_SMALLER = 1e-2
+"""Of the typical size: the scale that the Jacobian shows counts where it is below this part."""
+HELD = 1e-9
+"""Part of an unknown's column below which active constraints determine it."""
+
+
+ActiveBound = Literal["", "lower", "upper"]
+
+
+@dataclass(frozen=True)
+class UnknownLayout:
+    """The free unknowns of a space at a point, shared and local, and its active constraints.
+
+    Attributes
+    ----------
+    active_bounds
+        For each unknown the bound that holds it, or "".
+    shared
+        Free unknowns that several experiments may depend on. An active constraint on local
+        unknowns makes them shared.
+    local
+        For each experiment, its free unknowns.
+    active
+        Names of the active constraints on parameters.
+    constraint_jacobian : (active, shared)
+        Their derivatives.
+    ignored
+        Names of active constraints on signals, whose derivatives are not known.
+    """
+
+    active_bounds: tuple[ActiveBound, ...]
+    shared: IntArray
+    local: tuple[IntArray, ...]
+    active: tuple[str, ...]
+    constraint_jacobian: FloatArray
+    ignored: tuple[str, ...]
+
+
+def active_bounds(
+    space: SearchSpace, x: FloatArray, jacobian: BlockMatrix | None = None
+) -> tuple[ActiveBound, ...]:
+    """Return the bound that each unknown is at, or "".
+
+    Wide bounds, or a start of 0, say little of an unknown's scale. Where the Jacobian is known, a
+    change that would change the residuals by all that was measured is not much smaller than it.
+    """
+    scale = space.typical
+    outputs = accuracy.output_norm(space)
+    if jacobian is not None and outputs > 0.0:
+        norms = jacobian.norms()
+        reach = np.divide(outputs, norms, out=np.full(len(norms), np.inf), where=norms > 0.0)
+        scale = np.where(reach < MUCH_SMALLER * scale, reach, scale)
+    tolerance = AT_BOUND * scale
+    low, high = x - space.lower <= tolerance, space.upper - x <= tolerance
+    return tuple("lower" if a else "upper" if b else "" for a, b in zip(low, high, strict=True))
+
+
+def is_shared(space: SearchSpace) -> npt.NDArray[np.bool_]:
+    """Return (unknowns,): True if declared for all experiments, or acting on several."""
+    declared = np.array([u.parameter.per is None for u in space.unknowns], dtype=bool)
+    several = np.array([len(u.experiments) > 1 for u in space.unknowns], dtype=bool)
+    return np.asarray(declared | several)
+
+
+def unknown_layout(
+    space: SearchSpace,
+    x: FloatArray,
+    constraints: FloatArray,
+    *,
+    held: bool = True,
+    jacobian: BlockMatrix | None = None,
+) -> UnknownLayout:
+    """Return the layout at a point whose constraints have these values, of which some may lack.
+
+    Unknowns at a bound are free too if not `held`.
+    """
+    at_bounds = active_bounds(space, x, jacobian)
+    if not held:
+        at_bounds = tuple("" for _ in at_bounds)
+    free = np.array([not bound for bound in at_bounds], dtype=bool)
+    slopes = space.parameter_constraint_jacobian(x)
+    values = space.parameter_constraints(x)
+    active = np.abs(values) <= TOLERANCE
+    active |= space.equality[: len(values)] | (values > 0.0)
+    active &= (slopes[:, free] != 0.0).any(axis=1)
+    coupled = (slopes[active] != 0.0).any(axis=0)
+    shared = is_shared(space) | coupled
+    of_signals = range(len(values), len(constraints))
+    names = space.constraint_names
+    return UnknownLayout(
+        active_bounds=at_bounds,
+        shared=np.flatnonzero(free & shared),
+        local=tuple(acting[(free & ~shared)[acting]] for acting in space.acting),
+        active=tuple(names[j] for j in np.flatnonzero(active)),
+        constraint_jacobian=slopes[active][:, free & shared],
+        ignored=tuple(
+            names[j] for j in of_signals if space.equality[j] or constraints[j] >= -TOLERANCE
+        ),
+    )
+
+
+def null_space(jacobian: FloatArray) -> FloatArray:
+    """Return (shared, coordinates): an orthonormal basis of the constraints' null space.
+
+    Their Jacobian is in units of the scaled unknowns.
+    """
+    count = jacobian.shape[1]
+    if not len(jacobian) or not count:
+        return np.eye(count)
+    lengths = np.linalg.norm(jacobian, axis=1, keepdims=True)
+    _, singular, rows = np.linalg.svd(jacobian / lengths)
+    rank = int((singular > HELD * singular[0]).sum())
+    return np.ascontiguousarray(rows[rank:].T)
+
+
+def blocks(
+    matrix: BlockMatrix, layout: UnknownLayout, coordinates: FloatArray
+) -> list[JacobianBlock]:
+    """Split the blocks of a scaled Jacobian into shared coordinates and local unknowns."""
+    place = np.full(matrix.size, -1)
+    place[layout.shared] = np.arange(len(layout.shared))
+    found = []
+    for block, columns, local in zip(matrix.blocks, matrix.columns, layout.local, strict=True):
+        shared = place[columns] >= 0
+        basis = coordinates[place[columns[shared]]]
+        own = np.searchsorted(columns, local)
+        found.append(JacobianBlock(block[:, shared] @ basis, block[:, own]))
+    return found
+
+
+def has_jacobian(solution: Solution) -> bool:
+    """Return whether a solution has a Jacobian, in either form."""
+    return solution.jacobian is not None or solution.block_jacobian is not None
+
+
+def jacobian_blocks(space: SearchSpace, solution: Solution) -> BlockMatrix | None:
+    """Return the Jacobian in blocks; None where the solution has none."""
+    dense = solution.jacobian
+    if dense is None:
+        return solution.block_jacobian
+    rows = space.rows if solution.at is None else solution.at.rows
+    blocks = [dense[row][:, acting] for row, acting in zip(rows, space.acting, strict=True)]
+    return BlockMatrix(tuple(blocks), space.acting, space.size)
+
+
+def with_jacobian(solution: Solution, jacobian: BlockMatrix) -> Solution:
+    """Return the solution with another Jacobian, in the form of its own."""
+    if solution.jacobian is None:
+        return replace(solution, block_jacobian=jacobian)
+    return replace(solution, jacobian=jacobian.dense())

@@ -1,0 +1,407 @@
+"""Profile likelihoods: intervals by refits, for models that are nonlinear over them.
+
+For each chosen unknown the cost is minimised over all others with that one fixed, further and
+further from the optimum. The interval ends where the cost has risen by s^2 F(1, n - k), which for
+a linear model is exactly the interval of Student's t: D. M. Bates, D. G. Watts, Nonlinear
+Regression Analysis and Its Applications (1988), doi:10.1002/9780470316757, section 6.1. For a
+likelihood s^2 is near 1, and the rise is the likelihood ratio's 3.84 with a correction for few
+residuals. Where the noise is not white, the rise is as much larger as the square of the unknown's
+standard error is (A. Rotnitzky, N. P. Jewell, Biometrika 77 (1990) 485-497,
+doi:10.1093/biomet/77.3.485). A profile that stays flat shows what the data do not determine: A.
+Raue et al., Bioinformatics 25 (2009) 1923-1929, doi:10.1093/bioinformatics/btp358.
+
+Take it where an interval is wide, one-sided or reaches a bound, or where constraints on signals
+are active: refits keep all of them. It costs some ten fits for each side of each unknown. Each side
+is a search in the full space like any other, so that all sides of all profiles run at the same
+time; inside it another method searches the space without the profiled unknown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+from scipy.special import fdtri
+
+from cluster_est.errors import ProblemError
+from cluster_est.methods.method import (
+    Ending,
+    Evaluation,
+    Method,
+    OtherPoint,
+    Points,
+    Progress,
+    Search,
+    Solution,
+)
+from cluster_est.problem.compatibility import refuse_ordinal_outputs
+from cluster_est.problem.search_space import SearchSpace
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
+from cluster_est.uncertainty.covariance.covariance import assess
+from cluster_est.uncertainty.covariance.derivatives import linearise
+from cluster_est.uncertainty.covariance.local_uncertainty import Uncertainty
+from cluster_est.uncertainty.covariance.normal_equations import is_shared
+from cluster_est.uncertainty.profile_points import (
+    ProfileEnd,
+    ProfilePoint,
+    ProfileResult,
+    ProfileSteps,
+    ProfileTarget,
+    RefitPoint,
+    crossing,
+)
+from cluster_est.uncertainty.spaces import with_fixed_unknown, with_start
+from cluster_est.uncertainty.uncertainty_settings import UncertaintySettings
+from workers.fmu.description import nearest
+from workers.messages import FloatArray
+
+
+@dataclass
+class RequestedIndices:
+    """The number of points that a search has requested, and the indices not answered yet."""
+
+    count: int = 0
+    outstanding: set[int] = field(default_factory=set)
+
+
+def refit(method: Method, space: SearchSpace, generator: np.random.Generator) -> Search:
+    """Search a space; only evaluate its start where no unknown is left."""
+    if space.size:
+        return (yield from method.search(space, generator))
+    (at,) = yield Points(space.start[None, :], "start")
+    ending = Ending.CONVERGED if at.ok else Ending.START_FAILED
+    return Solution(space.start, at.cost, ending, at=at)
+
+
+def embedded(
+    search: Search, x: FloatArray, i: int, requested: RequestedIndices, progress: Progress
+) -> Search:
+    """Run a search of the space without unknown i in the full space, where that is x[i].
+
+    Both number points in their own way. Points that an earlier search left unanswered are dropped.
+    """
+    offset, stale = requested.count, tuple(sorted(requested.outstanding))
+    requested.outstanding.clear()
+    answers: list[Evaluation] | None = None
+    while True:
+        try:
+            points = next(search) if answers is None else search.send(answers)
+        except StopIteration as end:
+            solution: Solution = end.value
+            return solution
+        dropped = tuple(index + offset for index in points.drop)
+        requested.outstanding.update(range(requested.count, requested.count + len(points.x)))
+        requested.outstanding.difference_update(dropped)
+        requested.count += len(points.x)
+        full = np.insert(points.x, i, x[i], axis=1)
+        found = yield replace(points, x=full, progress=progress, drop=(*stale, *dropped))
+        requested.outstanding.difference_update(each.index for each in found)
+        stale = ()
+        answers = [replace(each, index=each.index - offset) for each in found]
+
+
+FAILURE_FACTOR = 0.25
+"""Of the step, after a refit that failed."""
+MOST_FAILURES = 5
+
+
+@dataclass(frozen=True)
+class ProfileSolution(Solution):
+    """One side of a profile: its points are `others`, and `end` says why it stopped."""
+
+    end: ProfileEnd = ProfileEnd.FAILED
+
+
+@dataclass(frozen=True)
+class ProfileContinuation(Method):
+    """Change one unknown step by step until the cost has risen far enough.
+
+    The signed root of the rise is nearly linear in the unknown (D. M. Bates, D. G. Watts, Nonlinear
+    Regression Analysis and Its Applications (1988), doi:10.1002/9780470316757, section 6.1), so the
+    next step is predicted from the last one, and the end is interpolated.
+
+    Attributes
+    ----------
+    inner
+        Refits the other unknowns. A local method: it starts close to their minimum.
+    target
+        The unknown, the direction, and the rise of the cost at the end.
+    first
+        Length of the first step, in search coordinates.
+    """
+
+    name: ClassVar[str] = "profile"
+    needs_residuals: ClassVar[bool] = False
+    keeps_constraints: ClassVar[bool] = True
+
+    inner: Method
+    target: ProfileTarget
+    first: float
+
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
+        target, i = self.target, self.target.unknown
+        steps = ProfileSteps(target, space, [RefitPoint(space.start, target.cost, 0.0)], self.first)
+        requested, failures = RequestedIndices(), 0
+        # as many steps again, where the profile is so steep that its end must be closed in on
+        for number in range(2 * target.max_steps):
+            if steps.outside is None and number >= target.max_steps:
+                return _solution(steps, ProfileEnd.FLAT)
+            value = steps.next_value()
+            if value is None:
+                break
+            x = steps.predicted(value)
+            progress = Progress(number, steps.inside[-1].cost, step=steps.length)
+            search = refit(self.inner, with_fixed_unknown(space, i, x), generator)
+            solution = yield from embedded(search, x, i, requested, progress)
+            if _is_valid(solution):
+                steps.add(np.insert(solution.x, i, value), solution.cost)
+                continue
+            failures += 1
+            steps.factor *= FAILURE_FACTOR
+            if failures == MOST_FAILURES:
+                return _solution(steps, ProfileEnd.FAILED)
+        return _solution(steps, ProfileEnd.BOUND)
+
+
+def _solution(steps: ProfileSteps, end: ProfileEnd) -> ProfileSolution:
+    """Return all points as others; the end is found once a point is outside the interval."""
+    if steps.outside is not None:
+        end = ProfileEnd.FOUND
+    best = min(steps.points, key=lambda point: point.cost)
+    others = tuple(OtherPoint(point.x, point.cost) for point in steps.points)
+    ending = Ending.STALLED if end is ProfileEnd.FAILED else Ending.CONVERGED
+    return ProfileSolution(best.x, best.cost, ending, str(end), len(others), others=others, end=end)
+
+
+def _is_valid(solution: Solution) -> bool:
+    """Return whether a refit ended at a feasible point."""
+    invalid = solution.ending in (Ending.START_FAILED, Ending.INFEASIBLE)
+    infeasible = solution.at is not None and not solution.at.feasible
+    return bool(np.isfinite(solution.cost)) and not invalid and not infeasible
+
+
+BETTER = 1e-3
+"""Of the rise: a cost lower than the optimum's by more means that it was none."""
+
+
+def profiles(
+    runner: Runner,
+    space: SearchSpace,
+    solution: Solution,
+    method: Method,
+    settings: UncertaintySettings,
+) -> tuple[ProfileResult, ...]:
+    """Profile the unknowns that the settings name, all at the same time.
+
+    Parameters
+    ----------
+    runner
+        For the refits.
+    space, solution
+        The space that was searched, and the optimum.
+    method
+        Refits the other unknowns; a local one, because it starts close to their minimum.
+    settings
+        The unknowns, and the number of steps.
+
+    Raises
+    ------
+    ProblemError
+        See `check_profiles`. Where only the solution does not determine the rise of the cost, such
+        as one without residuals, the profiles are open and say so.
+    """
+    check_profiles(space, settings)
+    chosen = select(space, settings.profiles)
+    if not chosen or not np.isfinite(solution.cost):
+        return ()
+    solution = linearise(runner, space, solution)
+    linear = assess(space, solution)
+    rises = {i: _rise(linear, i, settings) for i in chosen}
+    if not all(rise > 0.0 for rise in rises.values()):
+        return tuple(_undetermined(space, solution, i, settings) for i in chosen)
+    start_space, steps = with_start(space, solution.x), (settings.steps, settings.max_steps)
+    continuations = []
+    for i in chosen:
+        first = _first_step(space, solution, linear, i, settings.steps)
+        targets = [ProfileTarget(i, side, solution.cost, rises[i], *steps) for side in (-1, 1)]
+        continuations += [ProfileContinuation(method, target, first) for target in targets]
+    requests = [
+        SearchRequest(_search_name(space, each), each, start_space) for each in continuations
+    ]
+    found = runner.run(requests, settings.at_once)
+    sides = [_side(*pair, start_space.start) for pair in zip(continuations, found, strict=True)]
+    pairs = zip(sides[::2], sides[1::2], strict=True)
+    return tuple(_result(space, solution, *pair, settings) for pair in pairs)
+
+
+def _search_name(space: SearchSpace, continuation: ProfileContinuation) -> str:
+    """Return the name of one side's search in the log."""
+    side = "lower" if continuation.target.direction < 0 else "upper"
+    return f"profile {space.unknowns[continuation.target.unknown].label} {side}"
+
+
+def select(space: SearchSpace, names: Sequence[str]) -> list[int]:
+    """Return the positions of unknowns that are named by label, parameter, "shared" or "all".
+
+    Raises
+    ------
+    ProblemError
+        If there is none of a name.
+    """
+    shared = is_shared(space)
+    chosen: set[int] = set()
+    for name in names:
+        found = {
+            i
+            for i, unknown in enumerate(space.unknowns)
+            if name in (unknown.label, unknown.parameter.name, "all")
+            or (name == "shared" and shared[i])
+        }
+        if not found and name not in ("all", "shared"):
+            labels = [unknown.label for unknown in space.unknowns]
+            raise ProblemError(
+                f"uncertainty.profiles: must name estimated parameters, such as {labels[0]!r}, "
+                f'or "shared" or "all", but has {name!r}{nearest(name, labels)}'
+            )
+        chosen |= found
+    return sorted(chosen)
+
+
+def check_profiles(space: SearchSpace, settings: UncertaintySettings) -> None:
+    """Refuse profiles that cannot be taken, before anything is simulated.
+
+    Raises
+    ------
+    ProblemError
+        If a name is unknown, or the cost has no weights and no rise is given.
+    """
+    cost = space.problem.cost
+    probe = np.ones(len(space.outputs))
+    if not select(space, settings.profiles) or settings.rise > 0.0:
+        return
+    refuse_ordinal_outputs(
+        space,
+        "uncertainty.profiles",
+        "give uncertainty.rise, by how much the cost may rise, or take uncertainty.bootstrap",
+    )
+    if len(probe) and cost.weights(probe, space.outputs) is None:
+        raise ProblemError(
+            "uncertainty.profiles: must be told by the scatter of the residuals how far the cost "
+            f"may rise, but the cost {cost.name!r} has no weights; give uncertainty.rise (3.84 for "
+            "twice a negative log-likelihood) or use uncertainty.bootstrap"
+        )
+
+
+def _rise(linear: Uncertainty, i: int, settings: UncertaintySettings) -> float:
+    """Return by how much the cost rises to the ends of an unknown's interval.
+
+    Where the noise is not white, by as much more as the square of its standard error is larger; and
+    where priors keep their own widths, by as much less or more as that makes it.
+    """
+    if settings.rise > 0.0:
+        return settings.rise
+    if not (linear.degrees > 0 and linear.variance > 0.0):
+        return np.nan
+    interval = linear.intervals[i]
+    uniform = interval.error_uniform
+    of_curvature = uniform if np.isfinite(uniform) else interval.error_white
+    larger = (interval.std_error / of_curvature) ** 2
+    if not np.isfinite(larger):
+        return linear.variance * float(fdtri(1, linear.degrees, settings.confidence))
+    return linear.variance * larger * float(fdtri(1, linear.basis_degrees, settings.confidence))
+
+
+def _undetermined(
+    space: SearchSpace, solution: Solution, i: int, settings: UncertaintySettings
+) -> ProfileResult:
+    """Return a profile of the optimum alone, where the rise at its ends is not known."""
+    estimates = tuple(space.estimates(solution.x).values())
+    return ProfileResult(
+        label=space.unknowns[i].label,
+        value=estimates[i],
+        cost=solution.cost,
+        rise=np.nan,
+        confidence=settings.confidence,
+        labels=tuple(each.label for each in space.unknowns),
+        points=(ProfilePoint(estimates[i], solution.cost, 0.0, estimates),),
+        lower=np.nan,
+        upper=np.nan,
+        open_lower=ProfileEnd.UNKNOWN,
+        open_upper=ProfileEnd.UNKNOWN,
+    )
+
+
+def _first_step(
+    space: SearchSpace, solution: Solution, linear: Uncertainty, i: int, steps: int
+) -> float:
+    """Return the first step: a part of the interval by derivatives, if there is one."""
+    unknown = space.unknowns[i]
+    x, error = float(solution.x[i]), linear.intervals[i].std_error
+    if unknown.log:
+        error /= unknown.to_physical(x)
+    width = float(space.upper[i] - space.lower[i])
+    longest = min(float(space.typical[i]), width)
+    return min(2.0 * error / steps, longest) if error > 0.0 else 0.1 * longest
+
+
+@dataclass(frozen=True)
+class _ProfileSide:
+    """The points of one side, outwards from the optimum, and its end."""
+
+    target: ProfileTarget
+    path: list[RefitPoint]
+    end: ProfileEnd
+
+    def point(self, space: SearchSpace, refit: RefitPoint) -> ProfilePoint:
+        """Return a point in physical units."""
+        estimates = tuple(space.estimates(refit.x).values())
+        root = self.target.direction * refit.root
+        return ProfilePoint(estimates[self.target.unknown], refit.cost, root, estimates)
+
+    def limit(self, space: SearchSpace) -> float:
+        """Return the end of the interval, in physical units."""
+        if self.end is ProfileEnd.FAILED:
+            return np.nan
+        if self.end is not ProfileEnd.FOUND:
+            return self.target.direction * np.inf
+        first = next(j for j, refit in enumerate(self.path) if refit.root >= 1.0)
+        at = crossing(self.path[: first + 1], self.target.unknown, 1.0)
+        return space.unknowns[self.target.unknown].to_physical(at)
+
+
+def _side(continuation: ProfileContinuation, found: Solution, start: FloatArray) -> _ProfileSide:
+    """Return the points of a search; one that was ended from outside has its start only."""
+    target = continuation.target
+    if not isinstance(found, ProfileSolution):
+        return _ProfileSide(target, [RefitPoint(start, target.cost, 0.0)], ProfileEnd.FAILED)
+    path = [RefitPoint(each.x, each.cost, target.root(each.cost)) for each in found.others]
+    path.sort(key=lambda refit: target.direction * float(refit.x[target.unknown]))
+    return _ProfileSide(target, path, found.end)
+
+
+def _result(
+    space: SearchSpace,
+    solution: Solution,
+    low: _ProfileSide,
+    high: _ProfileSide,
+    settings: UncertaintySettings,
+) -> ProfileResult:
+    """Join the two sides of a profile."""
+    target = low.target
+    points = [*(low.point(space, refit) for refit in low.path[:0:-1])]
+    points += [high.point(space, refit) for refit in high.path]
+    best = min((*low.path, *high.path), key=lambda refit: refit.cost)
+    better = best.cost < solution.cost - BETTER * target.rise
+    return replace(
+        _undetermined(space, solution, target.unknown, settings),
+        rise=target.rise,
+        points=tuple(points),
+        lower=low.limit(space),
+        upper=high.limit(space),
+        open_lower=low.end,
+        open_upper=high.end,
+        better=(space.estimates(best.x), best.cost) if better else None,
+    )

@@ -1,1 +1,0 @@
-"""Profile likelihoods: intervals by refits."""

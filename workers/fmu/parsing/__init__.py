@@ -1,1 +1,0 @@
-"""The parts of a model description's XML, read without trusting them."""

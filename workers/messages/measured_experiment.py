@@ -1,0 +1,455 @@
+"""One measured experiment: the signals that a simulation is fed with and compared with.
+
+Besides outputs it may be compared with a curve, bounds and functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import ClassVar, get_args
+
+import numpy as np
+
+from workers.errors import DataError
+from workers.messages.checks import (
+    as_pairs,
+    as_tuple,
+    check_choice,
+    check_flag,
+    check_kind,
+    check_name,
+    check_number,
+    check_once,
+    check_text,
+    is_finite,
+    is_number,
+    shown,
+)
+from workers.messages.signals import (
+    Input,
+    Output,
+    check_finite,
+    check_length,
+    check_times,
+    kept_floats,
+)
+from workers.messages.types import (
+    REDUCTIONS,
+    FloatArray,
+    Role,
+    Value,
+    Want,
+    by_content,
+    content_hash,
+)
+
+
+@by_content
+@dataclass(frozen=True)
+class Curve:
+    """Measured points of a curve without times, such as force over displacement.
+
+    Attributes
+    ----------
+    variables
+        The FMU's variable for each column.
+    points : (n, d)
+        Measured, in their order along the curve.
+    times : (m,)
+        When the simulated curve is sampled.
+    tolerances : (d,)
+        How far a simulated point may lie from the curve in each column; 0 for as far as it likes.
+        Empty for that in all columns.
+
+    Raises
+    ------
+    DataError
+        If there are fewer than two points or not a column for each variable, times are not finite
+        and increasing, or a tolerance is negative.
+    """
+
+    variables: tuple[str, ...]
+    points: FloatArray = field(repr=False)
+    times: FloatArray = field(repr=False)
+    tolerances: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        variables = as_tuple(self.variables, str, "curve.variables", DataError)
+        points = kept_floats(self.points, "curve.points", 2)
+        tolerances = tuple(kept_floats(self.tolerances, "curve.tolerances").tolist())
+        object.__setattr__(self, "variables", variables)
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "times", _own_times(self.times, "curve"))
+        object.__setattr__(self, "tolerances", tolerances)
+        _check_points(points, variables)
+        if tolerances and len(tolerances) != len(variables):
+            raise DataError(
+                f"curve.tolerances: must be as many as the variables, {len(variables)}, but are "
+                f"{len(tolerances)}; write 0 for a variable without one"
+            )
+        for name, tolerance in zip(variables, tolerances, strict=False):
+            check_number(tolerance, f"curve.tolerances of {name!r}", DataError, least=0.0)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of its constraints."""
+        pairs = zip(self.variables, self.tolerances, strict=False)
+        return tuple(f"tolerance of {name}" for name, tolerance in pairs if tolerance != 0.0)
+
+
+@by_content
+@dataclass(frozen=True)
+class SignalBound:
+    """A constraint on a simulated signal y: lower(t) <= y(t) <= upper(t), or y(t) = lower(t).
+
+    Attributes
+    ----------
+    name
+        What tables call it.
+    variable
+        Of the FMU.
+    times : (m,)
+        When it must hold.
+    lower, upper : (m,)
+        Infinite where there is no bound.
+    scale
+        What a violation is counted in.
+    equality
+        Whether the signal must be equal to `lower`; `upper` is the same then.
+
+    Raises
+    ------
+    DataError
+        If times are not finite and increasing, there is not a limit for each, `lower` is above
+        `upper`, or the scale is not positive.
+    """
+
+    name: str
+    variable: str
+    times: FloatArray = field(repr=False)
+    lower: FloatArray = field(repr=False)
+    upper: FloatArray = field(repr=False)
+    scale: float = 1.0
+    equality: bool = False
+
+    def __post_init__(self) -> None:
+        check_name(self.name, "bound.name", DataError)
+        where = f"bound {self.name!r}"
+        check_name(self.variable, f"{where}.variable", DataError)
+        check_flag(self.equality, f"{where}.equality", DataError)
+        check_number(self.scale, f"{where}.scale", DataError, above=0.0)
+        times = _own_times(self.times, where)
+        object.__setattr__(self, "times", times)
+        for side in ("lower", "upper"):
+            limit = kept_floats(getattr(self, side), f"{where}.{side}")
+            check_length(limit, times, f"{where}.{side}:")
+            object.__setattr__(self, side, limit)
+        self._check_limits(where)
+
+    def _check_limits(self, where: str) -> None:
+        """Refuse limits that no signal could keep, naming the first."""
+        for side, none in (("lower", -np.inf), ("upper", np.inf)):
+            limit = getattr(self, side)
+            for i in np.flatnonzero(~np.isfinite(limit)):
+                if self.equality or limit[i] != none:
+                    other = "" if self.equality else f", or {none} where there is no bound,"
+                    raise DataError(
+                        f"{where}.{side}, index {i}: must be a finite number{other} but is "
+                        f"{limit[i]}; mend it"
+                    )
+        wrong = self.lower != self.upper if self.equality else self.lower > self.upper
+        for i in np.flatnonzero(wrong):
+            must = "be upper, because it is an equality," if self.equality else "not be above upper"
+            raise DataError(
+                f"{where}.lower, index {i}: must {must} but they are {self.lower[i]:g} and "
+                f"{self.upper[i]:g}; change one"
+            )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of its constraints: one, or one for each side that it has."""
+        if self.equality:
+            return (self.name,)
+        sides = {"lower": self.lower, "upper": self.upper}
+        return tuple(f"{self.name} {s}" for s, values in sides.items() if np.isfinite(values).any())
+
+
+@dataclass(frozen=True)
+class UserFunction:
+    """A Python function of the user's, which runs on the workers.
+
+    Attributes
+    ----------
+    module, name
+        Where it stands.
+    source
+        The module's text, where it is a file of the user's; empty if the module is installed.
+    equality
+        For a constraint: whether what it returns must be 0, else at most 0.
+    label
+        What tables call it; `name` if empty.
+
+    Raises
+    ------
+    DataError
+        If it has no module or no name, or something is no text.
+    """
+
+    module: str
+    name: str
+    source: str = field(default="", repr=False)
+    equality: bool = False
+    label: str = ""
+
+    def __post_init__(self) -> None:
+        check_name(self.module, "function.module", DataError)
+        check_name(self.name, "function.name", DataError)
+        for key in ("source", "label"):
+            check_text(getattr(self, key), f"function {self.name!r}.{key}", DataError)
+        check_flag(self.equality, f"function {self.name!r}.equality", DataError)
+
+
+def _own_times(values: object, where: str) -> FloatArray:
+    """At least one time, as a copy that cannot be written to."""
+    times = kept_floats(values, f"{where}.times")
+    if not len(times):
+        raise DataError(f"{where}.times: must have at least one time but has none; add one")
+    check_times(times, f"{where}.times", "index {}".format)
+    return times
+
+
+def _check_points(points: FloatArray, variables: tuple[str, ...]) -> None:
+    """Refuse points of a curve that are too few, or are not a number for each variable."""
+    if not variables:
+        raise DataError("curve.variables: must name at least one variable but are empty; name them")
+    for i, name in enumerate(variables):
+        check_name(name, f"curve.variables[{i}]", DataError)
+    if points.shape[1] != len(variables):
+        raise DataError(
+            f"curve.points: must have a column for each variable, {len(variables)}, but have "
+            f"{points.shape[1]}; change one of the two"
+        )
+    if len(points) < 2:
+        raise DataError(
+            f"curve.points: must be at least two but are {len(points)}; a curve goes from one "
+            "point to the next"
+        )
+    for name, column in zip(variables, points.T, strict=True):
+        check_finite(column, f"curve.points of {name!r}")
+
+
+@by_content
+@dataclass(frozen=True)
+class Experiment:
+    """One measured run, as a worker needs it.
+
+    Attributes
+    ----------
+    id
+        Name, unique in a problem.
+    start, stop
+        Simulated interval in seconds. Every output's times lie in it.
+    inputs, outputs
+        The measured signals.
+    values
+        Known start values of this run by variable name, written before initialisation; may be
+        given as a dict, as may `groups`.
+    role, groups
+        Labels for the coordinator: whether the parameters are estimated from this run ("train") or
+        only tested on it ("test"), and which group it belongs to under each key. No result depends
+        on them.
+    signals
+        Measured signals that the model has no input for; effects may depend on them by name.
+    curve
+        Measured points without times, besides or instead of `outputs`.
+    bounds
+        What simulated signals must satisfy.
+    cost_function
+        Returns what takes the place of all residuals of this experiment.
+    constraint_functions
+        Each returns a number that must be at most 0, or 0.
+    record
+        Name of the experiment whose values it shares where parameters have one per experiment,
+        because both are parts of one record; "" if it has its own. A label too.
+    log_spread
+        With process noise: what is taken off the sum of log(S / sigma^2) in -2 log likelihood, S
+        being the variances that a Kalman filter predicts. A constant, with which no estimate
+        changes; with that sum of a fitted model, residuals near it are innovations over their
+        standard deviations.
+
+    Raises
+    ------
+    DataError
+        If its signals contradict it or each other.
+    """
+
+    id: str
+    start: float
+    stop: float
+    inputs: tuple[Input, ...]
+    outputs: tuple[Output, ...]
+    values: tuple[tuple[str, Value], ...] = ()
+    role: Role = "train"
+    groups: tuple[tuple[str, str], ...] = ()
+    signals: tuple[Input, ...] = ()
+    curve: Curve | None = None
+    bounds: tuple[SignalBound, ...] = ()
+    cost_function: UserFunction | None = None
+    constraint_functions: tuple[UserFunction, ...] = ()
+    record: str = ""
+    log_spread: float = 0.0
+
+    from_table: ClassVar[Callable[..., Experiment]]
+    """An experiment from a table of pandas, polars or pyarrow, or a dict of columns. The
+    coordinator puts it here: a worker reads no tables."""
+    hold_out: ClassVar[Callable[..., tuple[Experiment, Experiment]]]
+    """Its training part and, as a test experiment, what was measured within windows. Put here as
+    `from_table` is."""
+
+    def __post_init__(self) -> None:
+        check_name(self.id, "experiment.id", DataError)
+        where = f"experiment {self.id!r}"
+        for key, kind in _LISTS.items():
+            given = getattr(self, key)
+            object.__setattr__(self, key, as_tuple(given, kind, f"{where}.{key}", DataError))
+        for key in ("values", "groups"):
+            given = getattr(self, key)
+            object.__setattr__(self, key, as_pairs(given, f"{where}.{key}", DataError))
+        check_choice(self.role, get_args(Role), f"{where}.role", DataError)
+        if self.record:
+            check_name(self.record, f"{where}.record", DataError)
+        _check_values(self.values, f"{where}.values")
+        check_once([output.variable for output in self.outputs], f"{where}.outputs", DataError)
+        if self.curve is not None:
+            check_kind(self.curve, Curve, f"{where}.curve", DataError)
+        if self.cost_function is not None:
+            advice = "; write UserFunction(module, name)"
+            check_kind(
+                self.cost_function, UserFunction, f"{where}.cost_function", DataError, advice
+            )
+        check_number(self.log_spread, f"{where}.log_spread", DataError)
+        _check_interval(self, where)
+
+    @property
+    def record_id(self) -> str:
+        """Name of the record that it is, or is a part of."""
+        return self.record or self.id
+
+    @property
+    def size(self) -> int:
+        """Number of residuals; those of a cost function are known only once it has been called."""
+        return sum(self.counts)
+
+    @cached_property
+    def counts(self) -> tuple[int, ...]:
+        """Number of residuals of each output, then of the curve, in the order of the residuals."""
+        segments = () if self.curve is None else (len(self.curve.points) - 1,)
+        return (*(len(output.times) for output in self.outputs), *segments)
+
+    def counts_in(self, want: Want) -> tuple[int, ...]:
+        """The same for an answer to `want`, which may have one number for all of an output."""
+        return tuple(min(c, 1) for c in self.counts) if want in REDUCTIONS else self.counts
+
+    @cached_property
+    def recorded(self) -> tuple[str, ...]:
+        """The FMU's variables that a simulation records: outputs first, each once."""
+        names = [output.variable for output in self.outputs]
+        names += self.curve.variables if self.curve is not None else ()
+        return tuple(dict.fromkeys([*names, *(bound.variable for bound in self.bounds)]))
+
+    @cached_property
+    def constraint_names(self) -> tuple[str, ...]:
+        """Of the constraints that a worker evaluates: curve, bounds, then functions."""
+        names = [] if self.curve is None else list(self.curve.names)
+        for bound in self.bounds:
+            names += bound.names
+        return (*names, *(each.label or each.name for each in self.constraint_functions))
+
+    @cached_property
+    def equality(self) -> tuple[bool, ...]:
+        """True for each of those that must be 0; the others must be at most 0."""
+        kinds = [False] * (0 if self.curve is None else len(self.curve.names))
+        for bound in self.bounds:
+            kinds += [bound.equality] * len(bound.names)
+        return (*kinds, *(function.equality for function in self.constraint_functions))
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of everything in here that a result depends on."""
+        signals: list[str | bytes] = [repr((self.start, self.stop, self.values))]
+        for given in (*self.inputs, *self.signals):
+            signals += [given.variable, given.interpolation]
+            signals += [given.times.tobytes(), given.values.tobytes()]
+        for output in self.outputs:
+            relative = (output.relative_sigma,) if output.relative_sigma else ()
+            signals += [output.variable, repr(output.sigma), *map(repr, relative)]
+            if not output.is_plain:
+                how = (output.free_scale, output.free_offset, output.detection_limit)
+                signals += ["observed", repr(how), *(["ordinal"] if output.ordinal else [])]
+            if output.learns and output.reference is not None:
+                before = output.reference
+                signals += ["reference", repr((before.sigma, before.relative_sigma))]
+                signals += [before.times.tobytes(), before.values.tobytes()]
+            signals += [output.times.tobytes(), output.values.tobytes()]
+        if self.curve is not None:
+            signals += ["curve", repr(self.curve.variables), repr(self.curve.tolerances)]
+            signals += [self.curve.points.tobytes(), self.curve.times.tobytes()]
+        for bound in self.bounds:
+            signals += ["bound", bound.name, bound.variable, repr((bound.scale, bound.equality))]
+            signals += [bound.times.tobytes(), bound.lower.tobytes(), bound.upper.tobytes()]
+        for function in (self.cost_function, *self.constraint_functions):
+            if function is not None:
+                signals += ["function", function.module, function.name, function.source]
+                signals += [repr((function.equality, function is self.cost_function))]
+        if self.log_spread:
+            signals += ["log_spread", repr(self.log_spread)]
+        return content_hash(signals)
+
+
+_LISTS: dict[str, type] = {
+    "inputs": Input,
+    "outputs": Output,
+    "signals": Input,
+    "bounds": SignalBound,
+    "constraint_functions": UserFunction,
+}
+"""The lists of an experiment, and what each holds."""
+
+
+def _check_values(values: tuple[tuple[str, Value], ...], where: str) -> None:
+    """Refuse known values that no variable can have."""
+    for name, value in values:
+        fits = isinstance(value, bool | str | np.bool_) or is_number(value)
+        if not fits or (is_number(value) and not is_finite(value)):
+            raise DataError(
+                f"{where}.{name}: must be a finite number, true, false or a text but is "
+                f"{shown(value)}"
+            )
+
+
+def _check_interval(experiment: Experiment, where: str) -> None:
+    """Refuse an interval that is none, or that measured times lie outside of."""
+    start, stop = experiment.start, experiment.stop
+    for key, time in (("start", start), ("stop", stop)):
+        check_number(time, f"{where}.{key}", DataError)
+    if not start < stop:
+        raise DataError(
+            f"{where}.start: must be before stop, {stop:g} s, but is {start:g} s; change one"
+        )
+    timed = [(f"outputs.{output.variable}", output.times) for output in experiment.outputs]
+    timed += [
+        (f"outputs.{output.variable}.reference", output.reference.times)
+        for output in experiment.outputs
+        if output.reference is not None
+    ]
+    timed += [(f"bounds.{bound.name}", bound.times) for bound in experiment.bounds]
+    timed += [] if experiment.curve is None else [("curve", experiment.curve.times)]
+    for key, times in timed:
+        if len(times) and not start <= times[0] <= times[-1] <= stop:
+            raise DataError(
+                f"{where}.{key}: its times must lie between start, {start:g} s, and stop, "
+                f"{stop:g} s, but go from {times[0]:g} to {times[-1]:g} s; change start or stop, "
+                "or leave those samples out"
+            )

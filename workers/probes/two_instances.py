@@ -1,0 +1,140 @@
+"""Whether two instances in one process disturb each other, found out in one thread."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from workers.errors import ModelError
+from workers.evaluate import Evaluator, FmuProbe
+from workers.fmu.instance import FmuInstance
+from workers.kernels.fmi import failure
+from workers.messages import FloatArray
+from workers.simulation.simulator import Simulator
+
+_EXIT_INITIALISATION = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
+_WARNING = 1
+"""The worst status of a call with which a simulation goes on."""
+
+
+@dataclass(frozen=True)
+class InstanceSimulation:
+    """A simulation that an instance is asked for.
+
+    Attributes
+    ----------
+    experiment
+        Index of it.
+    point : (values,)
+        Of the model's parameters.
+    """
+
+    experiment: int
+    point: FloatArray = field(repr=False)
+
+
+@dataclass(frozen=True)
+class SideBySideProbe(FmuProbe):
+    """Asks whether a simulation has other bits while another instance is initialised and simulated.
+
+    An FMU that keeps in static variables what belongs to an instance is right as long as instances
+    take turns, and wrong without any sign of it where threads simulate several at once. Threads
+    would show that by chance only. So one instance is initialised, then the other one is, and
+    simulated to its end, and only then the first goes on: four simulations in all.
+
+    Attributes
+    ----------
+    one, other
+        The two simulations; with other values and in other experiments, if there are any.
+    together
+        False to simulate them alone only: if that does not crash but the rest does, it is because
+        of the second instance.
+    """
+
+    one: InstanceSimulation
+    other: InstanceSimulation
+    together: bool = True
+
+    def answer(self, evaluator: Evaluator) -> bool | None:
+        """True if they disturb each other; None if one fails alone or does not repeat itself."""
+        if evaluator.model.seats is not None:
+            evaluator.free_instance()  # the two below are all that there may be
+        first, second = _InstanceRun(evaluator, self.one), _InstanceRun(evaluator, self.other)
+        alone = first.bits(), second.bits()
+        if None in alone:
+            return None
+        if not self.together or first.bits_around(second) == alone:
+            return False
+        return True if (first.bits(), second.bits()) == alone else None
+
+
+class _InstanceRun:
+    """Simulates one experiment at one point, each time with a new instance."""
+
+    def __init__(self, evaluator: Evaluator, asked: InstanceSimulation) -> None:
+        self._model = replace(evaluator.model, reset="reset")  # of a new one it does nothing
+        self._description = evaluator.description
+        self._experiment = evaluator.experiments[asked.experiment]
+        self._point = asked.point
+
+    def bits(self) -> bytes | None:
+        """Return the outputs as bytes; None if the simulation fails.
+
+        Raises
+        ------
+        ModelError
+            If there is no instance to be had.
+        """
+        return self._simulate(FmuInstance(self._model, self._description))
+
+    def bits_around(self, other: _InstanceRun) -> tuple[bytes | None, bytes | None]:
+        """Return the same, and that of another one simulated as soon as this one is initialised.
+
+        Raises
+        ------
+        ModelError
+            If there are no two instances to be had.
+        """
+        instance = FmuInstance(self._model, self._description)
+        found: list[bytes | ModelError | None] = []
+
+        def simulate_the_other() -> None:
+            try:
+                found.append(other.bits())
+            except ModelError as error:
+                found.append(error)
+
+        called = _hook(instance, simulate_the_other)
+        own = self._simulate(instance)
+        del called  # the loop has called it by its address up to here
+        between = found[0] if found else None
+        if isinstance(between, ModelError):
+            raise between
+        return own, between
+
+    def _simulate(self, instance: FmuInstance) -> bytes | None:
+        simulator = Simulator(self._model, self._description, (self._experiment,))
+        simulator.load(instance)
+        try:
+            batch = simulator.run(0, self._point[None])
+        finally:
+            simulator.close()
+        return batch.outputs.tobytes() if batch.codes[0] == failure.FINISHED else None
+
+
+def _hook(instance: FmuInstance, then: Callable[[], None]) -> object:
+    """Call something at the end of an instance's next initialisation; return what must live on."""
+    address = instance.component.exit_initialization_mode
+    exit_initialisation = _EXIT_INITIALISATION(address)
+
+    def called(handle: int) -> int:
+        status: int = exit_initialisation(handle)
+        if status <= _WARNING:
+            then()
+        return status
+
+    hooked = _EXIT_INITIALISATION(called)
+    at = ctypes.cast(hooked, ctypes.c_void_p).value or address
+    instance.component = instance.component._replace(exit_initialization_mode=at)
+    return hooked
