@@ -107,7 +107,7 @@ def keep(folder: Path, name: str, rows: Iterable[Row], options: argparse.Namespa
     }
     path = folder / f"{name}.parquet"
     tables = [pq.read_table(path)] if path.is_file() else []
-    full = [known | row for row in rows]
+    full: list[Row] = [{**known, **row} for row in rows]
     heads = dict.fromkeys(head for row in full for head in row)
     tables.append(pa.table({head: [row.get(head) for row in full] for head in heads}))
     folder.mkdir(parents=True, exist_ok=True)

@@ -28,8 +28,8 @@ def show(options: Namespace) -> int:
 def report(options: Namespace) -> int:
     """Write the report of a run or of a sweep."""
     # not everybody wants to wait for Jinja
-    from cluster_est.report.page import write_report
-    from cluster_est.report.sweep_page import is_sweep, write_sweep_report
+    from cluster_est.html_report.page import write_report
+    from cluster_est.html_report.sweep_page import is_sweep, write_sweep_report
 
     write = write_sweep_report if is_sweep(options.run_folder) else write_report
     say(Console(), f"report: {write(options.run_folder, options.out)}")
@@ -38,9 +38,9 @@ def report(options: Namespace) -> int:
 
 def export(options: Namespace) -> int:
     """Write what a run has found, in the forms that are asked for."""
-    from cluster_est.export.repaired_fmu import FmuOptions
-    from cluster_est.export.write import ExportRequest
-    from cluster_est.export.write import export as run_export  # SymPy takes long to import
+    from cluster_est.model_export.repaired_fmu import FmuOptions
+    from cluster_est.model_export.write import ExportRequest
+    from cluster_est.model_export.write import export as run_export  # SymPy takes long to import
 
     if options.fmu is not None and options.platforms:
         wait = "compiling for other platforms; the first time, zig compiles their libraries too, "

@@ -19,19 +19,19 @@ from rich.text import Text
 
 from cluster_est.cli.parent_process import ExitCode
 from cluster_est.errors import RunFolderError
-from cluster_est.report.activity import ActivityTail, FailureGroup
-from cluster_est.report.number_text import count, duration
-from cluster_est.report.page import write_report
+from cluster_est.html_report.activity import ActivityTail, FailureGroup
+from cluster_est.html_report.number_text import count, duration
+from cluster_est.html_report.page import write_report
 from cluster_est.run_folder.run_files import RunStatus, is_ended, left_alone, read_facts
 from cluster_est.run_folder.run_progress import (
     PROGRESS,
     IterationLine,
     ProgressTail,
-    RunSnapshot,
     left_of_step,
     pace_of,
     what_is_done,
 )
+from cluster_est.running.resources import RunSnapshot
 
 MOST_SEARCHES, MOST_FAILURES = 12, 5
 QUIET_SECONDS = 30.0

@@ -237,7 +237,9 @@ def _stopped(error: BaseException, context: RunContext) -> RunEnd:
 def _write_report(run_folder: Path, listener: Listener) -> None:
     """Write the report at the end of a run, without spoiling what the run has done."""
     try:
-        from cluster_est.report.page import write_report  # not everybody wants to wait for Jinja
+        from cluster_est.html_report.page import (
+            write_report,  # not everybody wants to wait for Jinja
+        )
 
         write_report(run_folder)
     except Exception as error:

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.errors import ProblemError
-from cluster_est.export.repaired_fmu import FmuOptions
-from cluster_est.export.repaired_model import repaired
-from cluster_est.export.write import ExportRequest, ExportResult, check_request, write_forms
-from cluster_est.report.page import write_report
+from cluster_est.html_report.page import write_report
+from cluster_est.model_export.repaired_fmu import FmuOptions
+from cluster_est.model_export.repaired_model import repaired
+from cluster_est.model_export.write import ExportRequest, ExportResult, check_request, write_forms
 from cluster_est.results.result import Result
 from cluster_est.run_folder.run_folder import RunFolder
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind

@@ -43,16 +43,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from docs.svg import RECORD_STYLE, Axes, document, legend, record, text
 
-from cluster_est.report.charts import Chart
-from cluster_est.report.curve_section import curves
-from cluster_est.report.design_section import design
-from cluster_est.report.effect_sections import effects
-from cluster_est.report.error_sections import error_picture
-from cluster_est.report.page_blocks import FigureBlock, PanelsBlock, ReportSection
-from cluster_est.report.parameter_sections import sensitivity
-from cluster_est.report.reported_run import ReportedRun, read_run
-from cluster_est.report.search_sections import search
-from cluster_est.report.sweep_page import SUMMARY, errors, is_sweep
+from cluster_est.html_report.charts import Chart
+from cluster_est.html_report.curve_section import curves
+from cluster_est.html_report.design_section import design
+from cluster_est.html_report.effect_sections import effects
+from cluster_est.html_report.error_sections import error_picture
+from cluster_est.html_report.page_blocks import FigureBlock, PanelsBlock, ReportSection
+from cluster_est.html_report.parameter_sections import sensitivity
+from cluster_est.html_report.reported_run import ReportedRun, read_run
+from cluster_est.html_report.search_sections import search
+from cluster_est.html_report.sweep_page import SUMMARY, errors, is_sweep
 from cluster_est.run_folder.run_files import read_run_table
 from workers.messages import FloatArray
 
@@ -153,7 +153,7 @@ def first_figure(section: ReportSection) -> FigureBlock:
 def drawn(title: str, chart: Chart) -> str:
     """A chart as a picture that needs no page around it."""
     height = AROUND + sum(plot.height + BETWEEN for plot in chart.plots)
-    css = importlib.resources.files("cluster_est.report").joinpath("templates", "report.css")
+    css = importlib.resources.files("cluster_est.html_report").joinpath("templates", "report.css")
     html = str(chart.html()).replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ')
     return str(
         REPORT_PICTURE.format(

@@ -19,8 +19,8 @@ from fmpy.fmi2 import (
 )
 
 from cluster_est import Parameter, Problem
-from cluster_est.export.repaired_model import repaired
-from cluster_est.export.write import ExportRequest, write_forms
+from cluster_est.model_export.repaired_model import repaired
+from cluster_est.model_export.write import ExportRequest, write_forms
 from workers.effects.definition import define_all
 from workers.fmu.description import describe_model
 from workers.messages import Effect, Experiment, FloatArray, Model

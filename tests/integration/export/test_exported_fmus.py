@@ -25,7 +25,7 @@ from support.simulated import simulated
 from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M, plain, pushed, solve
 
 from cluster_est.errors import ModelError
-from cluster_est.export.write import ExportRequest, FmuOptions, write_forms
+from cluster_est.model_export.write import ExportRequest, FmuOptions, write_forms
 from workers.fmu.description import describe
 from workers.messages import Effect, Experiment, Input, Output, Solver
 

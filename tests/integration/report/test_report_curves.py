@@ -9,7 +9,7 @@ import pytest
 from support.drawn import DrawnFigure, Figures
 from support.reported import Page
 
-from cluster_est.report.page import write_report
+from cluster_est.html_report.page import write_report
 
 SMALL = 1_500_000
 """Bytes of a report that is sent by mail without a thought."""

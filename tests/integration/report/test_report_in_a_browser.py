@@ -5,7 +5,7 @@ import pyarrow.parquet as pq
 import pytest
 from support.reported import chromium
 
-from cluster_est.report.page import write_report
+from cluster_est.html_report.page import write_report
 
 FLAGS = [
     *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),

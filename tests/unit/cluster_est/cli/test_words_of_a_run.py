@@ -9,8 +9,8 @@ import pytest
 from support.reported import Page
 
 from cluster_est.cli import main
-from cluster_est.report.activity import FailureGroup, LogActivity
-from cluster_est.report.page import write_report
+from cluster_est.html_report.activity import FailureGroup, LogActivity
+from cluster_est.html_report.page import write_report
 
 PARAMETER = {
     "label": "k", "value": 1.0, "start": 2.0, "lower": 0.0, "upper": 9.0, "lower95": 0.9,

@@ -8,7 +8,7 @@ import pytest
 from support.damages import KINDS, damaged
 
 from cluster_est.errors import RunFolderError
-from cluster_est.report.activity import read_activity
+from cluster_est.html_report.activity import read_activity
 from cluster_est.run_folder.evaluation_log import ROWS_PER_WRITE, EvaluationLog, LogSettings
 from cluster_est.run_folder.log_segment import (
     END_OF_STREAM,

@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 from support.drawn import UNITS, Figures, points
 from support.reported import HOSTILE
 
-from cluster_est.report.charts import (
+from cluster_est.html_report.charts import (
     Band,
     Bars,
     Cells,
@@ -20,8 +20,8 @@ from cluster_est.report.charts import (
     Rules,
     Scale,
 )
-from cluster_est.report.curve_section import column_of, extremes
-from cluster_est.report.number_text import (
+from cluster_est.html_report.curve_section import column_of, extremes
+from cluster_est.html_report.number_text import (
     beside,
     compact,
     count,

@@ -15,16 +15,21 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from cluster_est.errors import RunFolderError
-from cluster_est.report.activity import LogActivity
-from cluster_est.report.curve_section import curves
-from cluster_est.report.design_section import design
-from cluster_est.report.effect_sections import candidates, effects
-from cluster_est.report.error_sections import error_picture, error_sentence, error_sizes, errors
-from cluster_est.report.number_text import count, digits, duration, percent
-from cluster_est.report.page_blocks import Tone
-from cluster_est.report.parameter_sections import parameters, sensitivity
-from cluster_est.report.reported_run import ReportedRun, read_run
-from cluster_est.report.search_sections import provenance, search, workers
+from cluster_est.html_report.activity import LogActivity
+from cluster_est.html_report.curve_section import curves
+from cluster_est.html_report.design_section import design
+from cluster_est.html_report.effect_sections import candidates, effects
+from cluster_est.html_report.error_sections import (
+    error_picture,
+    error_sentence,
+    error_sizes,
+    errors,
+)
+from cluster_est.html_report.number_text import count, digits, duration, percent
+from cluster_est.html_report.page_blocks import Tone
+from cluster_est.html_report.parameter_sections import parameters, sensitivity
+from cluster_est.html_report.reported_run import ReportedRun, read_run
+from cluster_est.html_report.search_sections import provenance, search, workers
 from cluster_est.run_folder.run_files import RunStatus, run_worth
 from cluster_est.whole_files import ELSEWHERE, write_whole
 
@@ -72,7 +77,7 @@ def _sha256(text: str) -> str:
 @cache
 def _environment() -> Environment:
     return Environment(
-        loader=PackageLoader("cluster_est.report"),
+        loader=PackageLoader("cluster_est.html_report"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -81,7 +86,7 @@ def _environment() -> Environment:
 
 
 def _asset(name: str) -> str:
-    file = importlib.resources.files("cluster_est.report").joinpath("templates", name)
+    file = importlib.resources.files("cluster_est.html_report").joinpath("templates", name)
     return file.read_text(encoding="utf-8")
 
 

@@ -10,10 +10,10 @@ from itertools import pairwise
 import numpy as np
 
 from cluster_est.closed_loop.stages import stage_title
-from cluster_est.report.activity import busy_shares, without_breaks
-from cluster_est.report.charts import Cells, Chart, Dots, Line, Plot, Rules, Scale, row_chart
-from cluster_est.report.number_text import count, digits, duration, percent, time_unit
-from cluster_est.report.page_blocks import (
+from cluster_est.html_report.activity import busy_shares, without_breaks
+from cluster_est.html_report.charts import Cells, Chart, Dots, Line, Plot, Rules, Scale, row_chart
+from cluster_est.html_report.number_text import count, digits, duration, percent, time_unit
+from cluster_est.html_report.page_blocks import (
     Block,
     FigureBlock,
     ReportSection,
@@ -24,7 +24,7 @@ from cluster_est.report.page_blocks import (
     code,
     table,
 )
-from cluster_est.report.reported_run import ReportedRun, Row
+from cluster_est.html_report.reported_run import ReportedRun, Row
 
 MOST_LINES = 40
 """Searches that are drawn: the best ones."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element, SubElement
 
-from cluster_est.export.wrapper_layout import AddedVariable, WrapperLayout, fits
+from cluster_est.model_export.wrapper_layout import AddedVariable, WrapperLayout, fits
 from workers.fmu.archive import open_archive
 from workers.fmu.description import ModelDescription
 from workers.fmu.variable import ModelVariable

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from cluster_est.report.charts import Chart
+from cluster_est.html_report.charts import Chart
 
 Tone = Literal["", "good", "bad", "faint"]
 

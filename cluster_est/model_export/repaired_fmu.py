@@ -13,18 +13,18 @@ from importlib.resources import files
 from pathlib import Path
 
 from cluster_est.errors import ModelError
-from cluster_est.export.c_code import effects_source, header
-from cluster_est.export.compiler import (
+from cluster_est.model_export.c_code import effects_source, header
+from cluster_est.model_export.compiler import (
     PLATFORMS,
     check_cross_compiler,
     compile_for,
     compile_library,
     find_compiler,
 )
-from cluster_est.export.fmi2_description import identifier, model_description, with_step
-from cluster_est.export.repaired_model import RepairedModel, describe_repair
-from cluster_est.export.step_error import StepErrors, measure_step
-from cluster_est.export.wrapper_layout import WrapperLayout, lay_out
+from cluster_est.model_export.fmi2_description import identifier, model_description, with_step
+from cluster_est.model_export.repaired_model import RepairedModel, describe_repair
+from cluster_est.model_export.step_error import StepErrors, measure_step
+from cluster_est.model_export.wrapper_layout import WrapperLayout, lay_out
 from cluster_est.run_folder.run_identity import versions
 from cluster_est.whole_files import ELSEWHERE, write_whole, writing
 from workers.fmu.archive import open_archive
@@ -271,7 +271,7 @@ def _about(layout: WrapperLayout, step: StepErrors | None) -> dict[str, bytes]:
 
 def wrapper_sources() -> dict[str, bytes]:
     """The C files that are the same for every model."""
-    folder = files("cluster_est.export") / "c"
+    folder = files("cluster_est.model_export") / "c"
     found = {file.name: file.read_bytes() for file in folder.iterdir()}
     return {name: text for name, text in sorted(found.items()) if name.endswith((".c", ".h"))}
 

@@ -7,9 +7,9 @@ from collections import defaultdict
 
 import numpy as np
 
-from cluster_est.report.charts import Chart, Dots, Line, Plot, Scale, row_chart
-from cluster_est.report.number_text import MINUS, beside, compact, digits, interval, percent
-from cluster_est.report.page_blocks import (
+from cluster_est.html_report.charts import Chart, Dots, Line, Plot, Scale, row_chart
+from cluster_est.html_report.number_text import MINUS, beside, compact, digits, interval, percent
+from cluster_est.html_report.page_blocks import (
     Block,
     FigureBlock,
     ItemsBlock,
@@ -22,7 +22,7 @@ from cluster_est.report.page_blocks import (
     code,
     table,
 )
-from cluster_est.report.reported_run import ReportedRun, Row
+from cluster_est.html_report.reported_run import ReportedRun, Row
 from workers.messages import FloatArray
 
 MOST_IN_MAP = 60

@@ -9,9 +9,19 @@ import numpy as np
 
 from cluster_est.closed_loop.findings.words.numbers import NO_ALTERNATIVE, percent
 from cluster_est.closed_loop.screening.evidence import CandidateStage
-from cluster_est.report.charts import Band, Bars, Chart, Dots, ErrorBars, Line, Mark, Plot, Scale
-from cluster_est.report.number_text import beside, digits, interval
-from cluster_est.report.page_blocks import (
+from cluster_est.html_report.charts import (
+    Band,
+    Bars,
+    Chart,
+    Dots,
+    ErrorBars,
+    Line,
+    Mark,
+    Plot,
+    Scale,
+)
+from cluster_est.html_report.number_text import beside, digits, interval
+from cluster_est.html_report.page_blocks import (
     Block,
     FigureBlock,
     ItemsBlock,
@@ -25,7 +35,7 @@ from cluster_est.report.page_blocks import (
     table,
     with_unit,
 )
-from cluster_est.report.reported_run import ReportedRun, Row
+from cluster_est.html_report.reported_run import ReportedRun, Row
 from workers.messages import FloatArray
 
 MARGIN = 1.5

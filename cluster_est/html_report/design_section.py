@@ -9,16 +9,16 @@ import numpy as np
 
 from cluster_est.closed_loop.findings.words.numbers import percent
 from cluster_est.experiment_design.design_sentences import times
-from cluster_est.report.charts import Band, Chart, Line, Mark, Plot, Scale
-from cluster_est.report.number_text import digits
-from cluster_est.report.page_blocks import (
+from cluster_est.html_report.charts import Band, Chart, Line, Mark, Plot, Scale
+from cluster_est.html_report.number_text import digits
+from cluster_est.html_report.page_blocks import (
     Block,
     FigureBlock,
     ReportSection,
     code,
     table,
 )
-from cluster_est.report.reported_run import ReportedRun, Row
+from cluster_est.html_report.reported_run import ReportedRun, Row
 from workers.messages import FloatArray
 
 MOST_MODELS = 5

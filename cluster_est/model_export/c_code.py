@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import sympy as sp
 from sympy.printing.c import C99CodePrinter
 
-from cluster_est.export.wrapper_layout import WrapperLayout
+from cluster_est.model_export.wrapper_layout import WrapperLayout
 from workers.effects.definition import (
     SIGNAL,
     TIME,

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.errors import ClusterEstError
-from cluster_est.export.repaired_model import RepairedModel
+from cluster_est.model_export.repaired_model import RepairedModel
 from cluster_est.results.output_errors import output_residuals
 from workers.evaluate import Evaluator
 from workers.fmu.xml import XML

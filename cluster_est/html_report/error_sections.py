@@ -10,9 +10,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cluster_est.report.charts import Dots, Line, Mark, Rules, Scale, row_chart
-from cluster_est.report.number_text import count, digits, percent
-from cluster_est.report.page_blocks import (
+from cluster_est.html_report.charts import Dots, Line, Mark, Rules, Scale, row_chart
+from cluster_est.html_report.number_text import count, digits, percent
+from cluster_est.html_report.page_blocks import (
     Block,
     FigureBlock,
     ReportSection,
@@ -23,7 +23,7 @@ from cluster_est.report.page_blocks import (
     code,
     table,
 )
-from cluster_est.report.reported_run import ReportedRun, Row
+from cluster_est.html_report.reported_run import ReportedRun, Row
 
 MOST_ROWS = 24
 """Rows of the picture that are one output of one experiment each; else each is of an output."""

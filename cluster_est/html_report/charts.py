@@ -17,7 +17,7 @@ from typing import ClassVar, Self, final
 import numpy as np
 from markupsafe import Markup
 
-from cluster_est.report.number_text import MINUS
+from cluster_est.html_report.number_text import MINUS
 from workers.messages import FloatArray, IntArray
 
 UNITS = 10_000

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from cluster_est.errors import ModelError
-from cluster_est.export.repaired_model import EstimatedValue, RepairedModel
+from cluster_est.model_export.repaired_model import EstimatedValue, RepairedModel
 from workers.effects.compiled import CompiledEquations, equations
 from workers.effects.definition import EffectDefinition
 from workers.fmu.description import ModelDescription

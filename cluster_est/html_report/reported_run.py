@@ -9,7 +9,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from cluster_est.report.activity import LogActivity, read_activity
+from cluster_est.html_report.activity import LogActivity, read_activity
 from cluster_est.run_folder.run_files import (
     RunStatus,
     is_ended,

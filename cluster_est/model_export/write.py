@@ -18,10 +18,15 @@ from sympy.printing.precedence import precedence
 from sympy.printing.str import StrPrinter
 
 from cluster_est.errors import ConfigError
-from cluster_est.export.compiler import PLATFORMS
-from cluster_est.export.fmi2_description import as_document
-from cluster_est.export.repaired_fmu import FmuOptions, write_fmu
-from cluster_est.export.repaired_model import EstimatedValue, RepairedModel, describe_repair, gather
+from cluster_est.model_export.compiler import PLATFORMS
+from cluster_est.model_export.fmi2_description import as_document
+from cluster_est.model_export.repaired_fmu import FmuOptions, write_fmu
+from cluster_est.model_export.repaired_model import (
+    EstimatedValue,
+    RepairedModel,
+    describe_repair,
+    gather,
+)
 from cluster_est.whole_files import ELSEWHERE, write_whole
 from workers.effects.definition import SIGNAL, TIME, EffectDefinition, variable_symbol
 from workers.fmu.description import nearest
@@ -255,7 +260,7 @@ def export(
     Parameters
     ----------
     run_folder, config, experiment, allow_code
-        See `cluster_est.export.repaired_model.gather`.
+        See `cluster_est.model_export.repaired_model.gather`.
     wanted
         At least one form.
 

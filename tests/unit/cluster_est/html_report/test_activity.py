@@ -2,7 +2,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from cluster_est.report.activity import (
+from cluster_est.html_report.activity import (
     ActivityTail,
     LogActivity,
     busy_shares,

@@ -11,16 +11,16 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from cluster_est.report.charts import Band, Chart, Dots, Line, Mark, Plot, Rules, Scale
-from cluster_est.report.number_text import TimeUnit, count, digits, time_unit
-from cluster_est.report.page_blocks import (
+from cluster_est.html_report.charts import Band, Chart, Dots, Line, Mark, Plot, Rules, Scale
+from cluster_est.html_report.number_text import TimeUnit, count, digits, time_unit
+from cluster_est.html_report.page_blocks import (
     CurvePanel,
     PanelsBlock,
     ReportSection,
     TextBlock,
     with_unit,
 )
-from cluster_est.report.reported_run import ReportedRun, Row
+from cluster_est.html_report.reported_run import ReportedRun, Row
 from workers.messages import FloatArray, IntArray
 
 

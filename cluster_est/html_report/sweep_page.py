@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from cluster_est.report.charts import Dots, Mark, Scale, row_chart
-from cluster_est.report.number_text import count, digits, duration
-from cluster_est.report.page import rendered, write_page
-from cluster_est.report.page_blocks import (
+from cluster_est.html_report.charts import Dots, Mark, Scale, row_chart
+from cluster_est.html_report.number_text import count, digits, duration
+from cluster_est.html_report.page import rendered, write_page
+from cluster_est.html_report.page_blocks import (
     Block,
     FigureBlock,
     ReportSection,
@@ -22,7 +22,7 @@ from cluster_est.report.page_blocks import (
     code,
     table,
 )
-from cluster_est.report.reported_run import Row
+from cluster_est.html_report.reported_run import Row
 from cluster_est.run_folder.run_files import RunWorth, read_run_table, run_worth
 
 SUMMARY, PAGE = "summary.parquet", "report.html"
@@ -194,7 +194,7 @@ def _runs(rows: Sequence[Row]) -> ReportSection:
         for row in rows
     )
     reasons = tuple(
-        (code(row["run"]), row["status"], row["message"])
+        (code(row["run"]), str(row["status"]), str(row["message"]))
         for row in rows
         if row["status"] != "done" and row["message"]
     )
