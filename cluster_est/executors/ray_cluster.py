@@ -126,8 +126,9 @@ def connect(workers: int | None, address: str | None) -> bool:
         return False
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     local = address in (None, "", "local")
-    if not local and (reason := why_not_joined(str(address))):
-        raise ExecutorError(f"executor.address: {reason}")
+    if not local and (reason := why_not_joined(_meant_by(str(address)))):
+        found = 'the Ray that "auto" finds cannot be joined: ' if address == "auto" else ""
+        raise ExecutorError(f"executor.address: {found}{reason}")
     for left in reversed(range(LOCAL_STARTS if local else 1)):
         try:
             with _away_from_the_users_files() as folder, _alone(local):
@@ -148,6 +149,15 @@ def connect(workers: int | None, address: str | None) -> bool:
                 line = (str(error).splitlines() or [type(error).__name__])[0]
                 raise ExecutorError(_not_connected(address, line, local=local)) from error
     return True
+
+
+def _meant_by(address: str) -> str:
+    """Return what Ray takes "auto" for now: a Ray that has ended may still be written down."""
+    if address != "auto":
+        return address
+    with contextlib.suppress(Exception):  # there is none, or Ray finds it otherwise: it says so
+        return str(ray._private.services.get_ray_address_from_environment(address, None))
+    return address
 
 
 @contextlib.contextmanager

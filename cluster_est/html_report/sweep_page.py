@@ -193,7 +193,7 @@ def _runs(rows: Sequence[Row]) -> ReportSection:
         )
         for row in rows
     )
-    reasons = tuple(
+    reasons: tuple[tuple[str | TableCell, ...], ...] = tuple(
         (code(row["run"]), str(row["status"]), str(row["message"]))
         for row in rows
         if row["status"] != "done" and row["message"]

@@ -51,9 +51,14 @@ def failing(monkeypatch: pytest.MonkeyPatch) -> Failing:
     ],
 )
 def test_why_ray_does_not_start_is_a_sentence(
-    failing: Failing, address: str | None, error: Exception, said: str
+    failing: Failing,
+    monkeypatch: pytest.MonkeyPatch,
+    address: str | None,
+    error: Exception,
+    said: str,
 ) -> None:
     starts = failing(*[error] * 9)
+    monkeypatch.setattr(ray._private.services, "get_ray_address_from_environment", None)
     with pytest.raises(ExecutorError, match=said) as caught:
         executor_class("ray").join(2, address)
     assert "\n" not in str(caught.value)
@@ -88,6 +93,18 @@ def test_a_port_at_which_nobody_listens_is_said_to_be_one(failing: Failing) -> N
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
     assert "nothing answers at" in refusal(f"127.0.0.1:{port}")
+    assert starts == []
+
+
+def test_a_ray_that_has_ended_is_not_waited_for(
+    failing: Failing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its address may still be in the environment, or in the file that "auto" reads."""
+    starts = failing()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+    monkeypatch.setenv("RAY_ADDRESS", address)
+    assert f'"auto" finds cannot be joined: nothing answers at {address!r}' in refusal("auto")
     assert starts == []
 
 
