@@ -40,6 +40,16 @@ from cluster_est.sweep.matrix import SUCCESS, SUMMARY
 from cluster_est.sweep.sweep import sweep as run_sweep
 from cluster_est.whole_files import write_output
 
+OF_STUDIES = {
+    "cost": "cost",
+    "RMSE train": "rmse_train",
+    "test": "rmse_test",
+    "verdict": "verdict",
+    "effects": "effects",
+    "together": "together",
+}
+"""Columns of a sweep's table that only some studies have."""
+
 
 def print_sweep(console: Console, out: Path, rows: Rows, ran: int) -> None:
     """Print the number of runs that are done, and a line for each."""
@@ -51,9 +61,11 @@ def print_sweep(console: Console, out: Path, rows: Rows, ran: int) -> None:
         rows,
         ("run", "run"),
         ("status", "status"),
-        ("cost", _known("cost")),
-        ("RMSE train", _known("rmse_train")),
-        ("test", _known("rmse_test")),
+        *(
+            (name, _known(key))
+            for name, key in OF_STUDIES.items()
+            if any(row.get(key) is not None for row in rows)
+        ),
         ("evaluations", _known("evaluations")),
         ("seconds", lambda row: "" if row.get("seconds") is None else f"{row['seconds']:.1f}"),
         ("", _why),
@@ -62,7 +74,11 @@ def print_sweep(console: Console, out: Path, rows: Rows, ran: int) -> None:
 
 
 def _known(key: str) -> Cell:
-    return lambda row: "" if row.get(key) is None else number(row[key])
+    def cell(row: dict[str, Any]) -> str:
+        value = row.get(key)
+        return "" if value is None else value if isinstance(value, str) else number(value)
+
+    return cell
 
 
 def _why(row: dict[str, Any]) -> str:

@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import pyarrow as pa
 from pydantic import BeforeValidator, Field
@@ -30,7 +30,7 @@ from cluster_est.run_folder.run_files import (
     write_run_columns,
 )
 from cluster_est.run_folder.run_folder import BEGUN
-from cluster_est.run_folder.run_identity import RunIdentity, versions
+from cluster_est.run_folder.run_identity import RunIdentity, RunKind, versions
 from cluster_est.settings import ConfigSection, checked
 from cluster_est.toml import inline
 from cluster_est.whole_files import write_whole
@@ -108,6 +108,9 @@ class SweepSections(ConfigSection):
         min_length=1,
         description='paths of configs from the sweep\'s folder, or a table: { NAME = "path" }',
     )
+    study: Literal["fit", "sensitivity", "close-loop"] = Field(
+        "fit", description="what is done with each config"
+    )
     overrides: dict[str, Any] = Field(
         default_factory=dict, description='"KEY" = value, for every run'
     )
@@ -142,12 +145,15 @@ class SweepRun:
         Which value it has on each axis; `config` is one of them.
     overrides
         (key, value) in the order in which they are put in; the last one wins.
+    study
+        What is done with the config.
     """
 
     name: str
     config: Path
     choices: dict[str, str] = field(default_factory=dict)
     overrides: tuple[tuple[str, Any], ...] = ()
+    study: RunKind = RunKind.FIT
 
     def read(self) -> Config:
         """Its config, resolved.
@@ -202,15 +208,16 @@ def _matrix(sweep: SweepSections, base: Path) -> Iterator[SweepRun]:
             overrides += [(axis.key, value)] if axis.key else value.items()
         # A value without its key says nothing: seed_0, but least_squares.
         parts = [f"{axis.name}_{name}" if axis.key else name for axis, name in picked]
-        path = base / sweep.configs[config]
-        yield SweepRun("-".join([config, *parts]), path, choices, tuple(overrides))
+        name, path = "-".join([config, *parts]), base / sweep.configs[config]
+        yield SweepRun(name, path, choices, tuple(overrides), RunKind(sweep.study))
 
 
 def _singles(sweep: SweepSections, base: Path) -> Iterator[SweepRun]:
     for each in sweep.runs:
         config = each.config or next(iter(sweep.configs))
         overrides = (*sweep.overrides.items(), *each.overrides.items())
-        yield SweepRun(each.name, base / sweep.configs[config], {"config": config}, overrides)
+        path, choices = base / sweep.configs[config], {"config": config}
+        yield SweepRun(each.name, path, choices, overrides, RunKind(sweep.study))
 
 
 def _wrong_names(sweep: SweepSections) -> Iterator[str]:
@@ -427,8 +434,14 @@ def _row(out: Path, run: SweepRun, state: str, axes: list[str]) -> dict[str, Any
     facts = read_facts(out / run.name)
     errors = facts.get("rmse_over_sigma") or {}
     row |= {"message": facts.get("message") or "", "doubts": "; ".join(facts.get("doubts") or ())}
-    row |= {key: facts.get(key) for key in ("cost_before", "cost")}
-    row |= {f"rmse_{role}": errors.get(role) for role in ("train", "test")}
+    if "sensitivity" in facts:
+        row["together"] = ", ".join(facts["sensitivity"]["together"])
+    else:
+        row |= {key: facts.get(key) for key in ("cost_before", "cost")}
+        row |= {f"rmse_{role}": errors.get(role) for role in ("train", "test")}
+    if "effects" in facts:
+        row["verdict"] = facts["verdict"]
+        row["effects"] = ", ".join(each["name"] for each in facts["effects"])
     counts = ("iterations", "evaluations", "simulations", "failures", "seconds", "seed", "started")
     row |= {key: facts.get(key) for key in counts}
     path = out / run.name / "parameters.parquet"

@@ -1,4 +1,4 @@
-"""The recipe of a sweep: many fits from one file, started again where it stopped."""
+"""The recipe of a sweep: one study of many configs, started again where it stopped."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cluster_est.run_folder.context import Existing
 from cluster_est.run_folder.lock import locked_by_sweep
 from cluster_est.run_folder.resume import check_resumable
 from cluster_est.run_folder.run_files import RunStatus, RunWorth, read_facts, run_worth
-from cluster_est.run_folder.run_identity import RunIdentity, RunKind
+from cluster_est.run_folder.run_identity import RunIdentity
 from cluster_est.running.environment import SharedPools, pool_key
 from cluster_est.studies.configured import ConfiguredStudy, Destination, Listener, configure, do_run
 from cluster_est.sweep.matrix import (
@@ -51,7 +51,7 @@ def read_sweep_run(run: SweepRun, *, allow_code: bool) -> ConfiguredStudy:
     ClusterEstError
         If something is wrong.
     """
-    return configure(run.read(), run.config.parent, RunKind.FIT, allow_code=allow_code)
+    return configure(run.read(), run.config.parent, run.study, allow_code=allow_code)
 
 
 def check_run(run: SweepRun, *, allow_code: bool) -> PlannedRun:

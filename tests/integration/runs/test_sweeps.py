@@ -95,6 +95,26 @@ def test_a_sweep_gives_what_single_fits_give(sweep, done):
         assert name in printed
 
 
+@pytest.mark.parametrize("study", ["sensitivity", "close-loop"])
+def test_other_studies_are_swept_as_well(sweep, study):
+    """What they find is what the command finds, and a row of the summary."""
+    seeds = {"name": "seed", "key": f"{study.replace('close-', 'closed_')}.seed", "values": [0, 1]}
+    quick = {"closed_loop.max_effects": 1, "sensitivity.groups": 10}
+    code, printed, _ = sweep(study=study, axes=[seeds], overrides=quick)
+    assert code == 0
+    first, second = rows(OUT, "summary")
+    assert (first["seed"], second["seed"]) == (0, 1)
+    given = [f"{key}={value}" for key, value in quick.items()]
+    assert main([study, "spring.toml", "--out", "alone", *given]) == 0
+    assert tables_of(OUT / first["run"]) == tables_of(Path("alone"))
+    if study == "sensitivity":
+        assert set(first["together"].split(", ")) <= {"m", "k", "c", "x0[exp5]"}
+        assert first["together"] in printed
+    else:
+        assert first["verdict"] == facts(Path("alone"))["verdict"]
+        assert first["verdict"] in printed
+
+
 def test_a_sweep_of_doubtful_fits_does_not_end_as_if_all_were_well(sweep):
     """With four times the stiffness held, no damping and no mass follow the data."""
     wrong = {"parameters.k.start": 120.0, "parameters.k.fixed": True}
