@@ -14,7 +14,7 @@ from support.run_folders import change_facts, facts, leave_as_killed
 from support.truth.springs_with_friction import write_config
 
 from cluster_est.cli import main
-from cluster_est.report import write_report
+from cluster_est.report.page import write_report
 
 
 @pytest.fixture(scope="module")
