@@ -9,7 +9,7 @@ from pydantic import BaseModel
 from support.problems.springs import ROOT
 
 from cluster_est import LeastSquares, LoopSettings, build_problem, read_config
-from cluster_est.config import reader as config
+from cluster_est.config import experiment_keys, sections
 from cluster_est.config.choices import build_resources
 from cluster_est.config.reader import parse_config
 from cluster_est.errors import ClusterEstError, ProblemError
@@ -22,26 +22,26 @@ from cluster_est.uncertainty import UncertaintySettings
 
 REFERENCE = ROOT / "configs" / "reference.toml"
 SECTIONS = {
-    "": config.Config,
-    "model": config.ModelSection,
-    "parameters.m": config.ParameterSection,
-    "maps.torque": config.MapSection,
-    "experiments": config.ExperimentSection,
-    "experiments.inputs.F": config.InputSection,
-    "experiments.outputs.y": config.OutputSection,
-    "experiments.curve": config.CurveSection,
-    "experiments.columns.force": config.ColumnSection,
-    "effects": config.EffectSection,
-    "effects.parameters.k": config.CoefficientSection,
-    "closed_loop": config.ClosedLoopSection,
-    "cost": config.CostSection,
-    "constraints": config.ConstraintSection,
-    "constraints.step_response": config.StepSection,
-    "constraints.tracking": config.TrackingSection,
+    "": sections.Config,
+    "model": sections.ModelSection,
+    "parameters.m": sections.ParameterSection,
+    "maps.torque": sections.MapSection,
+    "experiments": experiment_keys.ExperimentSection,
+    "experiments.inputs.F": experiment_keys.InputSection,
+    "experiments.outputs.y": experiment_keys.OutputSection,
+    "experiments.curve": experiment_keys.CurveSection,
+    "experiments.columns.force": experiment_keys.ColumnSection,
+    "effects": sections.EffectSection,
+    "effects.parameters.k": sections.CoefficientSection,
+    "closed_loop": sections.ClosedLoopSection,
+    "cost": sections.CostSection,
+    "constraints": sections.ConstraintSection,
+    "constraints.step_response": sections.StepSection,
+    "constraints.tracking": sections.TrackingSection,
     "multistart": Multistart,
     "uncertainty": UncertaintySettings,
-    "method": config.MethodSection,
-    "executor": config.ExecutorSection,
+    "method": sections.MethodSection,
+    "executor": sections.ExecutorSection,
     "budget": Budget,
     "log": LogSettings,
 }
