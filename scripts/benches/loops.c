@@ -1,4 +1,4 @@
-/* The loops of workers/kernels in C, as the limit that scripts/bench_kernels.py measures against.
+/* The loops of workers/kernels in C, as the limit that the bench `kernels` measures against.
  * The FMU's functions come by address, in the order of FUNCTIONS there. */
 #include <stddef.h>
 #include <stdint.h>
