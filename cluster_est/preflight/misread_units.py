@@ -17,7 +17,7 @@ from cluster_est.problem.tables.units import UnitConversion, likely_conversions
 from cluster_est.results.output_errors import Simulation
 from cluster_est.toml import dotted
 from workers.messages import Experiment, FloatArray, Input
-from workers.probes.variants import SimulatedVariant, VariantProbe
+from workers.probes.other_simulations import SimulatedVariant, VariantProbe
 from workers.process.trial import NoAnswer
 
 FAR, NEAR = 0.7, 0.5
