@@ -272,6 +272,7 @@ class FmuInstance:
         self.log: deque[str] = deque(maxlen=20)
         self._is_freed = self._is_used = self._is_spent = False
         self.fmu = self._load()
+        """The instance as an object of fmpy."""
         self.component = self._functions.component()
 
     @property
