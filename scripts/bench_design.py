@@ -223,11 +223,12 @@ def limits_of(data: Data, problem: Problem) -> ExperimentLimits:
         values = np.concatenate([run.inputs[:, place] for run in data.experiments])
         low, high = float(values.min()), float(values.max())
         room = WIDER * (high - low)
-        inputs[name] = InputLimits(low - room if low < 0.0 else max(low - room, 0.0), high + room)
+        lowest = low - room if low < 0.0 else max(low - room, 0.0)
+        inputs[name] = InputLimits(lower=lowest, upper=high + room)
     times = problem.experiments[0].outputs[0].times
     step = float(times[1] - times[0])
     duration = float(times[-1] - times[0])
-    return ExperimentLimits(inputs, (duration, duration), step)
+    return ExperimentLimits(inputs=inputs, duration=(duration, duration), sample_time=step)
 
 
 def measured(data: Data, experiment: Experiment, stream: int) -> Experiment:
@@ -338,7 +339,7 @@ def precision() -> None:
         alone = replace(problem, experiments=(shortened(problem.experiments[0]),))
         result = ce.fit(alone, method=ce.LeastSquares(max_iterations=60))
         limits = limits_of(data, problem)
-        signals = dict.fromkeys(data.system.outputs, SignalLimits(-1e6, 1e6))
+        signals = dict.fromkeys(data.system.outputs, SignalLimits(lower=-1e6, upper=1e6))
         found = design(
             result,
             limits.changed(signals=signals),

@@ -212,7 +212,7 @@ def seen_ranges(problem: Problem, outputs: Sequence[str]) -> dict[str, SignalLim
         )
         low, high = float(measured.min()), float(measured.max())
         room = BEYOND * max(high - low, 1e-9 * max(abs(low), abs(high), 1e-9))
-        found[name] = SignalLimits(low - room, high + room)
+        found[name] = SignalLimits(lower=low - room, upper=high + room)
     return found
 
 
