@@ -68,6 +68,175 @@ LEADING = 3
 """Inputs that are looked at once more, at most."""
 CONFIRMED = 0.02
 """By which the expected probability may be lower than it seemed."""
+BEYOND = 0.5
+"""Of an output's range, by which an experiment may leave it where no limits are given."""
+UNCONFIRMED = (
+    "the budget left no room to fit the rivals to what each model predicts of the best input: what "
+    "is expected of it rests on derivatives alone, and may be too much"
+)
+
+
+def design(
+    result: Result | LoopResult,
+    limits: ExperimentLimits,
+    resources: Resources | None = None,
+    settings: DesignSettings | None = None,
+    seed: int = 0,
+    *,
+    record: Record | None = None,
+    show: Show | None = None,
+    note: Note | None = None,
+) -> DesignResult:
+    """Choose the next experiment: the input that tells most, within limits.
+
+    Parameters
+    ----------
+    result
+        Of a fit or of a closed loop. The effects of a loop have rivals, which are told apart.
+    limits
+        Of the experiment.
+    resources
+        Where simulations run, and the budget.
+    settings
+        What the experiment is chosen for, and how hard it is searched for.
+    seed
+        Starts the random generator; the result is the same for any number of workers.
+    record, show, note
+        Called for each simulation, whenever something came back, and for each iteration; see
+        `Runner`.
+
+    Raises
+    ------
+    ClusterEstError
+        If limits, models and machine do not fit together, or no input keeps the limits.
+    """
+    settings = DesignSettings() if settings is None else settings
+    check_kind(limits, ExperimentLimits, "limits", ProblemError)
+    check_kind(settings, DesignSettings, "settings", ProblemError)
+    check_number(seed, "design.seed", ProblemError, least=0, whole=True)
+    models = chosen_models(models_of(result), settings)
+    study = Design(DesignRequest(models, limits, settings, seed))
+    return run_study(study, resources, record=record, show=show, note=note)
+
+
+@dataclass(frozen=True)
+class Design(Study[DesignResult]):
+    """The choice of the next experiment; `request` says of which models, within which limits."""
+
+    request: DesignRequest
+
+    @override
+    def check(self) -> None:
+        check_design(self.request)
+
+    @override
+    def run(self, environment: RunEnvironment) -> DesignResult:
+        return make_design(environment, self.request)
+
+
+def make_design(environment: RunEnvironment, request: DesignRequest) -> DesignResult:
+    """Choose the next experiment with workers and a budget that somebody else has chosen.
+
+    Raises
+    ------
+    ClusterEstError
+        If limits, models and machine do not fit together, or no input keeps the limits.
+    """
+    begin = time.monotonic()
+    check_design(request)
+    queue = DesignQueue(environment, request.problem)
+    with one_blas_thread():
+        fitted, noise = queue.use(
+            request.problem.experiments,
+            "fitting the models",
+            lambda runner: fit_candidates(runner, request.models, request.seed),
+        )
+        if request.targets:
+            units = {v.name: v.unit for v in request.problem.describe().variables.values()}
+            fitted[0] = with_predictions(queue, fitted[0], request.targets, units)
+        labels = tuple(each for each in narrowed_labels(request) if each not in fitted[0].held)
+        scorer = CandidateScorer(fitted, request.criterion, labels, queue)
+        maker = candidate_maker(request, noise)
+        found = search(
+            scorer,
+            maker,
+            recorded_candidates(request, maker),
+            request.settings.candidates,
+            np.random.default_rng(request.seed),
+        )
+        leading = ranked(found.scored)
+        remarks: tuple[str, ...] = ()
+        chosen = (leading[0], leading[0].evidence)
+        if request.criterion.compares:
+            try:
+                chosen = confirmed_choice(queue, fitted, leading, noise)
+            except BudgetError:
+                remarks = (UNCONFIRMED,)
+    result = make_result(scorer, found, maker, chosen)
+    return replace(
+        result,
+        remarks=(*result.remarks, *remarks),
+        evaluations=queue.evaluations,
+        simulated=queue.simulations,
+        failures=queue.failures,
+        seconds=time.monotonic() - begin,
+    )
+
+
+def candidate_maker(request: DesignRequest, noise: NoiseOfOutputs) -> CandidateMaker:
+    """Return what makes experiments, with as much noise as the fit has found."""
+    problem, like = request.problem, request.like
+    sigmas = {
+        output.variable: noise.over_sigma(output.variable) * usual_sigma(problem, output.variable)
+        for output in like.outputs
+        if len(output.times)
+    }
+    variables = problem.describe().variables
+    wanted = request.settings.waveforms
+    return CandidateMaker(
+        request.limits,
+        like,
+        sigmas,
+        tuple(name for name in WAVEFORMS if not wanted or name in wanted),
+        {**seen_ranges(problem, tuple(sigmas)), **request.limits.signals},
+        frozenset(
+            name for name in request.limits.inputs if not variables[name].type.startswith("Float")
+        ),
+    )
+
+
+def usual_sigma(problem: Problem, output: str) -> float:
+    """Return the median over the training experiments of an output's sigma."""
+    runs = [problem.experiments[e] for e in problem.indices("train")]
+    own = [o for run in runs for o in run.outputs if o.variable == output and len(o.times)]
+    return float(np.median([np.sqrt(np.mean(o.sigmas**2)) for o in own])) if own else 1.0
+
+
+def seen_ranges(problem: Problem, outputs: Sequence[str]) -> dict[str, SignalLimits]:
+    """Return the range of each output over all experiments, and half as much on either side.
+
+    Further out nobody knows whether a model holds, nor whether the plant does.
+    """
+    found = {}
+    for name in outputs:
+        measured = np.concatenate(
+            [o.values for e in problem.experiments for o in e.outputs if o.variable == name]
+        )
+        low, high = float(measured.min()), float(measured.max())
+        room = BEYOND * max(high - low, 1e-9 * max(abs(low), abs(high), 1e-9))
+        found[name] = SignalLimits(lower=low - room, upper=high + room)
+    return found
+
+
+def recorded_candidates(
+    request: DesignRequest, maker: CandidateMaker
+) -> tuple[CandidateInput, ...]:
+    """Return the inputs of the run's experiments that keep the limits, where they may be chosen."""
+    wanted = request.settings.waveforms
+    if wanted and RECORDED not in wanted:
+        return ()
+    found = (maker.recorded(experiment) for experiment in request.problem.experiments)
+    return tuple(each for each in found if each is not None)
 
 
 def confirmed_choice(
@@ -166,176 +335,3 @@ def _as_measured(scored: ScoredCandidate, model: int) -> Experiment:
         first = rows.stop
     name = f"{experiment.id} as model {model + 1} has it"
     return replace(experiment, id=name, outputs=tuple(outputs), bounds=())
-
-
-BEYOND = 0.5
-"""Of an output's range, by which an experiment may leave it where no limits are given."""
-
-
-def candidate_maker(request: DesignRequest, noise: NoiseOfOutputs) -> CandidateMaker:
-    """Return what makes experiments, with as much noise as the fit has found."""
-    problem, like = request.problem, request.like
-    sigmas = {
-        output.variable: noise.over_sigma(output.variable) * usual_sigma(problem, output.variable)
-        for output in like.outputs
-        if len(output.times)
-    }
-    variables = problem.describe().variables
-    wanted = request.settings.waveforms
-    return CandidateMaker(
-        request.limits,
-        like,
-        sigmas,
-        tuple(name for name in WAVEFORMS if not wanted or name in wanted),
-        {**seen_ranges(problem, tuple(sigmas)), **request.limits.signals},
-        frozenset(
-            name for name in request.limits.inputs if not variables[name].type.startswith("Float")
-        ),
-    )
-
-
-def usual_sigma(problem: Problem, output: str) -> float:
-    """Return the median over the training experiments of an output's sigma."""
-    runs = [problem.experiments[e] for e in problem.indices("train")]
-    own = [o for run in runs for o in run.outputs if o.variable == output and len(o.times)]
-    return float(np.median([np.sqrt(np.mean(o.sigmas**2)) for o in own])) if own else 1.0
-
-
-def seen_ranges(problem: Problem, outputs: Sequence[str]) -> dict[str, SignalLimits]:
-    """Return the range of each output over all experiments, and half as much on either side.
-
-    Further out nobody knows whether a model holds, nor whether the plant does.
-    """
-    found = {}
-    for name in outputs:
-        measured = np.concatenate(
-            [o.values for e in problem.experiments for o in e.outputs if o.variable == name]
-        )
-        low, high = float(measured.min()), float(measured.max())
-        room = BEYOND * max(high - low, 1e-9 * max(abs(low), abs(high), 1e-9))
-        found[name] = SignalLimits(lower=low - room, upper=high + room)
-    return found
-
-
-def recorded_candidates(
-    request: DesignRequest, maker: CandidateMaker
-) -> tuple[CandidateInput, ...]:
-    """Return the inputs of the run's experiments that keep the limits, where they may be chosen."""
-    wanted = request.settings.waveforms
-    if wanted and RECORDED not in wanted:
-        return ()
-    found = (maker.recorded(experiment) for experiment in request.problem.experiments)
-    return tuple(each for each in found if each is not None)
-
-
-UNCONFIRMED = (
-    "the budget left no room to fit the rivals to what each model predicts of the best input: what "
-    "is expected of it rests on derivatives alone, and may be too much"
-)
-
-
-def make_design(environment: RunEnvironment, request: DesignRequest) -> DesignResult:
-    """Choose the next experiment with workers and a budget that somebody else has chosen.
-
-    Raises
-    ------
-    ClusterEstError
-        If limits, models and machine do not fit together, or no input keeps the limits.
-    """
-    begin = time.monotonic()
-    check_design(request)
-    queue = DesignQueue(environment, request.problem)
-    with one_blas_thread():
-        fitted, noise = queue.use(
-            request.problem.experiments,
-            "fitting the models",
-            lambda runner: fit_candidates(runner, request.models, request.seed),
-        )
-        if request.targets:
-            units = {v.name: v.unit for v in request.problem.describe().variables.values()}
-            fitted[0] = with_predictions(queue, fitted[0], request.targets, units)
-        labels = tuple(each for each in narrowed_labels(request) if each not in fitted[0].held)
-        scorer = CandidateScorer(fitted, request.criterion, labels, queue)
-        maker = candidate_maker(request, noise)
-        found = search(
-            scorer,
-            maker,
-            recorded_candidates(request, maker),
-            request.settings.candidates,
-            np.random.default_rng(request.seed),
-        )
-        leading = ranked(found.scored)
-        remarks: tuple[str, ...] = ()
-        chosen = (leading[0], leading[0].evidence)
-        if request.criterion.compares:
-            try:
-                chosen = confirmed_choice(queue, fitted, leading, noise)
-            except BudgetError:
-                remarks = (UNCONFIRMED,)
-    result = make_result(scorer, found, maker, chosen)
-    return replace(
-        result,
-        remarks=(*result.remarks, *remarks),
-        evaluations=queue.evaluations,
-        simulated=queue.simulations,
-        failures=queue.failures,
-        seconds=time.monotonic() - begin,
-    )
-
-
-@dataclass(frozen=True)
-class Design(Study[DesignResult]):
-    """The choice of the next experiment; `request` says of which models, within which limits."""
-
-    request: DesignRequest
-
-    @override
-    def check(self) -> None:
-        check_design(self.request)
-
-    @override
-    def run(self, environment: RunEnvironment) -> DesignResult:
-        return make_design(environment, self.request)
-
-
-def design(
-    result: Result | LoopResult,
-    limits: ExperimentLimits,
-    resources: Resources | None = None,
-    settings: DesignSettings | None = None,
-    seed: int = 0,
-    *,
-    record: Record | None = None,
-    show: Show | None = None,
-    note: Note | None = None,
-) -> DesignResult:
-    """Choose the next experiment: the input that tells most, within limits.
-
-    Parameters
-    ----------
-    result
-        Of a fit or of a closed loop. The effects of a loop have rivals, which are told apart.
-    limits
-        Of the experiment.
-    resources
-        Where simulations run, and the budget.
-    settings
-        What the experiment is chosen for, and how hard it is searched for.
-    seed
-        Starts the random generator; the result is the same for any number of workers.
-    record, show, note
-        Called for each simulation, whenever something came back, and for each iteration; see
-        `Runner`.
-
-    Raises
-    ------
-    ClusterEstError
-        If limits, models and machine do not fit together, or no input keeps the limits.
-    """
-    settings = DesignSettings() if settings is None else settings
-    check_kind(limits, ExperimentLimits, "limits", ProblemError)
-    check_kind(settings, DesignSettings, "settings", ProblemError)
-    check_number(seed, "design.seed", ProblemError, least=0, whole=True)
-    models = chosen_models(models_of(result), settings)
-    study = Design(DesignRequest(models, limits, settings, seed))
-    return run_study(study, resources, record=record, show=show, note=note)

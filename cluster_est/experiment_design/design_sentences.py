@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from cluster_est.closed_loop.findings.words.numbers import in_a_row, percent
@@ -195,12 +195,20 @@ def narrowed_sentence(rows: Sequence[ExpectedPrecision]) -> str:
         "the standard errors are expected to fall to "
         f"{share('std_error_after'):.2g} of what they are, as a geometric mean"
     )
-    others = []
-    if not math.isnan(share("random")):
-        others.append(f"with a random input within the same limits to {share('random'):.2g}")
-    if not math.isnan(share("recorded")):
-        others.append(f"with a recorded one, repeated, to {share('recorded'):.2g}")
-    return "; ".join([said, *others])
+    return "; ".join([said, *_beside(share)])
+
+
+def _beside(share: Callable[[str], float]) -> list[str]:
+    """Say what a random input and a recorded one are expected to do."""
+    inputs = {
+        "random": "with a random input within the same limits",
+        "recorded": "with a recorded one, repeated,",
+    }
+    return [
+        f"{which} to {share(name):.2g}"
+        for name, which in inputs.items()
+        if not math.isnan(share(name))
+    ]
 
 
 def predicted_sentence(rows: Sequence[ExpectedPredictionError]) -> str:
@@ -220,12 +228,7 @@ def predicted_sentence(rows: Sequence[ExpectedPredictionError]) -> str:
         f"{'are' if several else 'is'} expected to fall to {share('std_error_after'):.2g} of what "
         f"{'they are, as a root mean square' if several else 'it is'}"
     )
-    others = []
-    if not math.isnan(share("random")):
-        others.append(f"with a random input within the same limits to {share('random'):.2g}")
-    if not math.isnan(share("recorded")):
-        others.append(f"with a recorded one, repeated, to {share('recorded'):.2g}")
-    return "; ".join([said, *others])
+    return "; ".join([said, *_beside(share)])
 
 
 TABLE, STEM = "TABLE.csv", "TABLE"

@@ -138,10 +138,8 @@ LEAST_TOLERANCE = 1e-12
 """SciPy would not end without any."""
 
 
-def minimise_scalar_unknown(
-    space: SearchSpace, start: Evaluation, step: float, xtol: float, max_evaluations: int
-) -> Search:
-    """Search one unknown.
+class _LineSearch:
+    """Searches one unknown.
 
     Where both bounds are finite it searches all between them, as it is usual, and around the start
     only if that was better than all it found. Otherwise it goes downhill from the start, with
@@ -160,22 +158,12 @@ def minimise_scalar_unknown(
     max_evaluations
         Limit, apart from a few.
     """
-    line = _LineSearch(space, start, step, max(xtol, LEAST_TOLERANCE), max_evaluations)
-    return search_in_thread(line.solve)
-
-
-class _LineSearch:
-    """The state of a search along one unknown: the best point and the evaluations that are left."""
 
     def __init__(
         self, space: SearchSpace, start: Evaluation, step: float, xtol: float, max_evaluations: int
     ) -> None:
-        self._coordinates, self._step, self._xtol, self._left = (
-            ScaledCoordinates(space),
-            step,
-            xtol,
-            max_evaluations,
-        )
+        self._coordinates, self._step = ScaledCoordinates(space), step
+        self._xtol, self._left = max(xtol, LEAST_TOLERANCE), max_evaluations
         self._start = self._best = SimplexVertex(np.zeros(1), start)
         self._progress = Progress(0, start.cost)
 
@@ -336,7 +324,7 @@ class NelderMead(Method):
             return Solution(space.start, np.nan, Ending.START_FAILED, reason)
         if space.size == 1:
             limits = self.initial_step, self.xtol, self.max_iterations
-            return (yield from minimise_scalar_unknown(space, at, *limits))
+            return (yield from search_in_thread(_LineSearch(space, at, *limits).solve))
         return (yield from _SimplexSearch(space, self, at).steps())
 
 

@@ -26,6 +26,7 @@ from cluster_est.results.output_errors import Simulation
 from cluster_est.running import reset_policy
 from cluster_est.running.threads_trial import DISTURBED, two_simulations
 from workers.messages import FloatArray, ResetPolicy, Status
+from workers.probes.other_simulations import RemedyProbe, SimulationVariant
 from workers.probes.probes import (
     InstanceProbe,
     LeftoverProbe,
@@ -34,7 +35,6 @@ from workers.probes.probes import (
     StopTimeProbe,
     differences,
 )
-from workers.probes.variants import RemedyProbe, SimulationVariant
 from workers.process.forked import CAN_FORK
 from workers.process.trial import NoAnswer
 

@@ -32,7 +32,7 @@ from cluster_est.results.output_errors import Simulation
 from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Input
-from workers.probes.variants import SimulatedVariant, VariantProbe
+from workers.probes.other_simulations import SimulatedVariant, VariantProbe
 from workers.process.trial import NoAnswer
 
 LEAST_LETTERS = 2

@@ -256,7 +256,9 @@ class Runner:
         self._executor.submit(tasks)
         try:
             # after an interrupt only what takes a few seconds is simulated still
-            hurry = later(HURRY_SECONDS) if self.interrupted else contextlib.nullcontext()
+            hurry: contextlib.AbstractContextManager[None] = (
+                later(HURRY_SECONDS) if self.interrupted else contextlib.nullcontext()
+            )
             with DeferredInterrupts() as interrupts, hurry:
                 while len(answers) < len(tasks):
                     with interrupts.waiting():

@@ -15,7 +15,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import SearchSpace, make_space
 from workers.fmu.archive import unpacked_folder
 from workers.messages import Experiment, FloatArray, Model, Task, content_hash
-from workers.probes.two_instances import InstanceSimulation, SideBySideProbe
+from workers.probes.other_simulations import InstanceSimulation, SideBySideProbe
 from workers.process.trial import NoAnswer, ProbeBench
 
 

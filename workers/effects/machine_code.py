@@ -331,40 +331,11 @@ def compile_function(
     MachineCode or numba cfunc
         Its `address` is what compiled loops call. Keep it: the code lives as long as the object.
     """
+    equations = _PreparedEquations.of(assignments, locations, time)
     try:
-        return _assembled(arrays, locations, assignments, time)
+        return assemble(arrays, _body(equations, assignments))
     except UntranslatableError:
-        return _translated(arrays, locations, assignments, time)
-
-
-def _assembled(
-    arrays: Sequence[EffectArray],
-    locations: SymbolLocations,
-    assignments: Sequence[CAssignment],
-    time: sp.Symbol,
-) -> MachineCode:
-    body = Assembly()
-    prepared = _prepared(assignments, time)
-    body.define(_TIME, "%t")
-    for local, symbol in prepared.read:
-        body.define(local, body.load(*locations[symbol]))
-    for symbol, value in prepared.common:
-        body.define(symbol, body.write(value))
-    results = [body.write(value) for value in prepared.values]
-    for assignment, result in zip(assignments, results, strict=True):
-        if assignment.add:
-            result = body.add(body.load(assignment.target, assignment.index), result)
-        body.store(assignment.target, assignment.index, result)
-    return assemble(arrays, body)
-
-
-def _translated(
-    arrays: Sequence[EffectArray],
-    locations: SymbolLocations,
-    assignments: Sequence[CAssignment],
-    time: sp.Symbol,
-) -> Any:
-    text = _source(arrays, locations, assignments, time)
+        text = _source(arrays, locations, equations, assignments)
     scope: dict[str, Any] = {"carray": carray, "math": __import__("math")}
     exec(compile(text, "<effect>", "exec"), scope)  # printed by SymPy from a checked syntax tree
     pointers = [types.CPointer(types.float64)] * len(arrays)  # type: ignore[attr-defined]
@@ -381,45 +352,60 @@ class _PreparedEquations:
     Attributes
     ----------
     read
-        (short, original) of each symbol but the time.
+        Each symbol but the time, and the place of its value.
     common
         Parts that are computed once, in this order.
     values
         The equations, with the symbols of these parts in them.
     """
 
-    read: tuple[tuple[sp.Symbol, sp.Symbol], ...]
+    read: tuple[tuple[sp.Symbol, tuple[EffectArray, int]], ...]
     common: tuple[tuple[sp.Symbol, sp.Expr], ...]
     values: tuple[sp.Expr, ...]
 
+    @classmethod
+    def of(
+        cls, assignments: Sequence[CAssignment], locations: SymbolLocations, time: sp.Symbol
+    ) -> _PreparedEquations:
+        used = set().union(*(a.value.free_symbols for a in assignments)) if assignments else set()
+        ordered = sorted(used - {time}, key=str)
+        short = {symbol: sp.Symbol(f"s{i}", real=True) for i, symbol in enumerate(ordered)}
+        values = [a.value.xreplace(short | {time: _TIME}) for a in assignments]
+        common, reduced = sp.cse(values, symbols=sp.numbered_symbols("c"))
+        read = tuple((local, locations[symbol]) for symbol, local in short.items())
+        return cls(read, tuple(common), tuple(reduced))
 
-def _prepared(assignments: Sequence[CAssignment], time: sp.Symbol) -> _PreparedEquations:
-    used = set().union(*(a.value.free_symbols for a in assignments)) if assignments else set()
-    ordered = sorted(used - {time}, key=str)
-    read = tuple((sp.Symbol(f"s{i}", real=True), symbol) for i, symbol in enumerate(ordered))
-    short = {symbol: local for local, symbol in read} | {time: _TIME}
-    values = [a.value.xreplace(short) for a in assignments]
-    common, reduced = sp.cse(values, symbols=sp.numbered_symbols("c"))
-    return _PreparedEquations(read, tuple(common), tuple(reduced))
+
+def _body(equations: _PreparedEquations, assignments: Sequence[CAssignment]) -> Assembly:
+    """Return the function in LLVM's language."""
+    body = Assembly()
+    body.define(_TIME, "%t")
+    for local, location in equations.read:
+        body.define(local, body.load(*location))
+    for symbol, value in equations.common:
+        body.define(symbol, body.write(value))
+    results = [body.write(value) for value in equations.values]
+    for assignment, result in zip(assignments, results, strict=True):
+        if assignment.add:
+            result = body.add(body.load(assignment.target, assignment.index), result)
+        body.store(assignment.target, assignment.index, result)
+    return body
 
 
 def _source(
     arrays: Sequence[EffectArray],
     locations: SymbolLocations,
+    equations: _PreparedEquations,
     assignments: Sequence[CAssignment],
-    time: sp.Symbol,
 ) -> str:
     """Return the function as Python text, with common parts computed once."""
     sizes = dict.fromkeys(arrays, 1)
     for array, index in [*locations.values(), *((a.target, a.index) for a in assignments)]:
         sizes[array] = max(sizes[array], index + 1)
-    prepared = _prepared(assignments, time)
     lines = [f"{name} = carray({name}_, {size})" for name, size in sizes.items()]
-    for local, symbol in prepared.read:
-        array, index = locations[symbol]
-        lines.append(f"{local} = {array}[{index}]")
-    lines += [f"{symbol} = {_print(value)}" for symbol, value in prepared.common]
-    lines += [f"r{i} = {_print(value)}" for i, value in enumerate(prepared.values)]
+    lines += [f"{local} = {array}[{index}]" for local, (array, index) in equations.read]
+    lines += [f"{symbol} = {_print(value)}" for symbol, value in equations.common]
+    lines += [f"r{i} = {_print(value)}" for i, value in enumerate(equations.values)]
     for i, assignment in enumerate(assignments):
         lines.append(
             f"{assignment.target}[{assignment.index}] {'+=' if assignment.add else '='} r{i}"

@@ -271,7 +271,8 @@ class FmuInstance:
         self._folder = unpack(model.name, model.archive, model.archive_hash)
         self.log: deque[str] = deque(maxlen=20)
         self._is_freed = self._is_used = self._is_spent = False
-        self._fmu = self._load()
+        self.fmu = self._load()
+        """The instance as an object of fmpy."""
         self.component = self._functions.component()
 
     @property
@@ -317,12 +318,12 @@ class FmuInstance:
         instances is limited it also keeps its seat, and there is no other one in this process.
         """
         if not (self._is_freed or self._is_spent):
-            _abandoned.append(self._fmu)
+            _abandoned.append(self.fmu)
             if self._seat is not None:
                 self._seat.lose()
                 self._is_spent = True  # to be told by `begin`: the failure itself counts first
                 return
-        self._fmu = self._load()
+        self.fmu = self._load()
         self._is_freed = self._is_used = False
         self.component = self._functions.component()
 
@@ -345,12 +346,7 @@ class FmuInstance:
 
     @property
     def _functions(self) -> FunctionTable:
-        return FunctionTable(self._fmu, self._model, self._description)
-
-    @property
-    def fmu(self) -> Any:
-        """The instance as an object of fmpy."""
-        return self._fmu
+        return FunctionTable(self.fmu, self._model, self._description)
 
     def free(self) -> None:
         """Free the instance and unload its library; a second call does nothing."""
@@ -358,7 +354,7 @@ class FmuInstance:
             if not (self._is_freed or self._is_spent):
                 self._is_freed = True
                 with kept_signal_handlers():
-                    self._fmu.freeInstance()
+                    self.fmu.freeInstance()
                 if self._seat is not None:
                     self._seat.give_back()
 
