@@ -17,6 +17,7 @@ from cluster_est.html_report.page_blocks import (
     FigureBlock,
     ReportSection,
     TableCell,
+    TableLine,
     TextBlock,
     Tone,
     code,
@@ -180,7 +181,7 @@ def _runs(rows: Sequence[Row]) -> ReportSection:
     """The summary table as people read it."""
     axes = _axes(rows)
     names = ("run", *axes, "", "#training", "#held out", "#cost", "#simulations", "#time")
-    lines = tuple(
+    lines: tuple[TableLine, ...] = tuple(
         (
             code(row["run"]),
             *(str(row[axis]) for axis in axes),
@@ -193,7 +194,7 @@ def _runs(rows: Sequence[Row]) -> ReportSection:
         )
         for row in rows
     )
-    reasons: tuple[tuple[str | TableCell, ...], ...] = tuple(
+    reasons: tuple[TableLine, ...] = tuple(
         (code(row["run"]), str(row["status"]), str(row["message"]))
         for row in rows
         if row["status"] != "done" and row["message"]
