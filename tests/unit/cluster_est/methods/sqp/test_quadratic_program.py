@@ -82,6 +82,42 @@ def test_multipliers_balance_the_gradient(seed):
     np.testing.assert_allclose(multipliers[slack], 0.0, atol=1e-6)
 
 
+def simple(values, jacobian, equality):
+    return QuadraticSubproblem(
+        np.array([1.0, 2.0]), np.eye(2), np.array(values), np.array(jacobian),
+        np.arange(len(values)), np.array(equality),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("copies", [1, 5])
+def test_constraints_that_contradict_or_repeat_each_other_have_their_best_compromise(copies):
+    """p1 + p2 = -1, so often that p1 + p2 = 3 has less weight: at (0, -1) the cost is least."""
+    rows = [[1.0, 1.0]] * (copies + 2)
+    model = simple([1.0] * (copies + 1) + [-3.0], rows, [True] * (copies + 2))
+    step, multipliers = penalised_step(model, 1e4, np.full(2, -1.5), np.full(2, 1.5))
+    np.testing.assert_allclose(step, [0.0, -1.0], atol=1e-8)
+    np.testing.assert_allclose(multipliers.sum(), -1.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("weight", [1e-6, 1e6])
+def test_singular_hessians_have_a_step_all_the_same(weight):
+    """Along p1 - p2 the cost is linear, and along p1 + p2 it is quadratic."""
+    model = replace(simple([-0.5], [[1.0, 1.0]], [False]), hessian=weight * np.ones((2, 2)))
+    step, _ = penalised_step(model, 1e3 * weight, np.full(2, -1.0), np.full(2, 1.0))
+    best = min(
+        (objective(model, 1e3 * weight, np.array(p)), p)
+        for p in [(x, -1.0) for x in np.linspace(-1.0, 1.0, 200001)]
+    )
+    np.testing.assert_allclose(step, best[1], atol=2e-5)
+
+
+def test_numbers_that_overflow_give_no_step():
+    model = replace(simple([1.0], [[1.0, 1.0]], [False]), gradient=np.full(2, np.nan))
+    step, multipliers = penalised_step(model, 1.0, np.full(2, -1.0), np.full(2, 1.0))
+    np.testing.assert_array_equal(step, 0.0)
+    assert np.isfinite(multipliers).all()
+
+
 @pytest.mark.parametrize("value", [-1e3, -1.0, 1.0])
 def test_constraints_that_no_step_changes_do_not_matter(value):
     model = random_model(2)
