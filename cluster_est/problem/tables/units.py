@@ -1,4 +1,8 @@
-"""Units by their usual spellings, and conversions between them."""
+"""Units by their usual spellings, and conversions between them.
+
+Only those that measured columns come in: pint, for one, converts 1 Hz to 9.55 rpm and an angle to a
+number, and would read inches at the end of a column's name `T_in`.
+"""
 
 from __future__ import annotations
 

@@ -9,7 +9,11 @@ import numpy as np
 import sympy as sp
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
-from cluster_est.closed_loop.findings.words.dimensions import (
+from cluster_est.closed_loop.findings.words.laws import Law, law_of
+from cluster_est.closed_loop.findings.words.mathematics import mathematics_of
+from cluster_est.closed_loop.findings.words.physics import PlacedLaw, physics_of
+from cluster_est.closed_loop.findings.words.units import (
+    ACCELERATION,
     AMOUNT,
     AREA,
     CONCENTRATION,
@@ -21,22 +25,19 @@ from cluster_est.closed_loop.findings.words.dimensions import (
     MASS_FLOW,
     SPEED,
     TEMPERATURE,
-    TIME,
     TORQUE,
     TURNING,
+    TURNING_FASTER,
     VOLUME,
     Dimension,
+    KnownUnits,
 )
-from cluster_est.closed_loop.findings.words.known_units import KnownUnits
-from cluster_est.closed_loop.findings.words.laws import Law, law_of
-from cluster_est.closed_loop.findings.words.mathematics import mathematics_of
-from cluster_est.closed_loop.findings.words.physics import PlacedLaw, physics_of
 from cluster_est.results.tables.row_types import EffectCurve
 from workers.effects.expression import parse
 from workers.effects.site import bracketed, difference, is_difference, own_variable
 from workers.fmu.description import ModelDescription
 
-MOVING = (SPEED, TURNING, SPEED / TIME, TURNING / TIME, FORCE, TORQUE)
+MOVING = (SPEED, TURNING, ACCELERATION, TURNING_FASTER, FORCE, TORQUE)
 
 
 @dataclass(frozen=True)

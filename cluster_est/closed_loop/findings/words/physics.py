@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cluster_est.closed_loop.findings.words.dimensions import (
+from cluster_est.closed_loop.findings.words.laws import Law
+from cluster_est.closed_loop.findings.words.units import (
     AMOUNT,
     ANGLE,
     CHARGE,
@@ -30,7 +31,6 @@ from cluster_est.closed_loop.findings.words.dimensions import (
     VOLUME,
     Dimension,
 )
-from cluster_est.closed_loop.findings.words.laws import Law
 from workers.effects.kinds import SiteKind
 
 

@@ -1,0 +1,205 @@
+"""Dimensions of quantities: what a unit's text or an FMU says that a variable measures.
+
+A dimension is the powers of the base units in a unit, whatever the size of that. An angle has a
+power of its own, or the speed of a shaft could not be told from a rate.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from typing import TYPE_CHECKING
+
+from workers.effects.site import is_difference, parts_of
+from workers.fmu.description import ModelDescription
+from workers.fmu.parsing.elements import UnitDefinition
+
+if TYPE_CHECKING:  # it is slow to import, and most runs have no use for it
+    import pint
+
+BASES = ("mass", "length", "time", "current", "temperature", "substance", "luminosity", "angle")
+"""In the order of an FMU's definitions, by pint's names."""
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """The powers of `BASES` in a unit.
+
+    Attributes
+    ----------
+    powers
+        In the order of `BASES`.
+    absolute
+        0 of the unit is that of the quantity; false for degrees Celsius.
+    """
+
+    powers: tuple[float, ...]
+    absolute: bool = True
+
+    def same_as(self, *others: Dimension) -> bool:
+        """Return whether it is one of these, wherever their zeros are."""
+        return any(self.powers == other.powers for other in others)
+
+    @property
+    def without_angle(self) -> tuple[float, ...]:
+        """The powers of all but the angle, which many tools leave out."""
+        return self.powers[:-1]
+
+
+def dimension(**powers: float) -> Dimension:
+    """Return a dimension by the names of its bases: `dimension(length=1, time=-1)`."""
+    return Dimension(tuple(float(powers.get(name, 0.0)) for name in BASES))
+
+
+NUMBER = dimension()
+LENGTH, ANGLE = dimension(length=1), dimension(angle=1)
+SPEED, TURNING = dimension(length=1, time=-1), dimension(angle=1, time=-1)
+ACCELERATION, TURNING_FASTER = dimension(length=1, time=-2), dimension(angle=1, time=-2)
+MASS, AMOUNT = dimension(mass=1), dimension(substance=1)
+FORCE = dimension(mass=1, length=1, time=-2)
+TORQUE = dimension(mass=1, length=2, time=-2)
+TEMPERATURE = dimension(temperature=1)
+AREA, VOLUME = dimension(length=2), dimension(length=3)
+PRESSURE = dimension(mass=1, length=-1, time=-2)
+FLOW, MASS_FLOW = dimension(length=3, time=-1), dimension(mass=1, time=-1)
+POWER, HEAT_FLUX = dimension(mass=1, length=2, time=-3), dimension(mass=1, time=-3)
+CURRENT, CHARGE = dimension(current=1), dimension(current=1, time=1)
+DENSITY, CONCENTRATION = dimension(mass=1, length=-3), dimension(substance=1, length=-3)
+
+
+class KnownUnits:
+    """Units of variables and signals, as dimensions.
+
+    Parameters
+    ----------
+    description
+        Of the FMU, with the units that a config gives to its variables.
+    given
+        Units that a config names, by variable or signal.
+    """
+
+    def __init__(self, description: ModelDescription, given: Mapping[str, str]) -> None:
+        self._description, self._given = description, given
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a variable, a signal or a difference "a - b"; "" if none is known."""
+        name = name if self._has(name) else parts_of(name)[0]
+        if name in self._description.variables:
+            return self._description.variables[name].unit
+        return self._given.get(name, "")
+
+    def of(self, name: str) -> Dimension | None:
+        """Return the dimension of a variable, a signal or a difference; None if it is unknown.
+
+        A difference of two dimensions has none. One of two temperatures has its zero in itself.
+        """
+        if not self._has(name) and is_difference(name):
+            first, second, *_ = parts_of(name)
+            one, other = self.of(first), self.of(second)
+            return one if one is not None and one == other else None
+        return dimension_of(self.unit(name), self._description.units)
+
+    def _has(self, name: str) -> bool:
+        return name in self._description.variables or name in self._given
+
+
+def dimension_of(unit: str, definitions: Mapping[str, UnitDefinition]) -> Dimension | None:
+    """Return the dimension of a unit by an FMU's definition, or by its text.
+
+    Where both are known and contradict each other in more than an angle, which tools often leave
+    out, nothing is known.
+    """
+    by_text = _dimension_of_text(unit)
+    definition = definitions.get(unit)
+    if definition is None:
+        return by_text
+    defined = Dimension(tuple(map(float, definition.powers)), absolute=definition.offset == 0.0)
+    if by_text is None:
+        return defined
+    if by_text.without_angle != defined.without_angle:
+        return None
+    return by_text if by_text.powers[-1] else defined
+
+
+LONGEST = 60
+"""Signs of a unit's text; what is longer is none."""
+SPELLINGS = {
+    "°C": "degC", "℃": "degC", "°F": "degF", "°": "deg", "Ω": "ohm", "\u2126": "ohm",
+    "\u00b5": "u", "\u03bc": "u", "·": "*", "\u22c5": "*", "²": "2", "³": "3", "⁻": "-", "¹": "1",
+    "^": "**", "\u2212": "-",
+}  # fmt: skip
+WORDS = {
+    "Ohm": "ohm", "Nm": "N*m", "Ns": "N*s", "Cel": "degC", "RPM": "rpm", "rev": "revolution",
+    "sec": "s", "Celsius": "degC", "Kelvin": "kelvin",
+}  # fmt: skip
+KNOWN = frozenset({
+    "meter", "inch", "foot", "mile", "gram", "metric_ton", "pound", "second", "minute", "hour",
+    "day", "ampere", "kelvin", "degree_Celsius", "degree_Fahrenheit", "degree_Rankine", "mole",
+    "candela", "lumen", "lux", "radian", "degree", "revolution", "turn",
+    "revolutions_per_minute", "hertz", "newton", "kilogram_force", "force_kilogram", "pound_force",
+    "force_pound", "pascal", "bar", "standard_atmosphere", "pound_force_per_square_inch", "torr",
+    "joule", "watt_hour", "calorie", "electron_volt", "watt", "metric_horsepower", "volt", "ohm",
+    "siemens", "farad", "henry", "coulomb", "ampere_hour", "weber", "tesla", "liter", "percent",
+    "ppm", "knot", "kilometer_per_hour", "mile_per_hour", "poise", "stokes", "dimensionless",
+})  # fmt: skip
+"""Units that measurements come in; pint knows more, and reads "pu" as a tiny mass."""
+ANGLES = frozenset({"radian", "degree", "revolution", "turn", "revolutions_per_minute"})
+"""For pint an angle is a plain number."""
+RELATIVE = frozenset({"degree_Celsius", "degree_Fahrenheit"})
+"""Those whose 0 is not that of the quantity."""
+AMBIGUOUS = re.compile(r"\b(C|F|pH)\b")
+"""For pint coulomb, farad and picohenry; but people write Celsius, Fahrenheit and acidity so."""
+_EXPONENT = re.compile(r"(?<=[A-Za-z%)])(-?\d+)")
+_POINT = re.compile(r"(?<=[A-Za-z)\d])\.(?=[A-Za-z(])")
+_ALLOWED = re.compile(r"[\w*/(). +\-%]*", re.ASCII)
+_TOO_MUCH = re.compile(r"\d{4}|\*\*\s*-?[\d.]+\s*\*\*|\*\*\s*\(")
+
+
+@lru_cache(maxsize=1024)
+def _dimension_of_text(unit: str) -> Dimension | None:
+    """The dimension of "m/s2", "rad/s", "degC", "W/(m2.K)"; None of what says nothing.
+
+    "1" and "%" are numbers; an empty text may mean anything, so it says nothing.
+    """
+    text = unit.strip()
+    if not text or len(text) > LONGEST:
+        return None
+    if text in ("1", "%"):
+        return NUMBER
+    text = _spelled(text)
+    if not _ALLOWED.fullmatch(text) or _TOO_MUCH.search(text) or AMBIGUOUS.search(text):
+        return None
+    registry = _registry()
+    try:
+        found = registry.Unit(text)
+        powers = {str(base): float(str(own)) for base, own in found.dimensionality.items()}
+        parts = [
+            (registry.parse_unit_name(name)[0][1], float(str(own)))
+            for name, own in found._units.items()
+        ]
+    except Exception:  # what is no unit may fail in any part of pint's parser
+        return None
+    names = {name for name, _ in parts}
+    if not names <= KNOWN:
+        return None
+    powers["[angle]"] = sum(own for name, own in parts if name in ANGLES)
+    absolute = not names & RELATIVE
+    return Dimension(tuple(powers.get(f"[{base}]", 0.0) for base in BASES), absolute)
+
+
+def _spelled(unit: str) -> str:
+    """A unit as pint writes it."""
+    for sign, usual in SPELLINGS.items():
+        unit = unit.replace(sign, usual)
+    unit = _EXPONENT.sub(r"**\1", _POINT.sub("*", unit))
+    return re.sub(r"[A-Za-z]+", lambda m: WORDS.get(m.group(), m.group()), unit)
+
+
+@cache
+def _registry() -> pint.UnitRegistry[float]:
+    """All that pint knows."""
+    import pint
+
+    return pint.UnitRegistry()
