@@ -14,8 +14,9 @@ from cluster_est.errors import RunFolderError
 from cluster_est.report.activity import ActivityTail, FailureGroup
 from cluster_est.report.folder import RUNNING
 from cluster_est.report.page import write_report
-from cluster_est.run_folder.progress_file import PROGRESS, IterationLine, ProgressTail, RunState
+from cluster_est.run_folder.progress_file import PROGRESS, IterationLine, ProgressTail
 from cluster_est.run_folder.reading import is_ended, left_alone, read_facts
+from cluster_est.running.records import RunSnapshot
 
 RATE_SECONDS = 15.0
 """Over which the rate of simulations is taken."""
@@ -62,7 +63,7 @@ class RunView:
     failures: tuple[FailureGroup, ...]
     rate: float
     quiet: float
-    state: RunState | None
+    state: RunSnapshot | None
     searches: tuple[SearchView, ...]
     problem: str = ""
 

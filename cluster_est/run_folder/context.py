@@ -5,7 +5,6 @@ from __future__ import annotations
 import enum
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from cluster_est.errors import ClusterEstError, ExecutorError, UnwritableError
@@ -161,12 +160,7 @@ class RunContext:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, _: object, error: BaseException | None, *__: object) -> None:
         """Say in the run folder how a run ended that did not end by itself."""
         if self.folder is not None and error is not None:
             reason, status = _ending(error)

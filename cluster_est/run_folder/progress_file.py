@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from cluster_est.errors import RunFolderError
+from cluster_est.methods.base import Progress
 from cluster_est.running.records import RunSnapshot, SearchIteration
 from cluster_est.whole_files import MEND, SEAL, is_damaged, is_sealed, sealed
 
@@ -56,8 +57,9 @@ class ProgressFile:
         if now - self._shown < SECONDS_BETWEEN:
             return
         self._shown = now
-        names = [field.name for field in fields(RunState) if field.name != "search"]
-        self._write(_line({"now": snapshot.search} | {n: getattr(snapshot, n) for n in names}))
+        row = {field.name: getattr(snapshot, field.name) for field in fields(snapshot)}
+        del row["progress"]
+        self._write(_line({"now": row.pop("search"), **row}))
 
     def end(self) -> None:
         """Nothing follows: whatever reads less than this of a run that has ended lacks lines."""
@@ -85,29 +87,6 @@ def _line(row: dict[str, Any]) -> str:
 
 
 @dataclass(frozen=True)
-class RunState:
-    """The state of a whole run, see `RunSnapshot`; `search` is one of those under way.
-
-    What versions before did not write is as if there were one search and nobody knew the time left.
-    """
-
-    search: str
-    evaluations: int
-    simulations: int
-    failures: int
-    busy: int
-    workers: int
-    seconds: float
-    phase: str = ""
-    ended: int = 0
-    searches: int = 1
-    left: float = math.nan
-    waiting: int = 0
-    at_most: bool = True
-    pace: float = math.nan
-
-
-@dataclass(frozen=True)
 class IterationLine:
     """One iteration of a search; costs are NaN where there was none."""
 
@@ -125,7 +104,7 @@ class ProgressTail:
     Attributes
     ----------
     state
-        The last one; None before the first.
+        The last one, without the progress of its search; None before the first.
     damaged
         How many lines are not as they were written; they are left out.
     ended
@@ -137,7 +116,7 @@ class ProgressTail:
         self._offset = 0
         self._torn = b""
         self.damaged, self.ended = 0, False
-        self.state: RunState | None = None
+        self.state: RunSnapshot | None = None
 
     def new(self) -> list[IterationLine]:
         """The iterations since the last call; a line that is half written comes with the next."""
@@ -182,7 +161,7 @@ class ProgressTail:
             if "now" in row:
                 for name in ("left", "pace"):
                     row[name] = math.nan if row.get(name) is None else float(row[name])
-                self.state = RunState(row.pop("now"), **row)
+                self.state = RunSnapshot(row.pop("now"), Progress(0, math.nan), **row)
                 return None
             for name in ("cost", "violation"):
                 row[name] = math.nan if row[name] is None else float(row[name])

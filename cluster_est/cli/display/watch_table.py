@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from types import TracebackType
 from typing import Self
 
 from rich.console import Console, Group
@@ -13,8 +12,8 @@ from rich.text import Text
 
 from cluster_est.report.numbers import count, duration
 from cluster_est.report.watch import RunView, SearchView
-from cluster_est.run_folder.progress_file import RunState
 from cluster_est.run_folder.progress_text import left_of_step, pace_of, what_is_done
+from cluster_est.running.records import RunSnapshot
 
 MOST_SEARCHES, MOST_FAILURES = 12, 5
 QUIET_SECONDS = 30.0
@@ -40,12 +39,7 @@ class WatchTable:
             self._live.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._console.is_terminal:
             self._live.stop()
         elif self._last is not None:
@@ -84,7 +78,7 @@ def _head(view: RunView) -> str:
     return f"{view.status}{elapsed}"
 
 
-def _now(state: RunState) -> str:
+def _now(state: RunSnapshot) -> str:
     done = what_is_done(state.search, state.phase, state.ended, state.searches)
     left = left_of_step(state.phase, state.left, at_most=state.at_most)
     return " | ".join(part for part in (done, left, pace_of(state.pace)) if part)
