@@ -17,6 +17,7 @@ from cluster_est.report.page_blocks import (
     FigureBlock,
     ReportSection,
     TableCell,
+    TableLine,
     TextBlock,
     Tone,
     code,
@@ -180,7 +181,7 @@ def _runs(rows: Sequence[Row]) -> ReportSection:
     """The summary table as people read it."""
     axes = _axes(rows)
     names = ("run", *axes, "", "#training", "#held out", "#cost", "#simulations", "#time")
-    lines = tuple(
+    lines: list[TableLine] = [
         (
             code(row["run"]),
             *(str(row[axis]) for axis in axes),
@@ -192,7 +193,7 @@ def _runs(rows: Sequence[Row]) -> ReportSection:
             duration(_value(row, "seconds")) if _known(row, "seconds") else "",
         )
         for row in rows
-    )
+    ]
     reasons = tuple(
         (code(row["run"]), row["status"], row["message"])
         for row in rows
