@@ -175,8 +175,8 @@ def _read(
         for name, each in section.columns.items()
     }
     columns = MeasuredColumns(tables[path], where, section.rows, changes, tuple(section.missing))
-    named = [each.column for each in section.outputs.values()]
-    named += [each.column for each in (*section.inputs.values(), *section.signals.values())]
+    of_signals = (section.outputs, section.inputs, section.signals)
+    named = [each.column for given in of_signals for each in given.values()]
     if not named:
         return columns, np.zeros(0)
     return columns, columns.times(section.time, section.sample_time, named[0])

@@ -181,7 +181,7 @@ def _runs(rows: Sequence[Row]) -> ReportSection:
     """The summary table as people read it."""
     axes = _axes(rows)
     names = ("run", *axes, "", "#training", "#held out", "#cost", "#simulations", "#time")
-    lines: tuple[TableLine, ...] = tuple(
+    lines: list[TableLine] = [
         (
             code(row["run"]),
             *(str(row[axis]) for axis in axes),
@@ -193,9 +193,9 @@ def _runs(rows: Sequence[Row]) -> ReportSection:
             duration(_value(row, "seconds")) if _known(row, "seconds") else "",
         )
         for row in rows
-    )
-    reasons: tuple[TableLine, ...] = tuple(
-        (code(row["run"]), str(row["status"]), str(row["message"]))
+    ]
+    reasons = tuple(
+        (code(row["run"]), row["status"], row["message"])
         for row in rows
         if row["status"] != "done" and row["message"]
     )
