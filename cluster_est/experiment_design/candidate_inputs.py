@@ -10,7 +10,7 @@ import numpy as np
 from cluster_est.experiment_design.limits import ExperimentLimits, InputLimits, SignalLimits
 from cluster_est.experiment_design.waveforms import LEVELS, WAVEFORMS
 from workers.grid import values_at
-from workers.messages import Experiment, FloatArray, Input, Interpolation, Output, SignalBound
+from workers.messages import Experiment, FloatArray, Input, Output, SignalBound
 
 FREE_AMPLITUDES = 0.5
 """Share of the first candidates whose amplitude is drawn; the others have the largest."""
@@ -113,12 +113,12 @@ class CandidateMaker:
         shortest, longest = limits.duration
         times = self._times(shortest + float(point[-1]) * (longest - shortest))
         each = self._each(waveform)
-        inputs = []
+        inputs, how = [], {given.variable: given.interpolation for given in self.like.inputs}
         for i, (variable, one) in enumerate(limits.inputs.items()):
             own = point[i * each : (i + 1) * each]
             values = WAVEFORMS[waveform].signal(own, times - times[0], one)
             values = np.rint(values) if variable in self.whole else values
-            inputs.append(Input(variable, times, values, self._interpolation(variable)))
+            inputs.append(Input(variable, times, values, how[variable]))
         own = point[each * len(limits.inputs) : -1]
         starts = {
             variable: one.lower + float(share) * (one.upper - one.lower)
@@ -168,9 +168,6 @@ class CandidateMaker:
         samples = 1 + int(duration / self.limits.sample_time + 0.5)
         times: FloatArray = np.arange(samples, dtype=np.float64)
         return self.like.start + self.limits.sample_time * times
-
-    def _interpolation(self, variable: str) -> Interpolation:
-        return next(g.interpolation for g in self.like.inputs if g.variable == variable)
 
     def _experiment(
         self, name: str, times: FloatArray, inputs: Sequence[Input], starts: Mapping[str, float]

@@ -78,7 +78,7 @@ def expected_evidence(
         return ()
     names = [fitted.model.name for fitted in scorer.models]
     random, recorded = _compared(found, lambda each: each.evidence)
-    most = np.maximum(_largest_evidence(found), own)
+    most = np.maximum(np.max([each.evidence for each in ranked(found)], axis=0), own)
     return tuple(
         ExpectedEvidence(
             names[i],
@@ -127,7 +127,9 @@ def expected_precision(
     for place, label in enumerate(labels):
         i = fitted.labels.index(label)
         unknown, searched = fitted.space.unknowns[i], float(fitted.x[i])
-        unit = _physical_change(unknown.to_physical, searched)
+        step = 1e-6 * max(abs(searched), 1.0)
+        ends = unknown.to_physical(searched + step), unknown.to_physical(searched - step)
+        unit = abs(ends[0] - ends[1]) / (2.0 * step)
         rows.append(
             ExpectedPrecision(
                 label,
@@ -158,17 +160,6 @@ def expected_predictions(
         )
         for i, each in enumerate(fitted.targets)
     )
-
-
-def _physical_change(to_physical: Callable[[float], float], searched: float) -> float:
-    """The derivative of a physical value by the one that is searched."""
-    step = 1e-6 * max(abs(searched), 1.0)
-    return abs(to_physical(searched + step) - to_physical(searched - step)) / (2.0 * step)
-
-
-def _largest_evidence(found: Sequence[ScoredCandidate]) -> FloatArray:
-    """(true model, rival): the largest evidence that any input is expected to give."""
-    return np.asarray(np.max([each.evidence for each in ranked(found)], axis=0))
 
 
 def _compared(

@@ -16,7 +16,7 @@ from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.statistics.projection import inverse
-from cluster_est.uncertainty import Uncertainty, assess
+from cluster_est.uncertainty import assess
 from workers.messages import FloatArray
 
 SETTLE = LeastSquares(trials=1, max_iterations=30, ftol=1e-8, xtol=1e-6, differences="central")
@@ -186,9 +186,11 @@ def fit_candidates(
                 f"{model.name}: must be simulated with the estimates of the run to plan an "
                 f"experiment but was not ({why})"
             )
-    noise = NoiseOfOutputs(
-        _sizes(spaces[0], solutions[0]), _inflation(assess(spaces[0], solutions[0]))
-    )
+    found = assess(spaces[0], solutions[0]).intervals
+    ratios = np.array([each.std_error / each.error_white for each in found])
+    known = ratios[np.isfinite(ratios)]
+    inflation = max(float(np.median(known)), 1.0) if len(known) else 1.0
+    noise = NoiseOfOutputs(_sizes(spaces[0], solutions[0]), inflation)
     fitted = [
         _fitted(model, space, solution, noise)
         for model, space, solution in zip(models, spaces, solutions, strict=True)
@@ -209,13 +211,6 @@ def _sizes(space: SearchSpace, solution: Solution) -> dict[str, float]:
         name: float(np.sqrt(freedom * np.mean(each**2))) if len(each) else 1.0
         for name, each in own.items()
     }
-
-
-def _inflation(uncertainty: Uncertainty) -> float:
-    """How many times larger standard errors are than for white noise, at the median."""
-    ratios = np.array([each.std_error / each.error_white for each in uncertainty.intervals])
-    known = ratios[np.isfinite(ratios)]
-    return max(float(np.median(known)), 1.0) if len(known) else 1.0
 
 
 def _rows(space: SearchSpace) -> Iterator[tuple[str, slice]]:

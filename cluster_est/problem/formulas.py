@@ -6,7 +6,7 @@ They are parsed, never run as Python.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -75,7 +75,9 @@ class Formula:
                 f"{self.where}: must be a number for any values of the parameters but "
                 f"{self.text!r} is true or false; remove the comparison"
             )
-        if parsed.has(sp.zoo, sp.nan, sp.oo, -sp.oo, sp.I) or _too_large(parsed.atoms(sp.Number)):
+        if parsed.has(sp.zoo, sp.nan, sp.oo, -sp.oo, sp.I) or any(
+            not abs(number) < LARGEST for number in parsed.atoms(sp.Number)
+        ):
             raise ProblemError(
                 f"{self.where}: must have a finite value but {self.text!r} has none; mend its "
                 "numbers, divisions, roots and logarithms"
@@ -98,10 +100,6 @@ class Formula:
     def __reduce__(self) -> tuple[Any, ...]:
         """A compiled formula cannot be pickled; its text can."""
         return Formula, (self.text, self.known, self.where)
-
-
-def _too_large(numbers: Iterable[Any]) -> bool:
-    return any(not abs(number) < LARGEST for number in numbers)
 
 
 @dataclass(frozen=True)

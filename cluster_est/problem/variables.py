@@ -78,7 +78,18 @@ def check_experiment(
             )
     _check_inputs(experiment, description, where)
     for name in experiment.recorded:
-        _check_recorded(description.variable(name, f"{where}.outputs"), description, name, where)
+        variable = description.variable(name, f"{where}.outputs")
+        if variable.kind not in ("real", "integer", "boolean"):
+            raise ProblemError(
+                f"{where}.outputs: {name!r} must be a number of {description.file} but is of "
+                f"type {variable.kind}; choose another variable"
+            )
+        if variable.causality in ("parameter", "input", "independent"):
+            raise ProblemError(
+                f"{where}.{dotted('outputs', name)}: must be a variable that {description.file} "
+                f"computes but is of causality {variable.causality!r}; choose an output or a local "
+                "variable"
+            )
     _check_roles(experiment, description, parameters)
     _check_set_once(experiment, description, parameters)
 
@@ -123,22 +134,6 @@ def _check_inputs(experiment: Experiment, description: ModelDescription, where: 
                 f"{where}.inputs: {given.variable!r} must be an input's own name but is "
                 f"another name of {variable.alias_of!r}; use that"
             )
-
-
-def _check_recorded(
-    variable: ModelVariable, description: ModelDescription, name: str, where: str
-) -> None:
-    if variable.kind not in ("real", "integer", "boolean"):
-        raise ProblemError(
-            f"{where}.outputs: {name!r} must be a number of {description.file} but is of "
-            f"type {variable.kind}; choose another variable"
-        )
-    if variable.causality in ("parameter", "input", "independent"):
-        raise ProblemError(
-            f"{where}.{dotted('outputs', name)}: must be a variable that {description.file} "
-            "computes but is "
-            f"of causality {variable.causality!r}; choose an output or a local variable"
-        )
 
 
 def check_effects(

@@ -190,12 +190,18 @@ class Runner:
                     outcomes = self._executor.completed()
                 for outcome in outcomes:
                     self._receive(outcome)
-                self._advance_in_step(searches[: len(searches) - len(waiting)])
+                begun = searches[: len(searches) - len(waiting)]
+                under_way = [search for search in begun if search.solution is None]
+                if self._in_step and all(search.ready for search in under_way):
+                    for search in under_way:
+                        self._advance(search, search.take_answers())
                 self.display.show(searches)
                 continue
             counted += 1
             if enough(_solutions(searches[:counted])):
-                self._give_up(searches[counted:])
+                for unwanted in searches[counted:]:
+                    self._drop(unwanted, tuple(unwanted.pending))
+                    unwanted.steps.close()
                 return searches[:counted]
         return searches
 
@@ -213,19 +219,6 @@ class Runner:
                 self._finish(search, Ending.BUDGET)
             else:
                 self._advance(search, None)
-
-    def _advance_in_step(self, begun: Sequence[SearchState]) -> None:
-        """Let searches that share a budget go on in their order, once all of them can."""
-        under_way = [search for search in begun if search.solution is None]
-        if self._in_step and all(search.ready for search in under_way):
-            for search in under_way:
-                self._advance(search, search.take_answers())
-
-    def _give_up(self, searches: Sequence[SearchState]) -> None:
-        """End searches whose solutions nobody wants any more."""
-        for search in searches:
-            self._drop(search, tuple(search.pending))
-            search.steps.close()
 
     def simulate(
         self,
@@ -287,7 +280,12 @@ class Runner:
         while True:
             try:
                 points = next(search.steps) if answers is None else search.steps.send(answers)
-                while self._comes_too_late(points):
+                # what is of no use without points that would be beyond the budget
+                while (
+                    points.follow_up
+                    and not (self._whole or self._budget.exhausted)
+                    and len(points.x) + points.follow_up > self._budget.evaluations_left
+                ):
                     points = search.steps.throw(BudgetTooShortError())
             except StopIteration as end:
                 search.solution = end.value
@@ -300,12 +298,6 @@ class Runner:
             if not search.ready:
                 return
             answers = search.take_answers()
-
-    def _comes_too_late(self, points: Points) -> bool:
-        """Return whether the points that must follow these would be beyond the budget."""
-        if self._whole or not points.follow_up or self._budget.exhausted:
-            return False
-        return len(points.x) + points.follow_up > self._budget.evaluations_left
 
     def _ask(self, search: SearchState, points: Points) -> None:
         """Queue the tasks of a request."""

@@ -29,16 +29,12 @@ LEAST_ENDED = 3
 """Searches that have ended, from whose lengths those of the others are known."""
 
 
-def _share_done(searches: Sequence[SearchState]) -> float:
-    """Return the share of the work of searches that is done at least; NaN if nobody knows.
+def _share_done(search: SearchState) -> float:
+    """Return the share of the work of a search that is done at least; NaN if nobody knows.
 
     Of a search with few iterations that is the share of these, of given points that of those that
     are evaluated.
     """
-    return float(np.mean([_share(search) for search in searches])) if searches else np.nan
-
-
-def _share(search: SearchState) -> float:
     if search.solution is not None:
         return 1.0
     method, waits = search.request.method, len(search.pending)
@@ -219,7 +215,8 @@ class RunDisplay:
 
         NaN if nobody knows.
         """
-        budget, share = self._budget, _share_done(searches)
+        budget = self._budget
+        share = float(np.mean([_share_done(search) for search in searches]))
         points = budget.evaluations_left
         if 0.0 < points < math.inf:  # the last request may exceed it, on average by half of one
             evaluations = budget.evaluations - self._before[1]

@@ -15,7 +15,6 @@ import numpy as np
 from scipy.special import fdtrc
 
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.methods.differences import Differences
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.methods.least_squares.sparse_step import eliminate, make_chains
 from cluster_est.methods.method import Ending, Solution
@@ -221,7 +220,9 @@ def search_segments(
     searches = _Searches(runner, segmented, seed)
     unit, spread = signal_to_noise(segmented.original), first.spread
     loose = replace(method, ftol=max(method.ftol, LOOSE), differences="forward")
-    strict = replace(method, differences=_without_sensitivities(method))
+    # forward sensitivities know nothing of the ends of segments
+    sensitive = method.differences == "sensitivities"
+    strict = replace(method, differences="auto") if sensitive else method
     space = searches.fitted_states(weighted(space, unit * WEIGHTS[0], spread), loose)
     before: SegmentSolution | None = None
     loosest: SegmentSolution | None = None
@@ -235,11 +236,14 @@ def search_segments(
             most = FOLLOWS * cost_of_constants(segmented.original)
             if found.data_cost > most:
                 return SegmentSearch(found, too_long=True)
-        if before is not None and _at_floor(before, found):
-            found = before
-            break
-        if before is not None and _settled(before, found):
-            break
+        if before is not None:
+            small = before.largest_jump <= JOINED
+            if small and found.largest_jump > FLOOR * before.largest_jump:
+                found = before  # what is left of the differences does not shrink with the weight
+                break
+            change = abs(found.data_cost - before.data_cost)
+            if found.largest_jump <= CONTINUOUS or change <= UNNOTICED * found.variance:
+                break  # they are one trajectory, or a larger weight changes nothing any more
         before, space, spread = found, found.space, _spread(segmented, found, first)
         if found.solution.ending is Ending.STALLED:  # short differences see noise alone
             loose = replace(loose, differences="auto")
@@ -282,20 +286,3 @@ def _spread(segmented: SegmentedProblem, found: SegmentSolution, first: FirstSta
     columns = [segmented.problem.parameters.index(p) for p in segmented.states.parameters]
     starts = np.asarray(found.space.physical(found.solution.x)[:, columns])
     return spread_of_states(segmented, starts, first.measured, found.spread)
-
-
-def _settled(before: SegmentSolution, now: SegmentSolution) -> bool:
-    """Whether the segments are one trajectory, or a larger weight changes nothing any more."""
-    change = abs(now.data_cost - before.data_cost)
-    return now.largest_jump <= CONTINUOUS or change <= UNNOTICED * now.variance
-
-
-def _at_floor(before: SegmentSolution, now: SegmentSolution) -> bool:
-    """Whether what is left of the differences does not shrink with the weight."""
-    small = before.largest_jump <= JOINED
-    return small and now.largest_jump > FLOOR * before.largest_jump
-
-
-def _without_sensitivities(method: LeastSquares) -> Differences:
-    """Forward sensitivities know nothing of the ends of segments."""
-    return "auto" if method.differences == "sensitivities" else method.differences

@@ -159,18 +159,20 @@ def bootstrap(
         If there are fewer than five experiments.
     """
     check_bootstrap(space)
-    spaces = _resampled_spaces(space, solution.x, settings.bootstrap, generator)
+    count, draws = len(space.experiments), range(settings.bootstrap)
+    drawn = [np.sort(generator.integers(0, count, count)).tolist() for _ in draws]
+    spaces = [resampled(space, positions, solution.x) for positions in drawn]
     seeds = generator.integers(0, 2**32, settings.bootstrap).tolist()
     requests = [
         SearchRequest(f"bootstrap {number}", method, each, seed)
         for number, (each, seed) in enumerate(zip(spaces, seeds, strict=True))
     ]
     found = runner.run(requests, settings.at_once)
-    draws = [_draw(each, one, space) for each, one in zip(spaces, found, strict=True)]
+    refits = [_draw(each, one, space) for each, one in zip(spaces, found, strict=True)]
     return BootstrapResult(
         labels=_shared_labels(space),
-        intervals=_intervals(space, solution.x, draws, settings.confidence),
-        draws=tuple(draws),
+        intervals=_intervals(space, solution.x, refits, settings.confidence),
+        draws=tuple(refits),
         failures=sum(not _is_valid(one) for one in found),
         unfinished=sum(_is_valid(one) and not one.ending.success for one in found),
         confidence=settings.confidence,
@@ -191,15 +193,6 @@ def _intervals(
         percentile_interval(label, estimates[label], table[:, j], count, confidence)
         for j, label in enumerate(labels)
     )
-
-
-def _resampled_spaces(
-    space: SearchSpace, x: FloatArray, draws: int, generator: np.random.Generator
-) -> list[SearchSpace]:
-    """Return a space for each draw of as many experiments as there are, with replacement."""
-    count = len(space.experiments)
-    chosen = [np.sort(generator.integers(0, count, count)).tolist() for _ in range(draws)]
-    return [resampled(space, positions, x) for positions in chosen]
 
 
 def check_bootstrap(space: SearchSpace) -> None:

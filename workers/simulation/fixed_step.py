@@ -96,6 +96,7 @@ def communication_points(
     sample_times = grid_times.copy()
     sample_times[np.searchsorted(counts, nearest[on_point])] = times[on_point]
     max_interval = float(np.diff(counts).max(initial=1.0))
+    known = [description.variables.get(name) for name in recorded]
     return CommunicationPoints(
         grid=on_times(experiment, sample_times)._replace(times=grid_times),
         step=step,
@@ -103,7 +104,7 @@ def communication_points(
         before=np.searchsorted(counts, first),
         after=np.searchsorted(counts, last),
         fractions=np.where(on_point, 0.0, elapsed_steps - first),
-        linear=np.array([_is_continuous(description, name) for name in recorded], np.bool_),
+        linear=np.array([each is not None and each.is_continuous for each in known], np.bool_),
     )
 
 
@@ -190,8 +191,3 @@ def _step(
             f"{model.solver.max_steps}; set model.step to a longer one that it takes, or raise that"
         )
     return step
-
-
-def _is_continuous(description: ModelDescription, name: str) -> bool:
-    variable = description.variables.get(name)
-    return variable is not None and variable.is_continuous

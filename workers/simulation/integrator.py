@@ -262,7 +262,8 @@ class FmuIntegrator:
         bound: BoundExperiment,
         point: FloatArray,
     ) -> bool:
-        run = _BatchRun.of(self.batch, _start_alone(bound), point[None], no_hooks(1), 0)
+        start_alone = replace(bound, grid=bound.grid._replace(times=bound.grid.times[:1]))
+        run = _BatchRun.of(self.batch, start_alone, point[None], no_hooks(1), 0)
         self._simulate(run, component, slice(1))
         code = int(run.result.codes[0])
         if code >= failure.FATAL:
@@ -455,11 +456,6 @@ class FmuIntegrator:
         if code in failure.SUGGEST_STIFFNESS and self._model.solver.name == "dormand_prince":
             message += '; if the model is stiff, model.solver = "cvode" goes on in long steps'
         return f"{message}; it said: {log}" if log else message
-
-
-def _start_alone(bound: BoundExperiment) -> BoundExperiment:
-    """Return an experiment that ends where it starts."""
-    return replace(bound, grid=bound.grid._replace(times=bound.grid.times[:1]))
 
 
 def _may_use_jacobian(model: Model, description: ModelDescription) -> bool:

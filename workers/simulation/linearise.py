@@ -228,15 +228,13 @@ def prepare(
     with_offsets = None
     if effects.inner is not None:
         added = [
-            (define(_offset_effect(name), description, model.interface), n_coefficients + j)
-            for j, name in enumerate(given.variable for given in effects.experiment.inputs)
+            (define(Effect(f":{name}", f"input {name}", "bias"), description, model.interface), at)
+            for at, name in enumerate(
+                (given.variable for given in effects.experiment.inputs), n_coefficients
+            )
         ]
         with_offsets = bind_effects([*active, *added], experiment, description, model_exchange=True)
     return PreparedExperiment(model, description, effects, with_offsets, n_coefficients)
-
-
-def _offset_effect(name: str) -> Effect:
-    return Effect(f":{name}", f"input {name}", "bias")
 
 
 def _with_all_inputs_driven(

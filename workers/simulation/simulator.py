@@ -15,7 +15,7 @@ from workers.kernels.fmi import failure
 from workers.kernels.fmi.hooks import no_hooks
 from workers.kernels.solvers.cvode import CvodeBatch
 from workers.kernels.solvers.stiffness import stiffness
-from workers.messages import Effect, Experiment, FloatArray, Input, IntArray, Model
+from workers.messages import Effect, Experiment, FloatArray, IntArray, Model
 from workers.simulation.bind_experiment import BoundExperiment, bind_experiment
 from workers.simulation.effect_bindings import EffectBindings
 from workers.simulation.integrator import FmuIntegrator, SimulationBatch
@@ -54,7 +54,14 @@ class Simulator:
         progress: IntArray | None = None,
     ) -> None:
         self._model, self._description = model, description
-        self._experiments = tuple(_continuous_first(description, e) for e in experiments)
+        # first the inputs that may change between events, because they are set together
+        driven = {given.variable for e in experiments for given in e.inputs}
+        known = [description.variables[name] for name in driven & description.variables.keys()]
+        discrete = {variable.name for variable in known if not variable.is_continuous}
+        self._experiments = tuple(
+            replace(e, inputs=tuple(sorted(e.inputs, key=lambda i: i.variable in discrete)))
+            for e in experiments
+        )
         without_effects = [
             replace(e, signals=()) for e in self._experiments
         ]  # they act through effects alone
@@ -391,13 +398,3 @@ class Simulator:
             if run.codes[0] == failure.FINISHED:
                 batch.innovations[p] = chosen.standardised(bound.grid)
         return batch
-
-
-def _continuous_first(description: ModelDescription, experiment: Experiment) -> Experiment:
-    """Order inputs: those that may change between events first, because they are set together."""
-
-    def is_discrete(signal: Input) -> bool:
-        variable = description.variables.get(signal.variable)
-        return variable is not None and not variable.is_continuous
-
-    return replace(experiment, inputs=tuple(sorted(experiment.inputs, key=is_discrete)))

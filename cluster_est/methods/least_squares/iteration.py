@@ -195,7 +195,11 @@ class LeastSquaresIteration:
         while True:
             dampings = damping * DAMPING_RATIO ** (np.arange(float(self.trials)) - below)
             steps = np.array([model.step(d) for d in dampings])
-            if self._negligible(state, model, steps[0]):
+            short = np.abs(steps[0]) <= self.xtol * unknown_sizes(self.space, state.x)
+            least = 1e-3 * self.ftol * model.squares
+            if state.damping <= 1.0 and (
+                short.all() or model.predicted_reduction(steps[0]) <= least
+            ):  # it changes nothing, in a search that began with little damping
                 return state, _end_of_steps(state, dampings[0])
             trials = yield from self._try(state, "trial", steps, dampings)
             if self._is_curved(state, model, trials):
@@ -243,14 +247,6 @@ class LeastSquaresIteration:
         converged = small or (short and trusted)
         new = state.moved(self.space, x, trials.evaluations[best], damping)
         return new, _end_of_steps(state, trials.dampings[best]) if converged else None
-
-    def _negligible(self, state: IterationState, model: LocalModel, step: FloatArray) -> bool:
-        """Return whether a step changes nothing, in a search that began with little damping."""
-        long = state.damping <= 1.0
-        return long and (
-            bool(np.all(np.abs(step) <= self.xtol * unknown_sizes(self.space, state.x)))
-            or model.predicted_reduction(step) <= 1e-3 * self.ftol * model.squares
-        )
 
 
 def enough_to_notice(at: Evaluation) -> float:

@@ -124,7 +124,10 @@ class PollState:
             self._begin(max(mesh, state.tolerance))
             self._update_progress(length)
             return
-        self._pass_slow_points()
+        for asked in self._outstanding.values():
+            if asked.direction != NONE and asked.overtaken >= self._late:
+                self._shorten(asked.direction)  # its point is slow; its answer still counts
+                asked.direction = NONE
         self._refine()
 
     @property
@@ -238,13 +241,6 @@ class PollState:
     def _shorten(self, direction: int) -> None:
         self._steps[direction] *= self._options.contraction
         self._directions.append(direction)
-
-    def _pass_slow_points(self) -> None:
-        """Shorten the steps of directions whose point is slow; its answer still counts."""
-        for asked in self._outstanding.values():
-            if asked.direction != NONE and asked.overtaken >= self._late:
-                self._shorten(asked.direction)
-                asked.direction = NONE
 
     def _drop(self, indices: list[int]) -> None:
         for index in indices:

@@ -121,11 +121,6 @@ CURVATURE_WEIGHT = 1e-5
 """Weight of second derivatives against errors at the points."""
 
 
-def points_needed(size: int) -> int:
-    """Return the number of points that determine a quadratic in `size` unknowns."""
-    return (size + 1) * (size + 2) // 2
-
-
 @dataclass(frozen=True)
 class QuadraticModel:
     """Values v + g s + s H s / 2 of some functions, the cost first and then the constraints.
@@ -426,7 +421,8 @@ class PatternState:
         if self._options.search_step != "quadratic" or not self.evaluated.finite[self._centre]:
             return None
         size = len(self.u)
-        chosen = self.evaluated.near(self.u, MODEL_RADIUS * mesh, points_needed(size) * 3 // 2)
+        needed = (size + 1) * (size + 2) // 2  # by a quadratic
+        chosen = self.evaluated.near(self.u, MODEL_RADIUS * mesh, needed * 3 // 2)
         if len(chosen) < size:
             return None
         base = self.evaluated.quantities(np.array([self._centre]))[0]

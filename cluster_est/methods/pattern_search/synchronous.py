@@ -22,7 +22,6 @@ from cluster_est.methods.method import Ending, Points, Progress, Search, Solutio
 from cluster_est.methods.pattern_search.poll_directions import PatternMethod
 from cluster_est.methods.pattern_search.state import PatternState, PollPlan
 from cluster_est.problem.search_space import SearchSpace
-from workers.messages import FloatArray
 
 NEAR_MINIMUM = 0.1
 """In meshes: where a model's minimum is closer, the mesh is contracted twice at once."""
@@ -83,14 +82,22 @@ class PatternSearch(PatternMethod):
         ending = Ending.CONVERGED if state.feasible_point_suffices else None
         while ending is None:
             plan = state.plan(mesh)
-            points = _batch(state, plan, mesh)
+            poll = [state.u + mesh * direction for direction in plan.directions]
+            candidates = [*poll, *plan.promising, *plan.sample]
+            points = state.new(candidates, plan.constraint_jacobian)
             numbers: list[int] = []
             if len(points):
                 x = np.array([state.coordinates.x(u) for u in points])
                 evaluations = yield Points(x, "poll", progress)
                 numbers = [state.add(u, e) for u, e in zip(points, evaluations, strict=True)]
             state.calibrate()
-            mesh, length = _next_mesh(state, self, mesh, plan, numbers)
+            best = state.better(numbers)
+            if best is None:
+                state.poll_failed()
+                mesh, length = contracted(self, mesh, plan), 0.0
+            else:
+                length = state.move(best)
+                mesh = mesh_after_step(self, mesh, length)
             if mesh < state.tolerance:
                 ending, mesh = state.at_tolerance()
             progress = progress_of(state, progress.iteration + 1, mesh, length)
@@ -99,24 +106,6 @@ class PatternSearch(PatternMethod):
             elif ending is None and progress.iteration >= self.max_iterations:
                 ending = Ending.MAX_ITERATIONS
         return solution_of(state, ending, progress.iteration)
-
-
-def _batch(state: PatternState, plan: PollPlan, mesh: float) -> FloatArray:
-    """Return all new points of an iteration."""
-    poll = [state.u + mesh * direction for direction in plan.directions]
-    return state.new([*poll, *plan.promising, *plan.sample], plan.constraint_jacobian)
-
-
-def _next_mesh(
-    state: PatternState, options: PatternMethod, mesh: float, plan: PollPlan, numbers: list[int]
-) -> tuple[float, float]:
-    """Move to the best point of an iteration, if better. Return the next mesh and the step."""
-    best = state.better(numbers)
-    if best is None:
-        state.poll_failed()
-        return contracted(options, mesh, plan), 0.0
-    length = state.move(best)
-    return mesh_after_step(options, mesh, length), length
 
 
 def mesh_after_step(options: PatternMethod, mesh: float, length: float) -> float:
