@@ -100,7 +100,7 @@ def text(value: Value) -> str:
 
 def keep(folder: Path, name: str, rows: Iterable[Row], options: argparse.Namespace) -> None:
     """Add rows to the history of a bench; columns may differ from run to run."""
-    known = {
+    known: Row = {
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "commit": commit(),
         "options": " ".join(f"{k}={v}" for k, v in vars(options).items() if k != "history"),

@@ -32,7 +32,7 @@ OPTIONS = {"rounds": 60}
 FMU = MODELS / "mass_spring_damper.fmu"
 STEP, COUNT = 0.005, 1001
 BATCH = 20
-TIMES = np.arange(COUNT) * STEP
+TIMES = np.asarray(np.arange(COUNT) * STEP, np.float64)
 FORCE = np.random.default_rng(1).normal(size=COUNT)
 DRIVEN = Experiment(
     "bench", 0.0, float(TIMES[-1]), (Input("F", TIMES, FORCE),), (Output("y", TIMES, 0 * TIMES),)

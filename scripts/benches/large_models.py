@@ -128,7 +128,8 @@ def screened(name: str) -> Row:
 
 def made_problem(model: LargeModel) -> ce.Problem:
     """The declared model with noisy data, its parameters some way off."""
-    written, times = model.written, model.written.step * np.arange(SAMPLES)
+    written = model.written
+    times = np.asarray(written.step * np.arange(SAMPLES), np.float64)
     with tempfile.TemporaryDirectory() as folder:
         archive = written.build(Path(folder)).read_bytes()
     solver = ce.Solver("dormand_prince", rtol=1e-6, atol=1e-8)

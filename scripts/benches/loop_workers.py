@@ -32,12 +32,13 @@ OPTIONS = {
 
 def rows(options: argparse.Namespace) -> Iterator[Row]:
     """A row for each run with one worker and with two, and one with the ratio of the medians."""
+    settings = ce.LoopSettings()
     if options.config:
         path = Path(options.config)
         config = read_config(path)
         problem, settings = build_problem(config, path.parent), config.closed_loop
     else:
-        problem, settings = of_case(options.case, options.step), ce.LoopSettings()
+        problem = of_case(options.case, options.step)
     seconds: dict[int, list[float]] = {1: [], 2: []}
     for _ in range(options.runs):
         for workers in seconds:

@@ -26,7 +26,7 @@ from workers.simulation.simulator import Simulator
 OPTIONS = {"fmi": 2}
 RTOLS, STEPS = (1e-4, 1e-6, 1e-8), (1e-1, 1e-2, 1e-3)
 SOLVERS = {
-    **{f"{s} {r:g}": Solver(s, rtol=r) for s in ("dormand_prince", "cvode") for r in RTOLS},  # type: ignore[arg-type]
+    **{f"{s} {r:g}": Solver(s, rtol=r) for s in ("dormand_prince", "cvode") for r in RTOLS},
     **{f"rk4 {step:g} s": Solver("rk4", step) for step in STEPS},
 }
 CASES: dict[str, tuple[str, str, dict[str, float], float, Callable[[Array], Array]]] = {

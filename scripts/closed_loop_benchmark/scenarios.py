@@ -274,8 +274,8 @@ DISTURBANCES = {
     for system, own in FILE["disturbances"].items()
 }
 PROCESS_NOISE = {
-    system: Disturbance("process", *given, "white")
-    for system, given in FILE["process_noise"].items()
+    system: Disturbance("process", state, size, "white")
+    for system, (state, size) in FILE["process_noise"].items()
 }
 """A random walk in a state: some two or three times the noise of the sensors, at the outputs."""
 
