@@ -26,8 +26,6 @@ UNHASHED = ("executor", "budget", "log")
 """Sections of a config that change no result."""
 UNHASHED_MODEL = ("units",)
 """Keys of its section `model` that change no number."""
-LATER_MODEL = ("environment", "working_folder", "stop_time")
-"""Keys of it that do, but that runs of earlier versions lack: they count where they are given."""
 
 
 class RunKind(enum.Enum):
@@ -114,9 +112,5 @@ def hash_config(parts: dict[str, Any], unused: Collection[str]) -> str:
     """Return the hash of a config without sections that change no result, and without some more."""
     kept = {k: v for k, v in parts.items() if k not in (*UNHASHED, *unused)}
     if "model" in kept:
-        kept["model"] = {
-            key: value
-            for key, value in kept["model"].items()
-            if key not in UNHASHED_MODEL and (value not in (None, "", {}) or key not in LATER_MODEL)
-        }
+        kept["model"] = {k: v for k, v in kept["model"].items() if k not in UNHASHED_MODEL}
     return content_hash([json.dumps(kept, sort_keys=True, default=str)])

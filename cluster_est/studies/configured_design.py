@@ -121,11 +121,6 @@ def _models(
 ) -> tuple[CandidateModel, ...]:
     """The models that a run leaves room for, the one that it has chosen first."""
     if facts.get("verdict") in ADDED:
-        if not facts.get("competing"):
-            raise RunFolderError(
-                f"{run_folder}: must say which models its data leave room for but does not, as "
-                "runs of earlier versions; run the closed loop again"
-            )
         return tuple(
             _model(each, config, base, facts, allow_code=allow_code) for each in facts["competing"]
         )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -251,12 +250,6 @@ class LoopResult:
             "sites": list(self.sites),
             "experiments_simulated": self.simulations,
         }
-
-    @property
-    def drawn(self) -> tuple[EffectCurve, ...]:
-        """The name of `curves` until the next version."""
-        warnings.warn("drawn is curves now; use that", DeprecationWarning, stacklevel=2)
-        return self.curves
 
     @property
     def parameters(self) -> pa.Table:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import enum
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,11 +59,3 @@ class CandidateEvidence:
     stage: CandidateStage
     criterion: float = np.nan
     confounded_with: str = ""
-
-    @property
-    def imitated_by(self) -> str:
-        """The name of `confounded_with` until the next version."""
-        warnings.warn(
-            "imitated_by is confounded_with now; use that", DeprecationWarning, stacklevel=2
-        )
-        return self.confounded_with

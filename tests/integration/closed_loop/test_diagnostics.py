@@ -76,8 +76,7 @@ def test_locate_ranks_the_candidates(problem):
     }
     assert first.log_p <= second.log_p < min(f.log_p for f in rest)
     assert {f.form for f in rest} == {"cubic", "constant"}
-    with pytest.warns(DeprecationWarning, match="confounded_with"):
-        assert first.imitated_by == first.confounded_with == ""
+    assert first.confounded_with == ""
 
 
 def test_what_a_parameter_does_as_well_is_set_aside(problem):

@@ -59,7 +59,7 @@ def test_a_program_that_is_interrupted_writes_the_best_so_far(tmp_path, how, exe
 @pytest.mark.parametrize("seconds", [0.0, 0.03, 0.1, 0.2, 0.4])
 def test_interrupts_while_libraries_are_loaded_are_not_lost(tmp_path, seconds):
     """From the moment on in which its process is there, whatever that is importing."""
-    command = [sys.executable, "-m", "cluster_est.cli", "fit", SPRING, "--out", str(tmp_path / "r")]
+    command = [sys.executable, "-m", "cluster_est", "fit", SPRING, "--out", str(tmp_path / "r")]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
         while not children.read_text():
