@@ -255,7 +255,9 @@ def _ranked(step: int, rows: list[Row]) -> TableBlock:
             f"{100.0 * row['explained']:.1f}\u2009%",
             digits(row["log_p"] / np.log(10.0), 4),
             digits(row["criterion"], 4),
-            TableCell(f"confounded with {each}" if (each := row["imitated_by"]) else "", "faint"),
+            TableCell(
+                f"confounded with {each}" if (each := row["confounded_with"]) else "", "faint"
+            ),
         )
         for row in rows
     ]

@@ -39,7 +39,7 @@ FINDINGS = pa.schema(
         *((name, pa.float64()) for name in ("log_p", "explained", "distinct")),
         ("stage", pa.string()),
         ("criterion", pa.float64()),
-        ("imitated_by", pa.string()),
+        ("confounded_with", pa.string()),
     ]
 )
 STRUCTURES = pa.schema(
@@ -53,8 +53,6 @@ STRUCTURES = pa.schema(
         ("chosen", pa.float64()),
     ]
 )
-RENAMED = {"imitated_by": "confounded_with"}
-"""Columns whose names differ from those of the attributes."""
 BEFORE = ("value", "std_error", "lower95", "upper95")
 
 
@@ -104,8 +102,7 @@ def effect_table(effects: Sequence[NamedEffect]) -> pa.Table:
 def finding_table(findings: Sequence[CandidateEvidence]) -> pa.Table:
     """Make a row for every candidate of every step."""
     rows = [
-        {name: getattr(finding, name) for name in FINDINGS.names if name not in RENAMED}
-        | {column: getattr(finding, name) for column, name in RENAMED.items()}
+        {name: getattr(finding, name) for name in FINDINGS.names}
         | {"variables": list(finding.variables), "stage": finding.stage.value}
         for finding in findings
     ]
