@@ -87,7 +87,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--every", type=int, default=1, help="of the cases, spread over all sorts")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="then start no case")
-    parser.add_argument("--beam", type=int, default=LoopSettings.beam, help="closed_loop.beam")
+    parser.add_argument("--beam", type=int, default=LoopSettings().beam, help="closed_loop.beam")
     parser.add_argument("--no-curves", action="store_true", help="refit no free curve")
     parser.add_argument(
         "--places",
