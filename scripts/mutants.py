@@ -110,7 +110,7 @@ def main() -> None:
     path = options.file.resolve()
     source = path.read_text(encoding="utf-8")
     if notice(tests):
-        sys.exit("the tests fail as it is; mend that first")
+        sys.exit("the tests fail as it is; correct that first")
     tree = ast.parse(source)
     before = ast.unparse(tree)
     changed = [(line, ast.unparse(ast.fix_missing_locations(tree))) for line in mutants(tree)]

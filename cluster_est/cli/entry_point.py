@@ -38,7 +38,7 @@ from cluster_est.config.config_text import with_lines
 from cluster_est.errors import ClusterEstError
 from cluster_est.running.interrupts import terminations
 from workers import caches
-from workers.fmu.surroundings import before_first_instance
+from workers.fmu.process_environment import before_first_instance
 
 
 class _WithoutPandas(MetaPathFinder):
@@ -200,7 +200,7 @@ def _refused(error: OSError) -> str:
     """Say what the system refuses, with the file if it is about one."""
     where = f"{error.filename}: " if error.filename is not None else ""
     return (
-        f"{where}the system refuses it ({error.strerror or error}); mend that and give the command "
+        f"{where}the system refuses it ({error.strerror or error}); correct that and give the command "
         "again, with --resume if it had begun a run"
     )
 

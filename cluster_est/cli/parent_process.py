@@ -196,5 +196,5 @@ class ExitCode(enum.IntEnum):
     NO_SOLUTION = 1
     """It ran, but did not reach a solution."""
     BAD_INPUT = 2
-    """Something must be mended first; a sentence says what."""
+    """Something must be corrected first; a sentence says what."""
     INTERRUPTED = 130

@@ -145,7 +145,9 @@ class UserCode:
             try:
                 source = file.read_text(encoding="utf-8")
             except (OSError, UnicodeDecodeError) as error:
-                raise ConfigError(f"{where}: {file} cannot be read ({error}); mend it") from error
+                raise ConfigError(
+                    f"{where}: {file} cannot be read ({error}); correct it"
+                ) from error
         found = UserFunction(module, name, source, equality)
         load(found)
         return found

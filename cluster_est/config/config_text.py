@@ -48,7 +48,7 @@ def read_toml(path: Path, missing: str) -> tuple[str, dict[str, Any]]:
             "the path"
         ) from error
     except (ValueError, RecursionError) as error:  # tomllib lets more out than its own error
-        raise ConfigError(f"{path}: must be TOML but is not: {error}; mend that line") from None
+        raise ConfigError(f"{path}: must be TOML but is not: {error}; correct that line") from None
 
 
 _NAME = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""

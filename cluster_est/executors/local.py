@@ -19,7 +19,7 @@ from cluster_est.executors.backlog import TaskBacklog
 from cluster_est.executors.executor import WorkerPool
 from workers.evaluate import Evaluator
 from workers.fmu.description import describe_model
-from workers.fmu.surroundings import set_environment_here
+from workers.fmu.process_environment import set_environment_here
 from workers.messages import Experiment, Limits, Model, Outcome, Task
 from workers.process.supervisor import SupervisedEvaluator
 from workers.wire import TaskBatch

@@ -75,7 +75,7 @@ def _bridged(problem: Problem, description: ModelDescription) -> list[CheckFindi
             if found is not None and found[0] > worst.get(given.variable, (0.0, ""))[0]:
                 worst[given.variable] = found
     do = (
-        "mend the column, leave the gap out with rows or windows, or set interpolation = "
+        "correct the column, leave the gap out with rows or windows, or set interpolation = "
         '"hold" if the signal keeps its value until the next sample'
     )
     return [note(f"input {name}", said, do) for name, (_, said) in worst.items()]

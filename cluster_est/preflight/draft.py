@@ -60,7 +60,7 @@ def check_columns(mapping: Mapping[str, str], tables: Sequence[TableColumns]) ->
         if column in first.unusable:
             raise DataError(
                 f"--map {name}: column {column!r} of {first.path} must hold numbers but does not; "
-                "mend it, or give another one"
+                "correct it, or give another one"
             )
         names = [*first.named]
         found = nearest(column, names)

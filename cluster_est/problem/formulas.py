@@ -79,7 +79,7 @@ class Formula:
             not abs(number) < LARGEST for number in parsed.atoms(sp.Number)
         ):
             raise ProblemError(
-                f"{self.where}: must have a finite value but {self.text!r} has none; mend its "
+                f"{self.where}: must have a finite value but {self.text!r} has none; correct its "
                 "numbers, divisions, roots and logarithms"
             )
         names = tuple(name for name, symbol in symbols.items() if symbol in parsed.free_symbols)

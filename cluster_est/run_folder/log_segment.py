@@ -307,7 +307,7 @@ def read_log(folder: Path, *, ended: bool = False) -> pa.Table:
     return pa.Table.from_batches(batches)
 
 
-def mend(path: Path) -> SegmentReader:
+def repair(path: Path) -> SegmentReader:
     """Leave of a segment what is as it was written, and return what was found.
 
     A torn segment is cut back to its last whole batch, and ended there. A kill in the middle of

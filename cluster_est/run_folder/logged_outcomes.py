@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from cluster_est.executors.executor import OutcomeSource
-from cluster_est.run_folder.log_segment import mend, read_segment, residuals_hash, segments
+from cluster_est.run_folder.log_segment import read_segment, repair, residuals_hash, segments
 from workers.messages import USUAL, FloatArray, IntArray, Outcome, Status, Trajectory, Want
 
 KEY_LENGTH = 32
@@ -20,7 +20,7 @@ KEY_LENGTH = 32
 class LoggedOutcomes(OutcomeSource):
     """The rows of a log, found by what was asked; each is given out once.
 
-    Torn and damaged segments are mended first: only what is as it was written stays in them. Keys
+    Torn and damaged segments are corrected first: only what is as it was written stays in them. Keys
     are held in memory, about 100 bytes a row; everything else is read from the mapped segments when
     it is needed.
 
@@ -44,9 +44,9 @@ class LoggedOutcomes(OutcomeSource):
     """
 
     def __init__(self, folder: Path) -> None:
-        mended = [mend(path) for path in segments(folder)]
-        self.damaged = any(each.damaged for each in mended)
-        self.lost = sum(each.lost for each in mended)
+        corrected = [repair(path) for path in segments(folder)]
+        self.damaged = any(each.damaged for each in corrected)
+        self.lost = sum(each.lost for each in corrected)
         paths = segments(folder)
         self._segments = [pa.memory_map(str(path)) for path in paths]
         self._batches: list[tuple[int, int]] = []  # segment, position

@@ -266,7 +266,7 @@ def _wrong_override(where: str, key: str, value: Any) -> Iterator[str]:
         inner = next(iter(value), "KEY")
         yield f'{where}.{key}: keys with dots must stand in quotes; write "{key}.{inner}" = ...'
     elif not key.strip() or "=" in key:
-        yield f"{where}: a key must be like method.seed but is {key!r}; mend it"
+        yield f"{where}: a key must be like method.seed but is {key!r}; correct it"
 
 
 def _wrong_skips(sweep: SweepSections) -> Iterator[str]:

@@ -27,8 +27,8 @@ from workers.fmu.archive import unpack
 from workers.fmu.binary_dependencies import is_about_licence, load_failure
 from workers.fmu.description import ModelDescription
 from workers.fmu.platforms import binary_path
+from workers.fmu.process_environment import kept_signal_handlers, tell_of_first_instance
 from workers.fmu.seats import Seat
-from workers.fmu.surroundings import kept_signal_handlers, tell_of_first_instance
 from workers.kernels.fmi.component import FmiComponent, nothing_loaded
 from workers.kernels.fmi.values import TYPES
 from workers.messages import Model

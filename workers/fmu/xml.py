@@ -1,6 +1,6 @@
 """The XML of a model description, read without trusting it: its variables, types and units.
 
-It is mended where that is harmless.
+It is corrected where that is harmless.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def parse(file: str, content: bytes, notes: ReadingNotes) -> Element:
             tree = _tree(file, _mended(content.decode(codec)).encode(), "utf-8")
         except (expat.ExpatError, ValueError):
             continue
-        notes.add(f"its {XML} is no well-formed XML and was mended; check names that look odd")
+        notes.add(f"its {XML} is no well-formed XML and was corrected; check names that look odd")
         return tree
     raise ModelError(
         f"{file}: its {XML} must be XML but cannot be read ({first_line(first)}); export it again"

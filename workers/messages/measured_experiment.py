@@ -157,7 +157,7 @@ class SignalBound:
                     other = "" if self.equality else f", or {none} where there is no bound,"
                     raise DataError(
                         f"{where}.{side}, index {i}: must be a finite number{other} but is "
-                        f"{limit[i]}; mend it"
+                        f"{limit[i]}; correct it"
                     )
         wrong = self.lower != self.upper if self.equality else self.lower > self.upper
         for i in np.flatnonzero(wrong):

@@ -85,7 +85,7 @@ def _from_objects(values: Any, where: str) -> Any:
         )
     for i, value in enumerate(values.flat):
         if isinstance(value, str):
-            raise DataError(f"{where}[{i}]: must be a number but is {value!r}; mend it")
+            raise DataError(f"{where}[{i}]: must be a number but is {value!r}; correct it")
     try:
         return np.array(
             [np.nan if _absent(value) else float(value) for value in values.flat]
@@ -120,7 +120,7 @@ def check_times(times: FloatArray, where: str, place: Callable[[int], str]) -> N
         i = int(np.flatnonzero(~np.isfinite(times))[0])
         raise DataError(
             f"{where}, {place(i)}: the time must be a finite number but is "
-            f"{times[i]}; remove the row or mend it"
+            f"{times[i]}; remove the row or correct it"
         )
     forward = times[1:] > times[:-1]
     if not forward.all():
@@ -143,14 +143,14 @@ def check_length(values: FloatArray, times: FloatArray, where: str) -> None:
     if len(values) != len(times):
         raise DataError(
             f"{where} must have as many rows as the time, {len(times)}, but has {len(values)}; "
-            "choose another or mend it"
+            "choose another or correct it"
         )
 
 
 def refuse_value(value: float, where: str, absent: str) -> DataError:
     """The error for a sample that is no finite number; `absent` says how one is left out."""
     return DataError(
-        f"{where}: must be a finite number but is {value}; mend it, or {absent} where nothing "
+        f"{where}: must be a finite number but is {value}; correct it, or {absent} where nothing "
         "was measured"
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 from workers.errors import ModelError
 from workers.evaluate import Evaluator, FmuProbe
 from workers.fmu.instance import FmuInstance
-from workers.fmu.surroundings import resident_bytes
+from workers.fmu.process_environment import resident_bytes
 from workers.kernels.fmi import failure
 from workers.messages import Experiment, FloatArray, Model, Outcome, ResetPolicy, Solver, Task
 from workers.simulation.integrator import SimulationBatch

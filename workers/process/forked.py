@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from workers.errors import ModelError
-from workers.fmu.surroundings import READ_AT_START
+from workers.fmu.process_environment import READ_AT_START
 from workers.messages import Experiment, Model
 from workers.process.progress_watch import SharedProgress
 from workers.wire import OutcomeColumns

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
 from workers.errors import ModelError
-from workers.fmu.surroundings import resident_bytes
+from workers.fmu.process_environment import resident_bytes
 from workers.messages import USUAL, Experiment, Limits, Model, Outcome, Status, Task
 from workers.process.forked import BatchReport, ForkClient
 from workers.process.progress_watch import ProgressWatch

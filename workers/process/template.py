@@ -40,7 +40,7 @@ from workers.errors import ModelError
 from workers.evaluate import Evaluator, FmuProbe
 from workers.fmu.archive import unpack
 from workers.fmu.instance import instances_made
-from workers.fmu.surroundings import enter_working_folder, resident_bytes
+from workers.fmu.process_environment import enter_working_folder, resident_bytes
 from workers.messages import IntArray
 from workers.process.forked import (
     END,

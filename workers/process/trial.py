@@ -16,7 +16,7 @@ from typing_extensions import override
 
 from workers.errors import ModelError
 from workers.evaluate import Evaluator, FmuProbe
-from workers.fmu.surroundings import set_environment_here
+from workers.fmu.process_environment import set_environment_here
 from workers.messages import Experiment, Model
 from workers.process.forked import CAN_FORK, ForkClient
 

@@ -146,7 +146,7 @@ def load(function: UserFunction) -> Callable[[SimulatedRun], Any]:
     except (Exception, SystemExit) as error:  # whatever the user's module raises
         raise ModelError(
             f"{where}: must be a function that can be imported but cannot be "
-            f"({type(error).__name__}: {error}); mend it, or put its file beside the config"
+            f"({type(error).__name__}: {error}); correct it, or put its file beside the config"
         ) from error
     if not callable(found):
         raise ModelError(f"{where}: must be a function but is a {type(found).__name__}")

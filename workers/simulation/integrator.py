@@ -11,7 +11,7 @@ import numpy as np
 from workers.errors import ModelError
 from workers.fmu.description import ModelDescription
 from workers.fmu.instance import FmuInstance
-from workers.fmu.surroundings import kept_signal_handlers
+from workers.fmu.process_environment import kept_signal_handlers
 from workers.kernels import linearise
 from workers.kernels.fmi import failure
 from workers.kernels.fmi.arguments import KernelArguments

@@ -171,7 +171,7 @@ class MeasuredTable:
         value = repr(column[index].as_py())
         raise DataError(
             f"{where}: {self.path}, column {name!r}, row {self.row(index)}: must be a number but "
-            f"is {value if len(value) < 60 else value[:57] + '...'}; mend it, or leave it empty "
+            f"is {value if len(value) < 60 else value[:57] + '...'}; correct it, or leave it empty "
             "where nothing was measured"
         )
 
@@ -246,7 +246,7 @@ def _explain_csv(path: Path, delimiter: str) -> None:
         if len(cells) != width:
             raise DataError(
                 f"must have as many cells in each row as in its header, {width}, but row {line} "
-                f"has {len(cells)}; mend that row"
+                f"has {len(cells)}; correct that row"
             )
     if count < 2:
         has = "only a header" if count else "nothing in it"

@@ -61,7 +61,7 @@ class TestSamples:
             ([0, 2, 1], [1, 2, 3], "times, index 2.*must increase.*1 goes back from 2"),
             ([0, 1, 1], [1, 2, 3], "times, index 2.*must increase.*1 repeats 1"),
             ([0, np.nan], [1, 2], "times, index 1.*must be a finite number.*nan"),
-            ([0, 1], [1, np.nan], "values, index 1.*must be a finite number.*nan; mend it"),
+            ([0, 1], [1, np.nan], "values, index 1.*must be a finite number.*nan; correct it"),
             ([0, 1], [1, None], "values, index 1.*must be a finite number.*nan"),
             ([0, 1], pd.Series([1, pd.NA]), "values, index 1.*must be a finite number.*nan"),
             ([0, 1], np.ma.array([1, 2], mask=[1, 0]), "values, index 0.*must be a finite"),

@@ -15,7 +15,7 @@ from cluster_est.run_folder.log_segment import (
     LARGE,
     SCHEMA,
     SegmentReader,
-    mend,
+    correct,
     read_log,
     read_segment,
 )
@@ -132,7 +132,7 @@ def test_a_torn_segment_is_read_and_mended_wherever_it_was_cut(tmp_path):
         check(table, recorded[: table.num_rows])
         assert table.schema.equals(SCHEMA)
         left.add(table.num_rows)
-        mend(path)
+        correct(path)
         assert path.exists() or table.num_rows == 0
         if path.exists():
             assert path.read_bytes().endswith(END_OF_STREAM)
@@ -334,7 +334,7 @@ def test_a_log_that_was_mended_is_whole_again(tmp_path: Path, kind: str) -> None
             assert logged.outcome(row, row).seconds in (0.5, 1.0)
         logged.close()
         if path.exists():
-            again, mended = found_in(path)
+            again, corrected = found_in(path)
             assert again == found
-            assert mended.closed
-            assert not mended.lost
+            assert corrected.closed
+            assert not corrected.lost

@@ -14,8 +14,8 @@ import pytest
 from workers.errors import ModelError
 from workers.fmu import instance
 from workers.fmu import seats as room
+from workers.fmu.process_environment import ROOM, kept_signal_handlers
 from workers.fmu.seats import Seat, has_lost
-from workers.fmu.surroundings import ROOM, kept_signal_handlers
 from workers.messages import Seats
 
 HOLDS = """

@@ -84,8 +84,8 @@ def test_true_and_false_are_1_and_0(tmp_path, delimiter):
 @pytest.mark.parametrize(
     ("content", "pattern"),
     [
-        ("t,y\n0,1\n\n\n0.5x,2\n1,4\n", "column 't', row 5: .*a number.*'0.5x'; mend"),
-        ("t,y\nTrue,1\nmaybe,2\n", "column 't', row 3: .*a number.*'maybe'; mend"),
+        ("t,y\n0,1\n\n\n0.5x,2\n1,4\n", "column 't', row 5: .*a number.*'0.5x'; correct"),
+        ("t,y\nTrue,1\nmaybe,2\n", "column 't', row 3: .*a number.*'maybe'; correct"),
         ("t;y\n0.5;1\n1,5;2\n", "column 't', row 3: .*a number.*'1,5'"),
         (f"t,y\n{'x' * 999},1\n", r"a number but is 'xxxxx.*\.\.\."),
         ("s,y\n0,1\n", "a.csv has no column 't'.*'s', 'y'"),

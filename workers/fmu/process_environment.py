@@ -112,7 +112,7 @@ PAUSE = 0.05
 _C_LIBRARY = ctypes.CDLL(None) if sys.platform != "win32" else None
 
 
-class _HandlersAtTheBeginning:
+class _SignalHandlers:
     """The handlers before any thread has called an FMU, as long as one does.
 
     Once an FMU has replaced them, a thread gives them back during further calls too: most FMUs that
@@ -179,7 +179,7 @@ def _read(rooms: dict[int, Any]) -> None:
         _sigaction(number, None, room)
 
 
-_BEFORE = _HandlersAtTheBeginning()
+_BEFORE = _SignalHandlers()
 
 
 def kept_signal_handlers() -> contextlib.AbstractContextManager[None]:

@@ -215,7 +215,7 @@ def test_text_that_is_no_xml_is_mended(content, name):
     found = read(content)
     assert list(found.variables) == [name]
     assert found.warnings == (
-        "x.fmu: its modelDescription.xml is no well-formed XML and was mended; check names that "
+        "x.fmu: its modelDescription.xml is no well-formed XML and was corrected; check names that "
         "look odd",
     )
 
