@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class ClusterEstError(Exception):
-    """Something a user can correct. Its text says where, what it must be, what it is, what to do."""
+    """What a user can correct. Its text says where, what it must be, what it is, what to do."""
 
 
 class DataError(ClusterEstError):

@@ -200,8 +200,8 @@ def _refused(error: OSError) -> str:
     """Say what the system refuses, with the file if it is about one."""
     where = f"{error.filename}: " if error.filename is not None else ""
     return (
-        f"{where}the system refuses it ({error.strerror or error}); correct that and give the command "
-        "again, with --resume if it had begun a run"
+        f"{where}the system refuses it ({error.strerror or error}); correct that and give the "
+        "command again, with --resume if it had begun a run"
     )
 
 

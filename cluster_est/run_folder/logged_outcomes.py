@@ -20,7 +20,7 @@ KEY_LENGTH = 32
 class LoggedOutcomes(OutcomeSource):
     """The rows of a log, found by what was asked; each is given out once.
 
-    Torn and damaged segments are corrected first: only what is as it was written stays in them. Keys
+    Torn and damaged segments are repaired first: only what is as it was written stays in them. Keys
     are held in memory, about 100 bytes a row; everything else is read from the mapped segments when
     it is needed.
 

@@ -118,8 +118,8 @@ class TestRegressions:
 
 CHANCE = "the same seed must give the same search: draw from `generator` alone, never np.random"
 ORDER = (
-    "a method must not ask how many workers there are, or which of them answered first (but correct "
-    "test_same_seed_same_bits before, where that fails too)"
+    "a method must not ask how many workers there are, or which of them answered first (but "
+    "correct test_same_seed_same_bits before, where that fails too)"
 )
 
 
