@@ -227,15 +227,13 @@ class Fit(Study[Result]):
             result = replace(
                 result, interrupted=runner.interrupted, search_seconds=time.monotonic() - begin
             )
-            if whole and not runner.interrupted:
-                error = steps.do(
-                    "the error of the solver",
-                    lambda: measure_solver_error(
-                        train, solution, after, environment.resources, runner
-                    ),
-                    None,
-                )
-                result = replace(result, solver_error=error)
+        if whole and not runner.interrupted:  # in the place of a worker, which is free now
+            error = steps.do(
+                "the error of the solver",
+                lambda: measure_solver_error(train, solution, after, environment.resources, runner),
+                None,
+            )
+            result = replace(result, solver_error=error)
         return replace(result, failed_steps=tuple(steps.failed))
 
     def _refined(

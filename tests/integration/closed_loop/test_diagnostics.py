@@ -137,13 +137,6 @@ def test_outputs_without_sigma_are_weighted_and_the_reader_is_told(problem):
     assert f"sigma = {{ y = {sigmas['y']:.6g}, v = {sigmas['v']:.6g} }}" in note
 
 
-def test_the_public_names_are_few_and_there():
-    assert len(ce.__all__) <= 30
-    assert all(getattr(ce, name) is not None for name in ce.__all__)
-    with pytest.raises(AttributeError, match="no attribute 'colse_loop'"):
-        _ = ce.colse_loop
-
-
 @pytest.fixture(scope="module")
 def fixed_mass(problem):
     """A problem whose FMU does not allow its mass to change while it runs."""

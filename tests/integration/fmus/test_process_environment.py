@@ -18,7 +18,6 @@ from support.decay_fits import RATE, estimate, fit_decay
 from support.problems.springs import ROOT
 
 from cluster_est import read_model
-from cluster_est.run_folder.run_identity import hash_config
 from workers.errors import ModelError
 
 GAIN = 2.5
@@ -163,16 +162,6 @@ def test_what_an_fmu_finds_is_part_of_what_its_simulations_depend_on(own_fmu):
     ]
     assert len({model.key for model in models}) == len(models)
     assert replace(models[0], logging_on=True).key == models[0].key
-
-
-def test_a_run_of_before_these_keys_can_be_resumed():
-    before = hash_config({"model": {"fmu": "a.fmu"}}, ())
-    nothing: dict[str, object] = {"fmu": "a.fmu", "environment": {}, "working_folder": ""}
-    nothing["stop_time"] = None
-    assert hash_config({"model": nothing}, ()) == before
-    others = (("environment", {NAME: "1"}), ("working_folder", "resources"), ("stop_time", False))
-    for key, value in others:
-        assert hash_config({"model": {**nothing, key: value}}, ()) != before
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from support.decay_fits import fit_decay
-from support.run_folders import change_facts
 from support.thinning import thinned
 
 from cluster_est import Experiment, Input, Output, Parameter, Problem, Solver, fit
@@ -277,17 +275,3 @@ def test_what_is_timed_gives_sensitivities(problem):
         found = bench.ask(SensitivityCostProbe(0, space.physical(space.start)[0]), 300.0)
     assert isinstance(found, SensitivityCost)
     assert min(found.plain, found.carrying) > 0.0
-
-
-def test_a_run_that_a_clock_had_chosen_them_for_is_refused(own_fmu, tmp_path, capsys):
-    """Resumed with differences, it would be half the one and half the other."""
-    fmu = own_fmu("states_directional", 2)
-    fit_decay(tmp_path, fmu, "--no-report", "budget.evaluations=2")
-    (tmp_path / "run" / "parameters.parquet").unlink()
-    resumed = tmp_path, fmu, "--no-report", "--resume"
-    assert fit_decay(*resumed, "budget.evaluations=3") in (0, 1)
-    (tmp_path / "run" / "parameters.parquet").unlink()
-    change_facts(tmp_path / "run", sensitivities={"carry": True, "sentence": "quicker"})
-    assert fit_decay(*resumed, "budget.evaluations=4") == 2
-    said = " ".join(capsys.readouterr().err.split())
-    assert 'differences = "sensitivities" has to say' in said

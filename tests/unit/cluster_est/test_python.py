@@ -28,6 +28,9 @@ def test_the_exported_names_are_these():
     assert sorted(ce.__all__) == sorted(NAMES.split())
     assert len(ce.__all__) <= 33
     assert dir(ce) == sorted(ce.__all__)
+    assert all(getattr(ce, name) is not None for name in ce.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'colse_loop'"):
+        _ = ce.colse_loop
     assert all(getattr(ce, name).__doc__ for name in ce.__all__)
     with pytest.raises(AttributeError, match="no attribute 'optimise'"):
         _ = ce.optimise
