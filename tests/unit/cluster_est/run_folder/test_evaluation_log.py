@@ -15,9 +15,9 @@ from cluster_est.run_folder.log_segment import (
     LARGE,
     SCHEMA,
     SegmentReader,
-    correct,
     read_log,
     read_segment,
+    repair,
 )
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.running.resources import TaskOrigin
@@ -132,7 +132,7 @@ def test_a_torn_segment_is_read_and_mended_wherever_it_was_cut(tmp_path):
         check(table, recorded[: table.num_rows])
         assert table.schema.equals(SCHEMA)
         left.add(table.num_rows)
-        correct(path)
+        repair(path)
         assert path.exists() or table.num_rows == 0
         if path.exists():
             assert path.read_bytes().endswith(END_OF_STREAM)
