@@ -145,7 +145,10 @@ def trigonometric() -> list[str]:
     for k in range(-32, 32):
         high, low = pair(mpmath.sin(k * PI / 64) if k else mpf(0))
         cosine = mpf(0) if k == -32 else mpmath.cos(k * PI / 64)
-        sines.append(f"{{{number(high)}, {number(low)}, {number(cosine - 1)}}}")
+        # So few bits that the product with any number is exact.
+        rough = mpmath.nint(2 * cosine) / 2
+        values = (high, low, rough, cosine - rough)
+        sines.append("{" + ", ".join(number(v) for v in values) + "}")
     for k in range(64):
         odd, part = divmod(k + 16, 32)
         part -= 16
@@ -163,12 +166,12 @@ def trigonometric() -> list[str]:
     reach = PI / 128 * mpf("1.0001")
     domain = (mpf(0), reach**2)
     return [
-        "/* sin(k pi/64) in two parts and cos(k pi/64) - 1, k = -32..31. */",
-        "static const struct { double high, low, cosine_less_1; } SIN_TABLE[64] = {",
+        "/* sin(k pi/64) in two parts, cos(k pi/64) as 0, 1/2 or 1 and the rest, k = -32..31. */",
+        "static const struct { double high, low, rough_cosine, cosine_rest; } SIN_TABLE[64] = {",
         *lines(sines, 1),
         "};",
-        "/* With T = tan(k pi/64) = high + low, k = 0..63: high, low, 1, 1, 0, -high where |T| <= 1;",
-        " * else with T = -1/tan(k pi/64): -1, 0, high, high, low, 1. */",
+        "/* k = 0..63, T = high + low: high, low, 1, 1, 0, -high with T = tan(k pi/64) up to 1,",
+        " * else -1, 0, high, high, low, 1 with T = -1/tan(k pi/64). */",
         "static const double TAN_TABLE[64][6] = {",
         *lines(tangents, 1),
         "};",

@@ -284,7 +284,7 @@ typedef struct {
 } Angle;
 
 /* The product of two integers of 64 bits: low half, and the high one by address. */
-static inline uint64_t product(uint64_t a, uint64_t b, uint64_t *high)
+static inline uint64_t wide_product(uint64_t a, uint64_t b, uint64_t *high)
 {
 #if defined(__SIZEOF_INT128__) && !defined(CE_WITHOUT_INT128)
     __extension__ typedef unsigned __int128 Wide;
@@ -312,8 +312,8 @@ static RARE Angle angle_exact(double x)
         digits[i] = shift ? at[0] << shift | at[1] >> (64 - shift) : at[0];
     }
     /* mantissa * digits modulo 2**192, where 2**192 are 4 quadrants; p[0] is the uppermost. */
-    p[2] = product(mantissa, digits[2], &carry);
-    p[1] = product(mantissa, digits[1], &high) + carry;
+    p[2] = wide_product(mantissa, digits[2], &carry);
+    p[1] = wide_product(mantissa, digits[1], &high) + carry;
     p[0] = mantissa * digits[0] + high + (p[1] < carry);
 
     /* 2**185 are pi/64: n is the nearest integer, the rest keeps 185 bits and gets a sign. */
@@ -336,9 +336,9 @@ static RARE Angle angle_exact(double x)
         unit *= 0.5;
     }
     /* The product with pi/4 (and 2**-4 above), 120 bits of it. */
-    uint64_t a, b, c, low = product(f0, QUARTER_PI[0], &a);
-    product(f0, QUARTER_PI[1], &b);
-    product(f1, QUARTER_PI[0], &c);
+    uint64_t a, b, c, low = wide_product(f0, QUARTER_PI[0], &a);
+    wide_product(f0, QUARTER_PI[1], &b);
+    wide_product(f1, QUARTER_PI[0], &c);
     low += b;
     a += low < b;
     low += c;
@@ -364,19 +364,19 @@ static inline Angle angle(double x)
     return (Angle){bits_of(shifted), h, (b - h) - c};
 }
 
-/* sin of an angle: with S = sin(n pi/64) >= h in magnitude, C its cosine, which is never negative,
- * S + C h + .. is written as (S + h) + ((C - 1) h + ..), whose first sum loses nothing. */
+/* sin of an angle: S cos(h) + C sin(h) with S = sin(n pi/64), and C its cosine, never negative, as
+ * A + B with A = 0, 1/2 or 1: (S + A h) + (B h + ..), whose first sum loses nothing. */
 static inline double sin_of(Angle at)
 {
     const double *const s = SIN_POLYNOMIAL, *const c = COS_POLYNOMIAL;
     const uint64_t turned = at.n + 32, index = turned % 64, sign = turned << 57 & SIGN;
-    const double sine = SIN_TABLE[index].high, less_1 = SIN_TABLE[index].cosine_less_1;
-    const double h = at.h, u = h * h;
+    const double sine = SIN_TABLE[index].high, h = at.h, u = h * h;
+    const double rough = SIN_TABLE[index].rough_cosine, rest = SIN_TABLE[index].cosine_rest;
     const double sine_rest = (u * h) * (s[0] + u * (s[1] + u * s[2]));
-    const double cosine_rest = u * (c[0] + u * (c[1] + u * c[2]));
-    const double high = sine + h, lost = (sine - high) + h;
-    const double low = ((lost + SIN_TABLE[index].low) + less_1 * h)
-                       + (sine * cosine_rest + (1.0 + less_1) * (at.l + sine_rest));
+    const double cosine_less_1 = u * (c[0] + u * (c[1] + u * c[2]));
+    const double step = rough * h, high = sine + step, lost = (sine - high) + step;
+    const double low = ((lost + SIN_TABLE[index].low) + rest * h)
+                       + (sine * cosine_less_1 + (rough + rest) * (at.l + sine_rest));
     return from_bits(bits_of(high + low) ^ sign);
 }
 
@@ -431,7 +431,7 @@ double ce_tan(double x)
     return tan_of(angle(x));
 }
 
-/* atan(x) = atan(c) + atan((x - c) / (1 + x c)) with c of 6 bits near x [M]; infinite from 64 on. */
+/* atan(x) = atan(c) + atan((x - c) / (1 + x c)), c of 6 bits near x [M], infinite from 64 on. */
 double ce_atan(double x)
 {
     const uint64_t bits = bits_of(x) & ~SIGN;
