@@ -85,7 +85,7 @@ static inline double not_a_number(void) { return from_bits(0x7ff8000000000000u);
 static inline double exp_rest(double r, double missing)
 {
     const double *const c = EXP_POLYNOMIAL, square = r * r;
-    return (missing + r) + square * ((c[0] + c[1] * r) + square * (c[2] + c[3] * r));
+    return ((missing + r) + square * (c[0] + c[1] * r)) + (square * square) * (c[2] + c[3] * r);
 }
 
 /* scale (1 + rest) where scale's exponent may lie outside of the range: computed nearer to 1. */

