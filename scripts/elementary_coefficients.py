@@ -108,35 +108,80 @@ LOG_OFFSET = 0x3FE6700000000000  # half a cell below 0.703125: 1 is inside a cel
 
 
 def logarithm() -> list[str]:
-    """log and pow: reciprocals of few bits, their logarithms, ln 2 in two parts, polynomials."""
-    rows, reach = [], mpf(0)
+    """log and pow: points with reciprocals of few bits, their logarithms, ln 2 in two parts."""
+    log_rows, pow_rows, log_ends, pow_ends = [], [], [mpf(0)], [mpf(0)]
     for j in range(128):
-        first, last = (from_bits(LOG_OFFSET + (i << 45)) for i in (j, j + 1))
+        first, last = (mpf(from_bits(LOG_OFFSET + (i << 45))) for i in (j, j + 1))
+        centre, inverse = log_point(first, last)
+        log_ends += [first * inverse - 1, last * inverse - 1]
+        high, low = split(mpmath.log(centre))
+        log_rows.append("{" + ", ".join(number(v) for v in (centre, inverse, high, low)) + "}")
         # 11 bits, so that products with 21 and with 32 bits of an argument are exact.
-        inverse = mpmath.nint(2 / (mpf(first) + last) * 1024) / 1024
-        if first < 1.0 < last:
-            inverse = mpf(1)
-        reach = max(reach, abs(first * inverse - 1), abs(last * inverse - 1))
-        value = -mpmath.log(inverse)
-        high = leading(value, -42)
-        rows.append(f"{{{number(inverse)}, {number(high)}, {number(value - high)}}}")
+        inverse = mpmath.nint(2048 / (first + last)) / 1024 if not first < 1 < last else mpf(1)
+        pow_ends += [first * inverse - 1, last * inverse - 1]
+        high, low = split(-mpmath.log(inverse))
+        pow_rows.append("{" + ", ".join(number(v) for v in (inverse, high, low)) + "}")
 
     def rest(r: mpf) -> mpf:
         return series(lambda k: (-r) ** k / (k + 3))
 
-    title = "(log(1 + r) - r + r**2/2) / r**3, relative to r"
+    def fitted(name: str, ends: Sequence[mpf], terms: int) -> list[str]:
+        low, high = min(ends), max(ends)
+        title = f"(log(1 + r) - r + r**2/2) / r**3, {float(low):.5f} <= r <= {float(high):.5f}"
+        return polynomial(name, f"{title}, relative to r", rest, (low, high), terms, lambda r: r**2)
+
     return [
-        "/* 1/c of at most 11 bits and -log(1/c) in two parts, the first a multiple of 2**-42, for",
-        f" * 128 cells from {from_bits(LOG_OFFSET).hex()} on; |z/c - 1| <= {float(reach):.6f}. */",
-        "static const struct { double inverse, high, low; } LOG_TABLE[128] = {",
-        *lines(rows, 1),
+        f"/* 128 cells from {from_bits(LOG_OFFSET).hex()} on: a double c, a reciprocal of few",
+        " * bits, and log(c) in two parts, the first a multiple of 2**-42. */",
+        "static const struct { double centre, inverse, high, low; } LOG_TABLE[128] = {",
+        *lines(log_rows, 1),
+        "};",
+        "/* The same cells with reciprocals 1/c of at most 11 bits, c no double, and log(c). */",
+        "static const struct { double inverse, high, low; } POW_TABLE[128] = {",
+        *lines(pow_rows, 1),
         "};",
         f"#define LOG_OFFSET 0x{LOG_OFFSET:016x}u",
-        constant("LN2_HIGH", leading(LN2, -42)),
-        constant("LN2_LOW", LN2 - leading(LN2, -42)),
-        *polynomial("LOG_POLYNOMIAL", title, rest, (-reach, reach), 5, lambda r: r**2),
-        *polynomial("POW_POLYNOMIAL", title, rest, (-reach, reach), 6, lambda r: r**2),
+        constant("LN2_HIGH", split(LN2)[0]),
+        constant("LN2_LOW", split(LN2)[1]),
+        *fitted("LOG_POLYNOMIAL", log_ends, 5),
+        *fitted("POW_POLYNOMIAL", pow_ends, 6),
     ]
+
+
+def split(value: mpf) -> tuple[mpf, mpf]:
+    """Return the nearest multiple of 2**-42 and the rest."""
+    high = leading(value, -42)
+    return high, value - high
+
+
+def log_point(first: mpf, last: mpf) -> tuple[mpf, mpf]:
+    """Return a double c and nearly 1/c for a cell, so that (z - c) / c is nearly exact near 1.
+
+    The error of the product with the reciprocal has two parts, that of the reciprocal and that
+    of rounding, which is none where the factors have at most 53 bits. Taken is what makes both
+    together smallest beside the cell's smallest logarithm.
+    """
+    if 1 - mpf(2) ** -9 <= last and first < 1:
+        return mpf(1), mpf(1)
+    best: tuple[mpf, mpf, mpf] | None = None
+    middle = int(mpmath.nint(2048 / (first + last)))
+    for numerator in range(middle - 6, middle + 7):
+        inverse = mpf(numerator) / 1024
+        centre = mpf(float(1 / inverse))
+        distance = max(abs(first - centre), abs(last - centre))
+        if distance * inverse > mpf("0.0046"):
+            continue
+        grid = mpmath.ldexp(1, -52 if first >= 1 else -53)
+        odd_part = numerator // (numerator & -numerator)
+        product_bits = mpmath.ceil(mpmath.log(distance / grid, 2)) + odd_part.bit_length()
+        rounding = distance * inverse * mpmath.ldexp(1, -53) if product_bits > 53 else mpf(0)
+        error = abs(centre * inverse - 1) * distance * inverse + rounding
+        error /= min(abs(mpmath.log(first)), abs(mpmath.log(last)))
+        if best is None or error < best[0]:
+            best = (error, centre, inverse)
+    if best is None:
+        raise ArithmeticError("no reciprocal of 11 bits is near enough")
+    return best[1], best[2]
 
 
 def trigonometric() -> list[str]:

@@ -154,27 +154,8 @@ double ce_expm1(double x)
 }
 
 /* log [T90]: x = 2**k z, z near a tabulated c: log(x) = k ln 2 + log(c) + log(1 + r), r = z/c - 1.
- * 1/c has 11 bits, and z is cut in two, so that both parts of r = rough + fine are exact.
- * base is k ln 2 + log(c) + rough, but for low: a multiple of 2**-42 below 2**10, exact as well. */
-typedef struct {
-    double base, low, rough, fine;
-} Reduced;
-
-/* Adding it and subtracting it again rounds z to a multiple of 2**-20: rough has 24 bits then, and
- * is at least twice fine, or 0. */
-#define TO_21_BITS 0x1.8p32
-
-static inline Reduced log_reduced(uint64_t bits)
-{
-    const uint64_t distance = bits - LOG_OFFSET, index = distance >> 45 & 127;
-    const double k = (double)((int64_t)distance >> 52);
-    const double z = from_bits(bits - (distance & 0xfff0000000000000u));
-    const double upper = (z + TO_21_BITS) - TO_21_BITS, inverse = LOG_TABLE[index].inverse;
-    const double rough = upper * inverse - 1.0;
-    return (Reduced){(k * LN2_HIGH + LOG_TABLE[index].high) + rough,
-                     k * LN2_LOW + LOG_TABLE[index].low, rough, (z - upper) * inverse};
-}
-
+ * Near 1, where log(x) is small, the reciprocals have so few bits that r is all but exact; next to
+ * 1, c is 1. */
 double ce_log(double x)
 {
     uint64_t bits = bits_of(x);
@@ -185,12 +166,17 @@ double ce_log(double x)
         if (x != x || bits & SIGN) return not_a_number();
         bits = bits_of(x * 0x1p52) - (52ull << 52);
     }
-    const Reduced at = log_reduced(bits);
+    const uint64_t distance = bits - LOG_OFFSET, index = distance >> 45 & 127;
+    const double k = (double)((int64_t)distance >> 52);
+    const double z = from_bits(bits - (distance & 0xfff0000000000000u));
+    const double r = (z - LOG_TABLE[index].centre) * LOG_TABLE[index].inverse, square = r * r;
+    /* base is a multiple of 2**-42 below 2**10, so exact, and larger than r, or 0. */
+    const double base = k * LN2_HIGH + LOG_TABLE[index].high;
+    const double high = base + r, lost = (base - high) + r;
+    const double low = k * LN2_LOW + LOG_TABLE[index].low;
     const double *const c = LOG_POLYNOMIAL;
-    const double high = at.base + at.fine, lost = (at.base - high) + at.fine;
-    const double r = at.rough + at.fine, square = r * r;
     const double cubic = (c[0] + c[1] * r) + square * ((c[2] + c[3] * r) + square * c[4]);
-    return high + ((lost + at.low) + square * (r * cubic - 0.5));
+    return high + ((lost + low) + square * (r * cubic - 0.5));
 }
 
 /* What is left of pow's arguments after special cases: a result, or |x| as a normal number and the
@@ -236,8 +222,13 @@ static RARE Base pow_special(double x, double y)
     return (Base){0, 0.0, bits, sign};
 }
 
-/* pow: exp(y log(x)). The logarithm is high + low with a relative error of some 2**-67, for which
- * r**2/2 is taken in two parts; the product with y splits both factors [D]. */
+/* Adding it and subtracting it again rounds a number near 1 to a multiple of 2**-20. */
+#define TO_21_BITS 0x1.8p32
+
+/* pow: exp(y log(x)). The logarithm is high + low with a relative error of some 2**-67: as above,
+ * but 1/c has 11 bits, and z is cut in two, so that both parts of r = rough + fine are exact. rough
+ * has 24 bits, of which the square is exact, and is at least twice fine, or 0. The product with y
+ * splits both factors [D]. */
 double ce_pow(double x, double y)
 {
     uint64_t bits = bits_of(x), sign = 0;
@@ -247,31 +238,36 @@ double ce_pow(double x, double y)
         if (base.settled) return base.result;
         bits = base.bits, sign = base.sign;
     }
-    const Reduced at = log_reduced(bits);
-    const double *const c = POW_POLYNOMIAL;
-    const double sum = at.base + at.fine, lost = (at.base - sum) + at.fine;
-    const double r = at.rough + at.fine, square = r * r;
-    /* rough has 24 bits, its square is exact. */
-    const double half_rough = 0.5 * at.rough, half = half_rough * at.rough;
+    const uint64_t distance = bits - LOG_OFFSET, cell = distance >> 45 & 127;
+    const double k = (double)((int64_t)distance >> 52);
+    const double z = from_bits(bits - (distance & 0xfff0000000000000u));
+    const double upper = (z + TO_21_BITS) - TO_21_BITS, inverse = POW_TABLE[cell].inverse;
+    const double rough = upper * inverse - 1.0, fine = (z - upper) * inverse;
+    /* A multiple of 2**-42 below 2**10, so exact. */
+    const double base = (k * LN2_HIGH + POW_TABLE[cell].high) + rough;
+    const double sum = base + fine, lost = (base - sum) + fine;
+    const double r = rough + fine, square = r * r;
+    const double half_rough = 0.5 * rough, half = half_rough * rough;
     const double high = sum - half, lost_too = (sum - high) - half;
+    const double *const c = POW_POLYNOMIAL;
     const double cubic =
         (c[0] + c[1] * r) + square * ((c[2] + c[3] * r) + square * (c[4] + c[5] * r));
-    const double low = ((lost + lost_too) + at.low)
-                       + ((square * r) * cubic - at.fine * (half_rough + 0.5 * r));
+    const double low = ((lost + lost_too) + (k * LN2_LOW + POW_TABLE[cell].low))
+                       + ((square * r) * cubic - fine * (half_rough + 0.5 * r));
 
     const double log_1 = leading(high), log_2 = (high - log_1) + low;
     const double y_1 = leading(y), y_2 = y - y_1;
     const double product = y_1 * log_1, product_low = y_2 * log_1 + y * log_2;
-    const double z = product + product_low, size = fabs(z);
-    if (UNLIKELY(!(size < 1024.0))) return from_bits(sign | (z > 0.0 ? INFINITE : 0));
+    const double exponent = product + product_low, size = fabs(exponent);
+    if (UNLIKELY(!(size < 1024.0))) return from_bits(sign | (exponent > 0.0 ? INFINITE : 0));
 
-    const double shifted = z * EXP_PER_STEP + TO_INTEGER, n = shifted - TO_INTEGER;
+    const double shifted = exponent * EXP_PER_STEP + TO_INTEGER, n = shifted - TO_INTEGER;
     const uint64_t index = bits_of(shifted);
     const double e = (product - n * EXP_STEP_HIGH) + (product_low - n * EXP_STEP_LOW);
     const uint64_t scale_bits = EXP_TABLE[index % 128].bits + (index << 45);
     const double rest = exp_rest(e, EXP_TABLE[index % 128].missing);
     if (UNLIKELY(size >= 512.0)) {
-        return from_bits(sign | bits_of(exp_extreme(scale_bits, rest, z > 0.0)));
+        return from_bits(sign | bits_of(exp_extreme(scale_bits, rest, exponent > 0.0)));
     }
     const double scale = from_bits(sign | scale_bits);
     return scale + scale * rest;
