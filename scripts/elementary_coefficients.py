@@ -21,7 +21,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import mpmath
+import mpmath  # type: ignore[import-untyped]
 from mpmath import mpf
 
 FILE = Path(__file__).resolve().parent.parent / "workers" / "core" / "elementary_tables.h"
