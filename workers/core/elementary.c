@@ -92,17 +92,15 @@ static inline double exp_rest(double r, double missing)
 static RARE double exp_extreme(uint64_t scale_bits, double rest, int large)
 {
     if (large) {
-        const double scale = from_bits(scale_bits - (1009ull << 52));
-        return 0x1p1009 * (scale + scale * rest);
+        const double scale = from_bits(scale_bits - (1000ull << 52));
+        return 0x1p1000 * (scale + scale * rest);
     }
-    const double scale = from_bits(scale_bits + (1022ull << 52));
-    double y = scale + scale * rest;
-    if (y < 1.0) {
-        /* The result is subnormal: rounded once, to a multiple of 2**-52 here. */
-        const double high = 1.0 + scale;
-        y = (high + (((1.0 - high) + scale) + scale * rest)) - 1.0;
-    }
-    return 0x1p-1022 * y;
+    const double scale = from_bits(scale_bits + (1022ull << 52)), step = scale * rest;
+    if (scale + step >= 1.0) return 0x1p-1022 * (scale + step);
+    /* The result is subnormal: rounded once, to a multiple of 2**-52 here, as numbers from 1 to 2
+     * are; high and the term beside it are 1 + scale without error. */
+    const double high = 1.0 + scale, sum = high + (step - ((high - 1.0) - scale));
+    return 0x1p-1022 * (sum - 1.0);
 }
 
 double ce_exp(double x)
