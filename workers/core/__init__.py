@@ -1,0 +1,1 @@
+"""The core: simulation loops, effects and filters in C, called by ctypes."""

@@ -1,0 +1,142 @@
+/* Model exchange: time, states and inputs of an FMU, its derivatives and outputs; events. */
+#ifndef EXCHANGE_H
+#define EXCHANGE_H
+#include "work.h"
+
+/* Set the FMU to time, states and inputs of the registers, with their effects. */
+ALWAYS int set_model(const Model *c, const Shape s, Work *w, double time) {
+    const double *u = w->u;
+    c->progress[CALLED] = 1;
+    TRY(set_time(&c->f, time));
+    if (FMU_STATES > 0) TRY(set_continuous_states(&c->f, w->trial, FMU_STATES));
+    if (EFFECTS) {
+        *w->time = time;
+        if (c->changes_inputs) {
+            run_fast(c->program->fast[BEFORE], w->r);
+            u = w->effective;
+        }
+    }
+    if (s.reals) {
+        if (N_INPUTS > 0) TRY(set_reals(&c->f, FMI, c->inputs.reals, N_INPUTS, u));
+    } else {
+        TRY(set_values(&w->model.f, FMI, &w->model.continuous, u, w->buffer));
+    }
+    if (EFFECTS && c->n_parameters > 0)
+        TRY(set_reals(&c->f, FMI, c->parameters, c->n_parameters, w->parameters));
+    return OK;
+}
+
+/* dx/dt where the FMU and the registers are. */
+ALWAYS int derivatives(const Model *c, const Shape s, Work *w, double *dx) {
+    if (FMU_STATES > 0) TRY(get_vector(c->f.get_derivatives, c->f.handle, dx, FMU_STATES));
+    if (EFFECTS) {
+        const Program *p = c->program;
+        const Site *sites = p->sites;
+        run_fast(p->fast[AFTER], w->r);
+        FOR(j, p->n_added) dx[sites[j].state] += w->r[sites[j].r];
+        for (size_t j = p->n_added; j < p->n_sites; j++) dx[sites[j].state] = w->r[sites[j].r];
+    }
+    return OK;
+}
+
+/* dx/dt at the states in `trial`, at a time in the interval after grid time i. */
+ALWAYS int derivatives_at(const Model *c, const Shape s, Work *w, size_t i, double time,
+                          double *dx) {
+    interpolate(c, s, w, i, time - c->times[i]);
+    TRY(set_model(c, s, w, time));
+    return derivatives(c, s, w, dx);
+}
+
+ALWAYS void to_trial(const Model *c, const Shape s, Work *w, const double *x) {
+    if (s.n_states >= 0)
+        memcpy(w->trial, x, (size_t)s.n_states * sizeof *x);
+    else
+        FOR(j, c->n_states) w->trial[j] = x[j];
+}
+
+/* Set the FMU to grid time i and record its outputs; `time` may be later by a rounding error, where
+ * an event is. */
+ALWAYS int record(const Model *c, const Shape s, Work *w, size_t i, double time, double *y) {
+    to_trial(c, s, w, w->x);
+    interpolate(c, s, w, i, 0.0);
+    TRY(set_model(c, s, w, time));
+    return get_outputs(c, s, w, y);
+}
+
+/* trial = x + h k. Few states go through an array of their own, whose 16-byte stores the FMU's
+ * 16-byte loads wait for less than for two stores of 8 bytes (store forwarding). */
+ALWAYS void move_states(const Model *c, const Shape s, Work *w, double h, const double *k) {
+    double *restrict const trial = w->trial;
+    const double *restrict const x = w->x;
+    if (s.n_states >= 0) {
+        double next[MOST_STATES];
+        for (int j = 0; j < s.n_states; j++) next[j] = x[j] + h * k[j];
+        memcpy(trial, next, (size_t)s.n_states * sizeof *trial);
+    } else {
+        FOR(j, c->n_states) trial[j] = x[j] + h * k[j];
+    }
+}
+
+/* The length of time below which two times are the same. */
+static inline double time_resolution(double time, double last) {
+    return 16.0 * 0x1p-52 * larger(fabs(time), fabs(last));
+}
+
+/* Whether steps that know nothing of events will do, until when there is no time event. */
+static inline int is_quiet(const Model *c) {
+    return c->f.n_indicators == 0 && !c->f.completes_steps && !c->f.eventful;
+}
+static inline double quiet_until(const Work *w) {
+    const Model *c = &w->model;
+    return w->next_event - time_resolution(c->times[0], c->times[c->n_times - 1]);
+}
+
+/* ---- exchange.c: rare, or once a simulation ---------------------------------------------- */
+
+/* Set the FMU to states at a time in the interval after grid time i. */
+int set_at(Work *w, size_t i, double time, const double *x);
+/* Initialise, iterate the initial event to its end, and fetch the states. Returns the code. */
+int start_simulation(Work *w, const double *point);
+/* Tell the FMU that a step is accepted. FINISHED, EVENT, or why it must end. */
+int complete_step(Work *w);
+/* Handle inputs that jump at grid time i, which is an event for some FMUs. */
+int handle_input_jump(Work *w, size_t i, double time);
+
+/* ---- events.c ---------------------------------------------------------------------------- */
+
+/* Handle an event: inputs are those after grid time `before` until it, those after i from then on;
+ * `repeated` counts the events before this one between which no time has passed. */
+int handle_event(Work *w, size_t before, size_t i, double time, int64_t repeated);
+/* In event mode, let the FMU update its discrete states to the end, and leave the mode. */
+int iterate_event(Work *w, int *status);
+int store_event_indicators(Work *w);
+/* States at a part of a step, into `trial`. */
+typedef void Interpolant(Work *w, double time, double h, double part, const void *how);
+/* Look for a state event in a step that ends at `trial`, which the FMU is set to. *part: which part
+ * of the step is left of it, at most 1; 2 without one. Behind one, `trial` and the FMU are there. */
+int find_event(Work *w, size_t i, double time, double h, Interpolant *interpolant, const void *how,
+               double *part);
+/* Of a Runge-Kutta method: each stage's weight as a polynomial, from the first power on. */
+typedef struct {
+    size_t n_stages, n_powers;
+    const double *weights;
+} DenseOutput;
+Interpolant dense_output;
+
+/* ---- stepping from grid time i to the next, from event to event -------------------------- */
+
+typedef struct Forward Forward; /* of forward sensitivities, see sensitivities.c */
+
+/* Where a solver is: the time, the step to try next (0: none yet), and the steps that are left. */
+typedef struct {
+    double time, proposed;
+    int64_t left;
+} Stepping;
+
+int equal_steps(Work *w, size_t i, Stepping *now, Forward *forward);
+int adaptive_steps(Work *w, size_t i, Stepping *now, Forward *forward);
+int advance_sensitivities(Work *w, size_t i, double time, double h, Forward *forward);
+/* The next stop on the way to grid time i + 1: that time, or a time event. */
+double next_stop(const Work *w, double last, double resolution);
+
+#endif
