@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from workers.core import library as c
+from workers.core.sundials import CvodeIntegrator
 from workers.kernels.fmi.arguments import KernelArguments
-from workers.kernels.fmi.calling import is_fmi_2  # noqa: F401
 from workers.kernels.fmi.component import FmiComponent
 
 
@@ -103,7 +103,24 @@ def core_batch(method: str, a: KernelArguments, program: Any = None) -> CoreBatc
     return CoreBatch(batch, indices, kept)
 
 
-def simulate(method: str, a: KernelArguments, program: Any = None, core: Any = None) -> int:
+_integrators: dict[tuple[int, int], CvodeIntegrator] = {}
+
+
+def integrator(states, library, jacobian=((), ())):
+    """CVODE for a number of states, made once."""
+    key = (states, id(library))
+    if key not in _integrators:
+        _integrators[key] = CvodeIntegrator(states, library)
+    _integrators[key].use_jacobian(*jacobian)
+    return _integrators[key]
+
+
+def simulate(
+    method: str, a: KernelArguments, program: Any = None, core: Any = None, jacobian=((), ())
+) -> int:
     """In place of a numba loop."""
     made = core_batch(method, a, program)
-    return int((core or c.core()).core_simulate(ctypes.c_void_p(made.address)))
+    library = core or c.core()
+    if method == "cvode" and made.batch.n_states:
+        made.batch.cvode = integrator(made.batch.n_states, library, jacobian).address
+    return int(library.core_simulate(ctypes.c_void_p(made.address)))
