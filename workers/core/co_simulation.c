@@ -9,7 +9,7 @@
 /* The effective inputs at a time of the interval after grid time i, at the effects' own states. */
 static void effective_at(Work *w, size_t i, double time) {
     const Model *c = &w->model;
-    interpolate(c, ANY, w, i, time - c->times[i]);
+    interpolate_at(w, i, time);
     if (!c->changes_inputs) return;
     *w->time = time;
     memcpy(w->trial, w->x, c->n_states * sizeof *w->x);
@@ -22,7 +22,7 @@ static int set_effective(Work *w, size_t i, double time) {
     if (c->n_inputs > 0)
         TRY(set_values(&c->f, c->f.version, &c->inputs, w->effective, w->buffer));
     if (c->n_parameters == 0) return OK;
-    return set_reals(&c->f, c->f.version, c->parameters, c->n_parameters, w->parameters);
+    return set_reals(&c->f, c->f.version, c->parameters, c->n_parameters, w->varied);
 }
 
 /* One classic Runge-Kutta step of the effects' own states. */
@@ -34,7 +34,7 @@ static void advance_own_states(Work *w, size_t i, double time, double h) {
         const double offset = stage == 0 ? 0.0 : stage == 3 ? h : 0.5 * h;
         for (size_t j = 0; j < n; j++)
             w->trial[j] = stage > 0 ? x[j] + offset * k[(size_t)(stage - 1) * n + j] : x[j];
-        interpolate(c, ANY, w, i, time + offset - c->times[i]);
+        interpolate_at(w, i, time + offset);
         *w->time = time + offset;
         run_fast(c->program->fast[AFTER], w->r);
         for (size_t j = 0; j < c->program->n_sites; j++)

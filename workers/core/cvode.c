@@ -64,7 +64,7 @@ static int answer(Run *run, int status) {
 static int right_hand_side(Run *run, double time, const double *x, double *dx) {
     const Model *c = &run->w->model;
     TRY(set_at_solver_time(run, time, x));
-    TRY(derivatives(c, ANY, run->w, dx));
+    TRY(derivatives(c, ANY, dx));
     return OK;
 }
 
@@ -265,7 +265,8 @@ static End along_grid(Run *run, double *y) {
         const double time = has_reached(run, c->times[i]) ? run->time : c->times[i];
         int code = handle_input_jump(w, i, time);
         if (code != FINISHED) return (End){code, run->time, i};
-        const int status = record(c, ANY, w, i, time, y);
+        const Interval a = interval(c, ANY, i);
+        const int status = record(c, ANY, w, &a, time, y);
         if (status >= DISCARD) return (End){failed(OUTPUT_FAILED, status), time, i};
         if (w->bound < HUGE_VAL && is_above_bound(w, i, y)) return (End){ENDED_EARLY, time, i};
         if (b->states_out) memcpy(b->states_out + i * n, w->x, n * sizeof(double));

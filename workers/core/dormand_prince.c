@@ -30,10 +30,11 @@ static const double safety = 0.9, shrink = 0.2, grow = 5.0;
 
 /* The six stages after the first, and the new states, into `trial`. The step meets the tolerance if
  * *error is at most 1. */
-ALWAYS int try_stages(const Model *c, const Shape s, Work *w, size_t i, double time, double h,
-                      double *error) {
+ALWAYS int try_stages(const Model *c, const Shape s, Work *w, const Interval *a, double time,
+                      double h, double *error) {
     const size_t n = N_STATES;
-    double *restrict const x = w->x, *restrict const trial = w->trial, *restrict const k = w->k;
+    double *restrict const x = c->at.x, *restrict const trial = c->at.trial;
+    double *restrict const k = c->at.k;
 #define PREVIOUS(earlier) (weight[stage][earlier] * k[earlier * n + (size_t)j])
 #define STAGE(number, sum)                                                          \
     {                                                                               \
@@ -45,7 +46,7 @@ ALWAYS int try_stages(const Model *c, const Shape s, Work *w, size_t i, double t
         } else {                                                                    \
             FOR(j, n) trial[j] = x[j] + h * (sum);                                  \
         }                                                                           \
-        TRY(derivatives_at(c, s, w, i, time + node[stage] * h, k + stage * n));     \
+        TRY(derivatives_at(c, s, w, a, time + node[stage] * h, k + stage * n));     \
     }
     STAGE(1, PREVIOUS(0))
     STAGE(2, PREVIOUS(0) + PREVIOUS(1))
@@ -74,30 +75,31 @@ static inline double step_factor(int status, double error) {
 }
 
 /* A hundredth of the time in which the states would change by their own scale. */
-static double initial_step(const Work *w) {
+static double initial_step(const Work *w, const double *x, const double *dx) {
     double size = 0.0, speed = 0.0;
     for (size_t j = 0; j < w->model.n_states; j++) {
-        const double scale = w->atols[j] + w->batch->settings->rtol * fabs(w->x[j]);
-        size += (w->x[j] / scale) * (w->x[j] / scale);
-        speed += (w->k[j] / scale) * (w->k[j] / scale);
+        const double scale = w->atols[j] + w->batch->settings->rtol * fabs(x[j]);
+        size += (x[j] / scale) * (x[j] / scale);
+        speed += (dx[j] / scale) * (dx[j] / scale);
     }
     return size < 1e-10 || speed < 1e-10 ? 1e-6 : 0.01 * sqrt(size / speed);
 }
 
-ALWAYS void accept(const Model *c, const Shape s, Work *w) {
+ALWAYS void accept(const Model *c, const Shape s) {
     const size_t n = N_STATES;
     FOR(j, n) {
-        w->x[j] = w->trial[j];
-        w->k[j] = w->k[6 * n + j];
+        c->at.x[j] = c->at.trial[j];
+        c->at.k[j] = c->at.k[6 * n + j];
     }
 }
 
 /* Step from where the FMU is up to `last` or a state event. Returns the code, EVENT for one. */
-ALWAYS int to_next_event(const Model *c, const Shape s, Work *w, size_t i, double last,
-                         Stepping *now, const int quiet, Forward *forward) {
+ALWAYS int to_next_event(const Model *c, const Shape s, Work *w, size_t i, const Interval *a,
+                         double last, Stepping *now, const int quiet, Forward *forward) {
     const double resolution = time_resolution(now->time, last), longest = w->batch->settings->step;
-    int status = derivatives(c, s, w, w->k);
-    if (now->proposed == 0.0 && status < DISCARD) now->proposed = initial_step(w);
+    int status = derivatives(c, s, c->at.k);
+    if (now->proposed == 0.0 && status < DISCARD)
+        now->proposed = initial_step(w, c->at.x, c->at.k);
     /* or not a number, after an overflow: a step of 0 would never end */
     if (!(now->proposed >= resolution)) now->proposed = resolution;
     if (status >= DISCARD) return failed(STEP_FAILED, status);
@@ -107,7 +109,7 @@ ALWAYS int to_next_event(const Model *c, const Shape s, Work *w, size_t i, doubl
         const int final = now->proposed >= remaining * (1.0 - 1e-10);
         const double h = final ? remaining : smaller(now->proposed, 0.5 * remaining);
         double error = 0.0, part = 2.0;
-        status = try_stages(c, s, w, i, time, h, &error);
+        status = try_stages(c, s, w, a, time, h, &error);
         if (!quiet && c->f.n_indicators > 0 && status < DISCARD && error <= 1.0)
             status = find_event(w, i, time, h, dense_output, &dense, &part);
         now->left--;
@@ -122,7 +124,7 @@ ALWAYS int to_next_event(const Model *c, const Shape s, Work *w, size_t i, doubl
             status = advance_sensitivities(w, i, time, h, forward);
             if (status >= DISCARD) return failed(SENSITIVITIES_FAILED, status);
         }
-        accept(c, s, w);
+        accept(c, s);
         int code = quiet ? FINISHED : complete_step(w);
         if (!quiet && code == FINISHED && part <= 1.0) code = EVENT;
         now->time = final && part > 1.0 ? last : time + h * smaller(part, 1.0);
@@ -136,11 +138,12 @@ ALWAYS int to_next_event(const Model *c, const Shape s, Work *w, size_t i, doubl
  * first event. Returns the code. */
 ALWAYS int adaptive_steps_of(Work *w, const Shape s, size_t i, Stepping *now, Forward *forward) {
     const Model *c = &w->model;
+    const Interval a = interval(c, s, i);
     const double last = c->times[i + 1], resolution = time_resolution(now->time, last);
     for (int64_t repeated = 0;;) {
         const double begin = now->time, end = next_stop(w, last, resolution);
         int code = FINISHED;
-        if (end > begin) code = to_next_event(c, s, w, i, end, now, 0, forward);
+        if (end > begin) code = to_next_event(c, s, w, i, &a, end, now, 0, forward);
         if (code == EVENT || (code == FINISHED && now->time >= w->next_event)) {
             if (forward != NULL) return HAS_EVENTS;
             repeated = now->time - begin <= resolution ? repeated + 1 : 0;
@@ -160,7 +163,8 @@ RARELY static int adaptive_steps_2(Work *w, size_t i, Stepping *now) {
 }
 
 ALWAYS End simulate(Work *w, const double *point, double *y, const Shape s) {
-    const Model copy = w->model, *const c = &copy;
+    Own own;
+    const Model copy = with_own(&w->model, s, &own), *const c = &copy;
     const double *const t = c->times;
     const size_t last = c->n_times - 1;
     const int64_t most = w->batch->settings->max_steps;
@@ -169,21 +173,25 @@ ALWAYS End simulate(Work *w, const double *point, double *y, const Shape s) {
     Stepping now = {t[0], 0.0, most};
     int code = start_simulation(w, point);
     if (code != FINISHED) return (End){code, now.time, 0};
+    take_back(c, s, w);
     double quiet_end = quiet ? quiet_until(w) : -HUGE_VAL;
     for (size_t i = 0;; i++, y += c->n_outputs) {
-        if (UNLIKELY(!quiet)) code = handle_input_jump(w, i, now.time);
+        if (UNLIKELY(!quiet)) code = jump(c, s, w, i, now.time);
         if (UNLIKELY(code != FINISHED)) return (End){code, now.time, i};
-        const int status = record(c, s, w, i, now.time, y);
+        const Interval a = interval(c, s, i);
+        const int status = record(c, s, w, &a, now.time, y);
         if (UNLIKELY(status >= DISCARD))
             return (End){failed(OUTPUT_FAILED, status), now.time, i};
         if (bounded && is_above_bound(w, i, y)) return (End){ENDED_EARLY, now.time, i};
         if (i == last) break;
         now.left = most;
         if (LIKELY(t[i + 1] < quiet_end)) {
-            code = to_next_event(c, s, w, i, t[i + 1], &now, 1, NULL);
+            code = to_next_event(c, s, w, i, &a, t[i + 1], &now, 1, NULL);
         } else {
+            hand_over(c, s, w);
             code = s.fmi == 2 && s.reals && !s.effects ? adaptive_steps_2(w, i, &now)
                                                        : adaptive_steps(w, i, &now, NULL);
+            take_back(c, s, w);
             if (quiet) quiet_end = quiet_until(w);
         }
         if (UNLIKELY(code != FINISHED)) return (End){code, now.time, i};
@@ -244,11 +252,12 @@ static double eigenvalue(const Work *w, double h) {
 /* Try steps until one, of length *h, is accepted. Returns the code. */
 static int accepted_step(Work *w, size_t i, double time, double *h, double *proposed) {
     const double longest = w->batch->settings->step;
+    const Interval at = interval(&w->model, ANY, i), *const a = &at;
     for (double error = 0.0;;) {
         if (longest > 0.0) *proposed = smaller(*proposed, longest);
         *h = smaller(*proposed, w->model.times[i + 1] - time);
         if (!(time + *h > time)) return STEP_TOO_SMALL;
-        const int status = try_stages(&w->model, ANY, w, i, time, *h, &error);
+        const int status = try_stages(&w->model, ANY, w, a, time, *h, &error);
         if (status >= ERROR) return failed(STEP_FAILED, status);
         const double next = *h * step_factor(status, error);
         const int accepted = status < DISCARD && error <= 1.0;
@@ -266,9 +275,9 @@ static int is_stiff(Work *w, int *code) {
     size_t i = 0;
     for (int64_t n = 0; n < w->batch->settings->max_steps && i + 1 < c->n_times; n++) {
         int status = set_at(w, i, time, w->x);
-        if (status < DISCARD) status = derivatives(c, ANY, w, w->k);
+        if (status < DISCARD) status = derivatives(c, ANY, w->k);
         if (status >= DISCARD) return *code = failed(STEP_FAILED, status), 0;
-        if (proposed == 0.0) proposed = initial_step(w);
+        if (proposed == 0.0) proposed = initial_step(w, w->x, w->k);
         *code = accepted_step(w, i, time, &h, &proposed);
         if (*code != FINISHED) return 0;
         if (h * eigenvalue(w, h) > border)

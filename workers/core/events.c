@@ -43,7 +43,7 @@ static int handle(Work *w, size_t before, size_t i, double time, int *code) {
     TRY(set_at(w, before, time, w->x));
     TRY(call(f->enter_event_mode, f->handle));
     if (c->n_inputs > 0) {
-        interpolate(c, ANY, w, i, time - c->times[i]);
+        interpolate_at(w, i, time);
         if (c->changes_inputs) run_fast(c->program->fast[BEFORE], w->r);
         TRY(set_values(f, f->version, &c->inputs, w->effective, w->buffer));
     }

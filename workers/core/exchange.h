@@ -5,15 +5,15 @@
 
 /* Set the FMU to time, states and inputs of the registers, with their effects. */
 ALWAYS int set_model(const Model *c, const Shape s, Work *w, double time) {
-    const double *u = w->u;
+    const double *u = c->at.u;
     c->progress[CALLED] = 1;
     TRY(set_time(&c->f, time));
-    if (FMU_STATES > 0) TRY(set_continuous_states(&c->f, w->trial, FMU_STATES));
+    if (FMU_STATES > 0) TRY(set_continuous_states(&c->f, c->at.trial, FMU_STATES));
     if (EFFECTS) {
-        *w->time = time;
+        *c->at.time = time;
         if (c->changes_inputs) {
-            run_fast(c->program->fast[BEFORE], w->r);
-            u = w->effective;
+            run_fast(c->program->fast[BEFORE], c->at.r);
+            u = c->at.effective;
         }
     }
     if (s.reals) {
@@ -22,52 +22,56 @@ ALWAYS int set_model(const Model *c, const Shape s, Work *w, double time) {
         TRY(set_values(&w->model.f, FMI, &w->model.continuous, u, w->buffer));
     }
     if (EFFECTS && c->n_parameters > 0)
-        TRY(set_reals(&c->f, FMI, c->parameters, c->n_parameters, w->parameters));
+        TRY(set_reals(&c->f, FMI, c->parameters, c->n_parameters, c->at.varied));
     return OK;
 }
 
 /* dx/dt where the FMU and the registers are. */
-ALWAYS int derivatives(const Model *c, const Shape s, Work *w, double *dx) {
+ALWAYS int derivatives(const Model *c, const Shape s, double *dx) {
     if (FMU_STATES > 0) TRY(get_vector(c->f.get_derivatives, c->f.handle, dx, FMU_STATES));
     if (EFFECTS) {
         const Program *p = c->program;
         const Site *sites = p->sites;
-        run_fast(p->fast[AFTER], w->r);
-        FOR(j, p->n_added) dx[sites[j].state] += w->r[sites[j].r];
-        for (size_t j = p->n_added; j < p->n_sites; j++) dx[sites[j].state] = w->r[sites[j].r];
+        const double *r = c->at.r;
+        run_fast(p->fast[AFTER], c->at.r);
+        FOR(j, p->n_added) dx[sites[j].state] += r[sites[j].r];
+        for (size_t j = p->n_added; j < p->n_sites; j++) dx[sites[j].state] = r[sites[j].r];
     }
     return OK;
 }
 
-/* dx/dt at the states in `trial`, at a time in the interval after grid time i. */
-ALWAYS int derivatives_at(const Model *c, const Shape s, Work *w, size_t i, double time,
+/* dx/dt at the states in `trial`, at a time in an interval of the grid. */
+ALWAYS int derivatives_at(const Model *c, const Shape s, Work *w, const Interval *a, double time,
                           double *dx) {
-    interpolate(c, s, w, i, time - c->times[i]);
+    interpolate(c, s, a, time - a->begin);
     TRY(set_model(c, s, w, time));
-    return derivatives(c, s, w, dx);
+    return derivatives(c, s, dx);
 }
 
-ALWAYS void to_trial(const Model *c, const Shape s, Work *w, const double *x) {
+/* Set the FMU to x, with the inputs at `offset` after the begin of an interval. */
+ALWAYS int set_to_x(const Model *c, const Shape s, Work *w, const Interval *a, double offset,
+                    double time) {
     if (s.n_states >= 0)
-        memcpy(w->trial, x, (size_t)s.n_states * sizeof *x);
+        memcpy(c->at.trial, c->at.x, (size_t)s.n_states * sizeof *c->at.x);
     else
-        FOR(j, c->n_states) w->trial[j] = x[j];
+        FOR(j, c->n_states) c->at.trial[j] = c->at.x[j];
+    interpolate(c, s, a, offset);
+    return set_model(c, s, w, time);
 }
 
-/* Set the FMU to grid time i and record its outputs; `time` may be later by a rounding error, where
- * an event is. */
-ALWAYS int record(const Model *c, const Shape s, Work *w, size_t i, double time, double *y) {
-    to_trial(c, s, w, w->x);
-    interpolate(c, s, w, i, 0.0);
-    TRY(set_model(c, s, w, time));
+/* Set the FMU to the begin of an interval and record its outputs; `time` may be later by a rounding
+ * error, where an event is. */
+ALWAYS int record(const Model *c, const Shape s, Work *w, const Interval *a, double time,
+                  double *y) {
+    TRY(set_to_x(c, s, w, a, 0.0, time));
     return get_outputs(c, s, w, y);
 }
 
 /* trial = x + h k. Few states go through an array of their own, whose 16-byte stores the FMU's
  * 16-byte loads wait for less than for two stores of 8 bytes (store forwarding). */
-ALWAYS void move_states(const Model *c, const Shape s, Work *w, double h, const double *k) {
-    double *restrict const trial = w->trial;
-    const double *restrict const x = w->x;
+ALWAYS void move_states(const Model *c, const Shape s, double h, const double *k) {
+    double *restrict const trial = c->at.trial;
+    const double *restrict const x = c->at.x;
     if (s.n_states >= 0) {
         double next[MOST_STATES];
         for (int j = 0; j < s.n_states; j++) next[j] = x[j] + h * k[j];
@@ -101,6 +105,14 @@ int start_simulation(Work *w, const double *point);
 int complete_step(Work *w);
 /* Handle inputs that jump at grid time i, which is an event for some FMUs. */
 int handle_input_jump(Work *w, size_t i, double time);
+
+/* The same from a loop of a shape. */
+ALWAYS int jump(const Model *c, const Shape s, Work *w, size_t i, double time) {
+    hand_over(c, s, w);
+    const int code = handle_input_jump(w, i, time);
+    take_back(c, s, w);
+    return code;
+}
 
 /* ---- events.c ---------------------------------------------------------------------------- */
 

@@ -177,7 +177,8 @@ static End along_grid(Filter *f, Differences *d) {
     for (size_t i = 0; code == FINISHED; i++, y += c->n_outputs) {
         code = handle_input_jump(w, i, now.time);
         if (code != FINISHED) return (End){code, now.time, i};
-        int status = record(c, ANY, w, i, now.time, y);
+        const Interval a = interval(c, ANY, i);
+        int status = record(c, ANY, w, &a, now.time, y);
         if (status >= DISCARD) return (End){failed(OUTPUT_FAILED, status), now.time, i};
         status = correct_and_linearise(f, d, i, now.time, y);
         if (status >= DISCARD) return (End){failed(LINEARISATION_FAILED, status), now.time, i};

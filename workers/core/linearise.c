@@ -30,7 +30,7 @@ static int begin_differences(Differences *d, Work *w, Work *offsets, const Linea
 /* Derivatives and outputs where the FMU and the registers of `w` are, at one end. */
 static int evaluate(Differences *d, Work *w, int side) {
     const Model *c = &w->model;
-    TRY(derivatives(c, ANY, w, d->dx[side]));
+    TRY(derivatives(c, ANY, d->dx[side]));
     return get_values(&c->f, c->f.version, &c->outputs, d->y[side], w->buffer);
 }
 
@@ -109,7 +109,7 @@ static int by_parameters(Differences *d, Work *w, size_t i) {
     double ends[2];
     for (size_t j = 0; j < count; j++) {
         const int64_t position = d->l->effect_positions[j];
-        const double p = position >= 0 ? w->parameters[position] : d->l->values[j];
+        const double p = position >= 0 ? w->varied[position] : d->l->values[j];
         const double size = p != 0.0 ? fabs(p) : d->l->parameters.nominals[j];
         perturbed(p, size, &d->l->parameters, j, ends);
         for (int side = 0; side < 2; side++) {
@@ -137,7 +137,7 @@ int linearise_at(Differences *d, size_t i) {
     const double time = c->times[i];
     const size_t n = c->n_states, count = d->l->n_inputs;
     *w->time = time;
-    TRY(derivatives(c, ANY, w, d->l->dx + i * n));
+    TRY(derivatives(c, ANY, d->l->dx + i * n));
     memcpy(d->l->x + i * n, w->x, n * sizeof *w->x);
     memcpy(d->l->effective + i * count, w->effective, count * sizeof *w->effective);
     follow(d);
@@ -170,7 +170,8 @@ static End along_grid(Differences *d) {
     for (size_t i = 0; code == FINISHED; i++, y += c->n_outputs) {
         code = handle_input_jump(w, i, now.time);
         if (code != FINISHED) return (End){code, now.time, i};
-        int status = record(c, ANY, w, i, now.time, y);
+        const Interval a = interval(c, ANY, i);
+        int status = record(c, ANY, w, &a, now.time, y);
         if (status >= DISCARD) return (End){failed(OUTPUT_FAILED, status), now.time, i};
         status = linearise_at(d, i);
         if (status >= DISCARD) return (End){failed(LINEARISATION_FAILED, status), now.time, i};

@@ -13,23 +13,24 @@ static const double interpolant[4][3] = {
 static const DenseOutput dense = {4, 3, interpolant[0]};
 
 /* k of a step from x at `time`, where the FMU is. */
-ALWAYS int stages(const Model *c, const Shape s, Work *w, size_t i, double time, double h) {
+ALWAYS int stages(const Model *c, const Shape s, Work *w, const Interval *a, double time,
+                  double h) {
     const size_t n = N_STATES;
-    double *const k = w->k;
-    TRY(derivatives(c, s, w, k));
-    move_states(c, s, w, 0.5 * h, k);
-    TRY(derivatives_at(c, s, w, i, time + 0.5 * h, k + n));
-    move_states(c, s, w, 0.5 * h, k + n);
-    TRY(derivatives_at(c, s, w, i, time + 0.5 * h, k + 2 * n));
-    move_states(c, s, w, h, k + 2 * n);
-    return derivatives_at(c, s, w, i, time + h, k + 3 * n);
+    double *const k = c->at.k;
+    TRY(derivatives(c, s, k));
+    move_states(c, s, 0.5 * h, k);
+    TRY(derivatives_at(c, s, w, a, time + 0.5 * h, k + n));
+    move_states(c, s, 0.5 * h, k + n);
+    TRY(derivatives_at(c, s, w, a, time + 0.5 * h, k + 2 * n));
+    move_states(c, s, h, k + 2 * n);
+    return derivatives_at(c, s, w, a, time + h, k + 3 * n);
 }
 
 /* to = x + h (k1 + 2 k2 + 2 k3 + k4) / 6. */
-ALWAYS void sum_stages(const Model *c, const Shape s, Work *w, double h, double *to) {
+ALWAYS void sum_stages(const Model *c, const Shape s, double h, double *to) {
     const size_t n = N_STATES;
-    const double *restrict const k = w->k;
-    const double *const x = w->x, sixth = h / 6.0;
+    const double *restrict const k = c->at.k;
+    const double *const x = c->at.x, sixth = h / 6.0;
     if (s.n_states >= 0) {
         double next[MOST_STATES];
         for (size_t j = 0; j < n; j++)
@@ -44,11 +45,12 @@ ALWAYS void sum_stages(const Model *c, const Shape s, Work *w, double h, double 
 ALWAYS int step_to_event(Work *w, const Shape s, size_t i, double time, double h, int set_first,
                          Forward *forward, double *end) {
     const Model *c = &w->model;
+    const Interval a = interval(c, s, i);
     double part = 2.0;
     *end = time;
     int status = set_first ? set_at(w, i, time, w->x) : OK;
-    if (status < DISCARD) status = stages(c, s, w, i, time, h);
-    sum_stages(c, s, w, h, w->trial);
+    if (status < DISCARD) status = stages(c, s, w, &a, time, h);
+    sum_stages(c, s, h, w->trial);
     if (status < DISCARD && (c->f.completes_steps || c->f.n_indicators > 0))
         status = set_model(c, s, w, time + h);
     if (status < DISCARD && c->f.n_indicators > 0)
@@ -98,42 +100,65 @@ RARELY static int equal_steps_2(Work *w, size_t i, Stepping *now) {
     return equal_steps_of(w, (Shape){2, 0, 1, -1, -1}, i, now, NULL);
 }
 
+/* From grid time i to the next where nothing is asked in between. Returns the status. */
+ALWAYS int quiet_steps(const Model *c, const Shape s, Work *w, const Interval *a, double begin,
+                       double end, int64_t steps) {
+    const double h = (end - begin) / (double)steps;
+    for (int64_t n = 0; n < steps; n++) {
+        const double time = begin + (double)n * h;
+        if (n > 0) TRY(set_to_x(c, s, w, a, time - a->begin, time));
+        TRY(stages(c, s, w, a, time, h));
+        sum_stages(c, s, h, c->at.x);
+    }
+    return OK;
+}
+
 ALWAYS End simulate(Work *w, const double *point, double *y, const Shape s) {
-    const Model copy = w->model, *const c = &copy;
-    const double *const t = c->times;
+    Own own;
+    const Model copy = with_own(&w->model, s, &own), *const c = &copy;
+    const double *const t = c->times, longest = w->batch->settings->step;
     const size_t last = c->n_times - 1;
     const int64_t most = w->batch->settings->max_steps;
-    const int bounded = w->bound < HUGE_VAL;
-    /* a step an interval, and nothing to ask in between */
-    const int plain = is_quiet(c) && w->batch->settings->step <= 0.0 && most > 0;
+    const int bounded = w->bound < HUGE_VAL, quiet = is_quiet(c) && most > 0;
     int64_t all_steps = 0;
     Stepping now = {t[0], 0.0, most};
     int code = start_simulation(w, point);
     if (code != FINISHED) return (End){code, now.time, 0};
-    double quiet_end = plain ? quiet_until(w) : -HUGE_VAL;
+    take_back(c, s, w);
+    double quiet_end = quiet ? quiet_until(w) : -HUGE_VAL;
     for (size_t i = 0;; i++, y += c->n_outputs) {
-        if (UNLIKELY(!plain)) code = handle_input_jump(w, i, now.time);
+        if (UNLIKELY(!quiet)) code = jump(c, s, w, i, now.time);
         if (UNLIKELY(code != FINISHED)) return (End){code, now.time, i};
-        int status = record(c, s, w, i, now.time, y);
+        const Interval a = interval(c, s, i);
+        int status = record(c, s, w, &a, now.time, y);
         if (UNLIKELY(status >= DISCARD))
             return (End){failed(OUTPUT_FAILED, status), now.time, i};
         if (bounded && is_above_bound(w, i, y)) return (End){ENDED_EARLY, now.time, i};
         if (i == last) break;
         if (LIKELY(t[i + 1] < quiet_end)) {
-            const double h = t[i + 1] - now.time;
-            status = stages(c, s, w, i, now.time, h);
+            int64_t steps = 1;
+            if (LIKELY(longest <= 0.0)) {
+                const double h = t[i + 1] - now.time;
+                status = stages(c, s, w, &a, now.time, h);
+                sum_stages(c, s, h, c->at.x);
+            } else {
+                steps = n_steps(t[i + 1] - now.time, longest, most);
+                if (steps > most) return (End){TOO_MANY_STEPS, now.time, i};
+                status = quiet_steps(c, s, w, &a, now.time, t[i + 1], steps);
+            }
             if (UNLIKELY(status >= DISCARD))
                 return (End){failed(STEP_FAILED, status), now.time, i};
-            sum_stages(c, s, w, h, w->x);
             now.time = t[i + 1];
-            all_steps++;
+            all_steps += steps;
         } else {
             now.left = most;
+            hand_over(c, s, w);
             code = s.fmi == 2 && s.reals && !s.effects ? equal_steps_2(w, i, &now)
                                                        : equal_steps(w, i, &now, NULL);
             if (code != FINISHED) return (End){code, now.time, i};
             all_steps += most - now.left;
-            if (plain) quiet_end = quiet_until(w);
+            take_back(c, s, w);
+            if (quiet) quiet_end = quiet_until(w);
         }
     }
     c->progress[STEPS] = all_steps;

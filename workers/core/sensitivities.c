@@ -84,7 +84,7 @@ static int at_instance(Forward *f, Work *w, double time, size_t q, int side, int
     const Model *c = &w->model;
     void *const own = c->f.handle;
     use_instance(w, f->s->handles[2 * q + (size_t)side]);
-    to_trial(c, ANY, w, f->x);
+    memcpy(w->trial, f->x, c->n_states * sizeof *f->x);
     int status = set_model(c, ANY, w, time);
     if (status < DISCARD)
         status = outputs ? get_reals(&c->f, c->f.version, f->s->outputs, f->s->n_outputs,
@@ -214,7 +214,8 @@ static End along_grid(Forward *f, Work *w) {
     if (code == FINISHED) code = start_simulation(w, w->batch->points);
     for (size_t i = 0; code == FINISHED; i++, y += c->n_outputs) {
         if (w->next_event <= c->times[c->n_times - 1]) return (End){HAS_EVENTS, now.time, i};
-        int status = record(c, ANY, w, i, now.time, y);
+        const Interval a = interval(c, ANY, i);
+        int status = record(c, ANY, w, &a, now.time, y);
         if (status >= DISCARD) return (End){failed(OUTPUT_FAILED, status), now.time, i};
         status = record_sensitivities(f, w, i);
         if (status >= DISCARD) return (End){failed(SENSITIVITIES_FAILED, status), now.time, i};

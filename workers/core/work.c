@@ -39,13 +39,14 @@ int begin_work(Work *w, const Batch *b) {
     double *m = (double *)(raw + (64 - (uintptr_t)raw % 64) % 64) + line - 1;
     w->r = w->time = m, w->trial = m + 1, w->u = w->trial + x;
     w->effective = w->model.changes_inputs ? m + p->first_effective : w->u;
-    w->parameters = p ? m + p->first_parameter : NULL;
+    w->varied = p ? m + p->first_parameter : NULL;
     w->k = m + 1 + room, w->x = w->k + 7 * x;
     w->atols = w->x + x, w->end = w->atols + x, w->input_slopes = w->end + x;
     for (int row = 0; row < 3; row++) w->indicators[row] = w->input_slopes + u + (size_t)row * z;
     w->buffer = w->indicators[0] + 3 * z;
     w->orders = (int32_t *)(w->buffer + b->largest_array + 1);
     for (size_t j = 0; j < u; j++) w->orders[j] = 1;
+    w->model.at = (Places){w->r, w->time, w->trial, w->u, w->effective, w->varied, w->x, w->k};
     if (p) memcpy(m + p->first_constant, p->constants, p->n_constants * sizeof *m);
     w->next_event = HUGE_VAL, w->bound = HUGE_VAL;
     return FINISHED;
@@ -71,9 +72,14 @@ void select_point(Work *w, size_t point) {
 
 void update_coefficients(Work *w) { run_fast(w->model.program->fast[ONCE], w->r); }
 
+void interpolate_at(Work *w, size_t i, double time) {
+    const Interval a = interval(&w->model, ANY, i);
+    interpolate(&w->model, ANY, &a, time - a.begin);
+}
+
 void initial_inputs(Work *w) {
     const Model *c = &w->model;
-    interpolate(c, ANY, w, 0, 0.0);
+    interpolate_at(w, 0, c->times[0]);
     *w->time = c->times[0];
     memset(w->trial, 0, c->n_states * sizeof *w->trial);
     if (!c->changes_inputs) return;

@@ -20,11 +20,20 @@ typedef struct {
 } Shape;
 
 #define ANY ((Shape){0, -1, 0, -1, -1})
-enum { MOST_STATES = 4 }; /* of a shape */
+enum { MOST_STATES = 4, MOST_INPUTS = 1 }; /* of a shape */
+
+/* Where a simulation's numbers are. A loop of a shape has them in arrays of its own. */
+typedef struct {
+    double *r;                   /* registers of effects; the next five lie in them: */
+    double *time, *trial, *u;    /* where the FMU is: time, states, inputs as measured */
+    double *effective, *varied;  /* inputs and parameters as the FMU sees them */
+    double *x, *k;               /* (x) accepted states; (7, x) derivatives of stages */
+} Places;
 
 /* The FMU, the experiment and the effects of a batch. */
 typedef struct {
     Fmu f;
+    Places at;
     Variables inputs, continuous, outputs;
     const double *times, *intervals, *values, *slopes;
     size_t n_times, n_inputs, n_outputs, n_states;
@@ -37,10 +46,7 @@ typedef struct {
 
 /* Memory of one simulation after the other. */
 typedef struct {
-    double *r;                          /* registers of effects; the next five lie in them: */
-    double *time, *trial, *u;           /* where the FMU is: time, states, inputs as measured */
-    double *effective, *parameters;     /* inputs and parameters as the FMU sees them */
-    double *x, *k;                      /* (x) accepted states; (7, x) derivatives of stages */
+    double *r, *time, *trial, *u, *effective, *varied, *x, *k; /* the same as in `model.at` */
     double *atols, *end;                /* (x), (x) tolerances at present; memory */
     double *input_slopes;               /* (u) */
     double *indicators[3];              /* after the last step, behind an event, of a trial */
@@ -107,10 +113,49 @@ static inline int failed(int code, int status) { return status >= FATAL ? code +
 static inline double smaller(double a, double b) { return b < a ? b : a; }
 static inline double larger(double a, double b) { return b > a ? b : a; }
 
-/* The measured inputs at `offset` after grid time i, into the registers. */
-ALWAYS void interpolate(const Model *c, const Shape s, Work *w, size_t i, double offset) {
-    const double *values = c->values + i * N_INPUTS, *slopes = c->slopes + i * N_INPUTS;
-    FOR(j, N_INPUTS) w->u[j] = values[j] + offset * slopes[j];
+/* The inputs between two times of the grid. Those of a shape are in arrays of its own. */
+typedef struct {
+    double begin, own[2][MOST_INPUTS];
+    const double *values, *slopes;
+} Interval;
+
+ALWAYS Interval interval(const Model *c, const Shape s, size_t i) {
+    Interval a = {.begin = c->times[i], .values = c->values + i * N_INPUTS,
+                  .slopes = c->slopes + i * N_INPUTS};
+    for (int j = 0; j < s.n_inputs; j++) a.own[0][j] = a.values[j], a.own[1][j] = a.slopes[j];
+    return a;
+}
+
+/* The measured inputs at `offset` after the begin of an interval, into the registers. */
+ALWAYS void interpolate(const Model *c, const Shape s, const Interval *a, double offset) {
+    if (s.n_inputs >= 0)
+        for (int j = 0; j < s.n_inputs; j++) c->at.u[j] = a->own[0][j] + offset * a->own[1][j];
+    else
+        FOR(j, c->n_inputs) c->at.u[j] = a->values[j] + offset * a->slopes[j];
+}
+
+/* The same into the registers of `w`, for what happens rarely. */
+void interpolate_at(Work *w, size_t i, double time);
+
+/* A loop's own arrays, of a shape without effects; with effects states and inputs are registers. */
+typedef struct {
+    double x[MOST_STATES], trial[MOST_STATES], u[MOST_INPUTS], k[7 * MOST_STATES];
+} Own;
+
+ALWAYS Model with_own(const Model *model, const Shape s, Own *own) {
+    Model copy = *model;
+    if (s.n_states < 0 || s.n_inputs < 0) return copy;
+    copy.at.x = own->x, copy.at.k = own->k;
+    if (s.effects == 0) copy.at.trial = own->trial, copy.at.u = copy.at.effective = own->u;
+    return copy;
+}
+
+/* Accepted states from a loop's own array to where others find them, and back. */
+ALWAYS void hand_over(const Model *c, const Shape s, Work *w) {
+    if (s.n_states >= 0) memcpy(w->x, c->at.x, (size_t)s.n_states * sizeof *w->x);
+}
+ALWAYS void take_back(const Model *c, const Shape s, Work *w) {
+    if (s.n_states >= 0) memcpy(c->at.x, w->x, (size_t)s.n_states * sizeof *w->x);
 }
 
 ALWAYS int set_inputs(const Model *c, const Shape s, Work *w, const double *row) {
