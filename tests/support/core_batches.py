@@ -116,11 +116,18 @@ def integrator(states, library, jacobian=((), ())):
 
 
 def simulate(
-    method: str, a: KernelArguments, program: Any = None, core: Any = None, jacobian=((), ())
+    method: str,
+    a: KernelArguments,
+    program: Any = None,
+    core: Any = None,
+    jacobian=((), ()),
+    states_out=None,
 ) -> int:
     """In place of a numba loop."""
     made = core_batch(method, a, program)
     library = core or c.core()
     if method == "cvode" and made.batch.n_states:
         made.batch.cvode = integrator(made.batch.n_states, library, jacobian).address
+    if states_out is not None:
+        made.batch.states_out = states_out.ctypes.data
     return int(library.core_simulate(ctypes.c_void_p(made.address)))
