@@ -1,6 +1,6 @@
 """The core in the place of all numba loops, so that any test can be run with it.
 
-    python -m pytest -p support.core_in_place tests/integration/fmus
+python -m pytest -p support.core_in_place tests/integration/fmus
 """
 
 from __future__ import annotations
@@ -63,9 +63,7 @@ def recorded_output(*given):
 def inner_program(given, states, coefficients, base):
     laid_out = equations(*given)
     own = len(laid_out.start_states)
-    registers = Registers(
-        states, own, len(given[3]), coefficients, base, len(laid_out.parameters)
-    )
+    registers = Registers(states, own, len(given[3]), coefficients, base, len(laid_out.parameters))
     code = assemble(
         registers, laid_out.locations, TIME, laid_out.start_states, laid_out.modify_inputs,
         laid_out.add_derivatives,
