@@ -3,8 +3,9 @@
  *     bench_core LIBRARY GUID WHAT [PROGRAM]
  *
  * WHAT: co, rk4, dp, cvode with "-tight" for the loop by hand, "-bound" for a bound that is never
- * reached, "-hook" for the effect of PROGRAM as a compiled function. Counted is `measured`, which runs
- * twice: two simulations.
+ * reached, "-half" for two steps an interval, "-hook" for the effect of PROGRAM as a compiled function.
+ * Counted is `measured`, which runs twice: two simulations. CVODE is taken from the libraries whose
+ * paths are in SUNDIALS, with a space between two.
  */
 #include <dlfcn.h>
 #include <math.h>
@@ -169,6 +170,97 @@ static int tight_dp(void) {
     return worst;
 }
 
+/* ---- CVODE ---------------------------------------------------------------------------------- */
+
+typedef int RightHandSide(double, void *, void *, void *);
+static void *sundials[8];
+static struct {
+    void *memory, *vector, *work_vector;
+    double y[X], z[X];
+    int (*reinit)(void *, double, void *), (*stop)(void *, double);
+    int (*integrate)(void *, double, void *, double *, int);
+    double *(*values)(void *);
+    size_t interval;
+} cv;
+
+static void *of_sundials(const char *name) {
+    for (int j = 0; j < 8 && sundials[j] != NULL; j++) {
+        void *found = dlsym(sundials[j], name);
+        if (found != NULL) return found;
+    }
+    fprintf(stderr, "no %s in SUNDIALS\n", name);
+    exit(1);
+}
+
+static int tight_rhs(double time, void *y, void *dy, void *data) {
+    const double u = force[cv.interval] + (time - times[cv.interval]) * slopes[cv.interval];
+    void *const c = fmu.handle;
+    (void)data;
+    return ((OfTime *)fmu.set_time)(c, time)
+           | ((SetVector *)fmu.set_continuous_states)(c, cv.values(y), X)
+           | ((SetValues2 *)fmu.set[0])(c, input, 1, &u)
+           | ((GetVector *)fmu.get_derivatives)(c, cv.values(dy), X);
+}
+
+static int tight_cvode(void) {
+    const Exchange copy = {fmu.handle, (SetValues2 *)fmu.set[0], (GetValues2 *)fmu.get[0],
+                           (OfTime *)fmu.set_time, (SetVector *)fmu.set_continuous_states,
+                           (GetVector *)fmu.get_derivatives}, *const e = &copy;
+    double time = times[0];
+    int worst = start(cv.y);
+    cv.reinit(cv.memory, time, cv.vector);
+    for (int i = 0; worst < 2; i++) {
+        worst |= e->set_time(e->c, times[i]) | e->set_x(e->c, cv.y, X)
+                 | e->set(e->c, input, 1, &force[i]) | e->get(e->c, output, 1, &outputs[i]);
+        if (i + 1 == COUNT) break;
+        cv.interval = (size_t)i;
+        cv.stop(cv.memory, times[i + 1]);
+        while (time < times[i + 1])
+            if (cv.integrate(cv.memory, times[i + 1], cv.vector, &time, 2) < 0) return 3;
+    }
+    return worst;
+}
+
+static void open_cvode(RightHandSide *right_hand_side, Cvode *of_core) {
+    char paths[4096], *rest = paths;
+    snprintf(paths, sizeof paths, "%s", getenv("SUNDIALS") ? getenv("SUNDIALS") : "");
+    for (int j = 0; j < 7; j++) {
+        char *path = strtok(j ? NULL : rest, " ");
+        if (path != NULL) sundials[j] = dlopen(path, RTLD_NOW | RTLD_GLOBAL);
+    }
+#define TAKE(type, name) ((type)(uintptr_t)of_sundials(name))
+    void *context, *matrix, *solver;
+    TAKE(int (*)(int, void **), "SUNContext_Create")(0, &context);
+    void *(*const make)(int64_t, double *, void *) =
+        TAKE(void *(*)(int64_t, double *, void *), "N_VMake_Serial");
+    cv.vector = make(X, cv.y, context), cv.work_vector = make(X, cv.z, context);
+    matrix = TAKE(void *(*)(int64_t, int64_t, void *), "SUNDenseMatrix")(X, X, context);
+    solver = TAKE(void *(*)(void *, void *, void *), "SUNLinSol_Dense")(cv.vector, matrix, context);
+    cv.memory = TAKE(void *(*)(int, void *), "CVodeCreate")(2, context);
+    TAKE(int (*)(void *, RightHandSide *, double, void *), "CVodeInit")(cv.memory, right_hand_side,
+                                                                        0.0, cv.vector);
+    TAKE(int (*)(void *, void *, void *), "CVodeSetLinearSolver")(cv.memory, solver, matrix);
+    memcpy(cv.z, atols, sizeof atols);
+    TAKE(int (*)(void *, double, void *), "CVodeSVtolerances")(cv.memory, rtol, cv.work_vector);
+    cv.reinit = TAKE(int (*)(void *, double, void *), "CVodeReInit");
+    cv.stop = TAKE(int (*)(void *, double), "CVodeSetStopTime");
+    cv.integrate = TAKE(int (*)(void *, double, void *, double *, int), "CVode");
+    cv.values = TAKE(double *(*)(void *), "N_VGetArrayPointer");
+#define CORE_TAKES(member, name) of_core->member = TAKE(Function, name)
+    CORE_TAKES(reinit, "CVodeReInit");
+    CORE_TAKES(set_tolerances, "CVodeSVtolerances");
+    CORE_TAKES(set_jacobian, "CVodeSetJacFn");
+    CORE_TAKES(set_user_data, "CVodeSetUserData");
+    CORE_TAKES(set_max_step, "CVodeSetMaxStep");
+    CORE_TAKES(set_stop_time, "CVodeSetStopTime");
+    CORE_TAKES(integrate, "CVode");
+    CORE_TAKES(interpolate, "CVodeGetDky");
+    CORE_TAKES(vector_data, "N_VGetArrayPointer");
+    CORE_TAKES(matrix_data, "SUNDenseMatrix_Data");
+    of_core->memory = cv.memory, of_core->state_vector = cv.vector;
+    of_core->work_vector = cv.work_vector, of_core->y = cv.y, of_core->z = cv.z;
+}
+
 /* ---- the effect as a compiled function: 20 operations of which one is tanh ------------------ */
 
 static uint16_t first_coefficient, site;
@@ -191,7 +283,8 @@ static double stopped_at[1];
 __attribute__((noinline)) void measured(void) {
     int code;
     if (strstr(what, "-tight"))
-        code = strstr(what, "co") ? tight_co() : strstr(what, "rk4") ? tight_rk4(&fmu, times, force, slopes, outputs) : tight_dp();
+        code = strstr(what, "cvode") ? tight_cvode()
+               : strstr(what, "co")  ? tight_co() : strstr(what, "rk4") ? tight_rk4(&fmu, times, force, slopes, outputs) : tight_dp();
     else
         code = core_simulate(&batch) == 1 ? (int)codes[0] : -1;
     if (code != 0) fprintf(stderr, "%s: code %d\n", what, code), exit(1);
@@ -282,14 +375,19 @@ int main(int n, char **given) {
         compiled.action = hook;
         if (strstr(what, "-hook")) program->fast[AFTER] = &compiled;
     }
+    static Cvode cvode;
+    if (strstr(what, "cvode"))
+        open_cvode(strstr(what, "-tight") ? tight_rhs : core_right_hand_side, &cvode);
     batch = (Batch){.fmu = &fmu, .experiment = &experiment, .settings = &settings,
                     .effects = &effects,
-                    .method = co ? CO_SIMULATION : strstr(what, "rk4") ? RUNGE_KUTTA
-                                                                       : DORMAND_PRINCE,
+                    .method = co                     ? CO_SIMULATION
+                              : strstr(what, "cvode") ? CVODE
+                              : strstr(what, "rk4")   ? RUNGE_KUTTA
+                                                      : DORMAND_PRINCE,
                     .n_points = 1, .n_values = 3, .n_states = co ? 0 : X, .largest_array = 1,
                     .points = point, .bounds = strstr(what, "-bound") ? large : NULL,
                     .progress = progress, .outputs = outputs, .codes = codes, .indices = indices,
-                    .steps = steps, .stopped_at = stopped_at};
+                    .steps = steps, .stopped_at = stopped_at, .cvode = &cvode};
     measured();
     measured();
     printf("%.17g\n", outputs[COUNT / 2]);

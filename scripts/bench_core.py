@@ -24,6 +24,7 @@ import sympy as sp
 from workers.core import build
 from workers.core.assemble import Registers, assemble
 from workers.core.library import LoadedProgram
+from workers.core.sundials import libraries
 from workers.effects.source import CAssignment, EffectArray
 
 HERE = Path(__file__).parent
@@ -37,6 +38,7 @@ PAIRS = (
     ("co-simulation", "co", "co-tight", 1.05),
     ("Runge-Kutta", "rk4", "rk4-tight", 1.10),
     ("Dormand-Prince", "dp", "dp-tight", 1.15),
+    ("CVODE", "cvode", "cvode-tight", 1.15),
     ("co-simulation with a bound", "co-bound", "co-tight", None),
     ("Runge-Kutta with a bound", "rk4-bound", "rk4-tight", None),
     ("Runge-Kutta, two steps an interval", "rk4-half", "rk4", None),
@@ -53,6 +55,7 @@ def main() -> None:
         folder = Path(name)
         program, library = made(folder)
         (folder / "term.bin").write_bytes(term())
+        os.environ["SUNDIALS"] = " ".join(part._name for part in libraries())
         counts = {}
         for title, ours, theirs, bar in PAIRS:
             for what in (ours, theirs):
