@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from ctypes import addressof
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -103,16 +104,18 @@ def core_batch(method: str, a: KernelArguments, program: Any = None) -> CoreBatc
     return CoreBatch(batch, indices, kept)
 
 
-_integrators: dict[tuple[int, int], CvodeIntegrator] = {}
+@cache
+def with_c_library():
+    """The core with the C library's elementary functions, as the compiled loops have them."""
+    return c.load(str(c.built(own_functions=False)))
 
 
-def integrator(states, library, jacobian=((), ())):
-    """CVODE for a number of states, made once."""
-    key = (states, id(library))
-    if key not in _integrators:
-        _integrators[key] = CvodeIntegrator(states, library)
-    _integrators[key].use_jacobian(*jacobian)
-    return _integrators[key]
+def integrator(known, states, library, jacobian=((), ())):
+    """CVODE for a number of states, of those that are known or made now."""
+    if states not in known:
+        known[states] = CvodeIntegrator(states, library)
+    known[states].use_jacobian(*jacobian)
+    return known[states]
 
 
 def simulate(
@@ -122,12 +125,16 @@ def simulate(
     core: Any = None,
     jacobian=((), ()),
     states_out=None,
+    integrators=None,
 ) -> int:
     """In place of a numba loop."""
     made = core_batch(method, a, program)
-    library = core or c.core()
+    library = core or with_c_library()
     if method == "cvode" and made.batch.n_states:
-        made.batch.cvode = integrator(made.batch.n_states, library, jacobian).address
+        known = {} if integrators is None else integrators
+        cvode = integrator(known, made.batch.n_states, library, jacobian)
+        made.batch.cvode = cvode.address
+        made.kept.append(cvode)
     if states_out is not None:
         made.batch.states_out = states_out.ctypes.data
     return int(library.core_simulate(ctypes.c_void_p(made.address)))

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import ctypes
 from ctypes import addressof
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
-from support.core_batches import at, core_batch, simulate
+from support.core_batches import at, core_batch, simulate, with_c_library
 from support.core_batches import effects as core_effects
 
 import cluster_est.closed_loop.screening.linear_system as screening
@@ -68,7 +68,7 @@ def inner_program(given, states, coefficients, base):
         registers, laid_out.locations, TIME, laid_out.start_states, laid_out.modify_inputs,
         laid_out.add_derivatives,
     )  # fmt: skip
-    return c.LoadedProgram(code)
+    return c.LoadedProgram(code, with_c_library())
 
 
 def program_of(hooks, work):
@@ -101,7 +101,7 @@ def output_program(definition, recorded, inputs):
         assigned(EffectArray.RESULT, [e for _, e in definition.equations]),
         assigned(EffectArray.DERIVATIVES, definition.derivatives),
     )  # fmt: skip
-    return c.LoadedProgram(code)
+    return c.LoadedProgram(code, with_c_library())
 
 
 def batch_with(method):
@@ -111,22 +111,25 @@ def batch_with(method):
 def cvode_batch(self, arguments, states=None):
     jacobian = (self.jacobian.states.tolist(), self.jacobian.derivatives.tolist())
     program = program_of(arguments.hooks, arguments.work)
-    return simulate("cvode", arguments, program, jacobian=jacobian, states_out=states)
+    own = self.__dict__.setdefault("of_core", {})
+    return simulate(
+        "cvode", arguments, program, jacobian=jacobian, states_out=states, integrators=own
+    )
 
 
 def single(method, head, grid, point, work, outputs_=None, program=None):
     """A batch of one point, from the arguments of a loop for one."""
     n = len(grid.times)
     row = np.zeros((n, 1)) if outputs_ is None else outputs_
-    arguments = KernelArguments(
-        *head, grid, point[None], np.full(1, np.inf), work, row[None], np.zeros(1, np.int64),
-        np.zeros(1), np.zeros(1, np.int64),
-    )  # fmt: skip
+    results = np.zeros(1, np.int64), np.zeros(1), np.zeros(1, np.int64)
+    arguments = KernelArguments._make(
+        (*head, grid, point[None], np.full(1, np.inf), work, row[None], *results)
+    )
     return core_batch(method, arguments, program_of(head[4], work) if program is None else program)
 
 
 def called(function, made, *structures):
-    getattr(c.core(), function)(made.address, *map(addressof, structures))
+    getattr(with_c_library(), function)(made.address, *map(addressof, structures))
     a = made.kept[0]
     return int(a.codes[0]), float(a.stopped_at[0])
 
@@ -203,7 +206,7 @@ def core_is_known(
     cc, references, starts, settings, hooks, grid, point, work, unknowns, known, derivatives
 ):
     made = single("rk4", (cc, references, starts, settings, hooks), grid, point, work)
-    status = c.core().core_is_known(
+    status = with_c_library().core_is_known(
         made.address, at(made.kept, unknowns, np.uint32), len(unknowns), int(known[0]),
         derivatives.ctypes.data,
     )  # fmt: skip
@@ -212,7 +215,7 @@ def core_is_known(
 
 def core_stiffness(cc, references, starts, settings, hooks, grid, point, work):
     made = single("rk4", (cc, references, starts, settings, hooks), grid, point, work)
-    stiff = c.core().core_is_stiff(made.address)
+    stiff = with_c_library().core_is_stiff(made.address)
     return bool(stiff), int(made.kept[0].codes[0])
 
 
@@ -225,7 +228,7 @@ def core_apply(hooks, grid, seen, column, coefficients, motion, _work):
         grid.inputs.shape[1], seen.shape[1], column, program.address, at(kept, coefficients),
         motion.rate, motion.decay, seen.ctypes.data,
     )  # fmt: skip
-    assert c.core().core_apply_to_outputs(addressof(record)) == 0
+    assert with_c_library().core_apply_to_outputs(addressof(record)) == 0
 
 
 def memory(name, signal, coefficient):
@@ -238,14 +241,18 @@ def memory(name, signal, coefficient):
     where = (times.ctypes.data, values.ctypes.data, n)
     result = (to.ctypes.data, out.ctypes.data)
     if name == "delay":
-        count = c.core().core_delay(*where, coefficient, *result)
+        count = with_c_library().core_delay(*where, coefficient, *result)
     elif name == "backlash":
-        count = c.core().core_backlash(*where, coefficient, *result)
+        count = with_c_library().core_backlash(*where, coefficient, *result)
     else:
         start = float(values[0]) if name == "rate_limit" else 0.0
-        count = c.core().core_rate_limit(*where, held, start, coefficient, *result)
-    kind = "linear" if name.startswith("rate_limit") else signal.interpolation
-    return SampledSignal(to[:count].copy(), out[:count].copy(), kind)
+        count = with_c_library().core_rate_limit(*where, held, start, coefficient, *result)
+    changed = SampledSignal(to[:count].copy(), out[:count].copy())
+    return (
+        changed
+        if name.startswith("rate_limit")
+        else changed._replace(interpolation=signal.interpolation)
+    )
 
 
 def core_linear(function):
@@ -255,7 +262,7 @@ def core_linear(function):
         arrays = [np.ascontiguousarray(a, float) for a in (keep, first, last)]
         n, x, m = forcing.shape
         pointers = [ctypes.c_void_p(a.ctypes.data) for a in (*arrays, whole, scratch)]
-        getattr(c.core(), function)(*pointers, n, x, m)
+        getattr(with_c_library(), function)(*pointers, n, x, m)
         forcing[:] = whole
 
     return run
@@ -265,17 +272,23 @@ def install():
     """Put the core in the place of all loops of this process."""
     for method in ("fmu", "rk4", "dormand_prince"):
         integrator.BATCHES[method] = batch_with(method)
-    CvodeBatch.__call__ = cvode_batch
-    bind_effects.compile_inner = recorded_inner
-    outputs._compile, outputs.apply_to_outputs = recorded_output, core_apply
-    linearise.linearise, filtering.filter_states = core_linearise, core_filter
-    sensitivities.simulate_forward = Compilable(core_forward)
-    sensitivities.is_known = Compilable(core_is_known)
-    simulator.stiffness = Compilable(core_stiffness)
-    screening.run_linear = core_linear("core_run_linear")
-    screening.run_adjoint = core_linear("core_run_adjoint")
+    replacements: list[tuple[Any, str, Any]] = [
+        (CvodeBatch, "__call__", cvode_batch),
+        (bind_effects, "compile_inner", recorded_inner),
+        (outputs, "_compile", recorded_output),
+        (outputs, "apply_to_outputs", core_apply),
+        (linearise, "linearise", core_linearise),
+        (filtering, "filter_states", core_filter),
+        (sensitivities, "simulate_forward", Compilable(core_forward)),
+        (sensitivities, "is_known", Compilable(core_is_known)),
+        (simulator, "stiffness", Compilable(core_stiffness)),
+        (screening, "run_linear", core_linear("core_run_linear")),
+        (screening, "run_adjoint", core_linear("core_run_adjoint")),
+    ]
+    for where, name, function in replacements:
+        setattr(where, name, function)
     for name in MEMORIES:
-        MEMORIES[name] = lambda signal, k, name=name: memory(name, signal, k)
+        MEMORIES[name] = partial(memory, name)
 
 
 def pytest_configure(config):

@@ -9,9 +9,9 @@ import numpy as np
 from support.problems.springs import FMU
 
 from workers.core.assemble import MARK, OPERATIONS, Registers, assemble
-from workers.effects.compiled import equations
+from workers.effects.compiled import CompiledEquations, equations
 from workers.effects.definition import TIME, define
-from workers.effects.forms import FORMS
+from workers.effects.forms import FORMS, SiteKind
 from workers.fmu.description import describe_model
 from workers.messages import Effect, Model, Solver
 
@@ -28,7 +28,7 @@ class FormProgram:
     """The byte code of a form, its equations, and how many registers it is given."""
 
     code: bytes
-    equations: object
+    equations: CompiledEquations
     registers: Registers
 
     @property
@@ -47,7 +47,7 @@ class FormProgram:
         return sorted(self.equations.add_derivatives, key=lambda a: not a.add)
 
 
-def form_program(kind: str, name: str) -> FormProgram:
+def form_program(kind: SiteKind, name: str) -> FormProgram:
     """Of a form at the spring, behind one coefficient of another effect."""
     form = FORMS[kind, name]
     variables = ("x", "F")[: form.variables]

@@ -1,6 +1,6 @@
 """The core of a file in the place of the one that is built, such as one with sanitizers.
 
-    CORE_UNDER_TEST=FILE LD_PRELOAD=libasan.so python -m pytest -p support.sanitised_core tests/...
+CORE_UNDER_TEST=FILE LD_PRELOAD=libasan.so python -m pytest -p support.sanitised_core tests/...
 """
 
 from __future__ import annotations
@@ -23,4 +23,4 @@ def chosen(*, own_functions: bool = True) -> Path:
 
 
 def pytest_configure(config):
-    library.built = chosen
+    setattr(library, "built", chosen)  # noqa: B010

@@ -218,11 +218,22 @@ class _Code:
         writer = _Writer(self, piece, own)
         writer.define(_TIME, 0)
         for local, symbol in prepared.read:
-            array, index = where[symbol]
-            writer.define(local, self._first[array] + index)
+            writer.define(local, self._place_of(symbol, *where[symbol]))
         for symbol, value in prepared.common:
             writer.define(symbol, writer.write(value))
         return [writer.write(value) for value in prepared.values]
+
+    def _place_of(self, symbol: sp.Symbol, array: str, index: int) -> int:
+        """Return the register of an element of an array that equations read."""
+        r = self.registers
+        sizes = {"states": r.states, "raw": r.inputs - r.outputs, "row": r.outputs}
+        sizes |= {"coefficients": r.coefficients, "base": r.base}
+        if index >= sizes[array]:
+            raise EffectError(
+                f"effects: {symbol} is number {index + 1} of {array}, of which there must be as "
+                f"many but are {sizes[array]}; give all of them"
+            )
+        return self._first[array] + index
 
     def _effective(self, assignment: Assignment) -> int:
         inputs = self.registers.inputs if assignment.target in ("varied", "result") else 0
@@ -232,8 +243,10 @@ class _Code:
         code = self.pieces[BEFORE]
         written = [i for i, each in enumerate(code) if each[1] == result]
         if len(written) == 1 and code[written[0]][0] not in ("MOVE", "CHOOSE"):
+            moved = {result: to}
             self.pieces[BEFORE] = [
-                (name, *(to if r == result else r for r in (out, a, b))) for name, out, a, b in code
+                (name, moved.get(out, out), moved.get(a, a), moved.get(b, b))
+                for name, out, a, b in code
             ]
         else:
             code.append(("MOVE", to, result, 0))

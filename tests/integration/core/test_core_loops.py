@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from support.core_batches import core_batch, simulate
+from support.core_batches import core_batch, simulate, with_c_library
 from support.problems.springs import FMU
 from support.thinning import thinned
 
-from workers.core.library import WRONG_SIZES, core
+from workers.core.library import WRONG_SIZES
 from workers.fmu.description import describe
 from workers.kernels.fmi.hooks import no_hooks
 from workers.kernels.solvers.cvode import CvodeBatch
@@ -106,7 +106,7 @@ def test_a_failure_has_a_time_and_an_index(solver):
         if solver == "cvode":
             return simulate(solver, too_few)
         seen.append(made)
-        return int(core().core_simulate(made.address))
+        return int(with_c_library().core_simulate(made.address))
 
     batch = simulator._integrator.run(simulator._bound[0], POINTS[:1], no_hooks(1), 0, run)
     assert batch.codes[0] == 5
@@ -121,7 +121,7 @@ def test_sizes_that_do_not_fit_are_refused():
     def run(arguments):
         made = core_batch("rk4", arguments)
         made.batch.n_states = 7
-        tried = int(core().core_simulate(made.address))
+        tried = int(with_c_library().core_simulate(made.address))
         assert arguments.codes[0] == WRONG_SIZES
         arguments.codes[0] = 1
         return tried

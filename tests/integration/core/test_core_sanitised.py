@@ -12,14 +12,18 @@ from workers.core import build
 from workers.errors import ModelError
 
 ROOT = Path(__file__).parents[3]
-TESTS = ("tests/unit/workers/core", "tests/integration/core/test_core_loops.py")
+TESTS = (
+    ("tests/unit/workers/core", True),
+    ("tests/unit/workers/core", False),
+    ("tests/integration/core/test_core_loops.py", False),
+)
+"""With the core's own elementary functions, or those of the C library as the compiled loops."""
 
 
-@pytest.fixture(scope="module")
-def sanitised(tmp_path_factory):
-    target = tmp_path_factory.mktemp("core") / "core.so"
+def sanitised(folder, own_functions):
+    target = folder / "core.so"
     try:
-        build.compile_to(target, build.sources(), SANITISED)
+        build.compile_to(target, build.sources(own_functions=own_functions), SANITISED)
     except ModelError as error:
         if "sanitize" in str(error):
             pytest.skip("this compiler has no sanitizers")
@@ -34,15 +38,16 @@ def preloaded():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("tests", TESTS)
-def test_nothing_is_found(sanitised, tests):
+@pytest.mark.parametrize(("tests", "own_functions"), TESTS)
+def test_nothing_is_found(tmp_path, tests, own_functions):
     surroundings = os.environ | {
-        "CORE_UNDER_TEST": str(sanitised),
+        "CORE_UNDER_TEST": str(sanitised(tmp_path, own_functions)),
         "LD_PRELOAD": preloaded(),
         "ASAN_OPTIONS": "detect_leaks=0",
         "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")]),
     }
     command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "support.sanitised_core"]
+    command += ["-k", "not bits_of_its_compiled"] if own_functions else []
     done = subprocess.run(
         [*command, tests], capture_output=True, text=True, cwd=ROOT, env=surroundings, check=False
     )

@@ -9,12 +9,12 @@ import pytest
 import sympy as sp
 from hypothesis import given
 from hypothesis import strategies as st
+from support.core_batches import with_c_library
 from support.core_programs import CODES, SIMULATED, evaluated, form_program, written
 from support.thinning import thinned
 
-from workers.core import build
 from workers.core.assemble import OPERATIONS, Registers, assemble
-from workers.core.library import LoadedProgram, core, load
+from workers.core.library import LoadedProgram, core
 from workers.effects.compiled import READ
 from workers.effects.definition import TIME
 from workers.effects.expression import FUNCTIONS, parse
@@ -25,12 +25,6 @@ from workers.errors import EffectError, ModelError
 X, Y = (sp.Symbol(name, real=True) for name in "xy")
 LOCATIONS = {X: (EffectArray.STATES, 0), Y: (EffectArray.STATES, 1)}
 NAMES = {"x": X, "y": Y, "t": TIME}
-
-
-@pytest.fixture(scope="module")
-def with_c_library():
-    """The core with the C library's functions, as the compiled equations call them."""
-    return load(str(build.built(own_functions=False)))
 
 
 def program_of(*texts, library=None):
@@ -84,12 +78,12 @@ def call(form, kinds, assignments, time, arrays):
 @pytest.mark.parametrize(
     ("kind", "name"), thinned(SIMULATED, lambda kind, name: (kind, FORMS[kind, name].family))
 )
-def test_every_form_has_the_bits_of_its_compiled_equations(with_c_library, kind, name):
-    form = form_program(kind, name)
-    program = LoadedProgram(form.code, with_c_library)
+def test_every_form_has_the_bits_of_its_compiled_equations(kind, name):
+    form, library = form_program(kind, name), with_c_library()
+    program = LoadedProgram(form.code, library)
     for trial in range(4):
         given = random_registers(form, trial)
-        found = evaluated(with_c_library, program, given, form.n_before + len(form.sites))
+        found = evaluated(library, program, given, form.n_before + len(form.sites))
         np.testing.assert_array_equal(found, compiled_values(form, given))
 
 
@@ -162,6 +156,14 @@ def test_what_the_core_does_not_know_is_refused_with_a_sentence():
     unknown = CAssignment(EffectArray.DERIVATIVES, 0, sp.gamma(X), add=True)
     with pytest.raises(EffectError, match="gamma"):
         assemble(Registers(2, 0, 0, 0), LOCATIONS, TIME, after=[unknown])
+
+
+def test_a_coefficient_that_is_not_given_is_missed():
+    own = sp.Symbol("e.at", real=True)
+    reading = CAssignment(EffectArray.DERIVATIVES, 0, own * X, add=True)
+    located = LOCATIONS | {own: (EffectArray.COEFFICIENTS, 1)}
+    with pytest.raises(EffectError, match="number 2 of coefficients"):
+        assemble(Registers(2, 0, 0, 1), located, TIME, after=[reading])
 
 
 # ---- machines ------------------------------------------------------------------------------------
