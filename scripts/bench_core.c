@@ -1,11 +1,12 @@
-/* One simulation of mass_spring_damper, by the core or by a loop for this model alone, for callgrind.
+/* One simulation of mass_spring_damper, by the core or by a loop for this model alone, for
+ * callgrind.
  *
  *     bench_core LIBRARY GUID WHAT [PROGRAM]
  *
  * WHAT: co, rk4, dp, cvode with "-tight" for the loop by hand, "-bound" for a bound that is never
- * reached, "-half" for two steps an interval, "-hook" for the effect of PROGRAM as a compiled function.
- * Counted is `measured`, which runs twice: two simulations. CVODE is taken from the libraries whose
- * paths are in SUNDIALS, with a space between two.
+ * reached, "-half" for two steps an interval, "-hook" for the effect of PROGRAM as a compiled
+ * function. Counted is `measured`, which runs twice: two simulations. CVODE is taken from the
+ * libraries whose paths are in SUNDIALS, with a space between two.
  */
 #include <dlfcn.h>
 #include <math.h>
@@ -284,7 +285,9 @@ __attribute__((noinline)) void measured(void) {
     int code;
     if (strstr(what, "-tight"))
         code = strstr(what, "cvode") ? tight_cvode()
-               : strstr(what, "co")  ? tight_co() : strstr(what, "rk4") ? tight_rk4(&fmu, times, force, slopes, outputs) : tight_dp();
+               : strstr(what, "co")  ? tight_co()
+               : strstr(what, "rk4") ? tight_rk4(&fmu, times, force, slopes, outputs)
+                                     : tight_dp();
     else
         code = core_simulate(&batch) == 1 ? (int)codes[0] : -1;
     if (code != 0) fprintf(stderr, "%s: code %d\n", what, code), exit(1);

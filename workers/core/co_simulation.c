@@ -1,8 +1,8 @@
 /* Co-simulation: the FMU integrates itself from one communication point to the next.
  *
- * An FMU that interpolates its inputs is told their slopes. Any other holds each at what it is at the
- * start of a step: where that is too coarse, `Settings.step` shortens the steps. Inputs that effects
- * change are linear within a step.
+ * An FMU that interpolates its inputs is told their slopes. Any other holds each at what it is at
+ * the start of a step: where that is too coarse, `Settings.step` shortens the steps. Inputs that
+ * effects change are linear within a step.
  */
 #include "work.h"
 
@@ -58,8 +58,8 @@ static void slopes_over_step(Work *w, size_t i, double time, double h) {
     for (size_t j = 0; j < c->n_inputs; j++) w->input_slopes[j] += w->effective[j] / h;
 }
 
-/* From grid time i to the next in equal steps, or with effects; the last of several ends at the next
- * time itself. */
+/* From grid time i to the next in equal steps, or with effects; the last of several ends at the
+ * next time itself. */
 RARELY static int several_steps(Work *w, size_t i, int64_t steps) {
     const Model *c = &w->model;
     const double fixed = w->batch->settings->fixed;

@@ -47,7 +47,8 @@ enum { CO_SIMULATION, RUNGE_KUTTA, DORMAND_PRINCE, CVODE };
 
 typedef void (*Function)(void); /* of a type that fmu.h knows */
 
-enum { N_TYPES = 11 }; /* Float64 Float32 Int8 UInt8 Int16 UInt16 Int32 UInt32 Int64 UInt64 Boolean */
+/* Float64 Float32 Int8 UInt8 Int16 UInt16 Int32 UInt32 Int64 UInt64 Boolean */
+enum { N_TYPES = 11 };
 
 /* An instance and its functions by address: NULL where a version or an interface has none. */
 typedef struct {
@@ -90,7 +91,7 @@ typedef struct {
     size_t n_strings;
     Variables inputs, continuous_inputs, outputs; /* continuous: may be set between events */
     const double *times, *intervals; /* (t), (t) */
-    const double *values, *slopes;   /* (t, u) inputs and signals behind them; 0 where one is held */
+    const double *values, *slopes;   /* (t, u) inputs, then signals; 0 where one is held */
     const uint8_t *jumps;            /* (t) whether a held input jumps */
     size_t n_times, n_inputs, n_outputs;
     const int64_t *gather, *by_time, *row_ends; /* see workers.grid, for an early end; or NULL */
@@ -188,7 +189,8 @@ typedef struct {
     const double *values;           /* of the parameters in this simulation */
     const int64_t *effect_positions; /* of each among the parameters that effects change, or -1 */
     double *x, *dx, *effective;     /* (t, x), (t, x), (t, u) */
-    double *A, *B, *P, *C, *D, *Q;  /* (t, x, x) (t, x, u) (t, x, p) (t, y, x) (t, y, u) (t, y, p) */
+    /* (t, x, x), (t, x, u), (t, x, p), (t, y, x), (t, y, u), (t, y, p) */
+    double *A, *B, *P, *C, *D, *Q;
 } Linearisation;
 
 EXPORT int core_linearise(const Batch *batch, const Linearisation *linearisation);
@@ -201,7 +203,8 @@ typedef struct {
     double *covariance;                /* (x, x) at the start; at the end afterwards */
 } Kalman;
 
-EXPORT int core_filter(const Batch *batch, const Linearisation *linearisation, const Kalman *kalman);
+EXPORT int core_filter(const Batch *batch, const Linearisation *linearisation,
+                       const Kalman *kalman);
 
 /* ---- forward sensitivities of the first point ---------------------------------------------- */
 
@@ -239,7 +242,8 @@ typedef struct {
 
 EXPORT int core_apply_to_outputs(const Record *record);
 
-/* Forms with memory: a signal (n) in, (at most room) out; returns the samples, or -1 for no room. */
+/* Forms with memory: a signal (n) in, (at most room) out; returns the samples, or -1 for no
+ * room. */
 EXPORT int64_t core_delay(const double *times, const double *values, size_t n, double seconds,
                           double *at, double *out);
 EXPORT int64_t core_backlash(const double *times, const double *values, size_t n,
@@ -247,8 +251,8 @@ EXPORT int64_t core_backlash(const double *times, const double *values, size_t n
 EXPORT int64_t core_rate_limit(const double *times, const double *values, size_t n, int held,
                                double start, double fastest, double *at, double *out);
 
-/* x' = keep x + from_first f + from_last f' from x = 0: m right-hand sides, in place of the forcing.
- * keep, from_first, from_last (t - 1, x, x), forcing (t, x, m), scratch (2, x, m). */
+/* x' = keep x + from_first f + from_last f' from x = 0: m right-hand sides, in place of the
+ * forcing. keep, from_first, from_last (t - 1, x, x), forcing (t, x, m), scratch (2, x, m). */
 EXPORT void core_run_linear(const double *keep, const double *from_first, const double *from_last,
                             double *forcing, double *scratch, size_t t, size_t x, size_t m);
 EXPORT void core_run_adjoint(const double *keep, const double *from_first, const double *from_last,

@@ -1,18 +1,19 @@
-/* CVODE: backward differences of order 1 to 5, for stiff models; its functions are called by address.
+/* CVODE: backward differences of order 1 to 5, for stiff models; its functions are called by
+ * address.
  *
  * How it treats inputs was measured on a stiff reaction with 1000 samples of its feed:
  *
- * - Where a held input jumps, it starts again. To leave it to the error control takes twice as long on
- *   noise and makes five to fourteen times the error.
+ * - Where a held input jumps, it starts again. To leave it to the error control takes twice as long
+ *   on noise and makes five to fourteen times the error.
  * - At a kink of an input, it stops, but keeps its history: to start again would cost three to six
- *   times as much on a smooth input. Not to stop at all would be two to three times as fast there, but
- *   a long step might pass over a pulse, and nobody would know.
- * - At other times of the grid, it does not stop; the states there are those of the polynomial that it
- *   steps with. An FMU is told that a step is accepted only after it was asked for its outputs at the
- *   times within, because it must not be moved back behind an accepted step.
+ *   times as much on a smooth input. Not to stop at all would be two to three times as fast there,
+ *   but a long step might pass over a pulse, and nobody would know.
+ * - At other times of the grid, it does not stop; the states there are those of the polynomial that
+ *   it steps with. An FMU is told that a step is accepted only after it was asked for its outputs
+ *   at the times within, because it must not be moved back behind an accepted step.
  *
- * Reference: S. D. Cohen, A. C. Hindmarsh, CVODE, a stiff/nonstiff ODE solver in C, Comput. Phys. 10
- * (1996) 138-143, doi:10.1063/1.4822377.
+ * Reference: S. D. Cohen, A. C. Hindmarsh, CVODE, a stiff/nonstiff ODE solver in C, Comput. Phys.
+ * 10 (1996) 138-143, doi:10.1063/1.4822377.
  */
 #include "exchange.h"
 
@@ -207,8 +208,8 @@ static int step(Run *run) {
     return status >= DISCARD ? failed(STEP_FAILED, status) : FINISHED;
 }
 
-/* Tell the FMU that the last step is accepted, if it wants to know and does not yet; an event may be
- * due after it. */
+/* Tell the FMU that the last step is accepted, if it wants to know and does not yet; an event may
+ * be due after it. */
 static int report_step(Run *run) {
     if (run->time >= run->w->next_event) run->event_due = 1;
     if (!run->w->model.f.completes_steps || run->step_reported) return FINISHED;

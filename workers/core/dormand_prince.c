@@ -5,8 +5,8 @@
  * costs six derivatives.
  *
  * References: J. R. Dormand, P. J. Prince, J. Comput. Appl. Math. 6 (1980) 19-26,
- * doi:10.1016/0771-050X(80)90013-3. Step control and starting step: E. Hairer, S. P. Norsett,
- * G. Wanner, Solving Ordinary Differential Equations I, doi:10.1007/978-3-540-78862-1, section II.4;
+ * doi:10.1016/0771-050X(80)90013-3. Step control and starting step: E. Hairer, S. P. Norsett, G.
+ * Wanner, Solving Ordinary Differential Equations I, doi:10.1007/978-3-540-78862-1, section II.4;
  * stiffness: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section IV.2.
  */
 #include "dormand_prince.h"
@@ -16,7 +16,8 @@
 
 static const double error_weight[] = {71 / 57600.0,      0,          -71 / 16695.0, 71 / 1920.0,
                                       -17253 / 339200.0, 22 / 525.0, -1 / 40.0};
-/* Of order 4: L. F. Shampine, Math. Comp. 46 (1986) 135-150, doi:10.1090/S0025-5718-1986-0815836-3. */
+/* Of order 4: L. F. Shampine, Math. Comp. 46 (1986) 135-150,
+ * doi:10.1090/S0025-5718-1986-0815836-3. */
 static const double interpolant[7][4] = {
     {1, -8048581381 / 2820520608.0, 8663915743 / 2820520608.0, -12715105075 / 11282082432.0},
     {0, 0, 0, 0},
@@ -228,9 +229,9 @@ size_t core_dormand_prince(const Batch *batch) { return for_all_points(batch, ch
 
 /* ---- stiffness --------------------------------------------------------------------------- *
  *
- * The two last stages of a step are at the same time. The distance of their derivatives over that of
- * their states estimates the largest eigenvalue; where its product with the step stays at the border
- * of the region of stability, stability limits the steps, and a model is stiff. */
+ * The two last stages of a step are at the same time. The distance of their derivatives over that
+ * of their states estimates the largest eigenvalue; where its product with the step stays at the
+ * border of the region of stability, stability limits the steps, and a model is stiff. */
 
 static const double border = 3.25;
 enum { STIFF_STEPS = 15, FORGIVING_STEPS = 6 };

@@ -1,5 +1,5 @@
-/* Of the method of Dormand and Prince, for forward sensitivities too: c, a and b - b^ of the tableau,
- * whose last row of a is b. */
+/* Of the method of Dormand and Prince, for forward sensitivities too: c, a and b - b^ of the
+ * tableau, whose last row of a is b. */
 #ifndef DORMAND_PRINCE_H
 #define DORMAND_PRINCE_H
 

@@ -1,8 +1,8 @@
 /* Events in model exchange: found between two steps, located, and handed to the FMU.
  *
  * A state event is where an event indicator goes from positive to not positive, or back (FMI 2.0.4,
- * section 3.1.1; FMI 3.0, section 3.1). It is located on the integrator's own interpolant, to within
- * what a CVODE root would be, and the simulation goes on from behind it.
+ * section 3.1.1; FMI 3.0, section 3.1). It is located on the integrator's own interpolant, to
+ * within what a CVODE root would be, and the simulation goes on from behind it.
  */
 #include "exchange.h"
 
@@ -62,9 +62,9 @@ int handle_event(Work *w, size_t before, size_t i, double time, int64_t repeated
 
 /* The event indicators of what the FMU is set to, into a row of `indicators`.
  *
- * Some FMUs compute nothing while they are set, nor when they are asked for indicators, which are then
- * those of an earlier time (some of OpenModelica's without states). All do when a variable is got, so
- * an output is got first. */
+ * Some FMUs compute nothing while they are set, nor when they are asked for indicators, which are
+ * then those of an earlier time (some of OpenModelica's without states). All do when a variable is
+ * got, so an output is got first. */
 static int indicators_now(Work *w, int row) {
     const Fmu *f = &w->model.f;
     TRY(get_first(f, &w->model.outputs, w->buffer));
@@ -93,9 +93,9 @@ static double first_zero(const Work *w) {
     return first;
 }
 
-/* Move one end of the bracket to the last trial. From the second move of it in a row on, the values at
- * the other end are halved, so that that one moves soon (the Illinois rule; M. Dowell, P. Jarratt, BIT
- * 11 (1971) 168-174, doi:10.1007/BF01934364). */
+/* Move one end of the bracket to the last trial. From the second move of it in a row on, the values
+ * at the other end are halved, so that that one moves soon (the Illinois rule; M. Dowell, P.
+ * Jarratt, BIT 11 (1971) 168-174, doi:10.1007/BF01934364). */
 static void move_end(Work *w, int moved, int other, int times) {
     for (size_t j = 0; j < w->model.f.n_indicators; j++) {
         w->indicators[moved][j] = w->indicators[2][j];

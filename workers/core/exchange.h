@@ -125,7 +125,8 @@ int store_event_indicators(Work *w);
 /* States at a part of a step, into `trial`. */
 typedef void Interpolant(Work *w, double time, double h, double part, const void *how);
 /* Look for a state event in a step that ends at `trial`, which the FMU is set to. *part: which part
- * of the step is left of it, at most 1; 2 without one. Behind one, `trial` and the FMU are there. */
+ * of the step is left of it, at most 1; 2 without one. Behind one, `trial` and the FMU are
+ * there. */
 int find_event(Work *w, size_t i, double time, double h, Interpolant *interpolant, const void *how,
                double *part);
 /* Of a Runge-Kutta method: each stage's weight as a polynomial, from the first power on. */

@@ -1,7 +1,7 @@
 /* The functions of FMI 2.0 and 3.0 under the standard's names, by address.
  *
- * Each returns the standard's status. Where the versions differ, that of the instance is called with
- * what it takes; `fmi` is a constant in loops that are compiled for one version.
+ * Each returns the standard's status. Where the versions differ, that of the instance is called
+ * with what it takes; `fmi` is a constant in loops that are compiled for one version.
  */
 #ifndef FMU_H
 #define FMU_H
@@ -17,7 +17,8 @@
 /* From DISCARD on a call brought no result; from ERROR on the instance must be reset. */
 enum { OK, WARNING, DISCARD, ERROR, FATAL, PENDING };
 
-/* Call, and return the status if it failed: the standard forbids to call anything after a failure. */
+/* Call, and return the status if it failed: the standard forbids to call anything after a
+ * failure. */
 #define TRY(call)                                         \
     do {                                                  \
         const int status_ = (call);                       \

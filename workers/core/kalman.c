@@ -1,17 +1,18 @@
 /* An extended Kalman filter along one simulation of a model.
  *
- * Between two times of the grid the states follow the model, and their covariance its linearisation at
- * the filtered states:
+ * Between two times of the grid the states follow the model, and their covariance its linearisation
+ * at the filtered states:
  *
  *     dP/dt = A P + P A' + Q,    Q = diag(q^2).
  *
- * At a measured time each output updates both, one after the other, as their noises are independent:
- * with the innovation e = y - g(x) - C (x' - x), x' having the updates before it,
+ * At a measured time each output updates both, one after the other, as their noises are
+ * independent: with the innovation e = y - g(x) - C (x' - x), x' having the updates before it,
  *
  *     S = C P C' + R,    K = P C' / S,    x' += K e,    P -= K S K'.
  *
  * References: A. H. Jazwinski, Stochastic Processes and Filtering Theory (1970), section 8.3; G. J.
- * Bierman, Factorization Methods for Discrete Sequential Estimation (1977), for the order of updates.
+ * Bierman, Factorization Methods for Discrete Sequential Estimation (1977), for the order of
+ * updates.
  */
 #include <stdlib.h>
 

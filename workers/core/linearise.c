@@ -1,9 +1,9 @@
 /* Simulate a model and, at every time of the grid, its derivatives by central differences.
  *
  * With effects, the differences are those of the FMU together with its effects. An input is then
- * perturbed behind all of them, by an offset that is added at the end of the chain of effects, so that
- * an effect at a derivative that depends on an input sees the change as well. States, inputs and
- * parameters of the FMU are restored after each time, so that the trajectory keeps its bits.
+ * perturbed behind all of them, by an offset that is added at the end of the chain of effects, so
+ * that an effect at a derivative that depends on an input sees the change as well. States, inputs
+ * and parameters of the FMU are restored after each time, so that the trajectory keeps its bits.
  */
 #include "linearise.h"
 

@@ -1,9 +1,10 @@
 /* The fast machine for effects: an accumulator, and a jump from each operation to the next.
  *
- * The last value stays in a register of the processor: x. Each operation has the forms "x = x op r",
- * "x = r op x" and "x = r op r", and each of them once more with "r = x" behind it for a value that
- * is read later. Each form is a function that ends in a jump to the next one's, whose address is in
- * the code. Same operations on the same operands in the same order as in `run`, so the same bits.
+ * The last value stays in a register of the processor: x. Each operation has the forms "x = x op
+ * r", "x = r op x" and "x = r op r", and each of them once more with "r = x" behind it for a value
+ * that is read later. Each form is a function that ends in a jump to the next one's, whose address
+ * is in the code. Same operations on the same operands in the same order as in `run`, so the same
+ * bits.
  *
  * Reference for direct threading: J. R. Bell, Comm. ACM 16 (1973) 370-372,
  * doi:10.1145/362248.362270.
@@ -121,7 +122,8 @@ static int is_needed(const Source *s, size_t i, uint16_t r) {
     return 0;
 }
 
-/* Whether instruction i is a product that only instruction i + 1 reads, once, in one of its sums. */
+/* Whether instruction i is a product that only instruction i + 1 reads, once, in one of its
+ * sums. */
 static int fuses(const Source *s, size_t i) {
     const Instruction *c = s->code + i, *next = c + 1;
     if (c->operation != MULTIPLY) return 0;

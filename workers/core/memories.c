@@ -1,14 +1,14 @@
 /* Forms with memory, such as delays: they change a signal as a whole, from its past values.
  *
- * A signal is samples between which it is linear, or held; it keeps its first value before and its last
- * value after them. `at` and `out` have room for twice as many samples and one.
+ * A signal is samples between which it is linear, or held; it keeps its first value before and its
+ * last value after them. `at` and `out` have room for twice as many samples and one.
  */
 #include <math.h>
 
 #include "core.h"
 
-/* The signal as it was some seconds ago. Of samples that fall on one time when it is moved, the last
- * one is kept. */
+/* The signal as it was some seconds ago. Of samples that fall on one time when it is moved, the
+ * last one is kept. */
 int64_t core_delay(const double *times, const double *values, size_t n, double seconds, double *at,
                    double *out) {
     size_t count = 0;
@@ -20,8 +20,8 @@ int64_t core_delay(const double *times, const double *values, size_t n, double s
 }
 
 /* The signal behind a play, which it has to cross whenever it turns: out = clip(out before, s - k,
- * s + k), starting at s. Exact for signals that are linear between their samples: there is a further
- * sample wherever the play is crossed, before which nothing has moved yet. */
+ * s + k), starting at s. Exact for signals that are linear between their samples: there is a
+ * further sample wherever the play is crossed, before which nothing has moved yet. */
 int64_t core_backlash(const double *times, const double *values, size_t n, double half_width,
                       double *at, double *out) {
     if (n == 0) return 0;
@@ -54,8 +54,8 @@ static double append(Samples *s, double time, double value) {
     return value;
 }
 
-/* Follow one straight line, from `start` to `stop`, from the value `out`; where it is caught up with
- * there is a sample too. Returns the value at its end. */
+/* Follow one straight line, from `start` to `stop`, from the value `out`; where it is caught up
+ * with there is a sample too. Returns the value at its end. */
 static double follow_line(Samples *s, double out, double begin, double start, double end,
                           double stop, double fastest) {
     const double gap = start - out, slope = (stop - start) / (end - begin);

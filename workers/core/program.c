@@ -142,8 +142,8 @@ static int is_sound(const Program *p, const Instruction *code, size_t n) {
     return 0;
 }
 
-/* Whether no piece writes what belongs to others: inputs, coefficients and constants, nor states but
- * at the start, nor effective values but before the FMU is asked. */
+/* Whether no piece writes what belongs to others: inputs, coefficients and constants, nor states
+ * but at the start, nor effective values but before the FMU is asked. */
 static int writes_its_own(const Program *p, int piece) {
     for (const Instruction *i = p->code[piece]; i->operation != END; i++) {
         const uint16_t to = i->to;

@@ -5,8 +5,8 @@
  *     time | states | inputs | coefficients | base values | effective inputs | effective parameters
  *     | constants | temporaries
  *
- * A simulation's own time, trial states and inputs ARE the first registers, so that nothing is copied
- * before an evaluation. An instruction is 8 bytes, "to = a op b".
+ * A simulation's own time, trial states and inputs ARE the first registers, so that nothing is
+ * copied before an evaluation. An instruction is 8 bytes, "to = a op b".
  */
 #ifndef PROGRAM_H
 #define PROGRAM_H

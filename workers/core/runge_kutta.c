@@ -3,8 +3,9 @@
  * The cheapest choice for smooth, non-stiff models whose inputs are sampled more finely than their
  * dynamics. It never checks its own error: compare once with half the step.
  *
- * Reference: W. Kutta, Zeitschrift fuer Mathematik und Physik 46 (1901) 435-453. Dense output of order
- * 3: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, section II.6.
+ * Reference: W. Kutta, Zeitschrift fuer Mathematik und Physik 46 (1901) 435-453. Dense output of
+ * order 3: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, section
+ * II.6.
  */
 #include "exchange.h"
 
@@ -37,7 +38,8 @@ ALWAYS void sum_stages(const Model *c, const Shape s, double h, double *to) {
             next[j] = x[j] + sixth * (k[j] + 2.0 * k[n + j] + 2.0 * k[2 * n + j] + k[3 * n + j]);
         memcpy(to, next, n * sizeof *to);
     } else {
-        FOR(j, n) to[j] = x[j] + sixth * (k[j] + 2.0 * k[n + j] + 2.0 * k[2 * n + j] + k[3 * n + j]);
+        FOR(j, n)
+            to[j] = x[j] + sixth * (k[j] + 2.0 * k[n + j] + 2.0 * k[2 * n + j] + k[3 * n + j]);
     }
 }
 
@@ -66,8 +68,8 @@ ALWAYS int step_to_event(Work *w, const Shape s, size_t i, double time, double h
     return code == FINISHED && part <= 1.0 ? EVENT : code;
 }
 
-/* From grid time i to the next, in equal steps from event to event; with sensitivities up to the first
- * event. Returns the code. */
+/* From grid time i to the next, in equal steps from event to event; with sensitivities up to the
+ * first event. Returns the code. */
 ALWAYS int equal_steps_of(Work *w, const Shape s, size_t i, Stepping *now, Forward *forward) {
     const double last = w->model.times[i + 1], resolution = time_resolution(now->time, last);
     int at_grid = 1;

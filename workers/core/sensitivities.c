@@ -1,17 +1,17 @@
 /* Forward sensitivities S = dx/dtheta, integrated on the steps that the states take.
  *
- * The states alone control the steps, so the trajectory keeps its bits. After each step its stages are
- * evaluated once more with
+ * The states alone control the steps, so the trajectory keeps its bits. After each step its stages
+ * are evaluated once more with
  *
  *     dS/dt = df/dx S + df/dtheta,    S(t0) = dx0/dtheta
  *
- * whose right-hand side is one directional derivative of the FMU for each parameter: along a column of
- * S, and along the parameter too where the FMU takes it as a known. Where it does not, df/dtheta is a
- * central difference between two further, perturbed instances of the FMU, initialised a little above
- * and below the value. S is the derivative of the discrete solution for fixed steps.
+ * whose right-hand side is one directional derivative of the FMU for each parameter: along a column
+ * of S, and along the parameter too where the FMU takes it as a known. Where it does not, df/dtheta
+ * is a central difference between two further, perturbed instances of the FMU, initialised a little
+ * above and below the value. S is the derivative of the discrete solution for fixed steps.
  *
- * Reference: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, section
- * II.6 ("Dependence on initial values and parameters": internal differentiation).
+ * Reference: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I,
+ * section II.6 ("Dependence on initial values and parameters": internal differentiation).
  */
 #include <stdlib.h>
 
@@ -34,7 +34,7 @@ struct Forward {
     const Sensitivities *s;
     Tableau method;
     double *S, *stages;         /* (q, x), (stages, q, x) the columns of S, and their derivatives */
-    double *x, *end, *seed;     /* states of a stage, of the step's end; a direction in the knowns */
+    double *x, *end, *seed;     /* states of a stage, of the step's end; direction in the knowns */
     double *result, *ends[2];   /* derivatives, and those of perturbed instances */
     double *point;
     uint32_t *knowns;           /* references of the states, and room for a parameter's */
@@ -79,7 +79,8 @@ static void add_difference(Forward *f, size_t q, size_t n) {
     for (size_t j = 0; j < n; j++) f->result[j] += (f->ends[0][j] - f->ends[1][j]) / width;
 }
 
-/* One of the perturbed instances, at the stage's states: its derivatives, or outputs if `outputs`. */
+/* One of the perturbed instances, at the stage's states: its derivatives, or outputs if
+ * `outputs`. */
 static int at_instance(Forward *f, Work *w, double time, size_t q, int side, int outputs) {
     const Model *c = &w->model;
     void *const own = c->f.handle;

@@ -30,7 +30,8 @@ int begin_work(Work *w, const Batch *b) {
     const Program *p = b->effects->program;
     const size_t x = b->n_states, u = b->experiment->n_inputs, z = b->fmu->n_indicators;
     const size_t registers = p ? p->n_registers : 1 + x + u;
-    /* States and their derivatives begin at a cache line: those that cross one cost a third more. */
+    /* States and their derivatives begin at a cache line: those that cross one cost a third
+     * more. */
     const size_t line = 8, room = (registers + 1 + line) / line * line;
     char *raw = calloc(room + 10 * x + u + 3 * z + b->largest_array + 1 + u + 3 * line,
                        sizeof(double));
