@@ -6,19 +6,19 @@
  */
 #include "work.h"
 
-/* The effective inputs at a time of the interval after grid time i, at the effects' own states. */
-static void effective_at(Work *w, size_t i, double time) {
+/* The effective inputs at a time of an interval of the grid, at the effects' own states. */
+static inline void effective_at(Work *w, const Interval *a, double time) {
     const Model *c = &w->model;
-    interpolate_at(w, i, time);
+    interpolate(c, ANY, a, time - a->begin);
     if (!c->changes_inputs) return;
     *w->time = time;
-    memcpy(w->trial, w->x, c->n_states * sizeof *w->x);
+    FOR(j, c->n_states) w->trial[j] = w->x[j];
     run_fast(c->program->fast[BEFORE], w->r);
 }
 
-static int set_effective(Work *w, size_t i, double time) {
+static int set_effective(Work *w, const Interval *a, double time) {
     const Model *c = &w->model;
-    effective_at(w, i, time);
+    effective_at(w, a, time);
     if (c->n_inputs > 0)
         TRY(set_values(&c->f, c->f.version, &c->inputs, w->effective, w->buffer));
     if (c->n_parameters == 0) return OK;
@@ -26,50 +26,52 @@ static int set_effective(Work *w, size_t i, double time) {
 }
 
 /* One classic Runge-Kutta step of the effects' own states. */
-static void advance_own_states(Work *w, size_t i, double time, double h) {
+static void advance_own_states(Work *w, const Interval *a, double time, double h) {
     const Model *c = &w->model;
+    const Program *p = c->program;
     const size_t n = c->n_states;
-    double *x = w->x, *k = w->k;
-    for (int stage = 0; stage < 4; stage++) {
+    double *restrict const x = w->x, *restrict const k = w->k;
+    for (size_t stage = 0; stage < 4; stage++) {
         const double offset = stage == 0 ? 0.0 : stage == 3 ? h : 0.5 * h;
-        for (size_t j = 0; j < n; j++)
-            w->trial[j] = stage > 0 ? x[j] + offset * k[(size_t)(stage - 1) * n + j] : x[j];
-        interpolate_at(w, i, time + offset);
+        if (stage == 0)
+            FOR(j, n) w->trial[j] = x[j];
+        else
+            FOR(j, n) w->trial[j] = x[j] + offset * k[(stage - 1) * n + j];
+        interpolate(c, ANY, a, time + offset - a->begin);
         *w->time = time + offset;
-        run_fast(c->program->fast[AFTER], w->r);
-        for (size_t j = 0; j < c->program->n_sites; j++)
-            k[(size_t)stage * n + c->program->sites[j].state] = w->r[c->program->sites[j].r];
+        run_fast(p->fast[AFTER], w->r);
+        FOR(j, p->n_sites) k[stage * n + p->sites[j].state] = w->r[p->sites[j].r];
     }
-    for (size_t j = 0; j < n; j++)
-        x[j] += h / 6.0 * (k[j] + 2.0 * k[n + j] + 2.0 * k[2 * n + j] + k[3 * n + j]);
+    FOR(j, n) x[j] += h / 6.0 * (k[j] + 2.0 * k[n + j] + 2.0 * k[2 * n + j] + k[3 * n + j]);
 }
 
 /* The slopes of the effective inputs over a step, to whose end the effects' own states go. */
-static void slopes_over_step(Work *w, size_t i, double time, double h) {
+static void slopes_over_step(Work *w, const Interval *a, double time, double h) {
     const Model *c = &w->model;
-    for (size_t j = 0; j < c->n_inputs; j++) w->input_slopes[j] = -w->effective[j] / h;
+    FOR(j, c->n_inputs) w->input_slopes[j] = -w->effective[j] / h;
     if (c->program->n_sites > 0) {
         const int64_t substeps = substep_count(h, w->fastest_rate);
         const double substep = h / (double)substeps;
         for (int64_t n = 0; n < substeps; n++)
-            advance_own_states(w, i, time + (double)n * substep, substep);
+            advance_own_states(w, a, time + (double)n * substep, substep);
     }
-    effective_at(w, i, time + h);
-    for (size_t j = 0; j < c->n_inputs; j++) w->input_slopes[j] += w->effective[j] / h;
+    effective_at(w, a, time + h);
+    FOR(j, c->n_inputs) w->input_slopes[j] += w->effective[j] / h;
 }
 
 /* From grid time i to the next in equal steps, or with effects; the last of several ends at the
  * next time itself. */
 RARELY static int several_steps(Work *w, size_t i, int64_t steps) {
     const Model *c = &w->model;
+    const Interval a = interval(c, ANY, i);
     const double fixed = w->batch->settings->fixed;
     const double h = fixed != 0.0 ? fixed : c->intervals[i] / (double)steps;
     for (int64_t n = 0; n < steps && !w->info.ended; n++) {
         const double time = c->times[i] + (double)n * h;
         const double *slopes = c->slopes + i * c->n_inputs;
-        if (n > 0) TRY(set_effective(w, i, time));
+        if (n > 0) TRY(set_effective(w, &a, time));
         if (c->changes_inputs) {
-            slopes_over_step(w, i, time, h);
+            slopes_over_step(w, &a, time, h);
             slopes = w->input_slopes;
         }
         if (c->f.interpolates_inputs && c->continuous.n_reals > 0)
@@ -112,8 +114,12 @@ ALWAYS End co_simulate(Work *w, const double *point, double *y, const Shape s) {
         start_own_states(w);
     }
     for (size_t i = 0;; i++, y += c->n_outputs) {
-        status = effects ? set_effective(w, i, t[i]) : OK;
-        if (!effects && N_INPUTS > 0) status = set_inputs(c, s, w, c->values + i * N_INPUTS);
+        if (effects) {
+            const Interval a = interval(c, ANY, i);
+            status = set_effective(w, &a, t[i]);
+        } else if (N_INPUTS > 0) {
+            status = set_inputs(c, s, w, c->values + i * N_INPUTS);
+        }
         if (LIKELY(status < DISCARD)) status = get_outputs(c, s, w, y);
         if (UNLIKELY(status >= DISCARD)) return (End){failed(OUTPUT_FAILED, status), t[i], i};
         if (bounded && is_above_bound(w, i, y)) return (End){ENDED_EARLY, t[i], i};
