@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 from ctypes import addressof
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -104,10 +103,9 @@ def core_batch(method: str, a: KernelArguments, program: Any = None) -> CoreBatc
     return CoreBatch(batch, indices, kept)
 
 
-@cache
 def with_c_library():
     """The core with the C library's elementary functions, as the compiled loops have them."""
-    return c.load(str(c.built(own_functions=False)))
+    return c.core(own_functions=False)
 
 
 def integrator(known, states, library, jacobian=((), ())):
