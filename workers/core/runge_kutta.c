@@ -102,14 +102,14 @@ RARELY static int equal_steps_2(Work *w, size_t i, Stepping *now) {
     return equal_steps_of(w, (Shape){2, 0, 1, -1, -1}, i, now, NULL);
 }
 
-/* From grid time i to the next where nothing is asked in between. Returns the status. */
-ALWAYS int quiet_steps(const Model *c, const Shape s, Work *w, const Interval *a, double begin,
+/* From *time to the end of an interval where nothing is asked in between. Returns the status. */
+ALWAYS int quiet_steps(const Model *c, const Shape s, Work *w, const Interval *a, double *time,
                        double end, int64_t steps) {
-    const double h = (end - begin) / (double)steps;
+    const double begin = *time, h = (end - begin) / (double)steps;
     for (int64_t n = 0; n < steps; n++) {
-        const double time = begin + (double)n * h;
-        if (n > 0) TRY(set_to_x(c, s, w, a, time - a->begin, time));
-        TRY(stages(c, s, w, a, time, h));
+        *time = begin + (double)n * h;
+        if (n > 0) TRY(set_to_x(c, s, w, a, *time - a->begin, *time));
+        TRY(stages(c, s, w, a, *time, h));
         sum_stages(c, s, h, c->at.x);
     }
     return OK;
@@ -146,7 +146,7 @@ ALWAYS End simulate(Work *w, const double *point, double *y, const Shape s) {
             } else {
                 steps = n_steps(t[i + 1] - now.time, longest, most);
                 if (steps > most) return (End){TOO_MANY_STEPS, now.time, i};
-                status = quiet_steps(c, s, w, &a, now.time, t[i + 1], steps);
+                status = quiet_steps(c, s, w, &a, &now.time, t[i + 1], steps);
             }
             if (UNLIKELY(status >= DISCARD))
                 return (End){failed(STEP_FAILED, status), now.time, i};

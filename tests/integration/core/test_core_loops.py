@@ -115,6 +115,12 @@ def test_a_failure_has_a_time_and_an_index(solver):
     simulator.close()
 
 
+def test_a_failure_between_two_times_of_the_grid_is_at_its_step(own_fmu):
+    found = compare(simulator_of(own_fmu("robertson", 2), "rk4", 0.01), "rk4", np.zeros((1, 0)))
+    assert found.codes[0] == 2
+    assert "t = 0.02 s" in found.messages[0]
+
+
 def test_sizes_that_do_not_fit_are_refused():
     simulator = simulator_of(FMU, "rk4", None, ("m", "k", "c"))
 
