@@ -4,8 +4,9 @@
  * without fused multiply-add. These use only + - * / of IEEE doubles, rounded to nearest, and
  * integers. Compile elementary.c with -ffp-contract=off, and without -ffast-math.
  *
- * Errors are below 0.6 ulp; special values are those of C11, annex F. errno is left alone, flags
- * of the floating-point environment are not specified, and every NaN returned is the same one.
+ * Largest errors found are 0.62 ulp for log, 0.56 for expm1 and atan, below 0.52 for the others.
+ * Special values are those of C11, annex F. errno is left alone, flags of the floating-point
+ * environment are not specified, and every NaN returned is the same one.
  */
 #ifndef ELEMENTARY_H
 #define ELEMENTARY_H
