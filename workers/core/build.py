@@ -26,6 +26,8 @@ FLAGS = (
 """No contraction of products and sums: it would give other bits on processors that have it."""
 COMPILERS = ("gcc", "cc", "clang")
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+CARRIED = HERE / "binaries" / f"{sys.platform}-core{SUFFIX}"
+"""Of a wheel."""
 
 
 def sources(*, own_functions: bool = True) -> list[Path]:
@@ -51,16 +53,18 @@ def built(*, own_functions: bool = True) -> Path:
     ModelError
         If there is no compiler, or it fails.
     """
-    carried = HERE / "binaries" / f"{sys.platform}-core{SUFFIX}"
-    if own_functions and carried.is_file():
-        return carried
+    if own_functions and CARRIED.is_file():
+        return CARRIED
     files = sources(own_functions=own_functions)
-    folder = cache_folder("core")
-    library = folder / f"core-{_version(files)}{SUFFIX}"
+    library = _place(files)
     if not library.is_file():
-        print("building the simulation core, once on this machine", file=sys.stderr)
         _build_into(library, files)
     return library
+
+
+def is_built() -> bool:
+    """Return whether the core is there already, so that nobody has to wait some seconds for it."""
+    return CARRIED.is_file() or _place(sources()).is_file()
 
 
 def compile_to(target: Path, files: Sequence[Path], flags: Sequence[str] = FLAGS) -> None:
@@ -95,6 +99,10 @@ def compiler() -> str:
         "the simulation core must be built on this machine, but there is no C compiler: install "
         "gcc (Debian: apt install gcc), or a wheel of cluster-est, which carries it"
     )
+
+
+def _place(files: Sequence[Path]) -> Path:
+    return cache_folder("core") / f"core-{_version(files)}{SUFFIX}"
 
 
 def _build_into(library: Path, files: Sequence[Path]) -> None:
