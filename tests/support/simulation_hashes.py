@@ -12,23 +12,24 @@ from support.problems.springs import FMU
 from workers.core.library import core
 from workers.fmu.description import describe
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver
+from workers.messages.types import Interface, SolverName
 from workers.simulation.simulator import Simulator
 
 TIMES = np.arange(501) * 0.01
 FORCE = np.cumsum(np.arange(501) * 7919 % 104729 / 104729 - 0.5)
-EFFECTS = {
-    "none": (),
-    "coulomb": (Effect("e", "der(v)", "coulomb", ("v",)), 0.5, 0.01),
-    "stribeck": (Effect("e", "der(v)", "stribeck", ("v",)), 0.5, 0.3, 0.1, 0.01),
-    "power": (Effect("e", "der(v)", "power", ("v",)), 0.2, 1.7, 2.0),
-    "lag": (Effect("e", "input F", "lag", ()), 0.05),
-    "sine": (Effect("e", "parameter k", "sine", ()), 0.1, 0.2, 3.0),
+EFFECTS: dict[str, tuple[tuple[Effect, ...], tuple[float, ...]]] = {
+    "none": ((), ()),
+    "coulomb": ((Effect("e", "der(v)", "coulomb", ("v",)),), (0.5, 0.01)),
+    "stribeck": ((Effect("e", "der(v)", "stribeck", ("v",)),), (0.5, 0.3, 0.1, 0.01)),
+    "power": ((Effect("e", "der(v)", "power", ("v",)),), (0.2, 1.7, 2.0)),
+    "lag": ((Effect("e", "input F", "lag", ()),), (0.05,)),
+    "sine": ((Effect("e", "parameter k", "sine", ()),), (0.1, 0.2, 3.0)),
 }
 
 
-def hash_of(solver, name):
-    effects, coefficients = EFFECTS[name][:1], EFFECTS[name][1:]
-    interface = "co_simulation" if solver == "fmu" else "model_exchange"
+def hash_of(solver: SolverName, name: str) -> str:
+    effects, coefficients = EFFECTS[name]
+    interface: Interface = "co_simulation" if solver == "fmu" else "model_exchange"
     how = Solver(solver, rtol=1e-6)
     model = Model(FMU.name, FMU.read_bytes(), interface, how, ("m", "k", "c"))
     driven, recorded = Input("F", TIMES, FORCE), Output("y", TIMES, 0.0 * TIMES)
@@ -42,12 +43,13 @@ def hash_of(solver, name):
 
 
 def main():
-    core_batches.with_c_library = core_in_place.with_c_library = core
+    for module in (core_batches, core_in_place):
+        setattr(module, "with_c_library", core)  # noqa: B010
     core_in_place.install()
-    for solver in ("fmu", "rk4", "dormand_prince"):
-        for name, given in EFFECTS.items():
-            at_derivative = bool(given) and given[0].site.startswith("der")
-            if solver != "fmu" or not at_derivative:
+    solvers: tuple[SolverName, ...] = ("fmu", "rk4", "dormand_prince")
+    for solver in solvers:
+        for name, (effects, _) in EFFECTS.items():
+            if solver != "fmu" or not any(e.site.startswith("der") for e in effects):
                 print(solver, name, hash_of(solver, name))
 
 

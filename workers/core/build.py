@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -26,7 +27,7 @@ FLAGS = (
 """No contraction of products and sums: it would give other bits on processors that have it."""
 COMPILERS = ("gcc", "cc", "clang")
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
-CARRIED = HERE / "binaries" / f"{sys.platform}-core{SUFFIX}"
+CARRIED = HERE / "binaries" / f"core-{sys.platform}-{platform.machine().lower()}{SUFFIX}"
 """Of a wheel."""
 
 
