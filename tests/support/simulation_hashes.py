@@ -15,7 +15,7 @@ from workers.messages import Effect, Experiment, Input, Model, Output, Solver
 from workers.messages.types import Interface, SolverName
 from workers.simulation.simulator import Simulator
 
-TIMES = np.arange(501) * 0.01
+TIMES = np.asarray(np.arange(501) * 0.01, np.float64)
 FORCE = np.cumsum(np.arange(501) * 7919 % 104729 / 104729 - 0.5)
 EFFECTS: dict[str, tuple[tuple[Effect, ...], tuple[float, ...]]] = {
     "none": ((), ()),
