@@ -6,6 +6,7 @@ python -m pytest -p support.core_in_place tests/integration/fmus
 from __future__ import annotations
 
 import ctypes
+import operator
 from ctypes import addressof
 from functools import lru_cache, partial
 from typing import Any
@@ -268,11 +269,9 @@ def core_linear(function):
     return run
 
 
-def install():
-    """Put the core in the place of all loops of this process."""
-    for method in ("fmu", "rk4", "dormand_prince"):
-        integrator.BATCHES[method] = batch_with(method)
-    replacements: list[tuple[Any, str, Any]] = [
+def replacements() -> list[tuple[Any, str, Any]]:
+    """Where a loop is called from, by which name, and what takes its place."""
+    return [
         (CvodeBatch, "__call__", cvode_batch),
         (bind_effects, "compile_inner", recorded_inner),
         (outputs, "_compile", recorded_output),
@@ -285,10 +284,20 @@ def install():
         (screening, "run_linear", core_linear("core_run_linear")),
         (screening, "run_adjoint", core_linear("core_run_adjoint")),
     ]
-    for where, name, function in replacements:
-        setattr(where, name, function)
-    for name in MEMORIES:
-        MEMORIES[name] = partial(memory, name)
+
+
+def tables() -> list[tuple[dict[str, Any], str, Any]]:
+    """Of functions that are found by a name."""
+    batches = [(integrator.BATCHES, m, batch_with(m)) for m in ("fmu", "rk4", "dormand_prince")]
+    return [*batches, *((MEMORIES, name, partial(memory, name)) for name in MEMORIES)]
+
+
+def install(patch: Any = None) -> None:
+    """Put the core in the place of all loops, for good or as long as a `MonkeyPatch` says."""
+    for where, name, function in replacements():
+        (setattr if patch is None else patch.setattr)(where, name, function)
+    for table, name, function in tables():
+        (operator.setitem if patch is None else patch.setitem)(table, name, function)
 
 
 def pytest_configure(config):

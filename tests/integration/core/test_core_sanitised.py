@@ -16,6 +16,7 @@ TESTS = (
     ("tests/unit/workers/core", True),
     ("tests/unit/workers/core", False),
     ("tests/integration/core/test_core_loops.py", False),
+    ("tests/integration/core/test_core_effects.py", False),
     ("tests/integration/core/test_core_failures.py", True),
 )
 """With the core's own elementary functions, or those of the C library as the compiled loops."""
