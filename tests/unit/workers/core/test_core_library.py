@@ -1,0 +1,75 @@
+"""The core's library: built once, and with a sentence where it cannot be."""
+
+import ctypes
+import re
+
+import pytest
+
+from workers.core import build, library
+from workers.errors import ModelError
+
+
+def test_it_is_built_once(tmp_path, monkeypatch):
+    monkeypatch.setenv("CLUSTER_EST_CACHE", str(tmp_path))
+    made = []
+
+    def compiled(target, files):
+        made.append(files)
+        target.write_bytes(b"library")
+
+    monkeypatch.setattr(build, "compile_to", compiled)
+    assert not build.is_built()
+    first = build.built()
+    assert build.is_built()
+    assert first.read_bytes() == b"library"
+    assert build.built() == first
+    assert len(made) == 1
+    assert [path.name for path in first.parent.iterdir()] == [first.name]
+
+
+def test_sources_that_are_changed_are_another_version(tmp_path, monkeypatch):
+    (tmp_path / "core.c").write_text("int one;")
+    monkeypatch.setattr(build, "HERE", tmp_path)
+    before = build._version(build.sources())
+    (tmp_path / "core.c").write_text("int two;")
+    assert build._version(build.sources()) != before
+
+
+def test_a_missing_compiler_says_what_to_do(monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    with pytest.raises(ModelError, match="there is no C compiler: install gcc"):
+        build.compiler()
+
+
+def test_a_compiler_that_fails_is_quoted(tmp_path):
+    wrong = tmp_path / "wrong.c"
+    wrong.write_text("int main(")
+    with pytest.raises(ModelError, match=r"cannot be built: .* says ['\"].*error"):
+        build.compile_to(tmp_path / "wrong.so", [wrong])
+
+
+def test_structures_are_those_of_the_header():
+    """Their fields, in their order, and so their sizes."""
+    text = re.sub(r"/\*.*?\*/", "", (build.HERE / "core.h").read_text(), flags=re.DOTALL)
+    structures = [c for c in vars(library).values() if isinstance(c, type(ctypes.Structure))]
+    structures = [c for c in structures if c is not ctypes.Structure]
+    assert len(structures) == 12
+    for structure in structures:
+        body = re.search(r"typedef struct \{([^{}]*)\} " + structure.__name__ + ";", text)
+        body = body or re.search(r"struct " + structure.__name__ + r" \{([^{}]*)\};", text)
+        assert body is not None, structure
+        names = re.sub(r"\[\w+\]", "", body[1]).replace("\n", " ")
+        fields = [
+            re.search(r"(\w+)\s*$", name.strip())[1]
+            for statement in names.split(";")
+            for name in statement.split(",")
+            if name.strip()
+        ]
+        assert fields == [name for name, _ in structure._fields_], structure
+
+
+def test_elementary_functions_are_one_file():
+    chosen = {path.name for path in build.sources()}
+    assert len(chosen & {"elementary.c", "elementary_libm.c"}) == 1
+    assert "elementary_libm.c" in {p.name for p in build.sources(own_functions=False)}

@@ -1,0 +1,227 @@
+"""Byte code of effects: the same values as the equations, and nothing that could do harm."""
+
+import ctypes
+import math
+import random
+
+import numpy as np
+import pytest
+import sympy as sp
+from hypothesis import given
+from hypothesis import strategies as st
+from support.core_batches import with_c_library
+from support.core_programs import CODES, SIMULATED, evaluated, form_program, written
+from support.thinning import thinned
+
+from workers.core.assemble import OPERATIONS, Registers, assemble
+from workers.core.library import LoadedProgram, core
+from workers.effects.compiled import READ
+from workers.effects.definition import TIME
+from workers.effects.expression import FUNCTIONS, parse
+from workers.effects.forms import FORMS
+from workers.effects.source import CAssignment, EffectArray, compile_function
+from workers.errors import EffectError, ModelError
+
+X, Y = (sp.Symbol(name, real=True) for name in "xy")
+LOCATIONS = {X: (EffectArray.STATES, 0), Y: (EffectArray.STATES, 1)}
+NAMES = {"x": X, "y": Y, "t": TIME}
+
+
+def program_of(*texts, library=None):
+    """Of equations of two states that are added to the first of them."""
+    added = [
+        CAssignment(EffectArray.DERIVATIVES, 0, parse(text, NAMES, "here"), add=True)
+        for text in texts
+    ]
+    return LoadedProgram(assemble(Registers(2, 0, 0, 0), LOCATIONS, TIME, after=added), library)
+
+
+def value_of(text, x, y=0.0):
+    return float(evaluated(core(), program_of(text), [1.5, x, y], 1)[0])
+
+
+def random_registers(form, trial):
+    """Of which coefficients are positive in half of the trials."""
+    generator = np.random.default_rng(trial)
+    given = generator.normal(size=form.n_given)
+    first = 1 + form.registers.states + form.registers.inputs
+    if trial % 2 == 0:
+        given[first:] = np.abs(given[first:])
+    return given
+
+
+def compiled_values(form, given):
+    """The same by equations that LLVM compiles: effective values, then derivatives."""
+    registers, laid_out = form.registers, form.equations
+    ends = np.cumsum([1, registers.states, registers.inputs, registers.coefficients])
+    time, *arrays = np.split(given, ends)
+    arrays = [np.append(a, 0.0) for a in arrays]
+    inputs, parameters = np.zeros(registers.inputs), np.zeros(registers.parameters + 1)
+    derivatives = np.zeros(registers.states)
+    if laid_out.modify_inputs:
+        kinds = (*READ, EffectArray.EFFECTIVE_INPUTS, EffectArray.EFFECTIVE_PARAMETERS)
+        call(form, kinds, laid_out.modify_inputs, time, [*arrays, inputs, parameters])
+    if laid_out.add_derivatives:
+        kinds = (*READ, EffectArray.DERIVATIVES)
+        call(form, kinds, laid_out.add_derivatives, time, [*arrays, derivatives])
+    effective = [*inputs, *parameters[:-1]] if laid_out.modify_inputs else []
+    return [*effective, *(derivatives[a.index] for a in form.sites)]
+
+
+def call(form, kinds, assignments, time, arrays):
+    compiled = compile_function(kinds, form.equations.locations, assignments, TIME)
+    types = [ctypes.c_double, *[ctypes.c_void_p] * len(arrays)]
+    function = ctypes.CFUNCTYPE(ctypes.c_int32, *types)(compiled.address)
+    function(float(time[0]), *(array.ctypes.data for array in arrays))
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"), thinned(SIMULATED, lambda kind, name: (kind, FORMS[kind, name].family))
+)
+def test_every_form_has_the_bits_of_its_compiled_equations(kind, name):
+    form, library = form_program(kind, name), with_c_library()
+    program = LoadedProgram(form.code, library)
+    for trial in range(4):
+        given = random_registers(form, trial)
+        found = evaluated(library, program, given, form.n_before + len(form.sites))
+        np.testing.assert_array_equal(found, compiled_values(form, given))
+
+
+@pytest.mark.parametrize(("kind", "name"), thinned(SIMULATED, lambda kind, _: kind))
+def test_derivatives_are_those_of_the_equations(kind, name):
+    """By the states, against SymPy's."""
+    form = form_program(kind, name)
+    program = LoadedProgram(form.code)
+    first = {EffectArray.STATES: 1, EffectArray.INPUTS: 1 + form.registers.states}
+    first[EffectArray.COEFFICIENTS] = first[EffectArray.INPUTS] + form.registers.inputs
+    first[EffectArray.BASE] = first[EffectArray.COEFFICIENTS] + form.registers.coefficients
+    located = {s: first[array] + i for s, (array, i) in form.equations.locations.items()}
+    symbols = [TIME, *located]
+    given = np.abs(random_registers(form, 1)) + 0.1
+    values = [given[0], *(given[r] for r in located.values())]
+    values_of = [*form.equations.modify_inputs, *form.sites]
+    for state in range(form.registers.states):
+        dual = np.zeros((form.n_given, 2))
+        dual[:, 0], dual[1 + state, 1] = given, 1.0
+        found = evaluated(core(), program, dual, form.n_before + len(form.sites), 1)
+        symbol = next(s for s, r in located.items() if r == 1 + state)
+        for row, assignment in zip(found, values_of, strict=True):
+            expected = sp.lambdify(symbols, sp.diff(assignment.value, symbol), "numpy")(*values)
+            assert row[1] == pytest.approx(float(expected), rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", sorted(FUNCTIONS.keys() - {"where", "min", "max", "sign", "abs"}))
+def test_functions_are_elementary(name):
+    for x in (0.3, 1.7, 25.0):
+        assert value_of(f"{name}(x)", x) == pytest.approx(getattr(math, name)(x), rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("x + 2 * y - 3", lambda x, y: x + 2.0 * y - 3.0),
+        ("x^3 + x^-2 + abs(y)^0.5", lambda x, y: x**3 + 1.0 / (x * x) + math.sqrt(abs(y))),
+        ("abs(x)^1.7 + 2^y", lambda x, y: math.pow(abs(x), 1.7) + math.pow(2.0, y)),
+        ("abs(x) - sign(y) + sign(x * 0)", lambda x, y: abs(x) - math.copysign(1.0, y)),
+        ("min(x, y, 0.5) + max(x, y, 0.25)", lambda x, y: min(x, y, 0.5) + max(x, y, 0.25)),
+        ("where(x < y, x, 2 * y)", lambda x, y: x if x < y else 2.0 * y),
+        ("where(x >= 0, 1, where(y > 0, 2, 3))", lambda x, y: 1 if x >= 0 else 2 if y > 0 else 3),
+        ("t * x", lambda x, y: 1.5 * x),
+        ("1e300 * 1e10 * x", lambda x, y: math.copysign(math.inf, x)),
+        ("x", lambda x, y: x),
+        ("7", lambda x, y: 7.0),
+    ],
+)
+def test_arithmetic_is_that_of_doubles(text, expected):
+    for x, y in ((0.7, -1.3), (-0.4, 2.5), (-2.0, -3.0), (1.0, 1.0)):
+        assert value_of(text, x, y) == pytest.approx(expected(x, y), rel=4e-16)
+
+
+def test_a_division_by_zero_is_infinite_and_what_has_no_value_is_not_a_number():
+    assert value_of("1 / x", 0.0) == math.inf
+    assert math.isnan(value_of("log(x)", -1.0))
+    assert math.isnan(value_of("x / y", 0.0, 0.0))
+
+
+def test_equal_parts_are_computed_once():
+    text = "tanh(x / 0.1) * y"
+    once, twice = (len(assemble(Registers(2, 0, 0, 0), LOCATIONS, TIME, after=[
+        CAssignment(EffectArray.DERIVATIVES, i, parse(text, NAMES, "here"), add=True)
+        for i in range(count)
+    ])) for count in (1, 2))  # fmt: skip
+    assert twice - once == 4  # bytes of a site
+
+
+def test_what_the_core_does_not_know_is_refused_with_a_sentence():
+    unknown = CAssignment(EffectArray.DERIVATIVES, 0, sp.gamma(X), add=True)
+    with pytest.raises(EffectError, match="gamma"):
+        assemble(Registers(2, 0, 0, 0), LOCATIONS, TIME, after=[unknown])
+
+
+def test_a_coefficient_that_is_not_given_is_missed():
+    own = sp.Symbol("e.at", real=True)
+    reading = CAssignment(EffectArray.DERIVATIVES, 0, own * X, add=True)
+    located = LOCATIONS | {own: (EffectArray.COEFFICIENTS, 1)}
+    with pytest.raises(EffectError, match="number 2 of coefficients"):
+        assemble(Registers(2, 0, 0, 1), located, TIME, after=[reading])
+
+
+# ---- machines ------------------------------------------------------------------------------------
+
+BINARY = ("ADD", "SUBTRACT", "MULTIPLY", "MULTIPLY", "DIVIDE", "LEAST", "LARGEST", "LESS", "AND")
+UNARY = ("MOVE", "NEGATE", "ABSOLUTE", "TANH", "NOT", "SIGN")
+
+
+def random_program(generator, n_states=5):
+    """Half of the instructions read what the one before has computed."""
+    registers = generator.choice([n_states + 3, 14, 30])
+    code = []
+    for i in range(generator.randint(1, 30)):
+        name = generator.choice((*BINARY, *UNARY, "CHOOSE"))
+        operands = [generator.randrange(registers) for _ in range(2)]
+        if i and generator.random() < 0.5:
+            operands[generator.randrange(2)] = code[-1][1]
+        code.append((CODES[name], generator.randrange(n_states + 1, registers), *operands))
+    wanted = [generator.randrange(n_states + 1, registers), code[-1][1]]
+    return written(registers, n_states, [[], [], [], code], [(0, r) for r in wanted])
+
+
+def test_the_fast_machine_has_the_bits_of_the_plain_one():
+    generator = random.Random(1)
+    for trial in range(400):
+        program = LoadedProgram(random_program(generator))
+        given = np.random.default_rng(trial).normal(size=6)
+        fast = evaluated(core(), program, given, 2)
+        plain = evaluated(core(), program, given[:, None], 2, 0)
+        np.testing.assert_array_equal(fast, plain[:, 0])
+
+
+def test_spoiled_bytes_are_refused():
+    good = written(4, 2, [[], [], [], [(CODES["ADD"], 3, 1, 2)]], [(0, 3)])
+    LoadedProgram(good)
+    for bad, said in (
+        (b"", "no effects"),
+        (good[:-1], "no effects"),
+        (b"X" + good[1:], "no effects"),
+        (written(4, 2, [[], [], [], [(CODES["ADD"], 9, 1, 2)]], [(0, 3)]), "instruction"),
+        (written(4, 2, [[], [], [], [(CODES["ADD"], 3, 1, 4)]], [(0, 3)]), "instruction"),
+        (written(4, 2, [[], [], [], [(len(OPERATIONS), 3, 1, 2)]], [(0, 3)]), "instruction"),
+        (written(4, 2, [[], [], [], [(CODES["ADD"], 1, 1, 2)]], [(0, 3)]), "instruction"),
+        (written(4, 2, [[], [], [], []], [(2, 3)]), "state"),
+        (written(2, 2, [[], [], [], []]), "counts"),
+    ):
+        with pytest.raises(ModelError, match=said):
+            LoadedProgram(bad)
+
+
+@given(st.data())
+def test_any_bytes_are_refused_or_run(data):
+    """A program that is spoiled somewhere does no harm, whatever it computes then."""
+    code = bytearray(random_program(random.Random(data.draw(st.integers(0, 20)))))
+    for _ in range(data.draw(st.integers(1, 4))):
+        code[data.draw(st.integers(8, len(code) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        program = LoadedProgram(bytes(code))
+    except ModelError:
+        return
+    evaluated(core(), program, np.ones(300_000), 300_000)

@@ -1,0 +1,434 @@
+"""Equations of effects as byte code for the core.
+
+The code is straight: each instruction computes one register from one or two others. Equal parts
+are computed once, and what depends on coefficients alone once a simulation. Sums and products are
+in the order in which SymPy sorts them, so that the same equations always give the same bits.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import reduce
+from typing import Any, Protocol
+
+import sympy as sp
+
+from workers.errors import EffectError
+
+OPERATIONS = (
+    "END", "MOVE", "ADD", "MULTIPLY", "SUBTRACT", "DIVIDE", "LEAST", "LARGEST", "NEGATE",
+    "ABSOLUTE", "SIGN", "ROOT", "EXP", "LOG", "SIN", "COS", "TAN", "TANH", "ATAN", "POW", "LESS",
+    "LESS_OR_EQUAL", "EQUAL", "UNEQUAL", "AND", "OR", "NOT", "CHOOSE",
+)  # fmt: skip
+"""In the order of program.h."""
+MARK = b"CECORE1\0"
+MOST_REGISTERS = 2**16 - 1
+_CODES = {name: code for code, name in enumerate(OPERATIONS)}
+_FUNCTIONS: dict[type[sp.Basic], str] = {
+    sp.Abs: "ABSOLUTE",
+    sp.sign: "SIGN",
+    sp.exp: "EXP",
+    sp.log: "LOG",
+    sp.sin: "SIN",
+    sp.cos: "COS",
+    sp.tan: "TAN",
+    sp.tanh: "TANH",
+    sp.atan: "ATAN",
+}
+_COMPARISONS: dict[type[sp.Basic], tuple[str, bool]] = {
+    sp.StrictLessThan: ("LESS", False),
+    sp.LessThan: ("LESS_OR_EQUAL", False),
+    sp.StrictGreaterThan: ("LESS", True),
+    sp.GreaterThan: ("LESS_OR_EQUAL", True),
+    sp.Equality: ("EQUAL", False),
+    sp.Unequality: ("UNEQUAL", False),
+}
+"""Operations, and whether the sides change places."""
+_MOST_MULTIPLICATIONS = 64
+"""Integer powers up to this one are products."""
+_TIME = sp.Symbol("t", real=True)
+
+
+class Assignment(Protocol):
+    """`target[index] = value`, or `+=`."""
+
+    @property
+    def target(self) -> str: ...
+    @property
+    def index(self) -> int: ...
+    @property
+    def value(self) -> sp.Expr: ...
+    @property
+    def add(self) -> bool: ...
+
+
+Locations = Mapping[sp.Symbol, tuple[str, int]]
+"""(array, index) of each symbol."""
+
+
+@dataclass(frozen=True)
+class Registers:
+    """How many registers there are of each kind.
+
+    Attributes
+    ----------
+    states, own
+        Of the FMU and of effects together; of effects, which are the last of them.
+    inputs
+        Inputs and signals; for an effect at an output those and, behind them, the outputs.
+    outputs
+        How many of these inputs are outputs.
+    coefficients
+        In a row of the task's, with those of other effects.
+    base, parameters
+        Parameters that effects change: values without effects, and with them.
+    """
+
+    states: int
+    own: int
+    inputs: int
+    coefficients: int
+    base: int = 0
+    parameters: int = 0
+    outputs: int = 0
+
+
+def assemble(
+    registers: Registers,
+    locations: Locations,
+    time: sp.Symbol,
+    start: Sequence[Assignment] = (),
+    before: Sequence[Assignment] = (),
+    after: Sequence[Assignment] = (),
+) -> bytes:
+    """Make byte code of effects.
+
+    Parameters
+    ----------
+    registers
+        How many there are.
+    locations, time
+        Of the symbols of the equations, in the arrays "states", "raw" (inputs), "coefficients",
+        "base" and "row" (outputs); the symbol of the time.
+    start, before, after
+        Assignments to "states" at the start; to "edited" and "varied", effective inputs and
+        parameters, or to "result"; and to "slopes", derivatives. All values of one of them are
+        read before anything is written.
+
+    Raises
+    ------
+    EffectError
+        If an equation has something in it that the core does not know, or there are too many.
+    """
+    code = _Code(registers)
+    code.write_start(_prepared(start, time), start, locations)
+    code.write_before(_prepared(before, time), before, locations)
+    code.write_after(_prepared(after, time), after, locations)
+    return code.to_bytes(changes_inputs=bool(before))
+
+
+@dataclass(frozen=True)
+class _PreparedEquations:
+    """Equations over symbols of short names, by which sums and products are ordered.
+
+    Attributes
+    ----------
+    read
+        (short, original) of each symbol but the time.
+    common
+        Parts that are computed once, in this order.
+    values
+        The equations, with the symbols of these parts in them.
+    """
+
+    read: tuple[tuple[sp.Symbol, sp.Symbol], ...]
+    common: tuple[tuple[sp.Symbol, sp.Expr], ...]
+    values: tuple[sp.Expr, ...]
+
+
+def _prepared(assignments: Sequence[Assignment], time: sp.Symbol) -> _PreparedEquations:
+    used = set().union(*(a.value.free_symbols for a in assignments)) if assignments else set()
+    ordered = sorted(used - {time}, key=str)
+    read = tuple((sp.Symbol(f"s{i}", real=True), symbol) for i, symbol in enumerate(ordered))
+    short = {symbol: local for local, symbol in read} | {time: _TIME}
+    values = [a.value.xreplace(short) for a in assignments]
+    common, reduced = sp.cse(values, symbols=sp.numbered_symbols("c"))
+    return _PreparedEquations(read, tuple(common), tuple(reduced))
+
+
+_Instruction = tuple[str, int, int, int]
+"""Operation, register that it writes, and two that it reads."""
+_Known = dict[tuple[str, int, int, int], int]
+"""Registers of what is computed already, by operation and operands."""
+ONCE, START, BEFORE, AFTER = range(4)
+
+
+@dataclass
+class _Code:
+    """Pieces of code under way, and what the registers hold."""
+
+    registers: Registers
+    pieces: list[list[_Instruction]] = field(default_factory=lambda: [[], [], [], []])
+    sites: list[tuple[bool, int, int]] = field(default_factory=list)
+    constants: dict[bytes, int] = field(default_factory=dict)
+    _fixed: set[int] = field(default_factory=set)
+    _temporaries: int = 0
+    _first_temporary = 1_000_000
+    """Until it is known how many constants there are."""
+
+    def __post_init__(self) -> None:
+        r = self.registers
+        self._first = {"states": 1, "raw": 1 + r.states}
+        self._first["row"] = self._first["raw"] + r.inputs - r.outputs
+        self._first["coefficients"] = self._first["raw"] + r.inputs
+        self._first["base"] = self._first["coefficients"] + r.coefficients
+        self._first["edited"] = self._first["base"] + r.base
+        self._known: _Known = {}
+
+    def write_start(
+        self, prepared: _PreparedEquations, given: Sequence[Assignment], where: Locations
+    ) -> None:
+        """Own states at the start."""
+        results = self._write(START, prepared, where)
+        for assignment, result in zip(given, results, strict=True):
+            to = self._first["states"] + assignment.index
+            self.pieces[START].append(("MOVE", to, result, 0))
+
+    def write_before(
+        self, prepared: _PreparedEquations, given: Sequence[Assignment], where: Locations
+    ) -> None:
+        """Effective inputs and parameters. Who computes one alone writes it in its place."""
+        results = self._write(BEFORE, prepared, where)
+        for assignment, result in zip(given, results, strict=True):
+            self._place(self._effective(assignment), result)
+
+    def write_after(
+        self, prepared: _PreparedEquations, given: Sequence[Assignment], where: Locations
+    ) -> None:
+        """What changes derivatives: registers, which the core adds or takes."""
+        results = self._write(AFTER, prepared, where)
+        for assignment, result in zip(given, results, strict=True):
+            self.sites.append((not assignment.add, assignment.index, result))
+
+    def _write(self, piece: int, prepared: _PreparedEquations, where: Locations) -> list[int]:
+        """Write equations; returns the registers of their values."""
+        own = {ONCE: self._known, piece: {}}
+        writer = _Writer(self, piece, own)
+        writer.define(_TIME, 0)
+        for local, symbol in prepared.read:
+            writer.define(local, self._place_of(symbol, *where[symbol]))
+        for symbol, value in prepared.common:
+            writer.define(symbol, writer.write(value))
+        return [writer.write(value) for value in prepared.values]
+
+    def _place_of(self, symbol: sp.Symbol, array: str, index: int) -> int:
+        """Return the register of an element of an array that equations read."""
+        r = self.registers
+        sizes = {"states": r.states, "raw": r.inputs - r.outputs, "row": r.outputs}
+        sizes |= {"coefficients": r.coefficients, "base": r.base}
+        if index >= sizes[array]:
+            raise EffectError(
+                f"effects: {symbol} is number {index + 1} of {array}, of which there must be as "
+                f"many but are {sizes[array]}; give all of them"
+            )
+        return self._first[array] + index
+
+    def _effective(self, assignment: Assignment) -> int:
+        inputs = self.registers.inputs if assignment.target in ("varied", "result") else 0
+        return self._first["edited"] + inputs + assignment.index
+
+    def _place(self, to: int, result: int) -> None:
+        code = self.pieces[BEFORE]
+        written = [i for i, each in enumerate(code) if each[1] == result]
+        if len(written) == 1 and code[written[0]][0] not in ("MOVE", "CHOOSE"):
+            moved = {result: to}
+            self.pieces[BEFORE] = [
+                (name, moved.get(out, out), moved.get(a, a), moved.get(b, b))
+                for name, out, a, b in code
+            ]
+        else:
+            code.append(("MOVE", to, result, 0))
+
+    def is_fixed(self, register: int) -> bool:
+        """Return whether a register keeps its value during a simulation."""
+        if register < 0:
+            return True
+        first = self._first["coefficients"]
+        return first <= register < self._first["edited"] or register in self._fixed
+
+    def constant(self, value: float) -> int:
+        """Return the register of a number: below 0 until it is known how many there are."""
+        bits = struct.pack("<d", value)
+        return -1 - self.constants.setdefault(bits, len(self.constants))
+
+    def temporary(self, *, fixed: bool) -> int:
+        """Return a register that nothing has written yet."""
+        self._temporaries += 1
+        register = self._first_temporary + self._temporaries
+        if fixed:
+            self._fixed.add(register)
+        return register
+
+    def to_bytes(self, *, changes_inputs: bool) -> bytes:
+        """Give the registers their numbers, and put all together."""
+        r = self.registers
+        first_constant = self._first["edited"] + r.inputs * changes_inputs + r.parameters
+        first_temporary = first_constant + len(self.constants)
+        total = first_temporary + self._temporaries
+        if total > MOST_REGISTERS:
+            raise EffectError(
+                f"effects: must need at most {MOST_REGISTERS} numbers but need {total}; use fewer"
+            )
+
+        def numbered(register: int) -> int:
+            if register < 0:
+                return first_constant - register - 1
+            if register > self._first_temporary:
+                return first_temporary + register - self._first_temporary - 1
+            return register
+
+        pieces = [[*piece, ("END", 0, 0, 0)] for piece in self.pieces]
+        sites = sorted(self.sites, key=lambda site: site[0])
+        header = struct.pack(
+            "<8s16I", MARK, total, r.states, r.own, r.inputs, r.coefficients, r.base,
+            len(self.constants), r.parameters, changes_inputs, len(sites),
+            sum(not own for own, _, _ in sites), *map(len, pieces), 0,
+        )  # fmt: skip
+        instructions = [
+            struct.pack("<4H", _CODES[name], *map(numbered, operands))
+            for piece in pieces
+            for name, *operands in piece
+        ]
+        added = [struct.pack("<2H", state, numbered(at)) for _, state, at in sites]
+        return b"".join([header, *self.constants, *instructions, *added])
+
+
+class _Writer:
+    """Writes the instructions for expressions into a piece of code, or where they are fixed."""
+
+    def __init__(self, code: _Code, piece: int, known: dict[int, _Known]) -> None:
+        self._code, self._piece, self._known = code, piece, known
+        self._registers: dict[sp.Symbol, int] = {}
+
+    def define(self, symbol: sp.Symbol, register: int) -> None:
+        """Let a symbol stand for a register from now on."""
+        self._registers[symbol] = register
+
+    def write(self, value: sp.Expr) -> int:
+        """Write the instructions for an expression, and return its register.
+
+        Raises
+        ------
+        EffectError
+            If it has something in it that is not known here.
+        """
+        if value.is_Symbol:
+            return self._registers[value]
+        if value.is_number:
+            return self._code.constant(float(value))
+        if isinstance(value, sp.Add):
+            return self._chain("ADD", value.as_ordered_terms())
+        if isinstance(value, sp.Mul):
+            return self._product(value)
+        if isinstance(value, sp.Pow):
+            return self._power(value.base, value.exp)
+        if isinstance(value, sp.Piecewise):
+            return self._choice(value)
+        return self._function(value)
+
+    def _function(self, value: sp.Expr) -> int:
+        arguments = [self.write(argument) for argument in value.args]
+        if isinstance(value, sp.Min):
+            return reduce(lambda a, b: self._emit("LEAST", a, b), arguments)
+        if isinstance(value, sp.Max):
+            return reduce(lambda a, b: self._emit("LARGEST", a, b), arguments)
+        for kind, name in _FUNCTIONS.items():
+            if isinstance(value, kind):
+                return self._emit(name, arguments[0])
+        raise EffectError(f"effects: an equation has {value}, which simulations cannot compute")
+
+    def _product(self, value: sp.Mul) -> int:
+        """Write the factors, then one division by what stands below the line."""
+        factors = value.as_ordered_factors()
+        below = [f for f in factors if f.is_Pow and f.exp.is_Rational and f.exp.is_negative]
+        above = [f for f in factors if f not in below]
+        product = self._chain("MULTIPLY", above or [sp.Integer(1)])
+        if not below:
+            return product
+        divisor = self._chain("MULTIPLY", [sp.Pow(f.base, -f.exp) for f in below])
+        return self._emit("DIVIDE", product, divisor)
+
+    def _power(self, base: sp.Expr, exponent: sp.Expr) -> int:
+        if exponent.is_negative:
+            one = self._code.constant(1.0)
+            return self._emit("DIVIDE", one, self.write(sp.Pow(base, -exponent)))
+        written = self.write(base)
+        if exponent == sp.Rational(1, 2):
+            return self._emit("ROOT", written)
+        if exponent.is_Integer and int(exponent) <= _MOST_MULTIPLICATIONS:
+            return self._integer_power(written, int(exponent))
+        return self._emit("POW", written, self.write(exponent))
+
+    def _integer_power(self, base: int, exponent: int) -> int:
+        """Multiply by repeated squaring."""
+        result, square = None, base
+        while exponent:
+            if exponent & 1:
+                result = square if result is None else self._emit("MULTIPLY", result, square)
+            exponent >>= 1
+            if exponent:
+                square = self._emit("MULTIPLY", square, square)
+        return self._code.constant(1.0) if result is None else result
+
+    def _choice(self, value: sp.Piecewise) -> int:
+        """Compute all branches and choose; without one that always holds, not a number."""
+        chosen = self._code.constant(float("nan"))
+        for branch, condition in reversed(value.args):
+            written = self.write(branch)
+            if condition == sp.true:
+                chosen = written
+            elif condition != sp.false:
+                chosen = self._choose(self._condition(condition), written, chosen)
+        return chosen
+
+    def _condition(self, condition: Any) -> int:
+        if condition in (sp.true, sp.false):
+            return self._code.constant(float(condition == sp.true))
+        if isinstance(condition, sp.Not):
+            return self._emit("NOT", self._condition(condition.args[0]))
+        if isinstance(condition, sp.And | sp.Or):
+            name = "AND" if isinstance(condition, sp.And) else "OR"
+            key: Callable[[Any], Any] = sp.default_sort_key
+            written = [self._condition(each) for each in sorted(condition.args, key=key)]
+            return reduce(lambda a, b: self._emit(name, a, b), written)
+        if type(condition) not in _COMPARISONS:
+            raise EffectError(f"effects: an equation asks for {condition}, which is no comparison")
+        name, swapped = _COMPARISONS[type(condition)]
+        left, right = (self.write(side) for side in condition.args)
+        return self._emit(name, right, left) if swapped else self._emit(name, left, right)
+
+    def _chain(self, operation: str, values: Sequence[sp.Expr]) -> int:
+        written = [self.write(value) for value in values]
+        return reduce(lambda a, b: self._emit(operation, a, b), written)
+
+    def _emit(self, name: str, a: int, b: int | None = None) -> int:
+        """Write one instruction, unless its value is known; returns the register of that."""
+        read = [a] if b is None else [a, b]
+        piece = ONCE if all(map(self._code.is_fixed, read)) else self._piece
+        key = (name, a, 0 if b is None else b, 0)
+        if key not in self._known[piece]:
+            to = self._code.temporary(fixed=piece == ONCE)
+            self._code.pieces[piece].append((name, to, a, 0 if b is None else b))
+            self._known[piece][key] = to
+        return self._known[piece][key]
+
+    def _choose(self, condition: int, yes: int, no: int) -> int:
+        piece = ONCE if all(map(self._code.is_fixed, (condition, yes, no))) else self._piece
+        key = ("CHOOSE", condition, yes, no)
+        if key not in self._known[piece]:
+            to = self._code.temporary(fixed=piece == ONCE)
+            self._code.pieces[piece] += [("MOVE", to, no, 0), ("CHOOSE", to, condition, yes)]
+            self._known[piece][key] = to
+        return self._known[piece][key]

@@ -1,0 +1,261 @@
+"""The core by ctypes: the structures of core.h, and its functions.
+
+Arrays go in by their addresses: whoever makes a structure keeps the arrays as long as it is used.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from ctypes import (
+    POINTER,
+    Structure,
+    byref,
+    c_char_p,
+    c_double,
+    c_int,
+    c_int32,
+    c_int64,
+    c_size_t,
+    c_uint32,
+    c_void_p,
+)
+from functools import cache
+from typing import Any, final
+
+from workers.core.build import built
+from workers.errors import ModelError
+
+CO_SIMULATION, RUNGE_KUTTA, DORMAND_PRINCE, CVODE = range(4)
+METHODS = {
+    "fmu": CO_SIMULATION,
+    "rk4": RUNGE_KUTTA,
+    "dormand_prince": DORMAND_PRINCE,
+    "cvode": CVODE,
+}
+NO_MEMORY, WRONG_SIZES = 16, 17
+"""Codes beside those of a simulation."""
+N_TYPES = 11
+FUNCTIONS = (
+    "reset", "setup_experiment", "enter_configuration_mode", "exit_configuration_mode",
+    "enter_initialization_mode", "exit_initialization_mode", "set_string", "set_time",
+    "set_continuous_states", "get_continuous_states", "get_nominals", "get_derivatives",
+    "get_event_indicators", "enter_event_mode", "update_discrete_states",
+    "enter_continuous_time_mode", "completed_integrator_step", "do_step",
+    "set_real_input_derivatives", "get_directional_derivative",
+)  # fmt: skip
+"""Of an FMU, in their order in `Fmu`."""
+
+
+def _fields(kind: Any, *names: str) -> list[tuple[str, Any]]:
+    return [(name, kind) for name in names]
+
+
+class Variables(Structure):
+    """Variables that the columns of a row belong to; see core.h for these structures."""
+
+    _fields_ = [
+        *_fields(c_void_p, "reals", "elements"),
+        *_fields(c_size_t, "n_reals", "n_elements"),
+    ]
+
+
+class Fmu(Structure):
+    """An instance and its functions."""
+
+    _fields_ = [
+        *_fields(c_void_p, "handle", *FUNCTIONS),
+        *_fields(c_void_p * N_TYPES, "get", "set"),
+        ("stop_unit", c_double),
+        *_fields(c_size_t, "n_states", "n_indicators"),
+        *_fields(c_int32, "version", "interpolates_inputs", "completes_steps", "eventful"),
+    ]
+
+
+class Experiment(Structure):
+    """Times, inputs, and what is set and recorded."""
+
+    _fields_ = [
+        ("stop", c_double),
+        *_fields(Variables, "structure", "numbers"),
+        *_fields(c_void_p, "strings", "texts"),
+        ("n_strings", c_size_t),
+        *_fields(Variables, "inputs", "continuous_inputs", "outputs"),
+        *_fields(c_void_p, "times", "intervals", "values", "slopes", "jumps"),
+        *_fields(c_size_t, "n_times", "n_inputs", "n_outputs"),
+        *_fields(c_void_p, "gather", "by_time", "row_ends", "measured", "sigmas"),
+    ]
+
+
+class Settings(Structure):
+    """Of the solver."""
+
+    _fields_ = [
+        *_fields(c_double, "step", "rtol", "atol"),
+        ("atols", c_void_p),
+        ("max_steps", c_int64),
+        *_fields(c_double, "fmu_tolerance", "fixed"),
+    ]
+
+
+class Effects(Structure):
+    """Effects, and their coefficients at each point."""
+
+    _fields_ = _fields(c_void_p, "program", "parameters", "fastest_rates", "coefficients", "base")
+
+
+class Batch(Structure):
+    """One experiment for many points."""
+
+    _fields_ = [
+        *_fields(c_void_p, "fmu", "experiment", "settings", "effects"),
+        ("method", c_int64),
+        *_fields(c_size_t, "n_points", "n_values", "n_states", "largest_array"),
+        *_fields(
+            c_void_p, "points", "bounds", "progress", "outputs", "codes", "indices", "steps",
+            "stopped_at", "cvode", "states_out",
+        ),
+    ]  # fmt: skip
+
+
+class Cvode(Structure):
+    """CVODE's objects and functions."""
+
+    _fields_ = _fields(
+        c_void_p, "memory", "state_vector", "work_vector", "reinit", "set_tolerances",
+        "set_jacobian", "set_user_data", "set_max_step", "set_stop_time", "integrate",
+        "interpolate", "vector_data", "matrix_data", "y", "z", "jacobian_states",
+        "jacobian_derivatives",
+    )  # fmt: skip
+
+
+class Range(Structure):
+    """Nominal values and bounds of perturbed variables."""
+
+    _fields_ = [*_fields(c_void_p, "nominals", "lows", "highs"), ("n", c_size_t)]
+
+
+class Linearisation(Structure):
+    """What is perturbed, and the derivatives."""
+
+    _fields_ = [
+        ("stepping", c_int64),
+        ("offsets", c_void_p),
+        *_fields(c_size_t, "first_offset", "n_inputs"),
+        *_fields(Range, "states", "inputs", "parameters"),
+        *_fields(c_void_p, "references", "values", "effect_positions", "x", "dx", "effective"),
+        *_fields(c_void_p, "A", "B", "P", "C", "D", "Q"),
+    ]
+
+
+class Kalman(Structure):
+    """Noise, measurements, innovations."""
+
+    _fields_ = _fields(
+        c_void_p, "diffusion", "measured", "variances", "innovations", "spreads", "covariance"
+    )
+
+
+class Sensitivities(Structure):
+    """Parameters, their perturbed instances, and the outputs' derivatives by them."""
+
+    _fields_ = [
+        ("n", c_size_t),
+        *_fields(
+            c_void_p, "kinds", "positions", "references", "handles", "values", "states",
+            "derivatives", "outputs", "output_positions", "output_states",
+        ),
+        ("n_outputs", c_size_t),
+        ("sensitivities", c_void_p),
+    ]  # fmt: skip
+
+
+class Record(Structure):
+    """A recorded simulation, and an effect at one of its outputs."""
+
+    _fields_ = [
+        *_fields(c_void_p, "times", "values", "slopes"),
+        *_fields(c_size_t, "n_times", "n_inputs", "n_outputs", "column"),
+        *_fields(c_void_p, "program", "coefficients"),
+        *_fields(c_double, "rate", "decay"),
+        ("outputs", c_void_p),
+    ]
+
+
+_P = c_void_p
+_SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
+    "core_program": (c_void_p, [c_char_p, c_size_t, POINTER(c_char_p)]),
+    "core_program_free": (None, [_P]),
+    "core_program_states": (c_size_t, [_P]),
+    "core_evaluate": (c_int, [_P, _P, _P]),
+    "core_evaluate_dual": (c_int, [_P, _P, c_size_t, _P]),
+    "core_start": (c_int, [_P, _P, _P]),
+    "core_simulate": (c_size_t, [_P]),
+    "core_is_stiff": (c_int, [_P]),
+    "core_linearise": (c_int, [_P, _P]),
+    "core_filter": (c_int, [_P, _P, _P]),
+    "core_sensitivities": (c_int, [_P, _P]),
+    "core_is_known": (c_int, [_P, _P, c_size_t, c_uint32, _P]),
+    "core_apply_to_outputs": (c_int, [_P]),
+    "core_delay": (c_int64, [_P, _P, c_size_t, c_double, _P, _P]),
+    "core_backlash": (c_int64, [_P, _P, c_size_t, c_double, _P, _P]),
+    "core_rate_limit": (c_int64, [_P, _P, c_size_t, c_int, c_double, c_double, _P, _P]),
+    "core_run_linear": (None, [_P, _P, _P, _P, _P, c_size_t, c_size_t, c_size_t]),
+    "core_run_adjoint": (None, [_P, _P, _P, _P, _P, c_size_t, c_size_t, c_size_t]),
+}
+
+
+def load(path: str) -> Any:
+    """Load a library of the core, and declare its functions."""
+    library = ctypes.CDLL(path)
+    for name, (returns, arguments) in _SIGNATURES.items():
+        function = getattr(library, name)
+        function.restype, function.argtypes = returns, arguments
+    return library
+
+
+@cache
+def core(*, own_functions: bool = True) -> Any:
+    """Return the core of this machine, which is built at the first call where that is necessary.
+
+    Parameters
+    ----------
+    own_functions
+        With the core's own elementary functions; else with the C library's, to compare with.
+
+    Raises
+    ------
+    ModelError
+        If it cannot be built.
+    """
+    return load(str(built(own_functions=own_functions)))
+
+
+@final
+class LoadedProgram:
+    """Byte code of effects in the core; its memory is freed with it.
+
+    Parameters
+    ----------
+    code
+        Of `workers.core.assemble`.
+    library
+        The core; that of this machine if None.
+
+    Raises
+    ------
+    ModelError
+        If it is no byte code of this version.
+    """
+
+    def __init__(self, code: bytes, library: Any = None) -> None:
+        self._library = core() if library is None else library
+        wrong = c_char_p()
+        self.address: int | None = self._library.core_program(code, len(code), byref(wrong))
+        if not self.address:
+            said = (wrong.value or b"").decode()
+            raise ModelError(f"effects: must be byte code of this version but are {said}")
+
+    def __del__(self) -> None:
+        if getattr(self, "address", None):
+            self._library.core_program_free(self.address)
+            self.address = None
