@@ -25,7 +25,7 @@ from workers.core import build
 from workers.core.assemble import Registers, assemble
 from workers.core.library import LoadedProgram
 from workers.core.sundials import libraries
-from workers.effects.source import CAssignment, EffectArray
+from workers.effects.machine_code import CAssignment, EffectArray
 
 HERE = Path(__file__).parent
 FMU = HERE.parent / "configs" / "models" / "mass_spring_damper.fmu"

@@ -18,7 +18,6 @@ from support.core_batches import effects as core_effects
 import cluster_est.closed_loop.screening.linear_system as screening
 import workers.effects.outputs as outputs
 import workers.simulation.bind_effects as bind_effects
-import workers.simulation.filtering as filtering
 import workers.simulation.integrator as integrator
 import workers.simulation.linearise as linearise
 import workers.simulation.sensitivities as sensitivities
@@ -27,8 +26,8 @@ from workers.core import library as c
 from workers.core.assemble import Registers, assemble
 from workers.effects.compiled import compile_inner, equations
 from workers.effects.definition import SIGNAL, TIME, variable_symbol
-from workers.effects.memory import MEMORIES, SampledSignal
-from workers.effects.source import CAssignment, EffectArray
+from workers.effects.machine_code import CAssignment, EffectArray
+from workers.effects.signal_memory import MEMORIES, SampledSignal
 from workers.kernels.fmi.arguments import KernelArguments
 from workers.kernels.solvers.cvode import CvodeBatch
 
@@ -277,7 +276,7 @@ def replacements() -> list[tuple[Any, str, Any]]:
         (outputs, "_compile", recorded_output),
         (outputs, "apply_to_outputs", core_apply),
         (linearise, "linearise", core_linearise),
-        (filtering, "filter_states", core_filter),
+        (linearise, "filter_states", core_filter),
         (sensitivities, "simulate_forward", Compilable(core_forward)),
         (sensitivities, "is_known", Compilable(core_is_known)),
         (simulator, "stiffness", Compilable(core_stiffness)),

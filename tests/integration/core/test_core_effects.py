@@ -11,6 +11,8 @@ from workers.fmu.description import describe
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver
 from workers.simulation.simulator import Simulator
 
+pytestmark = pytest.mark.slow
+
 TIMES = np.linspace(0.0, 4.0, 81)
 FORCE = 2.0 * np.sin(3.0 * TIMES) + np.random.default_rng(3).normal(size=81)
 SITES = {

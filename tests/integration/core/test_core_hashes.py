@@ -10,6 +10,8 @@ import pytest
 
 from workers.core import build
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[3]
 SCRIPT = ROOT / "tests" / "support" / "simulation_hashes.py"
 WITHOUT_FMA = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-AVX2,-FMA4"}

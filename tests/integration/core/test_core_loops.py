@@ -13,6 +13,8 @@ from workers.kernels.solvers.cvode import CvodeBatch
 from workers.messages import Experiment, Input, Model, Output, Solver
 from workers.simulation.simulator import Simulator
 
+pytestmark = pytest.mark.slow
+
 TIMES = np.linspace(0.0, 3.7, 38)
 NAMES = (
     "bouncing_ball", "stair", "step_events", "thermostat", "types", "van_der_pol", "nominals",

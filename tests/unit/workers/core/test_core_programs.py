@@ -19,8 +19,10 @@ from workers.effects.compiled import READ
 from workers.effects.definition import TIME
 from workers.effects.expression import FUNCTIONS, parse
 from workers.effects.forms import FORMS
-from workers.effects.source import CAssignment, EffectArray, compile_function
+from workers.effects.machine_code import CAssignment, EffectArray, compile_function
 from workers.errors import EffectError, ModelError
+
+pytestmark = pytest.mark.slow
 
 X, Y = (sp.Symbol(name, real=True) for name in "xy")
 LOCATIONS = {X: (EffectArray.STATES, 0), Y: (EffectArray.STATES, 1)}

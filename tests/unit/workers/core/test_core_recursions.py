@@ -7,7 +7,7 @@ import pytest
 from support.core_in_place import memory
 
 from workers.core.library import core
-from workers.effects.memory import (
+from workers.effects.signal_memory import (
     SampledSignal,
     backlash,
     delay,
