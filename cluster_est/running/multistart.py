@@ -4,10 +4,10 @@ All searches share one queue, so the gradients of some fill the time in which ot
 slowest simulation. What is found does not depend on which search is faster: starts are counted in
 their order.
 
-Starts of sensors' scales and offsets: the best ones at each start of the other unknowns.
-
-A search that begins with a scale that is wrong by orders of magnitude, or by its sign, moves the
-other parameters to where they do least harm before it has found the scale.
+Before a search begins, the scales and offsets of sensors without a start of their own get the best
+values at the start of the other unknowns. A search that begins with a scale that is wrong by orders
+of magnitude, or by its sign, moves the other parameters to where they do least harm before it has
+found the scale.
 """
 
 from __future__ import annotations

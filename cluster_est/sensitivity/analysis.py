@@ -1,18 +1,16 @@
 """The recipe of a sensitivity analysis: sample the bounds, simulate, compute indices, order.
 
-References: A. Saltelli et al., Global Sensitivity Analysis: The Primer (2008),
-doi:10.1002/9780470725184.
+Indices say how much an unknown moves the cost and the outputs between its bounds: A. Saltelli et
+al., Global Sensitivity Analysis: The Primer (2008), doi:10.1002/9780470725184.
 
-Which unknowns can be estimated together: local sensitivities, collinearity, a subset.
-
-S = J D: derivatives of the residuals by the unknowns, times a noticeable change of each. The size
-of a column is how much the data see of an unknown; columns that are nearly dependent belong to
-unknowns that can make up for each other. The collinearity index 1 / sqrt(smallest eigenvalue of
-N'N), N the columns scaled to length 1, is how many times larger a change of the best combination is
-than what is left of it: R. Brun, P. Reichert, H. R. Kuensch, Water Resour. Res. 37 (2001)
-1015-1030, doi:10.1029/2000WR900350. The order is that of a QR decomposition with column pivoting:
-M. Burth, G. C. Verghese, M. Velez-Reyes, IEEE Trans. Power Syst. 14 (1999) 218-225,
-doi:10.1109/59.744536.
+The order says which unknowns can be estimated together, by local sensitivities S = J D: derivatives
+of the residuals by the unknowns, times a noticeable change of each. The size of a column is how
+much the data see of an unknown; columns that are nearly dependent belong to unknowns that can make
+up for each other. The collinearity index 1 / sqrt(smallest eigenvalue of N'N), N the columns scaled
+to length 1, is how many times larger a change of the best combination is than what is left of it:
+R. Brun, P. Reichert, H. R. Kuensch, Water Resour. Res. 37 (2001) 1015-1030,
+doi:10.1029/2000WR900350. The order is that of a QR decomposition with column pivoting: M. Burth,
+G. C. Verghese, M. Velez-Reyes, IEEE Trans. Power Syst. 14 (1999) 218-225, doi:10.1109/59.744536.
 """
 
 from __future__ import annotations

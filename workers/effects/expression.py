@@ -3,12 +3,11 @@
 The text is parsed into Python's syntax tree and only arithmetic, comparisons and the functions
 below are turned into SymPy; anything else is refused with a sentence.
 
-Functions of equations as they stand, which SymPy would try to simplify.
-
-SymPy looks at each pair of arguments of a `Max` for one that is never the larger, and at an `Abs`
-for a simpler form of what is in it: it factors their differences, whenever a symbol is replaced. In
-an equation with many of them, as a curve has, that takes seconds, and finds nothing where the
-arguments are signals. Printers know these by the names of SymPy's.
+Functions such as `Max` and `Abs` stand for themselves here, by the names of SymPy's, which printers
+know. SymPy's own would be simplified whenever a symbol is replaced: it looks at each pair of
+arguments of a `Max` for one that is never the larger, and at an `Abs` for a simpler form of what is
+in it, and factors their differences. In an equation with many of them, as a curve has, that takes
+seconds, and finds nothing where the arguments are signals.
 """
 
 from __future__ import annotations

@@ -1,11 +1,10 @@
 """Effects at outputs, compiled and applied to recorded outputs.
 
-Recorded outputs between the times at which they were recorded.
-
-A lag or a delay of a sensor sees an output at all times, and a record has some. Of a wave with w h
-radians between two records a straight line misses (w h)^2 / 8, the cubic through the four records
-around an interval 3/128 (w h)^4: with ten records to a period 5 % and 0.4 % of the amplitude
-(P. J. Davis, Interpolation and Approximation (1975), section 3.1).
+A lag or a delay of a sensor sees an output at all times, and a record has some: between them the
+output is interpolated. Of a wave with w h radians between two records a straight line misses
+(w h)^2 / 8, the cubic through the four records around an interval 3/128 (w h)^4: with ten records
+to a period 5 % and 0.4 % of the amplitude (P. J. Davis, Interpolation and Approximation (1975),
+section 3.1).
 """
 
 from __future__ import annotations
