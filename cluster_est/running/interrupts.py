@@ -68,6 +68,9 @@ class DeferredInterrupts:
 
     def _note(self, _number: int, _frame: FrameType | None) -> None:
         self.noted += 1
+        for before in self._before.values():
+            if isinstance(before, _RaisingHandler):
+                before.interrupted = True
         if self._waiting or self.noted >= INSISTED:
             raise KeyboardInterrupt
 
@@ -79,10 +82,10 @@ class _RaisingHandler:
     """
 
     def __init__(self) -> None:
-        self.noted = 0
+        self.noted, self.interrupted = 0, False
 
     def __call__(self, _number: int, _frame: FrameType | None) -> None:
-        self.noted += 1
+        self.noted, self.interrupted = self.noted + 1, True
         raise KeyboardInterrupt
 
 
@@ -102,7 +105,7 @@ def terminations() -> Iterator[None]:
         if number == signal.SIGTERM or signal.getsignal(number) is usual:
             before[number] = signal.signal(number, handler)
     try:
-        with _quiet():
+        with _quiet(handler):
             yield
     finally:
         for number, earlier in before.items():
@@ -110,8 +113,11 @@ def terminations() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Print no traceback of an interrupt that nobody could raise: it comes again later."""
+def _quiet(handler: _RaisingHandler) -> Iterator[None]:
+    """Print no traceback of an interrupt that nobody could raise: it comes again later.
+
+    Nor of what was being made when one came, and is taken down half made.
+    """
     printing, unraisable = sys.excepthook, sys.unraisablehook
 
     def print_others(
@@ -121,7 +127,7 @@ def _quiet() -> Iterator[None]:
             printing(kind, error, traceback)
 
     def tell_others(unraised: sys.UnraisableHookArgs) -> None:
-        if not issubclass(unraised.exc_type, KeyboardInterrupt):
+        if not handler.interrupted and not issubclass(unraised.exc_type, KeyboardInterrupt):
             unraisable(unraised)
 
     sys.excepthook, sys.unraisablehook = print_others, tell_others

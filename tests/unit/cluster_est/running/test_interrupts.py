@@ -129,6 +129,17 @@ class TestInterrupts:
             with pytest.raises(KeyboardInterrupt), DeferredInterrupts():
                 pass
 
+    def test_what_one_has_left_half_made_goes_in_silence(self, capsys):
+        class HalfMade:
+            def __del__(self) -> None:
+                raise AttributeError("it was not made")
+
+        with terminations():
+            with pytest.raises(KeyboardInterrupt), DeferredInterrupts():
+                interrupt_here(signal.SIGINT)
+            HalfMade()
+        assert capsys.readouterr().err == ""
+
 
 class TestFromOutside:
     def test_a_stop_file_of_an_earlier_run_stops_nothing(self, tmp_path):
