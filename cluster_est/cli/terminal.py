@@ -26,12 +26,12 @@ from cluster_est.running.resources import Budget, Resources, RunSnapshot, Show
 from cluster_est.studies.configured import ConfiguredStudy, Destination, Listener, RunEnd, do_run
 from workers.kernels.fmi.compiling import compiled_before
 
-SECONDS_BETWEEN = 0.1
+SECONDS_BETWEEN_REDRAWS = 0.1
 SECONDS_OF_LINES, SHARE_OF_LINES = 30.0, 0.05
 """At least between two printed lines: seconds, and share of the time that the run has taken."""
 HINT_SECONDS = 20.0
 """In which all workers were busy and as many simulations again were waiting."""
-FIRST = (
+COMPILED_FIRST = (
     "the loops that call the FMU are compiled for this machine first, which takes about half a "
     "minute of one core; later runs find them ready"
 )
@@ -93,7 +93,7 @@ class ProgressLine:
     def show(self, snapshot: RunSnapshot) -> None:
         """Refresh, at most ten times a second."""
         now = self._clock()
-        if now - self._shown <= SECONDS_BETWEEN:
+        if now - self._shown <= SECONDS_BETWEEN_REDRAWS:
             return
         self._shown = now
         if hint := self._hint.look(snapshot):
@@ -189,7 +189,7 @@ def complain(text: str) -> None:
 def say_if_compiled_first() -> None:
     """Say what there is to wait for, where the loops have never been compiled."""
     if not compiled_before():
-        complain(FIRST)
+        complain(COMPILED_FIRST)
 
 
 def say_if_filter_compiled_first(problem: Problem) -> None:

@@ -29,9 +29,8 @@ from cluster_est.config.experiment_keys import (
 from cluster_est.config.sections import Config
 from cluster_est.errors import ConfigError
 from cluster_est.executors import EXECUTORS
-from cluster_est.methods import ALIASES, METHODS
-from cluster_est.problem.costs import ALIASES as COST_ALIASES
-from cluster_est.problem.costs import COSTS
+from cluster_est.methods import METHOD_ALIASES, SEARCH_METHODS
+from cluster_est.problem.costs import COST_ALIASES, COSTS
 from cluster_est.problem.tables.measured import (
     missing_time,
     relative_without_sigma,
@@ -109,7 +108,7 @@ class _OnlyDefaults(BaseModel):
 def _unknown_names(config: Config) -> Iterator[str]:
     choices: list[tuple[str, str, list[str], list[str]]] = [
         ("cost.name", config.cost.name, list(COSTS), list(COST_ALIASES)),
-        ("method.name", config.method.name, list(METHODS), list(ALIASES)),
+        ("method.name", config.method.name, list(SEARCH_METHODS), list(METHOD_ALIASES)),
         ("executor.name", config.executor.name, list(EXECUTORS), []),
     ]
     for key, name, known, aliases in choices:

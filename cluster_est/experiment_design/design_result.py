@@ -13,7 +13,12 @@ import numpy as np
 import pyarrow as pa
 
 from cluster_est.errors import RunFolderError
-from cluster_est.experiment_design.candidate_inputs import RANDOM, RECORDED, SMALLER, CandidateMaker
+from cluster_est.experiment_design.candidate_inputs import (
+    RANDOM,
+    RECORDED,
+    SMALLER_AMPLITUDES,
+    CandidateMaker,
+)
 from cluster_est.experiment_design.criteria import (
     covariances,
     expected_probabilities,
@@ -167,7 +172,9 @@ def _compared(
 ) -> tuple[FloatArray, FloatArray]:
     """A measure of the median random input, and of the best recorded one; NaN without any."""
     nothing = np.full(measure(ranked(found)[0]).shape, np.nan)
-    random = ranked([each for each in found if each.candidate.origin in (RANDOM, SMALLER)])
+    random = ranked(
+        [each for each in found if each.candidate.origin in (RANDOM, SMALLER_AMPLITUDES)]
+    )
     recorded = ranked([each for each in found if each.candidate.origin == RECORDED])
     return (
         measure(random[len(random) // 2]) if random else nothing,

@@ -111,7 +111,7 @@ WORTH_SAYING = 0.1
 """Rise of a probability that is worth a sentence."""
 NO_CHANGE = 0.995
 """Of a standard error, from which on it stays what it is."""
-LARGEST = 1e6
+LARGEST_LIKELIHOOD_RATIO = 1e6
 """Times less likely beyond which no number is said."""
 
 
@@ -119,7 +119,7 @@ def times(evidence: float) -> str:
     """Return how many times less likely evidence makes a rival: "40 times"."""
     if math.isnan(evidence):
         return "unknown"
-    if evidence > math.log(LARGEST):
+    if evidence > math.log(LARGEST_LIKELIHOOD_RATIO):
         return "more than a million times"
     factor = math.exp(max(evidence, 0.0))
     if factor < 10.0:

@@ -68,7 +68,7 @@ class DesignQueue:
 FLAT = 1e-9
 """Singular value of the moves of all unknowns, in units of their sizes, that is none."""
 BROKEN = "derivatives could not be simulated"
-FARTHEST = 0.1
+LONGEST_DIFFERENCE = 0.1
 """Of an unknown, or of a noticeable change of it where that is more, by which it is moved."""
 
 
@@ -214,7 +214,7 @@ def sigma_points(space: SearchSpace, information: FloatArray) -> FloatArray:
         Within the bounds.
     """
     steps = root_of_inverse(information).T
-    most = FARTHEST * np.maximum(space.typical, np.abs(space.start))
+    most = LONGEST_DIFFERENCE * np.maximum(space.typical, np.abs(space.start))
     longest = np.max(np.abs(steps) / most, axis=1, initial=0.0)
     steps = steps / np.maximum(longest, 1.0)[:, None]
     points = np.vstack([space.start, space.start + steps, space.start - steps])

@@ -25,7 +25,7 @@ from cluster_est.html_report.page_blocks import (
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row
 
-MOST_ROWS = 24
+MOST_EXPERIMENT_ROWS = 24
 """Rows of the picture that are one output of one experiment each; else each is of an output."""
 ROW_PIXELS = 22
 When = Literal["before", "after"]
@@ -158,7 +158,7 @@ def _groups(sizes: ErrorSizes) -> dict[str, list[int]]:
     single = len({row["output"] for row in sizes.rows}) == 1
     for i, row in enumerate(sizes.rows):
         held = " (held out)" if row["role"] == "test" else ""
-        if len(sizes.rows) <= MOST_ROWS:
+        if len(sizes.rows) <= MOST_EXPERIMENT_ROWS:
             own = row["experiment"] if single else f"{row['experiment']}, {row['output']}"
         else:
             own = row["output"]
@@ -171,7 +171,7 @@ def _known(sizes: ErrorSizes, chosen: Sequence[int]) -> bool:
 
 
 ROLES = {"train": "training", "test": "held out"}
-MOST_OPEN = 24
+MOST_UNFOLDED_ROWS = 24
 """Rows of the table by experiment that are not folded."""
 
 
@@ -190,7 +190,7 @@ def errors(run: ReportedRun) -> ReportSection:
     if len(rows) > len(outputs):
         own = [[r for r in rows if (r["output"], r["role"]) == key] for key in outputs]
         blocks.append(_table("By output, over all experiments", own, pooled=True))
-    folded = len(rows) > MOST_OPEN
+    folded = len(rows) > MOST_UNFOLDED_ROWS
     blocks.append(_table("By experiment", [[row] for row in rows], folded=folded))
     return ReportSection("errors", "Errors before and after", tuple(blocks))
 

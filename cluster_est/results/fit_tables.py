@@ -323,7 +323,7 @@ def coefficient_units(problem: Problem) -> dict[str, str]:
         names = [f"{definition.effect.name}.{c.name}" for c in definition.form.coefficients]
         texts = effects.coefficient_units(definition, description)
         pairs = zip(names, texts, strict=True)
-        found |= {name: "" if effects.UNKNOWN in unit else unit for name, unit in pairs}
+        found |= {name: "" if effects.UNKNOWN_UNIT in unit else unit for name, unit in pairs}
     return found
 
 

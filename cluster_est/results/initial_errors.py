@@ -18,14 +18,14 @@ from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Output
 
-CLEAR = 10.0
+INITIAL_ERROR_OVER_NOISE = 10.0
 """Times the noise that an error at the first sample must reach."""
 OUTSTANDING = 1.5
 """Times the error of the later half of the record that it must reach, once a model is fitted: what
 stays is an offset. A swing that began elsewhere is 1.4 times its own root mean square."""
-LARGE = 0.2
+INITIAL_ERROR_OVER_SPREAD = 0.2
 """Share of the standard deviation of what was measured that it must reach, before the fit."""
-MOST_NAMED = 3
+MOST_NAMED_STATES = 3
 """States in a sentence."""
 
 
@@ -120,7 +120,7 @@ def free_start_advice(problem: Problem) -> str:
         for name in description.states
         if description.variables[name].settable and name not in taken
     ]
-    named = states[:MOST_NAMED] or ["STATE"]
+    named = states[:MOST_NAMED_STATES] or ["STATE"]
     starts = [description.variables[n].start if n in states else None for n in named]
     keys = ", ".join(
         f"{dotted('parameters', name)} = {{ start = {'NUMBER' if start is None else f'{start:g}'}, "
@@ -172,7 +172,9 @@ def _off(output: Output, errors: FloatArray, *, fitted: bool) -> tuple[float, fl
     noise = float(output.sigmas[0]) if output.has_sigma else noise_of_samples(output.values)
     first = abs(float(errors[0]))
     later = float(np.sqrt(np.mean(errors[len(errors) // 2 :] ** 2)))
-    least = OUTSTANDING * later if fitted else LARGE * float(np.std(output.values))
-    if not first > max(CLEAR * noise, least):
+    least = (
+        OUTSTANDING * later if fitted else INITIAL_ERROR_OVER_SPREAD * float(np.std(output.values))
+    )
+    if not first > max(INITIAL_ERROR_OVER_NOISE * noise, least):
         return 0.0, 0.0
     return first, first / noise if noise > 0.0 else np.inf

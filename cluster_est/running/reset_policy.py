@@ -20,7 +20,7 @@ from cluster_est.executors import WorkerPool, executor_class
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
 from cluster_est.running.resources import Resources
-from cluster_est.running.threads_trial import TOGETHER, Trial, what_disturbs
+from cluster_est.running.threads_trial import INSTANCES_AT_ONCE, Trial, what_disturbs
 from workers.errors import ModelError
 from workers.messages import Experiment, Limits, Outcome, ResetPolicy, Status, Task
 from workers.process.forked import CAN_FORK
@@ -33,7 +33,7 @@ LATER_SECONDS = 1.1
 LONG_SECONDS, LONG_AT_THE_END = 60.0, 5.0
 """Of a simulation that is not done once more only to be compared."""
 NO_LIMITS = Limits(*[float("inf")] * 4)
-BEGINS = {
+BEGINNING_OF_SIMULATION = {
     "reset": "a reset of the instance",
     "instance": "a new instance",
     "process": "a new process",
@@ -193,7 +193,7 @@ def _disturbance(problem: Problem, resources: Resources, pool: WorkerPool) -> st
     if resources.instances is None:
         return what_disturbs(problem)
     limited = replace(problem, model=resources.limited(problem.model))
-    return what_disturbs(limited, lambda: pool.free_instances(TOGETHER))
+    return what_disturbs(limited, lambda: pool.free_instances(INSTANCES_AT_ONCE))
 
 
 def _open(
@@ -226,7 +226,9 @@ def _open(
         )
     declared = problem.model.reset
     if known is None and declared != "auto":
-        said = f"each simulation begins with {BEGINS[declared]}, as model.reset says"
+        said = (
+            f"each simulation begins with {BEGINNING_OF_SIMULATION[declared]}, as model.reset says"
+        )
         known = ResetDecision(declared, said, plain=True)
     if known is not None:
         return start(resources.executor, known.policy, resources.workers), known
@@ -346,7 +348,8 @@ def _decide(file: str, answers: Mapping[ResetPolicy, RepeatabilityAnswer]) -> Re
         return ResetDecision("reset", said, plain=True) if answer.same else None
     if not answer.same:
         return None
-    said = f"{file} {answers['reset'].message}: each simulation begins with {BEGINS[policy]}"
+    begins = BEGINNING_OF_SIMULATION[policy]
+    said = f"{file} {answers['reset'].message}: each simulation begins with {begins}"
     return ResetDecision(policy, said)
 
 

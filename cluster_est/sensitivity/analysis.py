@@ -118,7 +118,7 @@ def _collinearity(unit: FloatArray) -> float:
     return 1.0 / smallest if smallest > 0.0 else np.inf
 
 
-AT_ONCE, VALUES_AT_ONCE = 1000, 20_000_000
+POINTS_AT_ONCE, RESIDUALS_AT_ONCE = 1000, 20_000_000
 """Points that are asked for together, and their residuals: only the quantities are kept."""
 
 
@@ -286,7 +286,7 @@ def _simulated(
 ) -> FloatArray:
     """(points, quantities): NaN where a simulation failed."""
     parts = []
-    many = min(AT_ONCE, max(1, VALUES_AT_ONCE // max(space.rows[-1].stop, 1)))
+    many = min(POINTS_AT_ONCE, max(1, RESIDUALS_AT_ONCE // max(space.rows[-1].stop, 1)))
     for first in range(0, len(points), many):
         unit = points[first : first + many]
         x = space.lower + unit * (space.upper - space.lower)

@@ -24,7 +24,7 @@ from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Input, IntArray, Output
 from workers.messages.checks import shown
 
-LEAST_SAMPLES = 4
+LEAST_SAMPLES_OF_SEGMENT = 4
 """Of a segment that is cut in halves."""
 
 
@@ -81,7 +81,7 @@ class Shooting(Settings):
             for e in problem.experiments
             if e.role == "train"
         )
-        if 0.5 * shortest < LEAST_SAMPLES * longest:
+        if 0.5 * shortest < LEAST_SAMPLES_OF_SEGMENT * longest:
             return None
         if self.segments:
             return Shooting(segments=2 * self.segments)

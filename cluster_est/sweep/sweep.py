@@ -25,7 +25,7 @@ from cluster_est.run_folder.run_identity import RunIdentity
 from cluster_est.running.environment import SharedPools, pool_key
 from cluster_est.studies.configured import ConfiguredStudy, Destination, Listener, configure, do_run
 from cluster_est.sweep.matrix import (
-    FAILED,
+    FAILED_STATES,
     NOT_RUN,
     PlannedRun,
     SweepRun,
@@ -183,7 +183,7 @@ def sweep(
         raise RunFolderError(f"{out}: cannot be made ({error}); choose another") from error
     with locked_by_sweep(out):
         states = {p.run.name: status(out / p.run.name, p) for p in plan}
-        again = FAILED if retry_failed else ()
+        again = FAILED_STATES if retry_failed else ()
         todo = [p for p in plan if states[p.run.name] in (NOT_RUN, *again)]
         try:
             with SharedPools() as pools:

@@ -18,7 +18,7 @@ import cluster_est as ce
 from benches import Row
 from benches.common import EXAMPLES, example
 from benches.dear_simulations import made_problem, write_model
-from cluster_est.methods import METHODS
+from cluster_est.methods import SEARCH_METHODS
 from cluster_est.running.resources import TaskOrigin
 from workers.messages import Outcome, Status
 
@@ -57,6 +57,6 @@ def simulated(problem: ce.Problem, name: str, points: int, *, early: bool) -> tu
         seconds += end - run.start if origin.search == "train" else 0.0
 
     budget = ce.Resources(workers=1, budget=ce.Budget(evaluations=points))
-    method = METHODS[name](early_end=early)  # type: ignore[call-arg]
+    method = SEARCH_METHODS[name](early_end=early)  # type: ignore[call-arg]
     result = ce.fit(problem, method, budget, record=record)
     return seconds, result.solution.x.tobytes()

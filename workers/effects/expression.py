@@ -70,7 +70,7 @@ def _are_numbers(arguments: tuple[Any, ...]) -> bool:
     return all(term.is_number for term in terms)
 
 
-FUNCTIONS: dict[str, Callable[..., sp.Expr]] = {
+EQUATION_FUNCTIONS: dict[str, Callable[..., sp.Expr]] = {
     "abs": Abs,
     "sign": sp.sign,
     "sqrt": sp.sqrt,
@@ -98,11 +98,11 @@ MAX_EXPONENT = 1000
 """Of a number: SymPy would compute all digits of 9^9^9."""
 MOST_DIGITS = 10_000
 """Of a power of numbers, all of which SymPy computes."""
-LARGEST = 1e300
+LARGEST_FUNCTION_VALUE = 1e300
 """Of a function of numbers: beyond, the function of that function would never be computed."""
 MAX_DEPTH = 50
 """Of calls, signs, powers and parentheses in each other; SymPy goes through them by recursion."""
-_COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
+_COMPARISON_OPERATORS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Lt: lambda a, b: a < b,
     ast.LtE: lambda a, b: a <= b,
     ast.Gt: lambda a, b: a > b,
@@ -169,8 +169,14 @@ def _power(base: Any, exponent: Any) -> Any:
 
 def _bounded(value: Any) -> Any:
     """Return the value of a function; refused is a number that is out of all proportion."""
-    if getattr(value, "is_number", False) and value.is_finite and abs(value.evalf()) > LARGEST:
-        raise OverflowError(f"a number must be at most {LARGEST:g} in size but one is more")
+    if (
+        getattr(value, "is_number", False)
+        and value.is_finite
+        and abs(value.evalf()) > LARGEST_FUNCTION_VALUE
+    ):
+        raise OverflowError(
+            f"a number must be at most {LARGEST_FUNCTION_VALUE:g} in size but one is more"
+        )
     return value
 
 
@@ -217,9 +223,9 @@ class _ExpressionReader:
             case ast.BinOp():
                 return self._chain(node)
             case ast.Compare(left=left, ops=[comparison], comparators=[right]) if (
-                type(comparison) in _COMPARISONS
+                type(comparison) in _COMPARISON_OPERATORS
             ):
-                return _COMPARISONS[type(comparison)](self.read(left), self.read(right))
+                return _COMPARISON_OPERATORS[type(comparison)](self.read(left), self.read(right))
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
                 return self._call(name, arguments)
         raise self._refused(node)
@@ -241,7 +247,7 @@ class _ExpressionReader:
         part = ast.get_source_segment(self._text, node) or self._text
         return EffectError(
             f"{self._where}: must be made of numbers, variables, + - * / ^, comparisons and "
-            f"{', '.join(FUNCTIONS)} but has {part!r}"
+            f"{', '.join(EQUATION_FUNCTIONS)} but has {part!r}"
         )
 
     def _compute(self, operation: Callable[..., Any], *values: Any) -> Any:
@@ -259,7 +265,7 @@ class _ExpressionReader:
         return EffectError(f"{self._where}: {error} in {_shown(self._text)}; change it")
 
     def _call(self, name: str, arguments: list[ast.expr]) -> Any:
-        function = self._look_up(name, FUNCTIONS, "function")
+        function = self._look_up(name, EQUATION_FUNCTIONS, "function")
         try:
             return _bounded(function(*(self.read(argument) for argument in arguments)))
         except OverflowError as error:

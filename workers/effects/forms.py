@@ -106,7 +106,7 @@ _REFERENCE = FormCoefficient(
     "ref", None, positive=True, scale=GridScale.MAX_V, grid=(1.0,), held=True, unit="v"
 )
 """Of a power law: there it is as large as its strength, whatever its exponent."""
-_EXPONENT = _shape("n", "1", GridScale.EXPONENT, 0.7, 1.5, 2.5, 4.5)
+_EXPONENT_OF_POWER = _shape("n", "1", GridScale.EXPONENT, 0.7, 1.5, 2.5, 4.5)
 """Beside those of the square root, the line, the square and the cube, which have forms of their
 own."""
 _ZERO = FormCoefficient(
@@ -233,7 +233,7 @@ _RATES = (
     EffectForm("cubic", "drag", _DER, "-k * v^3", (_drag("site / v^3", if_own=True),), 1,
          order=0.5),
     EffectForm("power", "drag", _DER, "-k * sign(v) * (abs(v) / ref)^n",
-         (_drag("site", if_own=True), _EXPONENT, _REFERENCE), 1, order=1.0),
+         (_drag("site", if_own=True), _EXPONENT_OF_POWER, _REFERENCE), 1, order=1.0),
     EffectForm("coulomb", "friction", _DER, "-k * tanh(v / width)",
          (_drag("site"), _WIDTH), 1, when=_OWN_OSCILLATES),
     EffectForm("stribeck", "friction", _DER, "-(k + peak * exp(-(v / vs)^2)) * tanh(v / width)",
@@ -305,7 +305,7 @@ _RATES = (
     _between("linear", "coupling", "v", " / v", when=(), order=0.3),
     _between("quadratic", "drag", "v * abs(v)", " / v^2"),
     _between("cubic", "drag", "v^3", " / v^3", when=(), order=0.5),
-    _between("power", "drag", "sign(v) * (abs(v) / ref)^n", "", _EXPONENT, _REFERENCE,
+    _between("power", "drag", "sign(v) * (abs(v) / ref)^n", "", _EXPONENT_OF_POWER, _REFERENCE,
              when=(), order=1.0),
     _between("coulomb", "friction", "tanh(v / width)", "", _WIDTH),
     _between("overflow", "leak", "max(v - at, 0)", " / v",

@@ -311,7 +311,7 @@ class Experiment:
     def __post_init__(self) -> None:
         check_name(self.id, "experiment.id", DataError)
         where = f"experiment {self.id!r}"
-        for key, kind in _LISTS.items():
+        for key, kind in _EXPERIMENT_LISTS.items():
             given = getattr(self, key)
             object.__setattr__(self, key, as_tuple(given, kind, f"{where}.{key}", DataError))
         for key in ("values", "groups"):
@@ -408,7 +408,7 @@ class Experiment:
         return content_hash(signals)
 
 
-_LISTS: dict[str, type] = {
+_EXPERIMENT_LISTS: dict[str, type] = {
     "inputs": Input,
     "outputs": Output,
     "signals": Input,

@@ -108,13 +108,13 @@ def _signal_name(number: int) -> str:
         return f"signal {number}"
 
 
-LOOK_SECONDS = 0.1
+WATCH_SECONDS = 0.1
 """How often the memory and the progress of a running simulation are looked at."""
 SELDOM_SECONDS = 1.0
 """The same where no limit is so narrow that it matters: a look costs a tenth of a millisecond."""
-WIDE = 20.0
+WIDE_LIMIT = 20.0
 """Times `SELDOM_SECONDS`, from which on a limit is not narrow."""
-TRIES, LOST = 2, 10
+MOST_TRIES, MOST_KILLS = 2, 10
 """How often a simulation may fail, and how often it may be killed from outside."""
 CAREFUL = 500
 """Tasks in a row without a failure before they travel in batches again."""
@@ -211,7 +211,7 @@ class SupervisedEvaluator:
             self._careful = CAREFUL
             lost += answered.from_outside
             failed += not answered.from_outside
-            if (failed >= TRIES and alone) or lost >= LOST:
+            if (failed >= MOST_TRIES and alone) or lost >= MOST_KILLS:
                 return self._failed(task, answered)
 
     def _failed(self, task: Task, failure: ProcessFailure) -> Outcome:
@@ -254,8 +254,8 @@ class SupervisedEvaluator:
     def _wait(self, child: int, connection: Connection) -> ProcessFailure | None:
         """Wait for an answer; why not, if it stands still, or time or memory ran out."""
         limits = self._limits
-        wide = min(limits.seconds, limits.stall) >= WIDE * SELDOM_SECONDS
-        pause = SELDOM_SECONDS if wide and limits.memory == float("inf") else LOOK_SECONDS
+        wide = min(limits.seconds, limits.stall) >= WIDE_LIMIT * SELDOM_SECONDS
+        pause = SELDOM_SECONDS if wide and limits.memory == float("inf") else WATCH_SECONDS
         if connection.poll(pause):  # most answers are there before the first look
             return None
         watch = ProgressWatch(child, self._forks.progress)
@@ -280,7 +280,7 @@ class SupervisedEvaluator:
         return grown or report.instances > MOST_INSTANCES
 
     def _begin_at_last(self) -> None:
-        for left in reversed(range(LOST)):
+        for left in reversed(range(MOST_KILLS)):
             try:
                 self._begin()
                 return
@@ -300,7 +300,7 @@ class SupervisedEvaluator:
         said: ModelError | None
         try:
             watch = ProgressWatch(child, self._forks.progress)
-            while not connection.poll(LOOK_SECONDS):
+            while not connection.poll(WATCH_SECONDS):
                 watch.look()
                 if watch.still > LOAD_SECONDS:
                     self._end(kill=True)

@@ -111,7 +111,7 @@ def _points(curve: Curve, simulated: SimulatedOutputs) -> FloatArray:
     return np.ascontiguousarray(simulated.outputs[:, rows][:, :, columns])
 
 
-RELATIVE_STEP = 1e-6
+COMPARISON_STEP = 1e-6
 """Of the outputs, for a comparison that is not linear in them: it is no simulation, so rounding is
 all its noise."""
 
@@ -148,7 +148,7 @@ def _steps(simulated: SimulatedOutputs, sensitivities: FloatArray) -> FloatArray
     own = np.abs(simulated.values[0, : len(sensitivities)])
     own[own == 0.0] = 1.0
     with np.errstate(divide="ignore"):
-        steps: FloatArray = RELATIVE_STEP * np.fmin(own, size / largest)
+        steps: FloatArray = COMPARISON_STEP * np.fmin(own, size / largest)
     return steps
 
 

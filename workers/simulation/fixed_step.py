@@ -14,7 +14,7 @@ from workers.messages import Experiment, FloatArray, IntArray, Model
 
 ON_GRID = 1e-6
 """Of a step: a time that is nearer to a communication point than this stands on it."""
-ROUNDING = 2.0 * float(np.finfo(np.float64).eps)
+ROUNDING_OF_STEPS = 2.0 * float(np.finfo(np.float64).eps)
 """Of the largest time: what rounding may change in the difference of two."""
 
 
@@ -118,7 +118,7 @@ def step_lengths(times: FloatArray, own_step: float | None) -> FloatArray:
     """
     differences = np.diff(times)
     lengths, positions = np.unique(differences, return_inverse=True)
-    room = ROUNDING * float(np.abs(times).max())
+    room = ROUNDING_OF_STEPS * float(np.abs(times).max())
     multiples = np.array([_multiple(each, room, own_step) for each in lengths.tolist()])[positions]
     shortest = np.array([_shortest(each, room) for each in lengths.tolist()])[positions]
     plain = np.where(times[:-1] + shortest >= times[1:], shortest, differences)

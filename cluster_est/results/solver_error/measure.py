@@ -25,7 +25,7 @@ MOST_EXPERIMENTS = 8
 """That are simulated again; of more, every n-th."""
 NOTICED = 0.1
 """Share of what is left, or of the sigma, above which an error of the solver is said."""
-FAINT = 1e-3
+FAINT_SOLVER_ERROR = 1e-3
 """Share of a signal's spread below which nothing is said where no sigma is given."""
 
 
@@ -54,7 +54,7 @@ class OutputSolverError:
         """Whether it may have moved the estimates by more than noise does."""
         if np.isfinite(self.over_sigma):
             return self.over_sigma > NOTICED and self.over_residual > NOTICED
-        return self.over_residual > NOTICED and self.over_spread > FAINT
+        return self.over_residual > NOTICED and self.over_spread > FAINT_SOLVER_ERROR
 
 
 @dataclass(frozen=True)
