@@ -38,9 +38,9 @@ from workers.fmu.description import nearest
 from workers.messages.checks import shown
 
 LARGEST_INTEGER = 2**63 - 1
-"""Of the integers that compiled code counts with."""
+"""Largest integer that compiled code counts with."""
 MOST_TIMES = 10_000_000
-"""At which a signal may be looked at in one experiment: 80 MB of numbers."""
+"""Times at which a signal may be looked at in one experiment: 80 MB of numbers."""
 
 
 def _known(value: Any) -> Any:

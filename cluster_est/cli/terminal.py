@@ -28,9 +28,9 @@ from workers.kernels.fmi.compiling import compiled_before
 
 SECONDS_BETWEEN_REDRAWS = 0.1
 SECONDS_OF_LINES, SHARE_OF_LINES = 30.0, 0.05
-"""At least between two printed lines: seconds, and share of the time that the run has taken."""
+"""Least time between two printed lines: seconds, and share of the time that the run has taken."""
 HINT_SECONDS = 20.0
-"""In which all workers were busy and as many simulations again were waiting."""
+"""Seconds in which all workers were busy and as many simulations again were waiting."""
 COMPILED_FIRST = (
     "the loops that call the FMU are compiled for this machine first, which takes about half a "
     "minute of one core; later runs find them ready"
@@ -193,7 +193,7 @@ def say_if_compiled_first() -> None:
 
 
 def say_if_filter_compiled_first(problem: Problem) -> None:
-    """The same of the filter that process noise needs, which is compiled when it is first used."""
+    """Say that the filter which process noise needs is compiled, where it never has been."""
     if noise_names(problem) and not compiled_before("kalman"):
         complain(
             "process noise: its filter is compiled with the first simulation, once on a machine; "

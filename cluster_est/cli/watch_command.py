@@ -35,7 +35,7 @@ from cluster_est.running.resources import RunSnapshot
 
 MOST_SEARCHES, MOST_FAILURE_REASONS = 12, 5
 QUIET_SECONDS = 30.0
-"""After these it is worth a sentence that nothing comes."""
+"""Seconds after which a sentence says that nothing comes."""
 
 
 def watch(options: Namespace) -> int:
@@ -162,9 +162,9 @@ def _failures(view: RunView) -> Table:
 RATE_SECONDS = 15.0
 """Over which the rate of simulations is taken."""
 LEFT_SECONDS = 2.0
-"""In which nothing has come, before it is looked whether there is a process at all."""
+"""Seconds in which nothing has come, before it is looked whether there is a process at all."""
 HTML_SECONDS = 5.0
-"""At least so long between two reports."""
+"""Least seconds between two reports."""
 
 
 @dataclass(frozen=True)

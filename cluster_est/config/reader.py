@@ -269,7 +269,7 @@ def _starts_of_map(
 
 
 def _tables(sections: Iterable[tuple[Any, Any]]) -> list[tuple[Any, dict[str, Any]]]:
-    """Those that are tables; what is none is refused when the config is checked."""
+    """Return the sections that are tables; what is none is refused when the config is checked."""
     return [(name, each) for name, each in sections if isinstance(each, dict)]
 
 

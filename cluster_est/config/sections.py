@@ -424,7 +424,7 @@ class Config(ConfigSection):
         return self._units_of_files
 
     def with_units_of_files(self, units: Mapping[str, str]) -> Self:
-        """The same config, whose values of files are in these units."""
+        """Return a config whose values of files are in these units."""
         changed = self.model_copy()
         changed._units_of_files = dict(units)
         return changed

@@ -10,8 +10,9 @@ from workers.wire import TaskBatch
 
 BATCH_SECONDS = 0.1
 FEW_TASKS, SECONDS_OF_FEW_TASKS = 9, 0.5
-"""So many tasks travel together though they take longer than a batch, up to these seconds: where
-simulations take a tenth of a second, a message for each costs a small machine more than they do."""
+"""Number of tasks that travel together though they take longer than a batch, and the seconds that
+they may take: where simulations take a tenth of a second, a message for each costs a small machine
+more than they do."""
 LEAST_BATCH_SECONDS = 0.005
 """A batch of less is not worth the trip, even if other workers are idle."""
 FIRST_GUESS = 0.005

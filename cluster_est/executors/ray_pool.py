@@ -114,8 +114,8 @@ class ActorSeats:
 
 IN_FLIGHT = 2
 SECONDS_OF_FEW_TASKS_ON_RAY = 0.9
-"""For which a few tasks travel together: longer than elsewhere, for a message to an actor costs
-milliseconds of its core and of the coordinator's."""
+"""Seconds that a few tasks which travel together may take: more than elsewhere, for a message to an
+actor costs milliseconds of its core and of the coordinator's."""
 STRAGGLER_POLL_SECONDS = 0.5
 """How often stragglers are looked for while nothing comes back."""
 CLUSTER_SECONDS = 5.0

@@ -17,7 +17,7 @@ FREE_AMPLITUDES = 0.5
 RANDOM, RECORDED, IMPROVED, SMALLER_AMPLITUDES = "random", "recorded", "improved", "smaller"
 """Where a candidate comes from."""
 NO_WAVEFORM = "start values"
-"""What the waveform is called where no input is designed."""
+"""Name of the waveform where no input is designed."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class CandidateMaker:
         return self.make(f"candidate {number}", candidate.waveform, IMPROVED, point)
 
     def shrunk(self, candidate: CandidateInput, number: int, factor: float) -> CandidateInput:
-        """The same with smaller amplitudes."""
+        """Return a candidate with its amplitudes made smaller."""
         point = candidate.point.copy()
         point[self._amplitudes(candidate.waveform)] *= factor
         return self.make(f"candidate {number}", candidate.waveform, SMALLER_AMPLITUDES, point)

@@ -67,9 +67,9 @@ REFIT = LeastSquares(trials=1, max_iterations=10, ftol=1e-5, xtol=1e-5, differen
 MOST_REPEATED_INPUTS = 3
 """Inputs that are looked at once more, at most."""
 CONFIRMED = 0.02
-"""By which the expected probability may be lower than it seemed."""
+"""Amount by which the expected probability may be lower than it seemed."""
 ALLOWED_EXCURSION = 0.5
-"""Of an output's range, by which an experiment may leave it where no limits are given."""
+"""Share of an output's range by which an experiment may leave it where no limits are given."""
 UNCONFIRMED = (
     "the budget left no room to fit the rivals to what each model predicts of the best input: what "
     "is expected of it rests on derivatives alone, and may be too much"

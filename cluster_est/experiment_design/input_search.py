@@ -24,7 +24,7 @@ from workers.messages import FloatArray
 RANDOM_SHARE = 0.5
 """Share of the candidates that are drawn at random; changes of the best are the others."""
 REFINEMENT_ROUNDS = ((0.2, 6), (0.1, 4), (0.05, 3))
-"""Of changes: their size, and how many of the best are changed."""
+"""Of each round of changes: their size, and how many of the best candidates are changed."""
 SHRINKING = (0.3, 0.1, 0.03)
 """Amplitudes that are tried where no candidate keeps the limits."""
 FEWEST_KEPT = 3
@@ -144,7 +144,7 @@ def search(
     scorer, maker
         Say what candidates are worth, and make them.
     recorded
-        Those of the inputs of earlier experiments.
+        Candidates with the inputs of earlier experiments.
     count
         Candidates besides these.
     generator

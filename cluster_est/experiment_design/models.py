@@ -24,9 +24,10 @@ DEVIATION_OF_UNDETERMINED = 10.0
 """Ranges between bounds, or noticeable changes, that are an unknown's standard deviation where
 nothing is known of it: so wide that what the data say is not changed by it."""
 DEVIATION_AT_BOUND = 1e-6
-"""The same for an unknown at a bound, which a fit holds there."""
+"""Ranges between bounds, or noticeable changes, that are the standard deviation of an unknown at a
+bound, which a fit holds there."""
 MOVED = 0.5
-"""Of its standard error, by which a refit may move an estimate without saying so."""
+"""Share of its standard error by which a refit may move an estimate without saying so."""
 
 
 @dataclass(frozen=True)

@@ -69,7 +69,8 @@ FLAT = 1e-9
 """Singular value of the moves of all unknowns, in units of their sizes, that is none."""
 BROKEN = "derivatives could not be simulated"
 LONGEST_DIFFERENCE = 0.1
-"""Of an unknown, or of a noticeable change of it where that is more, by which it is moved."""
+"""Largest step of a difference, as a share of an unknown, or of a noticeable change of it where
+that is more."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ LEVEL_COORDINATES = 2
 """Coordinates of a point that every waveform has: the amplitude, and where it lies."""
 LEAST_AMPLITUDE = 0.02
 HELD_SAMPLES = 4
-"""For which a level is held at least where nothing is said: else the samples do not show it."""
+"""Samples for which a level is held at least where nothing is said: else they do not show it."""
 
 
 @dataclass(frozen=True)

@@ -219,7 +219,7 @@ class ActivityTail:
 
 
 def without_breaks(activity: LogActivity) -> tuple[LogActivity, float]:
-    """The same without long breaks of all workers, as there are before a run is taken up again.
+    """Take out long breaks of all workers, as there are before a run is taken up again.
 
     Returns
     -------

@@ -69,12 +69,12 @@ def column_of(x: FloatArray, columns: int) -> IntArray:
 
 
 MOST_CURVE_POINTS = 90_000
-"""Of all curves together: about 7 bytes each in the page."""
+"""Points of all curves together: about 7 bytes each in the page."""
 FEWEST_COLUMNS_OF_CHART, MOST_COLUMNS_OF_CHART = 20, 600
-"""Columns of one chart, each with the lowest and the highest sample of every curve."""
+"""Limits of the columns of a chart, each with the lowest and the highest sample of every curve."""
 MOST_CURVE_PANELS = 250
 FEW_SAMPLES = 150
-"""Up to so many measured values are dots."""
+"""Number of measured values up to which they are dots."""
 CURVES = (("measured", "measured"), ("before", "before"), ("after", "after"))
 """Names and inks."""
 HEIGHT, RESIDUAL_HEIGHT = 170, 84
@@ -177,7 +177,7 @@ def _most_telling(errors: Mapping[Key, Row], keys: Sequence[Key]) -> Key:
 
 
 def _largest(errors: Mapping[Key, Row], keys: Sequence[Key]) -> list[Key]:
-    """Those with the largest errors, in their order."""
+    """Return the curves with the largest errors, in their order."""
     ranked = sorted(keys, key=lambda key: -_size(errors.get(key), "normalised_after"))
     kept = set(ranked[:MOST_CURVE_PANELS])
     return [key for key in keys if key in kept]

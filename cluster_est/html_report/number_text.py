@@ -8,7 +8,7 @@ from typing import final
 
 MINUS, NO_NUMBER = "\u2212", "\u2013"
 FIXED_FROM, FIXED_TO = 1e-4, 1e6
-"""Between these, numbers are written without an exponent."""
+"""Limits between which numbers are written without an exponent."""
 
 
 def digits(value: float | None, count: int = 4) -> str:

@@ -14,7 +14,7 @@ from typing import TypeVar
 from cluster_est.methods.method import Evaluation, Points, Search, Solution
 
 Ask = Callable[[Points], list[Evaluation]]
-Returned = TypeVar("Returned")
+RequestResult = TypeVar("RequestResult")
 MOST_SCIPY_RUNS = 5
 """Runs of SciPy in one search, of which each but the last met a derivative that was not known."""
 FAILED_TRIALS_IN_A_ROW = 3
@@ -69,12 +69,14 @@ def search_in_thread(solve: Callable[[Ask], Solution]) -> Search:
         thread.join()
 
 
-def run_with(requests: Generator[Points, list[Evaluation], Returned], ask: Ask) -> Returned:
+def run_with(
+    requests: Generator[Points, list[Evaluation], RequestResult], ask: Ask
+) -> RequestResult:
     """Return the result of a generator of requests that is answered by `ask` in a callback."""
     try:
         points = next(requests)
         while True:
             points = requests.send(ask(points))
     except StopIteration as end:
-        result: Returned = end.value
+        result: RequestResult = end.value
         return result

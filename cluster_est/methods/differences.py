@@ -35,19 +35,20 @@ LARGE_JACOBIAN = 2**23
 NOISE_OF_TOLERANCE = 1e-3
 """Part of an adaptive solver's tolerance by which its result jumps."""
 NOISE_OF_CVODE = 10.0
-"""The same of CVODE, which changes order and step in leaps; 1 to 100 on stiff models."""
+"""Multiple of CVODE's tolerance by which its result jumps, for it changes order and step in leaps;
+1 to 100 on stiff models."""
 NOISE_FIXED = 1e-14
 NOISE_UNKNOWN = 1e-11
-"""Of a co-simulation FMU, whose solver is not known."""
+"""Relative noise of a co-simulation FMU, whose solver is not known."""
 STEP_PARTS: dict[Scheme, tuple[tuple[float, ...], ...]] = {
     "forward": ((1.0,), (-1.0, 0.5), (-0.5, 2.0), (-2.0, 0.25)),
     "central": ((1.0, -1.0), (0.5, -0.5), (2.0, -2.0), (0.25, -0.25)),
 }
 """Parts of a step, one request after the other until each derivative is known."""
 STEP_REDUCTION = 0.9
-"""Factor of the steps where all of these have failed."""
+"""Factor of the steps where all parts of `STEP_PARTS` have failed."""
 MOST_NAMED_UNKNOWNS = 6
-"""Unknowns in a sentence."""
+"""Unknowns that a sentence names."""
 
 
 @dataclass(frozen=True)

@@ -39,11 +39,11 @@ from workers.messages import FloatArray
 CHAIN_STEP = 6e-6
 """Relative, of the differences of physical values by the unknowns: formulas, of no noise."""
 LENGTHENING = 10.0
-"""Of differences that lead nowhere."""
+"""Factor by which steps are lengthened where simulations are noisier than what is known of them."""
 LONGEST_DIFFERENCE_STEP = 0.03
-"""Relative, of differences; longer ones would show another function."""
+"""Longest relative step of differences; longer ones would show another function."""
 SENSITIVITY_AGREEMENT = 1e-3
-"""By how much, relative to their size, the residuals' changes may differ in the check."""
+"""Part of their size by which the residuals' changes may differ in the check."""
 LEAST_EFFECT = 1e-3
 """An unknown that matters less than this part of the one that matters most is checked less."""
 

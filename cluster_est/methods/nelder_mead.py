@@ -235,7 +235,7 @@ class _LineSearch:
 
 
 NEGLIGIBLE_SIMPLEX = 1e-3
-"""Of `xtol`: a simplex so small has converged even if its costs differ, as at a jump."""
+"""Part of `xtol`: a simplex so small has converged even if its costs differ, as at a jump."""
 COLLAPSES = (
     "the simplex collapsed after every restart where a poll leads further down; raise "
     'method.options.max_restarts, or use method "pattern_search"'

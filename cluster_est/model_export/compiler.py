@@ -17,7 +17,7 @@ from cluster_est.errors import ModelError
 
 # Reproducible results: no fast-math, and no fused multiply-adds on the processors that have them.
 COMPILER_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-Wall", "-Wextra")
-"""Of the compiler."""
+"""Options of the C compiler."""
 _MACH_O_PARTS = ((0x01000007, 3, 12), (0x0100000C, 0, 14))
 """Processor type, subtype and page size (as a power of two) of the parts of a universal binary."""
 
@@ -58,7 +58,7 @@ PLATFORMS = {
         ("x86_64-darwin", "aarch64-darwin"),
     ),
 }
-"""By FMI 2.0's names."""
+"""What the compiler must know of each platform, by FMI 2.0's names."""
 
 
 def find_compiler() -> tuple[str, ...]:

@@ -104,7 +104,7 @@ class RepairedModel:
     problem, description
         What was simulated, all effects included.
     effects
-        Those that do something with the values that were found, in the order in which they act.
+        Effects that do something with the values that were found, in the order in which they act.
     coefficients
         Of each of these effects.
     parameters
@@ -186,7 +186,7 @@ def _line(found: EstimatedValue, prefix: str = "") -> str:
 
 
 MOST_NAMED_EXPERIMENTS = 4
-"""Experiments in a note."""
+"""Experiments that a note names."""
 
 
 @dataclass(frozen=True)
@@ -375,7 +375,7 @@ def repaired(
     *,
     fitted: bool = False,
 ) -> RepairedModel:
-    """The same from a result in memory.
+    """Make a repaired model from a result in memory.
 
     Parameters
     ----------

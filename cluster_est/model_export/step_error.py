@@ -26,7 +26,7 @@ from workers.wire import TaskBatch
 HALVINGS = 7
 """How often the step is halved at most."""
 SAME_STEP_ERROR = 0.01
-"""Share of the reported error by which another is the same."""
+"""Share of the reported error within which another error is the same."""
 NEGLIGIBLE_DIFFERENCE = 1e-6
 """Share of a measured signal's standard deviation that is no difference."""
 MOST_STEPS = 4_000_000
@@ -35,7 +35,8 @@ MOST_STEPS = 4_000_000
 Errors = dict[str, float]
 """Root mean square error of each output, in its unit."""
 ErrorPairs = tuple[tuple[str, float], ...]
-"""The same, to be kept."""
+"""Root mean square error of each output as pairs of name and error, which a frozen dataclass
+keeps."""
 
 
 @dataclass(frozen=True)

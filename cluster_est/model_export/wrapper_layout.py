@@ -17,7 +17,7 @@ from workers.simulation.integrator import DEFAULT_RTOL
 _SAME: tuple[Type, ...] = ("Float64", "Int32", "Boolean", "String")
 """Types that FMI 2.0 has under another name."""
 _LEAST, _MOST = -(2.0**31), 2.0**31 - 1.0
-"""Of the integers of FMI 2.0."""
+"""Limits of the integers of FMI 2.0."""
 
 
 @dataclass(frozen=True)

@@ -221,7 +221,7 @@ def _memory(subject: CheckSubject, found: SimulationCost) -> CheckFinding:
 SECONDS = 4.0
 """Time for all checks, once there is a process for them."""
 COMPILE_SECONDS = 120.0
-"""For a loop that only checks need; read from disk ever after."""
+"""Seconds for compiling a loop that only checks need; it is read from disk ever after."""
 LEAST_MOVEMENT = 0.01
 """Share of its largest range by which an output must move to tell something of the parameters."""
 LOADING, FIRST_SIMULATION = 0.6, 0.6
@@ -236,7 +236,7 @@ CHECKS: tuple[Callable[[CheckSubject], list[CheckFinding]], ...] = (
     corners,
     derivatives,
 )
-"""In the order in which they get their time."""
+"""All checks, in the order in which they get their time."""
 
 
 def run_checks(

@@ -227,7 +227,7 @@ _SETTINGS = re.compile(
 _SPECIFIC_HEAT = re.compile(r"k?J/(\(kg[.* ]?(K|degC)\)|kg/(K|degC)|kg[.](K|degC))")
 _INITIAL = re.compile(r"(?i)(^|[._])(\w*_init(ial)?|\w*_start|x0|v0)$")
 _KELVINS = 50.0
-"""To both sides of a temperature: a tenth and ten times of it would be no temperatures."""
+"""Kelvins to both sides of a temperature: a tenth and ten times of it would be no temperatures."""
 
 
 @dataclass(frozen=True)

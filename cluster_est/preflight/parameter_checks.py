@@ -27,11 +27,11 @@ from workers.probes.probes import MovementProbe
 from workers.process.trial import NoAnswer
 
 CHANGE = 0.01
-"""Of an unknown, in noticeable changes."""
+"""Change of an unknown, in noticeable changes."""
 UNKNOWN_EFFECT = 1e-300
 """Stands for an effect that was not computed in every experiment."""
 ROUNDING_OF_OUTPUTS = 1e-9
-"""An effect of less, of the outputs' size, drowns in rounding."""
+"""Effect on the outputs, over their size, below which it drowns in rounding."""
 TRIED_DIFFERENCE_STEPS = tuple(10.0**-k for k in range(3, 9))
 """Relative steps of differences that are tried."""
 DERIVATIVE_AGREEMENT = 0.02

@@ -46,7 +46,7 @@ TRIED_RESET_POLICIES: tuple[tuple[ResetPolicy, ...], ...] = (
     ("instance",),
     (),
 )
-"""What is tried, one after the other, as long as the process crashes."""
+"""The policies that are tried, one set after the other, as long as the process crashes."""
 
 
 def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy | None, Earlier]:
@@ -225,7 +225,8 @@ def _one_only(subject: CheckSubject, said: str) -> CheckFinding:
 COMMUNICATION_STEP_PARTS = (10.0, 100.0)
 """Parts of the longest step that are tried as communication steps."""
 SIMULATIONS_OF_REMEDY = 20
-"""For which there must be time; the FMU has just failed, so nothing is known of how long one is."""
+"""Simulations for which there must be time; the FMU has just failed, so how long one takes is
+unknown."""
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ CHEAPER = 0.5
 """Part of the time of differences from which sensitivities are recommended. Far from 1, because
 times vary, and because differences of a Jacobian run on all workers at once."""
 SIMULATIONS_OF_TRIAL = 10
-"""As long as which the trial takes about, in simulations without sensitivities."""
+"""Time that the trial takes about, in simulations without sensitivities."""
 
 
 def sensitivities(subject: CheckSubject) -> list[CheckFinding]:
@@ -73,7 +73,8 @@ GOOD_RELATIVE_CHANGE, BAD_RELATIVE_CHANGE = 1e-5, 1e-2
 """Relative changes of the outputs below which all is well, and above which there is a problem."""
 
 NOISE_GOOD, NOISE_BAD = 0.1, 1.0
-"""The same of their absolute size over the declared standard deviation of the noise."""
+"""Absolute changes of the outputs, over the declared standard deviation of the noise, below which
+all is well, and above which there is a problem."""
 
 
 def accuracy(subject: CheckSubject) -> list[CheckFinding]:

@@ -94,11 +94,11 @@ def listed(texts: Sequence[str]) -> str:
 
 
 LEAST_PROBE_SECONDS = 0.2
-"""With less left no probe is asked."""
+"""Seconds that must be left for a probe to be asked."""
 
 
 PROBE_SHARE_OF_TIME = 1.0 / 3.0
-"""Of the time that is left, that a probe may take where that is more than it needs: with more time
+"""Share of the time left that a probe may take where that is more than it needs: with more time
 each check has more."""
 
 

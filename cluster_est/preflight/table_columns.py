@@ -32,7 +32,7 @@ TIME_COLUMN_NAMES = (
 """Names of a time column, folded."""
 
 LEAST_GUESSED_NOISE = 1e-3
-"""Of a signal's standard deviation."""
+"""Least guess of the noise, as a share of a signal's standard deviation."""
 LEAST_SAMPLES_FOR_NOISE = 10
 """Samples from which on noise can be guessed at all."""
 
@@ -238,7 +238,7 @@ SIMILAR = 0.6
 """Ratio of `difflib` from which two names look alike."""
 
 _PARTS = re.compile(r"[A-Z]?[a-z0-9]+|[A-Z0-9]+")
-"""Of a column's name: "u" and "Est" of "uEst"."""
+"""Parts of a column's name: "u" and "Est" of "uEst"."""
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ from workers.probes.other_simulations import SimulatedVariant, VariantProbe
 from workers.process.trial import NoAnswer
 
 LEAST_LETTERS = 2
-"""Of a unit at the end of a name: "x_m" may be a measured x, "x_mm" is not."""
+"""Letters that a unit at the end of a name has: "x_m" may be a measured x, "x_mm" is not."""
 
 
 def unit_findings(config: Config, description: ModelDescription) -> list[CheckFinding]:
@@ -89,10 +89,10 @@ NAMELESS = {
 }
 """What is tried for variables whose unit the FMU does not name: unit, the model's, conversion."""
 KELVINS = 25.0
-"""By which a start may be off, where 273.15 K are the question."""
+"""Kelvins by which a start may be off, where 273.15 K are the question."""
 RECORD_OVER_EXPERIMENT, SMOOTH, ALIKE = 20.0, 0.5, 1.6
-"""Of a time in milliseconds: how often the record is the FMU's own experiment at least; changes
-from sample to sample over the spread, and the factor within which two of them are alike."""
+"""Criteria for a time in milliseconds: how often the record is the FMU's own experiment at least;
+changes from sample to sample over the spread, and the factor within which two of them are alike."""
 TIME_UNIT_SECONDS = {"milliseconds": 1e-3, "minutes": 60.0, "hours": 3600.0}
 
 

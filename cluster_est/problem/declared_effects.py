@@ -67,7 +67,7 @@ class DeclaredEffect:
     variables
         Arguments of the form; empty for the state of der(STATE).
     coefficients
-        Those of which something is declared, by name.
+        Coefficients of which something is declared, by name.
     reaction
         Of an equation at a pair: what is added to the second state's derivative.
     shape

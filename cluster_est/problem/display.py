@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 MOST_PRINTED_ROWS = 50
-"""Of a table; how many more there are is said."""
+"""Rows of a table; how many more there are is said."""
 
 _CELL = "text-align:left;padding:0.15em 0.8em 0.15em 0"
 
@@ -32,7 +32,7 @@ def section(title: str, *tables: DisplayTable) -> str:
 
 
 def plain(title: str, *tables: DisplayTable) -> str:
-    """The same as text, for `print`."""
+    """Return a title and tables as text, for `print`."""
     lines = [title]
     for table in tables:
         if table.rows:

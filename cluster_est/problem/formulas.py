@@ -27,7 +27,7 @@ from workers.messages.checks import (
 
 _COMPARISON = re.compile(r"<=|>=|==|=|<|>")
 LARGEST_FORMULA_NUMBER = 1e300
-"""Of the numbers in a formula."""
+"""Largest number in a formula."""
 
 
 @dataclass(frozen=True)

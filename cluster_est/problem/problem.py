@@ -44,7 +44,7 @@ class Problem:
     model, experiments, cost
         What is simulated, from which measurements, and what is minimised.
     parameters
-        Those of the model, in the order of `model.parameters`, then the coefficients of the
+        Parameters of the model, in the order of `model.parameters`, then the coefficients of the
         effects, called "EFFECT.COEFFICIENT". Auxiliary ones may stand anywhere.
     effects
         Terms that are added to the model.

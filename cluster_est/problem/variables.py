@@ -268,7 +268,7 @@ def _whole_numbers(type_: str) -> tuple[float, float, str]:
 
 
 MOST_NAMED_INPUTS = 4
-"""Inputs in a note."""
+"""Inputs that a note names."""
 
 
 def idle_inputs(problem: Problem, description: ModelDescription) -> dict[str, list[str]]:

@@ -22,9 +22,11 @@ from cluster_est.uncertainty import Uncertainty, assess
 from workers.messages import FloatArray
 
 SAME_SIMULATION = 1e-5
-"""Of what was measured: rounded values and other steps of a solver change a simulation by less."""
+"""Part of what was measured: rounded values and other steps of a solver change a simulation by
+less."""
 BEFORE_BYTES = 2**28
-"""Of all trajectories at the start values together: more are not kept until the end of a fit."""
+"""Bytes of all trajectories at the start values together: more are not kept until the end of a
+fit."""
 
 
 def complete(

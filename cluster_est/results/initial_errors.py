@@ -26,7 +26,7 @@ stays is an offset. A swing that began elsewhere is 1.4 times its own root mean 
 INITIAL_ERROR_OVER_SPREAD = 0.2
 """Share of the standard deviation of what was measured that it must reach, before the fit."""
 MOST_NAMED_STATES = 3
-"""States in a sentence."""
+"""States that a sentence names."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class InitialError:
     distance
         The largest error at a first sample, in that unit.
     over_noise
-        The same over the noise.
+        The largest error at a first sample, over the noise.
     found, count
         In how many experiments, of how many whose initial state is not estimated.
     """

@@ -28,8 +28,8 @@ EXACT_FIT_RESIDUAL = 1e-5
 good, and what is simulated data without noise has no sigma."""
 
 MOST_TRANSFORMED_ENTRIES = 1_000_000
-"""Of a Jacobian that is taken into account, for about a second of transforms. Without it the test
-expects more smoothness of noise than a fit has left, and may only see a little less."""
+"""Entries of a Jacobian that is taken into account, for about a second of transforms. Without it
+the test expects more smoothness of noise than a fit has left, and may only see a little less."""
 
 
 def diagnose_residuals(

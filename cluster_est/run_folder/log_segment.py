@@ -56,7 +56,7 @@ residuals have left."""
 HASH_LENGTH = 32
 """Characters of a hash of residuals: 128 bits."""
 ROWS_PER_BATCH = 2000
-"""Of a segment without its large columns."""
+"""Rows of a batch in a segment without its large columns."""
 LARGE_LOG_COLUMNS = ("residuals", "variables", "times", "trajectory")
 """Columns that can be left out: a resumed run simulates those rows again."""
 
@@ -80,7 +80,7 @@ def residuals_hash(residuals: FloatArray | None) -> str | None:
 
 END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
 BEGIN = re.compile(rb"(?=\xff\xff\xff\xff)")
-"""Of a message, which begins at a multiple of 8 bytes."""
+"""The begin of a message, which is at a multiple of 8 bytes."""
 LARGEST_HEAD = 2**20
 Message = tuple[int, int]
 """The end of a message, and the rows of the segment up to there."""

@@ -23,7 +23,7 @@ from cluster_est.whole_files import MEND, SEAL, is_damaged, is_sealed, sealed
 PROGRESS = "progress.jsonl"
 SECONDS_BETWEEN_LINES = 1.0
 MOST_PROGRESS_BYTES = 8 * 2**20
-"""When there are more, the file begins anew with the last line of each search."""
+"""Bytes above which the file begins anew with the last line of each search."""
 
 
 class ProgressFile:

@@ -29,9 +29,10 @@ WAYS: tuple[ResetPolicy, ...] = ("reset", "instance", "process")
 NO_ANSWER = (Status.LOST_WORKER, Status.TIMEOUT, Status.OUT_OF_MEMORY)
 """Ends of a simulation that say nothing of what it would have given."""
 LATER_SECONDS = 1.1
-"""After which a clock that counts seconds has moved."""
+"""Seconds after which a clock that counts seconds has moved."""
 LONG_SECONDS, LONG_AT_THE_END = 60.0, 5.0
-"""Of a simulation that is not done once more only to be compared."""
+"""Seconds from which on a simulation is not done once more only to be compared: before a run or
+within it, and at its end."""
 NO_LIMITS = Limits(*[float("inf")] * 4)
 BEGINNING_OF_SIMULATION = {
     "reset": "a reset of the instance",

@@ -21,7 +21,7 @@ from cluster_est.running.search_state import SearchRequest
 from workers.messages import FloatArray
 
 MOST_TRIAL_STEPS = 8
-"""Of trial steps, at most."""
+"""Trial steps at most."""
 CLEAR_CHANGE_FACTOR = 100.0
 """A change of the residuals within this factor of what is left of them shows the size."""
 FIRST_TRIAL_STEP = 2.0**-50
@@ -31,9 +31,10 @@ TRIAL_STEP_REDUCTION, TRIAL_STEP_GROWTH = 1e-4, 1e8
 LARGEST_TRIAL_FACTOR = 1e16
 """Largest factor of one trial step."""
 LEAST_RESIDUAL_SHARE = 1e-3
-"""Of the measured outputs: what is left of the residuals counts as at least this."""
+"""Share of the measured outputs that the rest of the residuals counts as at least."""
 MUCH_SMALLER_SIZE = 1e-2
-"""Of a size from bounds: a measured one takes its place where it is smaller than this part."""
+"""Part of a size from bounds: a measured size takes its place where it is smaller than this
+part."""
 EVALUATIONS_LEFT_PER_UNKNOWN = 10
 """Evaluations for each unknown that a budget must have left, or sizes stay what they are."""
 

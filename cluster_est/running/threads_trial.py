@@ -66,7 +66,7 @@ class Trial:
 
 
 PERTURBATION_FACTOR = 1.37
-"""Between the values of two simulations that must not see each other: no round number."""
+"""Ratio of the values of two simulations that must not see each other: no round number."""
 NO_HURRY = 1e6
 """Seconds: a clock must not decide what a run may do."""
 INSTANCES_AT_ONCE = 2

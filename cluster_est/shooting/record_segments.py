@@ -25,7 +25,7 @@ from workers.messages import Experiment, FloatArray, Input, IntArray, Output
 from workers.messages.checks import shown
 
 LEAST_SAMPLES_OF_SEGMENT = 4
-"""Of a segment that is cut in halves."""
+"""Least samples of a segment that is cut in halves."""
 
 
 class Shooting(Settings):
@@ -102,7 +102,7 @@ class SegmentStates:
         For each state, the parameter whose value a segment begins with: the problem's own where it
         estimates the state, else one that is made for it.
     added
-        Those that are made.
+        Parameters that are made for the first states of segments.
     """
 
     names: tuple[str, ...]

@@ -152,8 +152,8 @@ def response(blocks: BlockMatrix, size: int) -> FloatArray:
 
 
 CONTINUITY_WEIGHTS = tuple(10.0**k for k in range(-1, 7))
-"""Of a difference as large as the spread of a state, over that of a sample as large as the spread
-of an output."""
+"""Weights of a difference as large as the spread of a state, over that of a sample as large as the
+spread of an output."""
 JOINED = 1e-3
 """Largest difference between segments, over the spread of the state, of segments that join."""
 LOOSE = 1e-3

@@ -341,7 +341,8 @@ PROMISED = 0.3
 """Ratio of a standard error from whole records to that from segments, below which it is not
 believed: states that may differ between segments by what is no difference would undo it."""
 EXACT_FIT_COST = 1e-9
-"""The same over the cost of constants, where nothing is left of the residuals."""
+"""Part of the cost of constants by which the cost of whole records may be above that of the
+segments too, where these leave nothing of the residuals."""
 
 
 @dataclass(frozen=True)

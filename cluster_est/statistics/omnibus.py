@@ -17,7 +17,7 @@ from cluster_est.statistics.whiteness import KERNEL_CUTOFF
 from workers.messages import FloatArray
 
 NULL_DISTRIBUTION_DRAWS = 400
-"""Of the null distribution: a p-value of 0.01 needs some hundred."""
+"""Draws of the null distribution: a p-value of 0.01 needs some hundred."""
 
 OMNIBUS_LENGTHS = (2.0, 6.0, 20.0)
 """Lengths of smooth structure, in samples, that are looked for."""

@@ -69,7 +69,7 @@ class ProjectedResidual:
 
 
 ROUNDING_OF_EIGENVALUES = 1e-13
-"""Of the largest eigenvalue of a scaled matrix, below which one is rounding."""
+"""Part of the largest eigenvalue of a scaled matrix, below which another one is rounding."""
 
 
 def inverse(matrix: FloatArray) -> FloatArray:

@@ -58,7 +58,7 @@ def autocorrelation(residuals: FloatArray, records: Sequence[OutputRecord]) -> A
     residuals : (n,)
         Stacked; their scale is irrelevant.
     records
-        Those that are pooled.
+        Records that are pooled.
     """
     covariances = np.zeros(max((len(record.times) for record in records), default=0))
     for record in records:
@@ -81,8 +81,8 @@ def autocorrelation(residuals: FloatArray, records: Sequence[OutputRecord]) -> A
 
 
 FAMILY_WISE_LEVEL = 2e-3
-"""Of all tests of structure in a fit together, and of all tests of size: of a hundred fits in which
-nothing is wrong none warns."""
+"""Level of all tests of structure in a fit together, and of all tests of size: of a hundred fits in
+which nothing is wrong none warns."""
 
 LEAST_DEGREES = 20
 """Degrees of freedom that an output needs, or its p-values are too rough."""

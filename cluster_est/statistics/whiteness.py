@@ -157,7 +157,7 @@ def _smallest(found: Sequence[tuple[float, float]]) -> SmoothnessTest:
 
 
 def _kernels(longest: int) -> list[StructureKernel]:
-    """Those that records of this length have room for, the shortest always."""
+    """Return the kernels that records of this length have room for, the shortest always."""
     if longest < 2:
         return []
     first, *others = [

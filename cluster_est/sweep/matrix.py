@@ -39,7 +39,7 @@ from workers.fmu.description import nearest
 from workers.messages import content_hash
 
 RUN_NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._+-]*[A-Za-z0-9])?")
-"""Of runs, which are folders, and of what they are made of: usable on every file system."""
+"""Names of runs, which are folders, and of what they are made of: usable on every file system."""
 
 
 def value_name(value: Any) -> str:

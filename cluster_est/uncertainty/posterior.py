@@ -298,13 +298,14 @@ PER_UNKNOWN = 4
 FORGOTTEN = 10.0
 """Autocorrelation times after which a walker has forgotten its start."""
 MOST_DISCARDED = 0.5
-"""Of the steps."""
+"""Largest share of the steps that is discarded."""
 WIDEST = 0.25
-"""Of the range between the bounds: as wide as nearly uniform walkers are."""
+"""Widest standard deviation of walkers, as a part of the range between the bounds: that of nearly
+uniform walkers."""
 INITIAL_WALKER_SPREAD = 2.0
-"""Standard deviations of the likelihood as which walkers begin."""
+"""Standard deviation of the first walkers, in those of the likelihood."""
 SPREAD = 0.1
-"""Of a typical size, where no standard error is known."""
+"""Spread of walkers where no standard error is known, as a part of a typical size."""
 
 
 def sample_posterior(

@@ -156,8 +156,8 @@ def is_mixed(kept: int, intervals: tuple[PosteriorInterval, ...]) -> bool:
 
 
 DRAWS_OF_BAND = 200
-"""Whose simulations make a band: the ends of a 95 % band, of which 5 of them lie beyond each, are
-then known to about a tenth of its width."""
+"""Draws whose simulations make a band: the ends of a 95 % band, of which 5 of them lie beyond each,
+are then known to about a tenth of its width."""
 FEWEST_DRAWS = 100
 DRAWS_AT_ONCE = 20
 """Draws whose simulations are asked for together."""

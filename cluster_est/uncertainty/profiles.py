@@ -104,7 +104,7 @@ def embedded(
 
 
 FAILURE_FACTOR = 0.25
-"""Of the step, after a refit that failed."""
+"""Factor of the step after a refit that failed."""
 MOST_FAILED_REFITS = 5
 
 
@@ -184,7 +184,7 @@ def _is_valid(solution: Solution) -> bool:
 
 
 BETTER_OPTIMUM = 1e-3
-"""Of the rise: a cost lower than the optimum's by more means that it was none."""
+"""Part of the rise: a cost that is lower than the optimum's by more means that it was none."""
 
 
 def profiles(

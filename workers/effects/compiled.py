@@ -96,7 +96,7 @@ def equations(
     Parameters
     ----------
     definitions
-        Those effects, in the order in which they act.
+        The effects, in the order in which they act.
     positions
         Where the coefficients of each begin in the array of coefficients.
     states, inputs

@@ -95,13 +95,15 @@ _ARITHMETIC: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Pow: lambda a, b: _power(a, b),
 }
 MAX_EXPONENT = 1000
-"""Of a number: SymPy would compute all digits of 9^9^9."""
+"""Largest exponent of a number: SymPy would compute all digits of 9^9^9."""
 MOST_DIGITS = 10_000
-"""Of a power of numbers, all of which SymPy computes."""
+"""Digits of a power of numbers, all of which SymPy computes."""
 LARGEST_FUNCTION_VALUE = 1e300
-"""Of a function of numbers: beyond, the function of that function would never be computed."""
+"""Largest value of a function of numbers: beyond, the function of that function would never be
+computed."""
 MAX_DEPTH = 50
-"""Of calls, signs, powers and parentheses in each other; SymPy goes through them by recursion."""
+"""Depth of calls, signs, powers and parentheses in each other; SymPy goes through them by
+recursion."""
 _COMPARISON_OPERATORS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Lt: lambda a, b: a < b,
     ast.LtE: lambda a, b: a <= b,

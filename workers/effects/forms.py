@@ -95,20 +95,20 @@ _WITHIN = _at("v", GridScale.QUANTILE_V, 0.15, 0.3, 0.5, 0.7, 0.85)
 _WIDTH = FormCoefficient(
     "width", None, positive=True, scale=GridScale.RMS_V, grid=(0.004, 0.0005), held=True, unit="v"
 )
-"""Of a switch: as narrow as a solver can still step across."""
+"""Width of a switch: as narrow as a solver can still step across."""
 _WAVE = _wave("site", _FREQUENCY)
 _WAVES = tuple(0.5 * halves for halves in range(3, 33))
 """Waves within the range of the data: in steps of a half no peak of a periodogram is missed."""
 _BEYOND = _shape("at", "v", GridScale.MAX_V, 0.35, 0.55, 0.75)
 _HALF = _shape("half", "v", GridScale.MAX_V, 0.1, 0.3, 1.0)
-"""Where half of the limit is reached, as in the law of Michaelis and Menten."""
+"""Value where half of the limit is reached, as in the law of Michaelis and Menten."""
 _REFERENCE = FormCoefficient(
     "ref", None, positive=True, scale=GridScale.MAX_V, grid=(1.0,), held=True, unit="v"
 )
-"""Of a power law: there it is as large as its strength, whatever its exponent."""
+"""Reference of a power law: there it is as large as its strength, whatever its exponent."""
 _EXPONENT_OF_POWER = _shape("n", "1", GridScale.EXPONENT, 0.7, 1.5, 2.5, 4.5)
-"""Beside those of the square root, the line, the square and the cube, which have forms of their
-own."""
+"""Exponents of a power law, beside those of the square root, the line, the square and the cube,
+which have forms of their own."""
 _ZERO = FormCoefficient(
     "zero", None, scale=GridScale.ABSOLUTE_ZERO, grid=(1.0,), held=True, unit="v"
 )
@@ -140,7 +140,8 @@ _TRAVEL = OwnState("z", "v", "0")
 _BRISTLE = OwnState("z", "(v - abs(v) * z) / x0", "0")
 
 _VALUES = 7
-"""Of a free curve; there are finer ones with twice and four times as many steps between them."""
+"""Values of a free curve; there are finer ones with twice and four times as many steps between
+them."""
 _FINER = (13, 25)
 
 
@@ -502,7 +503,7 @@ FORMS: dict[tuple[SiteKind, str], EffectForm] = {
     for f in (*_RATES, *_SIGNALS, *_FORCES, *_TERMS, *_VARIATIONS)
     for kind in f.kinds
 }
-"""By kind of site and name."""
+"""All forms, by kind of site and name."""
 
 
 def form(kind: SiteKind, name: str, where: str) -> EffectForm:

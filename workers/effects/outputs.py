@@ -25,12 +25,12 @@ from workers.kernels.record import OutputHooks, OutputWorkspace, OwnStateMotion,
 from workers.messages import FloatArray, IntArray
 
 PIECES = 8
-"""Of each interval; within one a straight line will do."""
+"""Pieces of each interval; within one a straight line will do."""
 SHARES = np.arange(PIECES) / PIECES
 STENCIL = 4
 """Records that a cubic goes through."""
 UNEVEN_INTERVALS = 5.0
-"""Longest over shortest interval between them, above which there is none."""
+"""Ratio of the longest to the shortest interval above which the times are not even."""
 
 
 def refine(grid: SignalGrid, outputs: FloatArray) -> tuple[SignalGrid, FloatArray]:

@@ -23,7 +23,8 @@ from workers.errors import ModelError
 from workers.messages import Seats
 
 WAIT_SECONDS = 120.0
-"""For which a seat is waited that another process has: one that was killed is gone long before."""
+"""Seconds for which a seat is waited that another process has: one that was killed is gone long
+before."""
 SEAT_POLL_SECONDS = 0.01
 
 _lock = threading.Lock()

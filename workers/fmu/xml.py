@@ -227,7 +227,7 @@ def declared_types(root: Element, version: Version) -> dict[str, Element]:
 
 
 BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
-"""In the order of the powers of a definition."""
+"""The base units, in the order of the powers of a definition."""
 
 
 @dataclass(frozen=True)

@@ -349,7 +349,7 @@ class Experiment:
         return (*(len(output.times) for output in self.outputs), *segments)
 
     def counts_in(self, want: Want) -> tuple[int, ...]:
-        """The same for an answer to `want`, which may have one number for all of an output."""
+        """Numbers in an answer to `want`, which may have one for all residuals of an output."""
         return tuple(min(c, 1) for c in self.counts) if want in REDUCTIONS else self.counts
 
     @cached_property

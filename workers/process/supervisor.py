@@ -27,8 +27,8 @@ from workers.process.progress_watch import ProgressWatch
 from workers.wire import TaskBatch
 
 LOAD_SECONDS = 300.0
-"""For which a process may stand still outside of a simulation: it loads the FMU, compiles what
-simulates, or compares the outputs with what was measured."""
+"""Seconds for which a process may stand still outside of a simulation: it loads the FMU, compiles
+what simulates, or compares the outputs with what was measured."""
 
 
 @dataclass(frozen=True)
@@ -109,9 +109,10 @@ def _signal_name(number: int) -> str:
 
 
 WATCH_SECONDS = 0.1
-"""How often the memory and the progress of a running simulation are looked at."""
+"""Seconds from one look at the memory and the progress of a running simulation to the next."""
 SELDOM_SECONDS = 1.0
-"""The same where no limit is so narrow that it matters: a look costs a tenth of a millisecond."""
+"""Seconds between two looks where no limit is so narrow that it matters: a look costs a tenth of a
+millisecond."""
 WIDE_LIMIT = 20.0
 """Times `SELDOM_SECONDS`, from which on a limit is not narrow."""
 MOST_TRIES, MOST_KILLS = 2, 10
@@ -119,7 +120,7 @@ MOST_TRIES, MOST_KILLS = 2, 10
 CAREFUL = 500
 """Tasks in a row without a failure before they travel in batches again."""
 MOST_INSTANCES = 900
-"""Of an FMU in one process; some tools' FMUs die at about 1000."""
+"""Instances of an FMU in one process; some tools' FMUs die at about 1000."""
 
 
 class LostError(Exception):

@@ -112,8 +112,8 @@ def _points(curve: Curve, simulated: SimulatedOutputs) -> FloatArray:
 
 
 COMPARISON_STEP = 1e-6
-"""Of the outputs, for a comparison that is not linear in them: it is no simulation, so rounding is
-all its noise."""
+"""Relative step of the outputs, for a comparison that is not linear in them: it is no simulation,
+so rounding is all its noise."""
 
 
 def comparison_jacobian(

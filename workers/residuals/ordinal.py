@@ -31,9 +31,9 @@ import numpy as np
 from workers.messages import FloatArray, IntArray
 
 SUM_OF_GAPS = 0.5
-"""Of all gaps together, in spreads of the simulated signal. Wide gaps bias what is found where
-samples lie densely around a threshold, which in truth has no gap; with narrow ones a simulation
-whose samples nearly all coincide costs little."""
+"""Sum of all gaps, in spreads of the simulated signal. Wide gaps bias what is found where samples
+lie densely around a threshold, which in truth has no gap; with narrow ones a simulation whose
+samples nearly all coincide costs little."""
 NO_MOTION = 1e-12
 """Spread over the largest value, up to which a simulation does not move."""
 DISTANCE_WITHOUT_ORDER = 1.0 + 0.5 * SUM_OF_GAPS

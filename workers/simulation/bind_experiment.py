@@ -29,7 +29,7 @@ def variable_access(
     Parameters
     ----------
     variables
-        Those of the columns; None for a column that the FMU does not see.
+        Variables of the columns; None for a column that the FMU does not see.
     array_starts
         The values of all elements of an array, for those that have no column.
     """

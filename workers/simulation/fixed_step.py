@@ -13,9 +13,9 @@ from workers.grid import SignalGrid, build_grid, on_times
 from workers.messages import Experiment, FloatArray, IntArray, Model
 
 ON_GRID = 1e-6
-"""Of a step: a time that is nearer to a communication point than this stands on it."""
+"""Part of a step: a time that is nearer to a communication point than this stands on it."""
 ROUNDING_OF_STEPS = 2.0 * float(np.finfo(np.float64).eps)
-"""Of the largest time: what rounding may change in the difference of two."""
+"""Part of the largest time that rounding may change in the difference of two."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class CommunicationPoints:
     step
         Seconds from one point to the next.
     max_step
-        The same with room for rounding, so that every interval is cut into steps of this length.
+        Step with room for rounding, so that every interval is cut into steps of this length.
     before, after : (n,)
         The points before and after each time of the experiment.
     fractions : (n,)

@@ -86,10 +86,12 @@ UNTOLD, EXPERIMENT_STOP = -1.0, 0.0
 STOP_UNITS = (EXPERIMENT_STOP, 1.0, 86400.0)
 """What FMUs ask of a stop time: that of the experiment, whole seconds, whole days (EnergyPlus)."""
 _stop_units: dict[str, float] = {}
-"""By the FMU's hash, what this process has found to be asked, where there must be a stop time."""
+"""What stop times FMUs have asked for in this process, by the FMU's hash, where there must be
+one."""
 
 DEFAULT_RTOL = 1e-8
-"""Of Dormand-Prince: on sampled inputs its steps are short anyhow, so accuracy costs little."""
+"""Tolerance of Dormand-Prince: on sampled inputs its steps are short anyhow, so accuracy costs
+little."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from workers.kernels.solvers.sundials import DirectionalJacobian
 from workers.messages import FloatArray
 
 STATE_DIFFERENCE_STEP = float(np.cbrt(np.finfo(np.float64).eps))
-"""Of a central difference, over the size of a state."""
+"""Step of a central difference, over the size of a state."""
 MAX_JACOBIAN_ERROR = 1e-4
 """Largest error of directional derivatives, over the largest derivative in their row."""
 

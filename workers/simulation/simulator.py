@@ -36,7 +36,7 @@ class Simulator:
     model, description
         The FMU; the description must be of the same archive.
     experiments
-        Those that `run` refers to by index.
+        Experiments that `run` refers to by index.
     progress
         Progress that simulations note; see `workers.messages.types`.
 

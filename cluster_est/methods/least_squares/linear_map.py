@@ -295,7 +295,7 @@ LONGEST_RELATIVE_STEP = 10.0
 A longer one can lead to where nothing depends on an unknown any more, and there is no way back.
 """
 LARGEST_RESIDUAL_WEIGHT = 1e200
-"""Of a residual; those of an output that is followed exactly would be infinite."""
+"""Largest weight of a residual; that of an output which is followed exactly would be infinite."""
 
 
 class LocalModel:

@@ -46,7 +46,7 @@ FAILED_RESIDUAL = 1e100
 BY_XTOL = 3
 """SciPy's status where a step was short."""
 NEARLY_ORTHOGONAL = 1e-3
-"""Cosine between the residuals and a column, below which it is one all the same."""
+"""Cosine between the residuals and a column, below which a point is a minimum all the same."""
 
 
 class _StartFailedError(Exception):

@@ -37,11 +37,11 @@ from cluster_est.methods.block_matrix import BlockMatrix
 from workers.messages import FloatArray, IntArray
 
 ACTIVE_SET_ROUNDS = 60
-"""After which the last minimum is moved into the bounds instead."""
+"""Rounds after which the last minimum is moved into the bounds instead."""
 PATIENCE = 5
 """Rounds without fewer infeasibilities, before one unknown changes at a time."""
 ROUNDING_OF_GRADIENT = 1e-14
-"""Of the terms of a gradient: less of it has no sign."""
+"""Part of the terms of a gradient that is rounding: a component below it has no sign."""
 
 Solve = Callable[[npt.NDArray[np.bool_], FloatArray], FloatArray]
 Gradient = Callable[[FloatArray], tuple[FloatArray, float]]
@@ -297,7 +297,7 @@ def make_chains(matrix: BlockMatrix, residuals: FloatArray, border: Mask) -> lis
     matrix, residuals
         J and r.
     border : (unknowns,)
-        Those that stay; every other one acts on one block, or on two that follow each other.
+        Unknowns that stay; every other one acts on one block, or on two that follow each other.
     """
     last = np.full(matrix.size, -1)
     for e, columns in enumerate(matrix.columns):

@@ -210,7 +210,7 @@ def fit_model(base: FloatArray, steps: FloatArray, changes: FloatArray) -> Quadr
 MODEL_RADIUS = 4.0
 """The model interpolates points within so many meshes."""
 MODEL_STEPS = (1.0, 3.0)
-"""In meshes: the bounds within which its minima are requested."""
+"""Bounds, in meshes, within which the minima of a model are requested."""
 HYPERCUBE_RADIUS = 4.0
 """Meshes from the best point to the sides of the Latin hypercube."""
 FINER, COARSER = 0.1, 2.0

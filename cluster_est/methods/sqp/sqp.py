@@ -42,7 +42,7 @@ from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 INITIAL_RADIUS = 1.0
-"""In units of each unknown's size."""
+"""Radius of the first trust region, in units of each unknown's size."""
 REFINED_RADIUS = 1e-2
 """The least radius that central differences begin with."""
 ACCEPTED_RATIO, POOR_RATIO, GOOD_RATIO = 0.05, 0.25, 0.75

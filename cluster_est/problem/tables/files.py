@@ -82,9 +82,9 @@ READERS = {
     ".mat": "mat",
 }  # fmt: skip
 MOST_MATRIX_SIGNALS = 1000
-"""In a matrix: it has fewer signals than samples."""
+"""Signals in a matrix, which has fewer signals than samples."""
 MOST_NAMED_COLUMNS = 30
-"""Columns in a message."""
+"""Columns that a message names."""
 
 
 @by_content

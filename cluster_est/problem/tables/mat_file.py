@@ -28,7 +28,7 @@ LONGEST_FIELD_NAME = 1024
 MOST_NAMED_FIELDS = 12
 COMPLEX = 0x0800
 MOST_VARIABLE_BYTES = 2**31
-"""Of one variable, unpacked."""
+"""Bytes of one variable, unpacked."""
 
 
 @dataclass(frozen=True)

@@ -42,9 +42,9 @@ LEAST_REPETITIONS = 3
 LONGEST_REPETITION = 10
 """Samples in a row of any number; longer ones are a state."""
 LARGEST_SHARE_OF_CODE = 0.5
-"""Largest share of the samples that a code has, and ..."""
+"""Largest share of the samples that a written code may have."""
 LARGEST_SHARE_OF_NUMBER = 0.05
-"""... any other number."""
+"""Largest share of the samples that any other number may have, if it stands for no measurement."""
 MOST_NAMED_RECORDS = 3
 
 

@@ -25,7 +25,7 @@ from workers.messages import FloatArray
 def covariance_of(result: Result, coefficients: Sequence[Estimate]) -> FloatArray:
     """(coefficients, coefficients): those that are held do not vary.
 
-    Those that follow from other parameters of the effect vary with these.
+    Coefficients that follow from other parameters of the effect vary with these.
     """
     if any(e.estimated_on == "derived" for e in coefficients):
         begin = f"{coefficients[0].label.rpartition('.')[0]}."
@@ -240,7 +240,7 @@ def _arguments(definition: EffectDefinition, equation: sp.Expr) -> set[sp.Symbol
 def _difference(
     definition: EffectDefinition, equation: sp.Expr
 ) -> tuple[str, sp.Symbol, sp.Expr] | None:
-    """The same of a part that depends on the difference of two variables alone."""
+    """Return the argument of a part that depends on the difference of two variables alone."""
     effect, site = definition.effect, definition.site
     given = effect.variables[0] if effect.variables else own_variable(site)
     names = split_variable(given, definition.uses)

@@ -18,7 +18,7 @@ from workers.messages import Experiment, FloatArray, Outcome
 Signals = Mapping[str, FloatArray]
 
 MOST_LINEARISATION_ENTRIES = 20_000_000
-"""Of the matrices of all linearisations: 160 MB."""
+"""Entries of the matrices of all linearisations: 160 MB."""
 
 PLAIN = "before effects: "
 """Stands before the name of an input or output as it is before effects act on it."""

@@ -43,7 +43,7 @@ RTOL_TIGHTENING = 100.0
 LEAST_RTOL = 1e-13
 """Relative tolerance below which rounding would decide."""
 WHOLE_STEP_TOLERANCE = 1e-6
-"""Of a step of the FMU's own: what another may be away from a multiple of it."""
+"""Part of a step of the FMU's own by which another may miss a multiple of it."""
 
 
 @dataclass(frozen=True)

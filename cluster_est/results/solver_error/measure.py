@@ -22,7 +22,7 @@ from cluster_est.running.runner import Runner
 from workers.messages import Experiment, FloatArray, Outcome, Output, ResetPolicy, Solver, Want
 
 MOST_EXPERIMENTS = 8
-"""That are simulated again; of more, every n-th."""
+"""Experiments that are simulated again; of more, every n-th."""
 NOTICED = 0.1
 """Share of what is left, or of the sigma, above which an error of the solver is said."""
 FAINT_SOLVER_ERROR = 1e-3

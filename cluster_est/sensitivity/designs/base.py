@@ -20,7 +20,7 @@ from workers.messages import FloatArray, IntArray
 ROUNDING_OF_QUANTITY = 1e-12
 """Range of a quantity over its size that is none."""
 RESAMPLES = 100
-"""Of the groups, for intervals."""
+"""Resamples of the groups, for intervals."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from cluster_est.sensitivity.designs.base import (
 from workers.messages import FloatArray
 
 STEP_ON_GRID = 2.0 / 3.0
-"""Of a grid of four levels: all of them are then visited equally often."""
+"""Step on a grid of four levels: all of them are then visited equally often."""
 LOWER_ENDS_OF_STEPS = (0.0, 1.0 - STEP_ON_GRID)
 """Lower ends of steps."""
 

@@ -66,7 +66,7 @@ MEDIAN_OF_NORMAL = 0.6745
 """Median of |x| where x is normal with variance 1."""
 
 NOISE_DIFFERENCE_ORDER = 4
-"""Of the differences: what is cubic over five samples leaves nothing."""
+"""Order of the differences: what is cubic over five samples leaves nothing."""
 
 HIGHER = (4, 6, 8)
 """Orders that are compared where the signal moves: white noise has the same size in all of them,

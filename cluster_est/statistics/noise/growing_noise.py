@@ -11,7 +11,7 @@ from cluster_est.statistics.noise.estimate import MEDIAN_OF_NORMAL
 from workers.messages import FloatArray
 
 GROWTH_DIFFERENCE_ORDER = 6
-"""Of the differences, from which the misfit of a wrong model has all but gone."""
+"""Order of the differences, from which the misfit of a wrong model has all but gone."""
 
 
 MEDIAN_OF_SQUARE = 1.0 / 0.4549
@@ -20,7 +20,7 @@ CLIPPED, CLIPPED_MEAN = 4.0, 0.9205
 """Times its expectation that a squared difference counts at most, as an outlier's would, and the
 mean of the square of normal noise that is cut off there."""
 LEAST_NOISE_RATIO = 0.1
-"""Of the noise of the smallest samples: none is more exact than that, however close to 0."""
+"""Part of the noise of the smallest samples that any sample has at least, however close to 0."""
 MOST_GROWTH_ITERATIONS = 20
 
 

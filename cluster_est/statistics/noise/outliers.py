@@ -21,8 +21,9 @@ FIRST_OUTLIER_DISTANCE = 4.5
 predictions must miss as far on the same side: white noise does that 3 times in 100 million."""
 
 FAR_AGAIN = 3.5
-"""The same in a record that has `PROVEN` already: what is common there needs less evidence, nor
-need the lines agree, which another outlier may have bent."""
+"""Distance, in standard deviations of a prediction, of further outliers in a record that has
+`PROVEN` already: what is common there needs less evidence, nor need the lines agree, which another
+outlier may have bent."""
 
 PROVEN = 2
 """Outliers beyond `FIRST_OUTLIER_DISTANCE` that say that a record has some."""

@@ -18,7 +18,7 @@ ERROR_SAFETY_FACTOR = 30.0
 """The noise of a solver and the curvature are known by their orders of magnitude only."""
 ROUNDING_OF_DERIVATIVES = 1e-13
 ABOUT_ZERO = 0.01
-"""Of the typical size."""
+"""Part of the typical size below which an unknown is about 0."""
 
 
 def relative_sizes(space: SearchSpace, x: FloatArray) -> FloatArray:

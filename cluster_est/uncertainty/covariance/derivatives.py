@@ -34,7 +34,7 @@ makes an adaptive solver's result jump by more than its tolerance; over the step
 that looks as if the data determined, badly, what they do not determine at all.
 """
 DIRECTIONAL_STEP_LENGTHS = (1.0, 0.9, 0.7)
-"""Of directional steps: simulations of one may fail."""
+"""Lengths of directional steps that are tried in this order: simulations of one may fail."""
 MOST_DIRECTION_ROUNDS = 3
 REPEATED_RATIO = 0.1
 """Part of its old ratio below which a direction is measured once more."""

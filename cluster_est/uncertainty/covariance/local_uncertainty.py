@@ -18,7 +18,7 @@ Kind = Literal["undetermined", "weak", "no effect"]
 RATIO_TOLERANCE = 0.02
 """Ratios within this of 1 count as 1 in a sentence."""
 NAMED = 1e-3
-"""Of the largest relative change: what moves less is not named."""
+"""Part of the largest relative change: what moves less is not named."""
 MOST_NAMED_CHANGES = 6
 
 
@@ -33,7 +33,7 @@ class UndeterminedDirection:
     weights
         Change of each, in its own unit, for each 1 of the first.
     relative
-        The same as parts of the estimates, for each 1 of the first; NaN where one is about 0.
+        Change of each as a part of its estimate, for each 1 of the first; NaN where one is about 0.
     ratio
         Change of the residuals along it, over the changes by each unknown on its own. It contains
         an error of the derivatives, `limit`.
@@ -207,7 +207,8 @@ class Uncertainty:
     correlations : (shared, shared)
         NaN where the data do not determine one of the two.
     local_correlations : (local, shared)
-        Those of two local unknowns are left out: their number is the square of the experiments'.
+        Correlations of two local unknowns are left out: their number grows as the square of the
+        experiments'.
     directions
         That the data do not determine, or hardly.
     variance, degrees

@@ -44,7 +44,7 @@ SAMPLES_PER_ORDER = 10
 """Samples of the longest record for each order that is tried: over longer lags, what a fit has
 taken of the noise cannot be told from what the noise lacks."""
 PENALTY = 6.635
-"""For each further order, at least: the 1 % level of a chi-square of one degree."""
+"""Least gain for each further order: the 1 % level of a chi-square of one degree."""
 MOST_AUTOCOVARIANCE_ITERATIONS = 100
 SETTLED = 1e-3
 """Change of the autocovariances, over the variance, at which they have settled."""
@@ -275,7 +275,7 @@ def _close(one: AutoregressiveNoise, other: AutoregressiveNoise) -> bool:
 FEW_EXPERIMENTS = 10
 """Below so many experiments their scatter is reported, but no interval rests on it."""
 NOISE_OF_PRIORS = AutoregressiveNoise(np.zeros(0), np.ones(1), 0.0)
-"""Of priors: a variance of 1, that nothing was estimated for."""
+"""The noise of priors: a variance of 1, that nothing was estimated for."""
 SCATTER_SIGNIFICANCE = 0.01
 """Probability of as much scatter of the experiments, over that of the noise, by chance."""
 

@@ -25,7 +25,7 @@ from cluster_est.uncertainty.covariance import accuracy
 from workers.messages import FloatArray, IntArray
 
 REPORTED_RATIO_MARGIN = 3.0
-"""Times its limit: a direction with a smaller ratio is reported."""
+"""Factor of its limit: a direction whose ratio is below their product is reported."""
 
 
 @dataclass(frozen=True)
@@ -278,9 +278,10 @@ def _complete(
 
 
 AT_BOUND = 1e-6
-"""Of an unknown's scale: closer to a bound than this, it counts as held there."""
+"""Part of an unknown's scale: closer to a bound than this, it counts as held there."""
 MUCH_SMALLER_SCALE = 1e-2
-"""Of the typical size: the scale that the Jacobian shows counts where it is below this part."""
+"""Part of the typical size: the scale that the Jacobian shows counts where it is below this
+part."""
 DETERMINED_BY_CONSTRAINTS = 1e-9
 """Part of an unknown's column below which active constraints determine it."""
 

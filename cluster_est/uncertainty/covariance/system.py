@@ -54,7 +54,7 @@ from workers.messages import FloatArray, IntArray
 
 EQUAL = 1e-9
 PSI_STEP = 1e-4
-"""Of the median residual, to differentiate psi."""
+"""Step to differentiate psi, as a part of the median residual."""
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,7 @@ def _psi_derivatives(cost: Cost, residuals: FloatArray, outputs: IntArray) -> Fl
 WEAK = 1e-6
 """Directions up to this ratio are named as hardly determined."""
 ROUNDING_OF_DIRECTION = 1e-6
-"""Less of an unknown than this in a direction is rounding."""
+"""Part of an unknown in a direction below which it is rounding."""
 ORDINAL = (
     "of an ordinal output the order of the values is known alone, and their distances to the bounds"
     " of categories say nothing of its noise"
@@ -229,7 +229,7 @@ class ScaledJacobian:
     covariance
         Of the estimates, for white noise.
     uniform
-        The same if priors scattered as the measurements do; None where there are none.
+        Covariance of the estimates if priors scattered as the measurements do; None without priors.
     residuals
         For what else the noise may be taken for.
     combinations
