@@ -86,7 +86,7 @@ class OutcomeColumns:
     failures
         (status, message) by position, where it is not OK or has a message.
     trajectories, linearisations, constraints, sensitivities
-        By position, where there is one.
+        By position.
     worker
         Who ran them.
     """

@@ -121,7 +121,7 @@ def print_sensitivity(console: Console, run: StoredRun) -> None:
 def _index(value: float | None) -> str:
     if value is None or math.isnan(value):
         return ""
-    return "cannot be told" if math.isinf(value) else f"{value:.3g}"
+    return UNKNOWN_NUMBER if math.isinf(value) else f"{value:.3g}"
 
 
 def _together(position: int, together: bool) -> str:

@@ -19,7 +19,7 @@ from cluster_est.cli.parent_process import ExitCode
 from cluster_est.cli.printing import say
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
-from cluster_est.run_folder.context import Existing
+from cluster_est.run_folder.context import ExistingRun
 from cluster_est.run_folder.run_files import RunStatus
 from cluster_est.run_folder.run_progress import left_of_step, pace_of, what_is_done
 from cluster_est.running.resources import Budget, Resources, RunSnapshot, Show
@@ -203,8 +203,8 @@ def say_if_filter_compiled_first(problem: Problem) -> None:
 
 def run_as_told(run: ConfiguredStudy, out: Path, options: Namespace) -> RunEnd:
     """Do a run as the arguments of its command say, and complain where it has no result."""
-    existing = Existing.OVERWRITE if options.overwrite else Existing.REFUSE
-    existing = Existing.RESUME if options.resume else existing
+    existing = ExistingRun.OVERWRITE if options.overwrite else ExistingRun.REFUSE
+    existing = ExistingRun.RESUME if options.resume else existing
     to = Destination(out, existing, report=not options.no_report)
     end = do_run(run, to, terminal_listener())
     if end.stopped:

@@ -18,7 +18,7 @@ from cluster_est.settings import (
     Count,
     Finite,
     Free,
-    Known,
+    KnownValue,
     Ordinal,
     Pair,
     Samples,
@@ -151,7 +151,7 @@ class _ExperimentKeys(ConfigSection):
         '"ID (held out)"',
     )
     role: Literal["train", "test"] = Field("train", description="test: held out, only reported")
-    values: dict[str, Known] = Field(
+    values: dict[str, KnownValue] = Field(
         default_factory=dict, description="known values of this run, by FMU name"
     )
     group: Annotated[dict[str, str], BeforeValidator(as_group)] = Field(

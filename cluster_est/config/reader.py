@@ -269,7 +269,7 @@ def _starts_of_map(
 
 
 def _tables(sections: Iterable[tuple[Any, Any]]) -> list[tuple[Any, dict[str, Any]]]:
-    """Return the sections that are tables; what is none is refused when the config is checked."""
+    """Return the sections that are tables; others are refused when the config is checked."""
     return [(name, each) for name, each in sections if isinstance(each, dict)]
 
 
@@ -340,7 +340,7 @@ def _parameter_set(path: Path) -> Iterator[GivenValue]:
 
 
 def _csv(path: Path) -> Iterator[GivenValue]:
-    """Columns name and value, and unit where there is one; others are left alone."""
+    """Columns name and value, and unit if the table has it; others are left alone."""
     with path.open(encoding="utf-8-sig", newline="") as file:
         head = file.readline()
         file.seek(0)

@@ -365,7 +365,7 @@ class Plot:
     height
         In pixels.
     rows
-        Names of the rows at y = 0, 1, ...; round values of y if there are none.
+        Names of the rows at y = 0, 1, ...; round values of y without names.
     """
 
     title: str

@@ -152,7 +152,7 @@ def _effect(run: ReportedRun, effect: Row) -> list[Block]:
 
 
 def _shapes(rows: Sequence[Row]) -> list[Block]:
-    """The shapes of one effect, and why there are none."""
+    """The shapes of one effect, or the reason why they are missing."""
     blocks: list[Block] = [shape_figure(row, i) for i, row in enumerate(rows) if not row["why_not"]]
     missing = dict.fromkeys(row["why_not"] for row in rows if row["why_not"])
     return [*blocks, *(TextBlock(f"No shape is drawn: {why}.", "faint") for why in missing)]

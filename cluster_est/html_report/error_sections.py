@@ -28,7 +28,7 @@ from cluster_est.html_report.reported_run import ReportedRun, Row
 MOST_EXPERIMENT_ROWS = 24
 """Rows of the picture that are one output of one experiment each; else each is of an output."""
 ROW_PIXELS = 22
-When = Literal["before", "after"]
+FitStage = Literal["before", "after"]
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class ErrorSizes:
     rows: tuple[Row, ...] = field(repr=False)
     divisors: tuple[float, ...] = field(repr=False)
 
-    def of(self, chosen: Sequence[int], when: When) -> float:
+    def of(self, chosen: Sequence[int], when: FitStage) -> float:
         """Root mean square over the samples of some rows; NaN where one of them failed."""
         name = f"{'normalised' if self.is_noise else 'relative'}_{when}"
         return _pooled([self.rows[i] for i in chosen], name, [self.divisors[i] for i in chosen])

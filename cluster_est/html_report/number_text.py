@@ -12,7 +12,7 @@ FIXED_FROM, FIXED_TO = 1e-4, 1e6
 
 
 def digits(value: float | None, count: int = 4) -> str:
-    """A number to so many significant digits; a dash where there is none."""
+    """A number to so many significant digits; a dash for a missing one."""
     if value is None or math.isnan(value):
         return NO_NUMBER
     if math.isinf(value):
@@ -42,7 +42,7 @@ def beside(value: float | None, width: float) -> str:
 
 
 def interval(low: float | None, high: float | None) -> str:
-    """The two ends of an interval; a dash where there is none."""
+    """The two ends of an interval; a dash for a missing one."""
     if low is None or high is None or math.isnan(low) or math.isnan(high):
         return NO_NUMBER
     width = high - low

@@ -271,7 +271,7 @@ def _called(ranks: str) -> str:
 def _index(value: float | None) -> str:
     if value is None or math.isnan(value):
         return ""
-    return "cannot be told" if math.isinf(value) else digits(value, 3)
+    return "unknown" if math.isinf(value) else digits(value, 3)
 
 
 def _together(row: Row) -> str:

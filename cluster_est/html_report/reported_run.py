@@ -110,7 +110,7 @@ def read_run(path: Path, activity: LogActivity | None = None) -> ReportedRun:
     Raises
     ------
     RunFolderError
-        If it is none, or one of its tables is damaged.
+        If it is no run folder, or one of its tables is damaged.
     """
     stored = read_stored_run(path, SMALL_TABLES)
     facts, running = stored.facts, stored.facts["status"] == RunStatus.RUNNING

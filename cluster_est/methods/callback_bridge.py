@@ -9,12 +9,10 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable, Generator
-from typing import TypeVar
 
-from cluster_est.methods.method import Evaluation, Points, Search, Solution
+from cluster_est.methods.method import Evaluation, Points, RequestResult, Search, Solution
 
 Ask = Callable[[Points], list[Evaluation]]
-RequestResult = TypeVar("RequestResult")
 MOST_SCIPY_RUNS = 5
 """Runs of SciPy in one search, of which each but the last met a derivative that was not known."""
 FAILED_TRIALS_IN_A_ROW = 3

@@ -63,7 +63,7 @@ class JacobianProvider:
     scheme
         Of the differences; None as long as sensitivities are taken.
     note
-        The reason for differences instead of sensitivities; "" if there is none.
+        The reason for differences instead of sensitivities; "" without one.
     """
 
     def __init__(self, space: SearchSpace, differences: Differences, relative_step: float) -> None:

@@ -67,7 +67,7 @@ def find_compiler() -> tuple[str, ...]:
     Raises
     ------
     ModelError
-        If there is none.
+        If no compiler is found.
     """
     if chosen := os.environ.get("CC", "").strip():
         command = tuple(shlex.split(chosen))

@@ -271,7 +271,7 @@ def _signals(
 
 
 def _check_needed(repair: RepairedModel, left_out: tuple[str, ...]) -> None:
-    """Refuse what could not be told of this run in FMI 2.0, which the wrapper is of."""
+    """Refuse what FMI 2.0, which the wrapper is of, has no words for."""
     problem = repair.problem
     named = [found.name for found in repair.parameters] + [name for name, _ in repair.known]
     for effect in repair.effects:

@@ -202,7 +202,7 @@ def _add(parent: Element, name: str, value: Value, unit: str) -> None:
 
 
 COLUMNS = ("name", "value", "unit", "low", "high")
-"""`low` and `high` are the 95 % interval, empty where there is none."""
+"""`low` and `high` are the 95 % interval, empty if it is unknown."""
 
 
 def value_table(repair: RepairedModel) -> bytes:

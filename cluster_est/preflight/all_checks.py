@@ -132,7 +132,7 @@ SHORT_SIMULATION_SECONDS = 2e-4
 LONG = 1.0
 """Seconds: so long a simulation is worth a plan that asks for few of them."""
 LEAST_COUNT = 100
-"""Simulations from which on a leak can be told."""
+"""Simulations from which on a leak is visible."""
 LEAK = 1024.0
 """Bytes for each simulation: less is no leak."""
 

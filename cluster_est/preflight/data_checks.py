@@ -182,7 +182,7 @@ def _gaps(times: FloatArray, rows: FloatArray, experiment: Experiment) -> tuple[
     """Return the longest gap of an input, and a sentence on all of them; None without any.
 
     A gap is longer than the usual interval, and other signals were measured in it: an input that
-    is sampled more slowly than they are, or a time at which nothing was measured, is none.
+    is sampled more slowly than they are, or a time at which nothing was measured, is no gap.
     """
     if len(times) < 2:
         return None

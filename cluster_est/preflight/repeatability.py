@@ -39,7 +39,7 @@ from workers.process.forked import CAN_FORK
 from workers.process.trial import NoAnswer
 
 FRESH = "processes" if CAN_FORK else "instances"
-Earlier = tuple[float, FloatArray] | None
+EarlierSimulation = tuple[float, FloatArray] | None
 """When a simulation began, and its outputs."""
 TRIED_RESET_POLICIES: tuple[tuple[ResetPolicy, ...], ...] = (
     ("reset", "instance"),
@@ -49,7 +49,9 @@ TRIED_RESET_POLICIES: tuple[tuple[ResetPolicy, ...], ...] = (
 """The policies that are tried, one set after the other, as long as the process crashes."""
 
 
-def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy | None, Earlier]:
+def repeatable(
+    subject: CheckSubject,
+) -> tuple[list[CheckFinding], ResetPolicy | None, EarlierSimulation]:
     """Compare a reset instance with a fresh one, and two fresh processes (or instances) together.
 
     Returns also the reset policy for all further checks, None if none makes simulations in one
@@ -82,7 +84,7 @@ def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy |
     return lines, policy, (begun, found.first)
 
 
-def later(subject: CheckSubject, earlier: Earlier) -> list[CheckFinding]:
+def later(subject: CheckSubject, earlier: EarlierSimulation) -> list[CheckFinding]:
     """Compare a simulation with what it was more than a second before, in another process."""
     if earlier is None:
         return []

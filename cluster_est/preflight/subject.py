@@ -59,7 +59,7 @@ class CheckFinding:
 passed, note = partial(CheckFinding, CheckVerdict.OK), partial(CheckFinding, CheckVerdict.NOTE)
 fault = partial(CheckFinding, CheckVerdict.PROBLEM)
 not_done = partial(CheckFinding, CheckVerdict.NOT_DONE)
-"""Each takes the name of the check, its result and, where there is one, the advice."""
+"""Each takes the name of the check, its result and, where something can be done, the advice."""
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,7 @@ class TableColumn:
     plain, unit
         "force" and "N" of "force [N]".
     noise
-        A first guess of the standard deviation of its noise, in its unit; 0 if there is none.
+        A first guess of the standard deviation of its noise, in its unit; 0 without noise.
     jumps
         Times that it jumps, if it keeps its value in between.
     """
@@ -161,7 +161,7 @@ def _numbers(table: MeasuredTable) -> tuple[dict[str, FloatArray], list[str]]:
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Return "force" and "N" of "force [N]"; the unit is "" where there is none."""
+    """Return "force" and "N" of "force [N]"; the unit is "" where the name has no unit."""
     found = _IN_BRACKETS.fullmatch(name) or _AFTER_SLASH.fullmatch(name)
     if found is None or not found.group(1).strip():
         return name, ""
@@ -248,9 +248,9 @@ class ColumnMatch:
     Attributes
     ----------
     column
-        The column of its name; None if there is none.
+        The column of its name; None without such a column.
     similar
-        A suggestion; None if there is none, or `column` is certain.
+        A suggestion; None if no column is similar, or `column` is certain.
     """
 
     variable: ModelVariable

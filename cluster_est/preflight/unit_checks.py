@@ -172,7 +172,7 @@ def _readings(subject: CheckSubject, name: str) -> list[_Reading]:
 def _likelier(
     measured: FloatArray, simulated: FloatArray, readings: Sequence[_Reading]
 ) -> _Reading | None:
-    """Return the reading with which the data fit the simulation; None if there is none clearly."""
+    """Return the reading with which the data fit the simulation; None if none clearly does."""
     as_is = _error(measured, simulated)
     if not as_is > MISFIT_AS_READ:
         return None

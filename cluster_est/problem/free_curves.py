@@ -358,7 +358,7 @@ class ShapedCurve:
         return replace(parameter, lower=low, upper=high)
 
     def constraints(self) -> tuple[ParameterConstraint, ...]:
-        """Constraints that keep a curve monotone, or signal and curve of a characteristic together."""
+        """Constraints that keep a curve monotone; a characteristic, signal and curve together."""
         known = [*(name for name in self.table.values if name is not None)]
         steps = ""
         if self.form.is_characteristic:

@@ -15,7 +15,7 @@ from cluster_est.problem.problem import Problem
 from workers.messages import Experiment
 
 NEAR_LOWER_BOUND = 1e-6
-"""Distance of a strength from its lower bound, over the range of both, that is none."""
+"""Distance of a strength from its lower bound, over the range of both, that is negligible."""
 FILTERED = (
     "process noise ({names}): errors, curves and residuals are those of predictions from each "
     "measured time to the next, by an extended Kalman filter, and not of a simulation that goes "

@@ -168,7 +168,7 @@ def _begins(experiment: Experiment, output: Output) -> bool:
 
 
 def _off(output: Output, errors: FloatArray, *, fitted: bool) -> tuple[float, float]:
-    """Return the error of a first sample and the same over the noise; zeros if it is none."""
+    """Return the error of a first sample, and its ratio to the noise; zeros if it is no error."""
     noise = float(output.sigmas[0]) if output.has_sigma else noise_of_samples(output.values)
     first = abs(float(errors[0]))
     later = float(np.sqrt(np.mean(errors[len(errors) // 2 :] ** 2)))

@@ -62,7 +62,7 @@ LARGE_LOG_COLUMNS = ("residuals", "variables", "times", "trajectory")
 
 
 def logged_cost(outcome: Outcome, want: Want) -> float:
-    """The sum of squares of an outcome's residuals, NaN where there are none.
+    """The sum of squares of an outcome's residuals, NaN for a failed one.
 
     That of absolute values where only this is known.
     """

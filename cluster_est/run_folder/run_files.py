@@ -138,7 +138,7 @@ def read_facts(run_folder: Path) -> dict[str, Any]:
     Raises
     ------
     RunFolderError
-        If there is none, or it is damaged.
+        If it is missing or damaged.
     """
     path = run_folder / "run.json"
     if not path.is_file():

@@ -166,7 +166,7 @@ def stopped_by(path: Path) -> Iterator[None]:
 
 
 def _remove(path: Path) -> None:
-    with contextlib.suppress(OSError):  # there is no such folder, or it is none: others say so
+    with contextlib.suppress(OSError):  # no such folder, or it is a file: others say so
         path.unlink()
 
 

@@ -245,7 +245,7 @@ _UNKNOWN = (
 def _find_policy(
     problem: Problem, resources: Resources, start: _Start
 ) -> tuple[WorkerPool, ResetDecision]:
-    """Find the least policy with which the test has one answer; a reset if there is none.
+    """Find the least policy with which the test has one answer; a reset if no policy has.
 
     An FMU that this machine does not know with these values is tried in a process of its own: it
     may crash, or depend on its process.

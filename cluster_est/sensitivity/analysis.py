@@ -305,7 +305,7 @@ def _whole_groups(values: FloatArray, group: int) -> np.ndarray:
 def _order(
     runner: Runner, space: SearchSpace, settings: SensitivitySettings, seed: int
 ) -> tuple[list[IdentifiableUnknown], str]:
-    """The order of estimation at the start values; else why there is none."""
+    """The order of estimation at the start values, or the reason why it is unknown."""
     request = SearchRequest("before", GivenPoints(space.start[None], "start"), space, seed)
     (solution,) = runner.run([request])
     linear = linearise(runner, space, solution)

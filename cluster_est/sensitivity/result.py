@@ -214,7 +214,7 @@ class SensitivityResult:
     seconds
         From start to end.
     why_no_order
-        Why there is no order of estimation; "" where there is one.
+        Why there is no order of estimation; "" with an order.
     """
 
     problem: Problem = field(repr=False)

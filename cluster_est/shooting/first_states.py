@@ -20,7 +20,7 @@ LEAST_SAMPLES_FOR_STATE = 4
 LEAST_SPREAD_OF_STARTS = 1e-3
 """Spread of segments' starts, over what is known of it, that says nothing."""
 SAME_FIRST_STATE = 1e-6
-"""Distance of a segment's first state from what was set, over its size, that is none."""
+"""Distance of a segment's first state from what was set, over its size, that is negligible."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ def find_measured(
 
 
 def _line(output: FloatArray, state: FloatArray) -> tuple[float, float] | None:
-    """Offset and slope of a state as a line in an output; None if it is none."""
+    """Offset and slope of a state as a line in an output; None if it is not a line."""
     if len(output) < LEAST_SAMPLES_FOR_STATE or not np.isfinite(output).all():
         return None
     spread = float(np.std(state))

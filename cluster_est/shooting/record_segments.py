@@ -117,7 +117,7 @@ def segment_states(problem: Problem, description: ModelDescription) -> SegmentSt
     Raises
     ------
     ProblemError
-        If there are none, or one cannot be set.
+        If the model has no states, or one cannot be set.
     """
     names = description.states
     if not names:

@@ -159,9 +159,9 @@ JOINED = 1e-3
 LOOSE = 1e-3
 """`ftol` of all searches but the last ones."""
 CONTINUOUS = 1e-6
-"""Largest difference between segments, over the spread of the state, that is none."""
+"""Largest difference between segments, over the spread of the state, that is negligible."""
 UNNOTICED = 0.04
-"""Change of the sum of squares, over the variance of the residuals, that is none."""
+"""Change of the sum of squares, over the variance of the residuals, that is negligible."""
 
 
 FOLLOWS = 0.05

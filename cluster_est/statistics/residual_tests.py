@@ -30,7 +30,7 @@ class Autocorrelation:
     Attributes
     ----------
     lag1
-        Correlation of neighbours; 0 where there are none.
+        Correlation of neighbours; 0 without neighbours.
     widening
         Square root of 1 + 2 (rho_1 + rho_2 + ...), at least 1: by about so much are standard
         errors too small that take the residuals for white, where the sensitivities vary more slowly

@@ -16,7 +16,7 @@ from cluster_est.statistics.projection import NOTHING_LEFT, OrthogonalProjection
 from workers.messages import FloatArray, IntArray
 
 CONFOUNDED = 5e-3
-"""Share of a direction outside the parameters below which it cannot be told from them: the
+"""Share of a direction outside the parameters below which it cannot be distinguished from them: the
 linearisations of a simulation are not more exact."""
 
 NEARLY_DEPENDENT_COLUMNS = 1e-3

@@ -17,7 +17,7 @@ from cluster_est.errors import (
     UnsuitableExecutorError,
 )
 from cluster_est.executors import executor_class
-from cluster_est.run_folder.context import Existing
+from cluster_est.run_folder.context import ExistingRun
 from cluster_est.run_folder.lock import locked_by_sweep
 from cluster_est.run_folder.resume import check_resumable
 from cluster_est.run_folder.run_files import RunStatus, RunWorth, read_facts, run_worth
@@ -87,7 +87,9 @@ def do_sweep_run(
     """
     configured = read_sweep_run(run, allow_code=allow_code)
     clear_torn(folder)
-    existing = Existing.RESUME if _is_under_way(folder, configured.identity) else Existing.OVERWRITE
+    existing = (
+        ExistingRun.RESUME if _is_under_way(folder, configured.identity) else ExistingRun.OVERWRITE
+    )
     to = Destination(folder, existing, report=False, begin_at_once=True)
     try:
         return do_run(configured, to, listener, pools).status

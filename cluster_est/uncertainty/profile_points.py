@@ -13,7 +13,7 @@ from workers.messages.types import by_content
 
 
 class ProfileEnd(enum.StrEnum):
-    """The end of one side of a profile, or why there is none; the texts of the tables."""
+    """How one side of a profile ends, or why it has no end; the texts of the tables."""
 
     FOUND = ""
     BOUND = "bound"
@@ -54,7 +54,7 @@ class ProfileResult:
         the unknown's bound first, "flat" if it never rises enough, "failed" if refits failed,
         "unknown" if the residuals do not determine how far the cost may rise.
     better
-        (estimates, cost) of a point that is better than the optimum; None if there is none.
+        (estimates, cost) of a point that is better than the optimum; None without such a point.
     """
 
     label: str

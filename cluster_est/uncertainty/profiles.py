@@ -249,7 +249,7 @@ def select(space: SearchSpace, names: Sequence[str]) -> list[int]:
     Raises
     ------
     ProblemError
-        If there is none of a name.
+        If no unknown has one of the names.
     """
     shared = is_shared(space)
     chosen: set[int] = set()

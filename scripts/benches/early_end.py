@@ -1,9 +1,9 @@
 """How much simulated time populations save by ending simulations early.
 
 Each method runs with and without `early_end` on the embedded examples and, from `tanks` starts, on
-the chain of tanks of the bench `dear_simulations`, with a budget of `points`. The results must be
-the same, bit for bit. What counts is the simulated time (not the wall clock's) that was saved, over
-the whole.
+the chain of tanks of the bench `expensive_simulations`, with a budget of `points`. The results must
+be the same, bit for bit. What counts is the simulated time (not the wall clock's) that was saved,
+over the whole.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 import cluster_est as ce
 from benches import Row
 from benches.common import EXAMPLES, example
-from benches.dear_simulations import made_problem, write_model
+from benches.expensive_simulations import made_problem, write_model
 from cluster_est.methods import SEARCH_METHODS
 from cluster_est.running.resources import TaskOrigin
 from workers.messages import Outcome, Status

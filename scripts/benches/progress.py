@@ -70,7 +70,7 @@ CASES = {
 
 
 @dataclass
-class Recorded:
+class RecordedDisplay:
     """What a display was shown, and when."""
 
     times: list[float] = field(default_factory=list)
@@ -94,7 +94,7 @@ def rows(options: argparse.Namespace) -> Iterator[Row]:
             yield {"predicted over actual time left": name, **ratios}
 
 
-def run(case: Case, mean: float, spread: float) -> Recorded:
+def run(case: Case, mean: float, spread: float) -> RecordedDisplay:
     """Run a case, and record what it shows."""
     problem = example(case.config)
     evaluator = Evaluator(problem.model, problem.experiments, "virtual")
@@ -107,7 +107,7 @@ def run(case: Case, mean: float, spread: float) -> Recorded:
         return float(mean * np.exp(spread * generator.normal()))
 
     executor = VirtualExecutor(residuals, seconds, case.workers)
-    recorded = Recorded()
+    recorded = RecordedDisplay()
 
     def show(snapshot: RunSnapshot) -> None:
         recorded.times.append(executor.now)

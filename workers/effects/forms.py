@@ -512,7 +512,7 @@ def form(kind: SiteKind, name: str, where: str) -> EffectForm:
     Raises
     ------
     EffectError
-        If there is none of that name for that kind of site.
+        If no form has that name for that kind of site.
     """
     if (kind, name) in PROCESS_NOISE:
         return PROCESS_NOISE[kind, name]

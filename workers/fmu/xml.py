@@ -130,7 +130,7 @@ def first_line(error: BaseException) -> str:
 
 
 def number(text: str | None, notes: ReadingNotes, what: str, name: str) -> float | None:
-    """Read a floating-point number of an XML schema; None if there is none or it is not finite.
+    """Read a floating-point number of an XML schema; None if it is missing or not finite.
 
     `what` is the attribute and `name` the variable, for the note about one that cannot be read.
     """
@@ -146,7 +146,7 @@ def number(text: str | None, notes: ReadingNotes, what: str, name: str) -> float
 
 
 def whole(text: str | None) -> int | None:
-    """Read a whole number; None if it is none."""
+    """Read a whole number; None if the text is not one."""
     plain = (text or "").strip()
     return int(plain) if _WHOLE.fullmatch(plain) else None
 

@@ -430,7 +430,7 @@ def _check_values(values: tuple[tuple[str, Value], ...], where: str) -> None:
 
 
 def _check_interval(experiment: Experiment, where: str) -> None:
-    """Refuse an interval that is none, or that measured times lie outside of."""
+    """Refuse an interval that is empty, or that measured times lie outside of."""
     start, stop = experiment.start, experiment.stop
     for key, time in (("start", start), ("stop", stop)):
         check_number(time, f"{where}.{key}", DataError)

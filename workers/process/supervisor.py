@@ -219,7 +219,7 @@ class SupervisedEvaluator:
         return Outcome(task.id, failure.status, message=failure.message, worker=self._name)
 
     def _ask(self, batch: TaskBatch) -> list[Outcome] | ProcessFailure:
-        """One attempt: the outcomes, or why there are none."""
+        """One attempt: the outcomes, or the reason of its failure."""
         try:
             child, connection = self._child or self._begin()
         except ModelError as error:

@@ -47,7 +47,7 @@ class MeasuredTimes(Comparison):
 
 
 class SignalBounds(Comparison):
-    """For each side of each bound the largest violation over its times; at most 0 if there is none.
+    """For each side of each bound the largest violation over its times; at most 0 if it is kept.
 
     lower: max over t of (lower(t) - y(t)) / scale; upper: max of (y(t) - upper(t)) / scale;
     equality: the y(t) - lower(t), over scale, that is farthest from 0.

@@ -96,7 +96,7 @@ def category_bounds(measured: FloatArray, simulated: FloatArray) -> CategoryBoun
 def disparities(bounds: CategoryBounds, measured: FloatArray, simulated: FloatArray) -> FloatArray:
     """Return for each sample the value of its category that is nearest to the simulated one, (n,).
 
-    A measured value that is none of the categories may lie anywhere between its neighbours' far
+    A measured value outside of the categories may lie anywhere between its neighbours' far
     ends. NaN where there are no bounds.
     """
     last = len(bounds.categories) - 1

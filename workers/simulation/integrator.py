@@ -342,7 +342,7 @@ class FmuIntegrator:
         Raises
         ------
         ModelError
-            If there is none to be had.
+            If no instance is to be had.
         """
         try:
             return FmuInstance(self._model, self._description)

@@ -184,7 +184,7 @@ class LeastSquares(Method):
         Relative step of the differences; 0 takes the one that suits the solver's noise.
     secant_updates
         How many times in a row the derivatives of the next point may be those of the last one,
-        corrected by what its step has shown, in place of new ones: for dear simulations on few
+        corrected by what its step has shown, in place of new ones: for expensive simulations on few
         workers, with some ten unknowns or more in each experiment. Derivatives are computed anew
         where they do not suit, and before it ends. Without effect under constraints.
     """

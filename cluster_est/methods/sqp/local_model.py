@@ -6,7 +6,7 @@ region. Three things make the model: the Hessian, the linearisations and the pen
 
 Hessian: two approximations compete, neither of which needs further evaluations. Gauss-Newton's
 matrix of the cost, 2 J'WJ, is right where residuals are small and constraints straight. A
-quasi-Newton matrix is that one, or a multiple of the identity where there is none, updated by the
+quasi-Newton matrix is that one, or else a multiple of the identity, updated by the
 change of the gradient along each of the last steps: it takes up what large residuals and curved
 constraints add. Whichever predicted the last steps better makes the next one, as in J. E. Dennis,
 D. M. Gay, R. E. Welsch, ACM TOMS 7 (1981) 348-368, doi:10.1145/355958.355965. Updates are those of

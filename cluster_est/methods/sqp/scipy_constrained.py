@@ -137,7 +137,7 @@ ENDLESS = 1_000_000
 GRADIENT_TOLERANCE = 1e-14
 """Next to none: trust-constr takes a stationary point of its barrier for one of the problem."""
 STANDSTILL, STANDSTILLS = 1e-9, 5
-"""Steps of SLSQP, in typical sizes, that are less than derivatives by differences can tell, and so
+"""Steps of SLSQP, in typical sizes, that are below the error of derivatives by differences, and so
 many in a row: at a feasible point it has converged then, though its own tolerance is finer."""
 BARRIER_MARGIN = 0.01
 """Distance from a bound at which the barrier of trust-constr begins, in typical sizes."""

@@ -57,7 +57,7 @@ def with_switches(cells: pa.ChunkedArray) -> pa.ChunkedArray:
 
 
 def as_numbers(column: pa.ChunkedArray) -> FloatArray:
-    """Return the cells as floats, NaN where there is none."""
+    """Return the cells as floats, NaN for empty ones."""
     # unsafe: integers beyond 2**53, like times in nanoseconds, are rounded rather than refused
     return np.array(column.cast(pa.float64(), safe=False).to_numpy(), dtype=np.float64)
 

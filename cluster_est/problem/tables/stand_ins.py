@@ -38,7 +38,7 @@ LEAST_VALUES_BESIDE_CODE, LEAST_VALUES_BESIDE_NUMBER = 10, 20
 or a set point, and its last level is one of these. The first is for codes, the second for any
 number."""
 LEAST_REPETITIONS = 3
-"""Least number of samples that say of any number that it is none."""
+"""Least number of samples that say of any number that it stands for no measurement."""
 LONGEST_REPETITION = 10
 """Samples in a row of any number; longer ones are a state."""
 LARGEST_SHARE_OF_CODE = 0.5
@@ -91,7 +91,7 @@ def stand_ins(values: FloatArray) -> tuple[StandIn, ...]:
     other values than their own range. So is any number that is the least or the largest of the
     column, is there at least three times, each time for a few samples, and lies as far off, if the
     others are many and different. Where a signal ends at a limit without a gap, as of a sensor in
-    saturation, or has levels alone, as a switch, there is none.
+    saturation, or has levels alone, as a switch, no number stands for a missing one.
 
     Parameters
     ----------

@@ -69,7 +69,8 @@ POINTS, ARGUMENT_BINS = 201, 48
 UNKNOWN_ARGUMENT = "nothing is known of"
 """Begins the reason where an argument's values are not to be had."""
 BAND_QUANTILE = 1.959963984540054
-Visited = Callable[[EffectSite, str], FloatArray]
+"""The 97.5 % quantile of the normal distribution, half the width of a 95 % band."""
+VisitedValues = Callable[[EffectSite, str], FloatArray]
 """The values of a variable by its name in the training experiments, at a site: empty if unknown."""
 Shape = Callable[[FloatArray, FloatArray], FloatArray]
 """What an effect adds, as a function of its argument and its coefficients."""
@@ -99,7 +100,7 @@ class EffectShape:
 
 
 def effect_shapes(
-    result: Result, description: ModelDescription, visited: Visited
+    result: Result, description: ModelDescription, visited: VisitedValues
 ) -> tuple[EffectCurve, ...]:
     """Compute the curves of all effects of a fitted model.
 
@@ -153,7 +154,7 @@ def _curves(
     definition: EffectDefinition,
     result: Result,
     description: ModelDescription,
-    visited: Visited,
+    visited: VisitedValues,
 ) -> list[EffectCurve]:
     if definition.form.memory or definition.states:
         why = "it depends on the past, so no curve over one variable shows it"

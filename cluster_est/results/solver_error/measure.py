@@ -194,7 +194,7 @@ def simulate_with_solver(
     """
     # what a simulation leaves behind must not look like an error of the solver
     reset: ResetPolicy = "instance" if problem.model.reset == "auto" else problem.model.reset
-    if resources.instances is not None:  # and instances are dear
+    if resources.instances is not None:  # and instances are expensive
         reset = beside.free_instances(1)
     model = replace(problem.model, solver=solver, reset=reset, seats=resources.seats)
     kind = executor_class("processes" if hasattr(os, "fork") else "local")

@@ -18,7 +18,7 @@ from cluster_est.plug_in import check_class_attributes
 from workers.messages import FloatArray, IntArray
 
 ROUNDING_OF_QUANTITY = 1e-12
-"""Range of a quantity over its size that is none."""
+"""Range of a quantity over its size up to which it is constant."""
 RESAMPLES = 100
 """Resamples of the groups, for intervals."""
 

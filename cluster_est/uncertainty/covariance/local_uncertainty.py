@@ -38,7 +38,7 @@ class UndeterminedDirection:
         Change of the residuals along it, over the changes by each unknown on its own. It contains
         an error of the derivatives, `limit`.
     limit
-        A smaller ratio cannot be told from 0.
+        A smaller ratio cannot be distinguished from 0.
     kind
         "undetermined", "weak" (not much above the limit) or "no effect" (of one unknown).
     sentence

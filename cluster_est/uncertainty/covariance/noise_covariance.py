@@ -42,7 +42,7 @@ from workers.messages import FloatArray, IntArray
 LONGEST_ORDER = 20
 SAMPLES_PER_ORDER = 10
 """Samples of the longest record for each order that is tried: over longer lags, what a fit has
-taken of the noise cannot be told from what the noise lacks."""
+taken of the noise cannot be distinguished from what the noise lacks."""
 PENALTY = 6.635
 """Least gain for each further order: the 1 % level of a chi-square of one degree."""
 MOST_AUTOCOVARIANCE_ITERATIONS = 100
@@ -52,7 +52,7 @@ NEGLIGIBLE_AUTOCOVARIANCE = 1e-6
 """Autocovariances below this, over the variance, are 0 from there on."""
 MOST_LAGS = 100_000
 REFLECTION = 0.999
-"""Largest partial autocorrelation: beyond it a noise has no variance that could be told."""
+"""Largest partial autocorrelation: beyond it the variance of a noise is unknown."""
 MOST_PRODUCTS = 2e6
 """Rows times fitted directions, above which what the fit took is not corrected for: so many rows
 lose too little for it to matter."""

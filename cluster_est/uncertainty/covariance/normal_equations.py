@@ -88,7 +88,7 @@ class UndeterminedCombination:
 
     @property
     def undetermined(self) -> bool:
-        """True if the ratio cannot be told from 0."""
+        """True if the ratio cannot be distinguished from 0."""
         return self.ratio <= self.limit
 
 
