@@ -37,15 +37,15 @@ from cluster_est.errors import ConfigError, ProblemError
 from workers.fmu.description import nearest
 from workers.messages.checks import shown
 
-LARGEST = 2**63 - 1
-"""Of the integers that compiled code counts with."""
+LARGEST_INTEGER = 2**63 - 1
+"""Largest integer that compiled code counts with."""
 MOST_TIMES = 10_000_000
-"""At which a signal may be looked at in one experiment: 80 MB of numbers."""
+"""Times at which a signal may be looked at in one experiment: 80 MB of numbers."""
 
 
 def _known(value: Any) -> Any:
     """A known value keeps its type: the FMU's variable decides which it must be."""
-    largest = LARGEST if isinstance(value, int) else float("inf")
+    largest = LARGEST_INTEGER if isinstance(value, int) else float("inf")
     if isinstance(value, str) and "\0" not in value:
         return value
     if isinstance(value, bool | int | float) and abs(value) < largest:
@@ -90,11 +90,11 @@ def _ordinal(value: Any) -> Any:
     )
 
 
-Count = Annotated[int, Field(ge=0, le=LARGEST)]
-Positive = Annotated[int, Field(gt=0, le=LARGEST)]
+Count = Annotated[int, Field(ge=0, le=LARGEST_INTEGER)]
+Positive = Annotated[int, Field(gt=0, le=LARGEST_INTEGER)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Samples = Annotated[int, Field(gt=1, le=MOST_TIMES)]
-Known = Annotated[float | int | bool | str, PlainValidator(_known)]
+KnownValue = Annotated[float | int | bool | str, PlainValidator(_known)]
 Free = Annotated[bool | Literal["shared"], PlainValidator(_free)]
 Ordinal = Annotated[bool | list[str], PlainValidator(_ordinal)]
 Pair = Annotated[tuple[Finite, Finite], Strict(False)]

@@ -17,10 +17,12 @@ from cluster_est.errors import UnwritableError
 
 SEAL = "cluster-est crc32:00000000"
 """What stands in the place of a seal until `sealed` fills it in."""
+SEAL_KEY = "checksum"
+"""The key of a seal in run.json, and in the metadata of tables and of messages of a log."""
 MEND = "run the same command again with --resume, which does anew what is damaged"
-AGAIN = "see that there is room and that it may be written, and go on with --resume"
+MAKE_ROOM_AND_RESUME = "see that there is room and that it may be written, and go on with --resume"
 ELSEWHERE = "see that there is room and that it may be written, or choose another"
-_SEAL = re.compile(rb"cluster-est crc32:([0-9a-f]{8})")
+_FILE_SEAL = re.compile(rb"cluster-est crc32:([0-9a-f]{8})")
 
 
 def sealed(content: bytes) -> bytes:
@@ -32,12 +34,12 @@ def sealed(content: bytes) -> bytes:
 
 def is_sealed(content: bytes | memoryview) -> bool:
     """Return whether a content says what its checksum is; that of earlier versions does not."""
-    return _SEAL.search(content) is not None
+    return _FILE_SEAL.search(content) is not None
 
 
 def is_damaged(content: bytes | memoryview) -> bool:
     """Return whether a content has a seal that it does not agree with."""
-    seal = _SEAL.search(content)
+    seal = _FILE_SEAL.search(content)
     if seal is None:
         return False
     begin, end = seal.span(1)

@@ -158,7 +158,7 @@ def log_point(first: mpf, last: mpf) -> tuple[mpf, mpf]:
     """Return a double c and nearly 1/c for a cell, so that (z - c) / c is nearly exact near 1.
 
     The error of the product with the reciprocal has two parts, that of the reciprocal and that
-    of rounding, which is none where the factors have at most 53 bits. Taken is what makes both
+    of rounding, which is zero where the factors have at most 53 bits. Taken is what makes both
     together smallest beside the cell's smallest logarithm.
     """
     if 1 - mpf(2) ** -9 <= last and first < 1:

@@ -157,7 +157,7 @@ def _difference(given: Trial, found: Array, reference: Array) -> str:
 
 
 def simulated(given: Trial, seconds: float) -> tuple[Array | str, Array | str]:
-    """(times, outputs) of two simulations in a row, or why there are none."""
+    """(times, outputs) of two simulations in a row, or why they failed."""
     exchange = given.interface == "model_exchange"
     zero = np.zeros(len(given.times))
     outputs = tuple(Output(name, given.times, zero) for name in given.outputs)

@@ -53,7 +53,7 @@ def cache_folder(kind: str, chosen: str = "") -> Path:
 
 
 def notice() -> str:
-    """Say where caches are that cannot be where they were meant to be; "" if there are none."""
+    """Say where caches are that cannot be where they were meant to be; "" if all are there."""
     if not _replaced:
         return ""
     meant, base = next(iter(_replaced.items()))
@@ -119,7 +119,7 @@ def _others(meant: Path) -> Iterator[Path]:
 
 
 def _is_private(folder: Path) -> bool:
-    """Make a folder if there is none; return whether this user, and nobody else, can write it."""
+    """Make a folder if it is missing; return whether this user, and nobody else, can write it."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = folder.lstat()

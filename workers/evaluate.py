@@ -46,7 +46,8 @@ MAX_VALUES = 4_000_000
 """Simulated values that are kept at once: 32 MB, however long the experiments are."""
 
 TOO_LARGE = 1e100
-"""Of a residual or constraint: with its square, or its derivative, a method could not count."""
+"""Size of a residual or constraint with whose square, or its derivative, a method could not
+count."""
 
 
 class Evaluator:

@@ -82,11 +82,11 @@ class OutcomeColumns:
     ids, lengths, seconds, steps : (n,)
         Of each outcome; a length of -1 stands for no residuals.
     residuals
-        Those of all outcomes, one after the other.
+        Residuals of all outcomes, one after the other.
     failures
         (status, message) by position, where it is not OK or has a message.
     trajectories, linearisations, constraints, sensitivities
-        By position, where there is one.
+        By position.
     worker
         Who ran them.
     """

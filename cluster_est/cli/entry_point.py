@@ -162,7 +162,7 @@ class LenientStreams:
         return reasons[0] if reasons else ""
 
 
-LOST = (
+STANDARD_OUTPUT_LOST = (
     "standard output: must be written but cannot be ({}); let it go elsewhere and give the command "
     "again; what a run has found is shown by cluster-est show"
 )
@@ -238,7 +238,7 @@ def run() -> None:
         code = main()
         lost = streams.lost()
         if lost:
-            print(f"cluster-est: {LOST.format(lost)}", file=sys.stderr)
+            print(f"cluster-est: {STANDARD_OUTPUT_LOST.format(lost)}", file=sys.stderr)
             code = code or ExitCode.BAD_INPUT
     except SystemExit as ended:  # of the parser: help, or a usage error
         code = ended.code if isinstance(ended.code, int) else ExitCode.DONE

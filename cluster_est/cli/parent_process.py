@@ -31,7 +31,7 @@ OF_FMU = (
     "begun"
 )
 PASSED_ON = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP} if sys.platform != "win32" else set()
-INSISTED = 4
+INTERRUPTS_BEFORE_KILL = 4
 """Interrupts after which the child is killed: it may hang in an FMU, where none comes through."""
 INTERRUPTED = (
     "cluster-est: interrupted ({} before the process of this command could end in order); --resume "
@@ -162,7 +162,7 @@ def _wait(child: int, watched: set[signal.Signals]) -> tuple[int, int]:
         received = signal.sigwait(watched)
         if received in PASSED_ON:
             interrupts += 1
-            os.kill(child, received if interrupts < INSISTED else signal.SIGKILL)
+            os.kill(child, received if interrupts < INTERRUPTS_BEFORE_KILL else signal.SIGKILL)
         elif received == signal.SIGTSTP:
             os.killpg(child, signal.SIGSTOP)
             os.kill(os.getpid(), signal.SIGSTOP)

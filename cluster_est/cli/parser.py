@@ -38,7 +38,7 @@ class _ShowVersion(argparse.Action):
 
 
 def _suggest(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> None:
-    """End with the command that may be meant, where there is none of that name."""
+    """End with the command that may be meant, where no command has that name."""
     known = parser.get_default("commands")
     name = next((each for each in arguments if not each.startswith("-")), None)
     if name is not None and name not in known:

@@ -121,7 +121,7 @@ def print_sensitivity(console: Console, run: StoredRun) -> None:
 def _index(value: float | None) -> str:
     if value is None or math.isnan(value):
         return ""
-    return "cannot be told" if math.isinf(value) else f"{value:.3g}"
+    return UNKNOWN_NUMBER if math.isinf(value) else f"{value:.3g}"
 
 
 def _together(position: int, together: bool) -> str:
@@ -133,9 +133,9 @@ def _together(position: int, together: bool) -> str:
 
 Facts = Mapping[str, Any]
 
-UNKNOWN = "unknown"
+UNKNOWN_NUMBER = "unknown"
 
-SAME = 0.1
+SAME_PREDICTION = 0.1
 """Times the noise below which two predictions count as the same."""
 
 
@@ -227,7 +227,7 @@ def _range(row: Facts) -> str:
 
 def _differs(other: Facts) -> bool:
     """Return whether these data show a difference at all."""
-    return other["difference"] is not None and bool(other["difference"] >= SAME)
+    return other["difference"] is not None and bool(other["difference"] >= SAME_PREDICTION)
 
 
 def _alternative(other: Facts) -> str:
@@ -236,7 +236,7 @@ def _alternative(other: Facts) -> str:
     if other["criterion"] is not None:
         text += f" (criterion {other['criterion']:+.1f})"
     known = other["time"] is not None and other["difference"] is not None
-    if known and other["difference"] < SAME:
+    if known and other["difference"] < SAME_PREDICTION:
         return f"{text}; on these data they predict the same"
     if other["experiment"] and known:
         text += (
@@ -281,7 +281,7 @@ def _print_errors(console: Console, rows: Rows, facts: Facts) -> None:
     ]
     for role, total in facts["errors"].items():
         if any(row["role"] == role for row in rows):
-            pair = number(total["before"], UNKNOWN), number(total["after"], UNKNOWN)
+            pair = number(total["before"], UNKNOWN_NUMBER), number(total["after"], UNKNOWN_NUMBER)
             lines.append(["all", role, *[""] * 5, *pair])
     header = ["experiment", "role", "output", "samples", "RMSE before", "after", "unit"]
     print_table(console, [*header, f"over {facts['errors_over']} before", "after"], lines)
@@ -297,7 +297,7 @@ def _over_noise(row: dict[str, Any], when: str) -> str:
     """An error over the noise, which may be unknown, or none, where a simulation did not fail."""
     if math.isnan(row[f"rmse_{when}"]):
         return _error(row, f"normalised_{when}")
-    return number(row[f"normalised_{when}"], UNKNOWN)
+    return number(row[f"normalised_{when}"], UNKNOWN_NUMBER)
 
 
 def _print_rest(console: Console, facts: Facts) -> None:
@@ -308,7 +308,9 @@ def _print_rest(console: Console, facts: Facts) -> None:
             f"not accepted: {effect['form']} at {effect['site']}: {effect['equation']}; it shows "
             "where to look, not what is missing",
         )
-    noise = ", ".join(f"{name} {number(value, UNKNOWN)}" for name, value in facts["noise"].items())
+    noise = ", ".join(
+        f"{name} {number(value, UNKNOWN_NUMBER)}" for name, value in facts["noise"].items()
+    )
     if noise:
         say(console, f"noise estimated from the residuals: {noise}")
     say(console, f"open sites: {', '.join(facts['sites'])}")

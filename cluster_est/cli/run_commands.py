@@ -32,11 +32,16 @@ from cluster_est.config.reader import read_config
 from cluster_est.errors import RunFolderError
 from cluster_est.problem.problem import Problem
 from cluster_est.results.curves import residual_table, trajectory_table
-from cluster_est.run_folder.run_files import Rows, check_has_estimates, read_run_table
+from cluster_est.run_folder.run_files import (
+    SWEEP_SUMMARY_FILE,
+    Rows,
+    check_has_estimates,
+    read_run_table,
+)
 from cluster_est.run_folder.run_identity import RunKind
 from cluster_est.studies.configured import read_study
 from cluster_est.studies.fit import simulate as run_simulate
-from cluster_est.sweep.matrix import SUCCESS, SUMMARY
+from cluster_est.sweep.matrix import SUCCESS
 from cluster_est.sweep.sweep import sweep as run_sweep
 from cluster_est.whole_files import write_output
 
@@ -70,7 +75,7 @@ def print_sweep(console: Console, out: Path, rows: Rows, ran: int) -> None:
         ("seconds", lambda row: "" if row.get("seconds") is None else f"{row['seconds']:.1f}"),
         ("", _why),
     )
-    say(console, f"table: {out / SUMMARY}")
+    say(console, f"table: {out / SWEEP_SUMMARY_FILE}")
 
 
 def _known(key: str) -> Cell:

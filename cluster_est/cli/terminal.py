@@ -19,19 +19,19 @@ from cluster_est.cli.parent_process import ExitCode
 from cluster_est.cli.printing import say
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
-from cluster_est.run_folder.context import Existing
+from cluster_est.run_folder.context import ExistingRun
 from cluster_est.run_folder.run_files import RunStatus
 from cluster_est.run_folder.run_progress import left_of_step, pace_of, what_is_done
 from cluster_est.running.resources import Budget, Resources, RunSnapshot, Show
 from cluster_est.studies.configured import ConfiguredStudy, Destination, Listener, RunEnd, do_run
 from workers.kernels.fmi.compiling import compiled_before
 
-SECONDS_BETWEEN = 0.1
+SECONDS_BETWEEN_REDRAWS = 0.1
 SECONDS_OF_LINES, SHARE_OF_LINES = 30.0, 0.05
-"""At least between two printed lines: seconds, and share of the time that the run has taken."""
+"""Least time between two printed lines: seconds, and share of the time that the run has taken."""
 HINT_SECONDS = 20.0
-"""In which all workers were busy and as many simulations again were waiting."""
-FIRST = (
+"""Seconds in which all workers were busy and as many simulations again were waiting."""
+COMPILED_FIRST = (
     "the loops that call the FMU are compiled for this machine first, which takes about half a "
     "minute of one core; later runs find them ready"
 )
@@ -93,7 +93,7 @@ class ProgressLine:
     def show(self, snapshot: RunSnapshot) -> None:
         """Refresh, at most ten times a second."""
         now = self._clock()
-        if now - self._shown <= SECONDS_BETWEEN:
+        if now - self._shown <= SECONDS_BETWEEN_REDRAWS:
             return
         self._shown = now
         if hint := self._hint.look(snapshot):
@@ -189,11 +189,11 @@ def complain(text: str) -> None:
 def say_if_compiled_first() -> None:
     """Say what there is to wait for, where the loops have never been compiled."""
     if not compiled_before():
-        complain(FIRST)
+        complain(COMPILED_FIRST)
 
 
 def say_if_filter_compiled_first(problem: Problem) -> None:
-    """The same of the filter that process noise needs, which is compiled when it is first used."""
+    """Say that the filter which process noise needs is compiled, where it never has been."""
     if noise_names(problem) and not compiled_before("kalman"):
         complain(
             "process noise: its filter is compiled with the first simulation, once on a machine; "
@@ -203,8 +203,8 @@ def say_if_filter_compiled_first(problem: Problem) -> None:
 
 def run_as_told(run: ConfiguredStudy, out: Path, options: Namespace) -> RunEnd:
     """Do a run as the arguments of its command say, and complain where it has no result."""
-    existing = Existing.OVERWRITE if options.overwrite else Existing.REFUSE
-    existing = Existing.RESUME if options.resume else existing
+    existing = ExistingRun.OVERWRITE if options.overwrite else ExistingRun.REFUSE
+    existing = ExistingRun.RESUME if options.resume else existing
     to = Destination(out, existing, report=not options.no_report)
     end = do_run(run, to, terminal_listener())
     if end.stopped:

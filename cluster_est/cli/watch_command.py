@@ -33,9 +33,9 @@ from cluster_est.run_folder.run_progress import (
 )
 from cluster_est.running.resources import RunSnapshot
 
-MOST_SEARCHES, MOST_FAILURES = 12, 5
+MOST_SEARCHES, MOST_FAILURE_REASONS = 12, 5
 QUIET_SECONDS = 30.0
-"""After these it is worth a sentence that nothing comes."""
+"""Seconds after which a sentence says that nothing comes."""
 
 
 def watch(options: Namespace) -> int:
@@ -152,19 +152,19 @@ def _failures(view: RunView) -> Table:
     table.add_column("failed", justify="right")
     table.add_column("status")
     table.add_column("reason")
-    for each in view.failures[:MOST_FAILURES]:
+    for each in view.failures[:MOST_FAILURE_REASONS]:
         table.add_row(str(each.count), Text(each.status), Text(each.message))
-    if len(view.failures) > MOST_FAILURES:
-        table.caption = f"and {len(view.failures) - MOST_FAILURES} other reasons"
+    if len(view.failures) > MOST_FAILURE_REASONS:
+        table.caption = f"and {len(view.failures) - MOST_FAILURE_REASONS} other reasons"
     return table
 
 
 RATE_SECONDS = 15.0
 """Over which the rate of simulations is taken."""
 LEFT_SECONDS = 2.0
-"""In which nothing has come, before it is looked whether there is a process at all."""
+"""Seconds in which nothing has come, before it is looked whether there is a process at all."""
 HTML_SECONDS = 5.0
-"""At least so long between two reports."""
+"""Least seconds between two reports."""
 
 
 @dataclass(frozen=True)

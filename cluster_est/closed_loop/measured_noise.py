@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from cluster_est.closed_loop.workbench import LoopWorkbench
-from cluster_est.statistics.noise.estimate import SHORTEST, estimate_noise
+from cluster_est.statistics.noise.estimate import SHORTEST_NOISE_RECORD, estimate_noise
 from cluster_est.statistics.records import StackedRecords
 from workers.messages import Experiment, FloatArray
 
@@ -46,7 +46,7 @@ def expected_noise(workbench: LoopWorkbench, residuals: FloatArray) -> FloatArra
 def is_told(records: StackedRecords, output: int) -> bool:
     """Return whether some record of an output is long enough to tell noise from misfit."""
     lengths = [len(record.times) for record in records.items if record.output == output]
-    return max(lengths, default=0) >= SHORTEST
+    return max(lengths, default=0) >= SHORTEST_NOISE_RECORD
 
 
 def is_given(workbench: LoopWorkbench, output: int) -> bool:

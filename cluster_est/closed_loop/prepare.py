@@ -30,7 +30,7 @@ from cluster_est.problem.variables import silent_notes
 from cluster_est.running.arguments import check_method, check_problem, check_resources
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Record, Resources, TaskOrigin, one_blas_thread
-from cluster_est.statistics.noise.estimate import SHORTEST
+from cluster_est.statistics.noise.estimate import SHORTEST_NOISE_RECORD
 from cluster_est.statistics.records import make_records
 from cluster_est.toml import dotted
 from workers.effects.forms import FORMS
@@ -316,9 +316,9 @@ def _short_notes(workbench: LoopWorkbench) -> tuple[str, ...]:
     if workbench.sigma_declared or not short:
         return ()
     return (
-        f"no record of {', '.join(short)} has {SHORTEST} samples, so its noise cannot be told from "
-        "what is missing: all that the declared model leaves counts as noise, and errors over it "
-        "say nothing; give sigma",
+        f"no record of {', '.join(short)} has {SHORTEST_NOISE_RECORD} samples, so its noise "
+        "cannot be told from what is missing: all that the declared model leaves counts as noise, "
+        "and errors over it say nothing; give sigma",
     )
 
 

@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, InstanceOf
 
 from cluster_est.closed_loop.thresholds import LoopThresholds
 from cluster_est.errors import EffectError
-from cluster_est.settings import LARGEST, Finite, Names, Positive, Settings, sentence
+from cluster_est.settings import LARGEST_INTEGER, Finite, Names, Positive, Settings, sentence
 from workers.effects.site import parse_site
 
 
@@ -39,7 +39,7 @@ class LoopSettings(Settings):
         description="largest family-wise p-value at which something counts as missing",
     )
     draws: int = Field(
-        2000, ge=100, le=LARGEST, description="Monte Carlo draws of each null distribution"
+        2000, ge=100, le=LARGEST_INTEGER, description="Monte Carlo draws of each null distribution"
     )
     trials: Positive = Field(30, description="candidates tried by a real simulation")
     refits: Positive = Field(

@@ -10,10 +10,9 @@ from typing import Any, TypeVar, get_type_hints
 
 from cluster_est.config.sections import Config
 from cluster_est.errors import ConfigError, ProblemError
-from cluster_est.methods import ALIASES, METHODS, Method
+from cluster_est.methods import METHOD_ALIASES, SEARCH_METHODS, Method
 from cluster_est.plug_in import check_option
-from cluster_est.problem.costs import ALIASES as COST_ALIASES
-from cluster_est.problem.costs import COSTS, Cost, TotalCost
+from cluster_est.problem.costs import COST_ALIASES, COSTS, Cost, TotalCost
 from cluster_est.problem.priors import PRIORS, Prior
 from cluster_est.running.resources import Resources
 from workers.fmu.description import nearest
@@ -44,8 +43,8 @@ def build_method(config: Config) -> Method:
     ConfigError
         If an option is unknown or of the wrong kind.
     """
-    name = ALIASES.get(config.method.name, config.method.name)
-    return _with_options(METHODS[name], config.method.options, "method.options")
+    name = METHOD_ALIASES.get(config.method.name, config.method.name)
+    return _with_options(SEARCH_METHODS[name], config.method.options, "method.options")
 
 
 def build_cost(config: Config) -> Cost:

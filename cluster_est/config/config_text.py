@@ -55,7 +55,7 @@ _NAME = r"""(?:[\w-]+|"[^"]*"|'[^']*')"""
 _KEY = rf"{_NAME}(?:\s*\.\s*{_NAME})*"
 _HEADER = re.compile(rf"\s*\[(\[?)\s*({_KEY})\s*\]")
 _ASSIGNED = re.compile(rf"\s*({_KEY})\s*=")
-_PART = re.compile(_NAME)
+_KEY_PART = re.compile(_NAME)
 _ID = re.compile(r"""\s*id\s*=\s*["']([^"']*)["']""")
 EXPERIMENTS = "experiments"
 
@@ -116,7 +116,7 @@ def _assignments(text: str) -> Iterator[tuple[str, int]]:
 
 
 def _joined(key: str) -> str:
-    return ".".join(part.strip("\"'") for part in _PART.findall(key))
+    return ".".join(part.strip("\"'") for part in _KEY_PART.findall(key))
 
 
 def _id_below(lines: list[str]) -> str:

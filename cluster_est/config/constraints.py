@@ -190,13 +190,13 @@ _SIGNAL_KEYS = (
     *("tolerance", "between", "samples", "scale", "experiments"),
 )
 _KEYS = {"expression": ("scale",), "signal": _SIGNAL_KEYS, "function": ("equality", "experiments")}
-"""Of each kind of constraint."""
+"""The keys that each kind of constraint may have."""
 
 
 def parameter_constraints(
     config: Config, parameters: tuple[str, ...]
 ) -> tuple[ParameterConstraint, ...]:
-    """Those on parameters.
+    """Return the constraints on parameters.
 
     Raises
     ------
@@ -231,7 +231,7 @@ def check_signals(config: Config, description: ModelDescription) -> None:
 def signal_bounds(
     config: Config, experiment: str, start: float, stop: float, measured: Sequence[Output]
 ) -> tuple[SignalBound, ...]:
-    """Those on signals of one experiment, which is simulated from start to stop.
+    """Return the constraints on signals of one experiment, simulated from start to stop.
 
     Parameters
     ----------
@@ -262,7 +262,7 @@ def signal_bounds(
 def constraint_functions(
     config: Config, experiment: str, code: UserCode
 ) -> tuple[UserFunction, ...]:
-    """Those that are Python functions, for one experiment."""
+    """Return the constraints that are Python functions, for one experiment."""
     return tuple(
         replace(
             code.function(s.function, f"constraints[{s.name or i}].function", equality=s.equality),

@@ -18,7 +18,7 @@ from cluster_est.settings import (
     Count,
     Finite,
     Free,
-    Known,
+    KnownValue,
     Ordinal,
     Pair,
     Samples,
@@ -151,7 +151,7 @@ class _ExperimentKeys(ConfigSection):
         '"ID (held out)"',
     )
     role: Literal["train", "test"] = Field("train", description="test: held out, only reported")
-    values: dict[str, Known] = Field(
+    values: dict[str, KnownValue] = Field(
         default_factory=dict, description="known values of this run, by FMU name"
     )
     group: Annotated[dict[str, str], BeforeValidator(as_group)] = Field(
@@ -171,11 +171,11 @@ class ExperimentDefaultsSection(_ExperimentKeys):
 
 
 DEFAULTS = "experiment_defaults"
-SIGNALS = ("inputs", "outputs", "signals")
+SIGNAL_TABLES = ("inputs", "outputs", "signals")
 """Tables whose entries are columns; an empty name takes an entry of the defaults away."""
 SIGMAS = ("sigma", "relative_sigma")
 """Keys of an experiment with a number for each output."""
-TIMES = ("time", "sample_time")
+EXCLUSIVE_TIME_KEYS = ("time", "sample_time")
 """Keys that exclude each other: with one of its own an experiment does not take the other."""
 
 
@@ -227,7 +227,7 @@ def _beside(name: str, known: list[str]) -> str:
 def _long_forms(section: dict[str, Any]) -> dict[str, Any]:
     """Return the keys of an experiment with tables in the place of their short forms."""
     found = dict(section)
-    for key in SIGNALS:
+    for key in SIGNAL_TABLES:
         if isinstance(found.get(key), dict):
             found[key] = {
                 name: {"column": each} if isinstance(each, str) else each
@@ -240,9 +240,9 @@ def _long_forms(section: dict[str, Any]) -> dict[str, Any]:
 
 def _whole(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
     """Return an experiment with what it takes of the defaults."""
-    timed = any(key in own for key in TIMES)
-    taken = {k: v for k, v in defaults.items() if not (timed and k in TIMES)}
-    for key in SIGNALS:
+    timed = any(key in own for key in EXCLUSIVE_TIME_KEYS)
+    taken = {k: v for k, v in defaults.items() if not (timed and k in EXCLUSIVE_TIME_KEYS)}
+    for key in SIGNAL_TABLES:
         gone = {name for name, each in _table(own, key).items() if each == {"column": ""}}
         gone &= set(_table(taken, key))
         if gone:
@@ -273,7 +273,7 @@ def _table(section: dict[str, Any], key: str) -> dict[str, Any]:
 def _used(experiment: dict[str, Any]) -> set[str]:
     """Return the columns that an experiment names."""
     named = [experiment.get("time")]
-    for key in SIGNALS:
+    for key in SIGNAL_TABLES:
         named += [_table({"": each}, "").get("column") for each in _table(experiment, key).values()]
     named += _table(_table(experiment, "curve"), "columns").values()
     return {name for name in named if isinstance(name, str)}

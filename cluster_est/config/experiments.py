@@ -326,7 +326,7 @@ def find_file(name: str, base: Path, folders: list[str], where: str) -> Path:
     )
 
 
-ROUNDING = 16.0 * float(np.finfo(float).eps)
+ROUNDING_OF_TIMES = 16.0 * float(np.finfo(float).eps)
 """Relative difference of times that are the same."""
 
 
@@ -373,7 +373,7 @@ def snapped(times: FloatArray, onto: FloatArray) -> FloatArray:
     before = np.maximum(after - 1, 0)
     nearer = np.abs(times - onto[before]) < np.abs(times - onto[after])
     closest = np.where(nearer, onto[before], onto[after])
-    rounding = ROUNDING * np.max(np.abs(onto))
+    rounding = ROUNDING_OF_TIMES * np.max(np.abs(onto))
     return np.where(np.abs(times - closest) <= rounding, closest, times)
 
 

@@ -29,9 +29,8 @@ from cluster_est.config.experiment_keys import (
 from cluster_est.config.sections import Config
 from cluster_est.errors import ConfigError
 from cluster_est.executors import EXECUTORS
-from cluster_est.methods import ALIASES, METHODS
-from cluster_est.problem.costs import ALIASES as COST_ALIASES
-from cluster_est.problem.costs import COSTS
+from cluster_est.methods import METHOD_ALIASES, SEARCH_METHODS
+from cluster_est.problem.costs import COST_ALIASES, COSTS
 from cluster_est.problem.tables.measured import (
     missing_time,
     relative_without_sigma,
@@ -109,7 +108,7 @@ class _OnlyDefaults(BaseModel):
 def _unknown_names(config: Config) -> Iterator[str]:
     choices: list[tuple[str, str, list[str], list[str]]] = [
         ("cost.name", config.cost.name, list(COSTS), list(COST_ALIASES)),
-        ("method.name", config.method.name, list(METHODS), list(ALIASES)),
+        ("method.name", config.method.name, list(SEARCH_METHODS), list(METHOD_ALIASES)),
         ("executor.name", config.executor.name, list(EXECUTORS), []),
     ]
     for key, name, known, aliases in choices:
@@ -270,7 +269,7 @@ def _starts_of_map(
 
 
 def _tables(sections: Iterable[tuple[Any, Any]]) -> list[tuple[Any, dict[str, Any]]]:
-    """Those that are tables; what is none is refused when the config is checked."""
+    """Return the sections that are tables; others are refused when the config is checked."""
     return [(name, each) for name, each in sections if isinstance(each, dict)]
 
 
@@ -341,7 +340,7 @@ def _parameter_set(path: Path) -> Iterator[GivenValue]:
 
 
 def _csv(path: Path) -> Iterator[GivenValue]:
-    """Columns name and value, and unit where there is one; others are left alone."""
+    """Columns name and value, and unit if the table has it; others are left alone."""
     with path.open(encoding="utf-8-sig", newline="") as file:
         head = file.readline()
         file.seek(0)

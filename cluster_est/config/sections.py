@@ -17,7 +17,7 @@ from cluster_est.problem.free_curves import Monotone
 from cluster_est.running.multistart import Multistart
 from cluster_est.running.resources import Budget, LogSettings, Resources
 from cluster_est.sensitivity.settings import SensitivitySettings
-from cluster_est.settings import ConfigSection, Count, Finite, Known, Pair, Samples, one_of
+from cluster_est.settings import ConfigSection, Count, Finite, KnownValue, Pair, Samples, one_of
 from cluster_est.shooting.record_segments import Shooting
 from cluster_est.uncertainty import UncertaintySettings
 
@@ -379,7 +379,7 @@ class Config(ConfigSection):
         default_factory=dict,
         description="tables of values over points, each as parameters that belong together",
     )
-    values: dict[str, Known] = Field(
+    values: dict[str, KnownValue] = Field(
         default_factory=dict, description="known values of all experiments, by FMU name"
     )
     value_files: list[str] = Field(
@@ -424,7 +424,7 @@ class Config(ConfigSection):
         return self._units_of_files
 
     def with_units_of_files(self, units: Mapping[str, str]) -> Self:
-        """The same config, whose values of files are in these units."""
+        """Return a config whose values of files are in these units."""
         changed = self.model_copy()
         changed._units_of_files = dict(units)
         return changed

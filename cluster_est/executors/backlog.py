@@ -9,13 +9,14 @@ from workers.messages import Outcome, Task
 from workers.wire import TaskBatch
 
 BATCH_SECONDS = 0.1
-FEW, FEW_SECONDS = 9, 0.5
-"""So many tasks travel together though they take longer than a batch, up to these seconds: where
-simulations take a tenth of a second, a message for each costs a small machine more than they do."""
-LEAST_SECONDS = 0.005
+FEW_TASKS, SECONDS_OF_FEW_TASKS = 9, 0.5
+"""Number of tasks that travel together though they take longer than a batch, and the seconds that
+they may take: where simulations take a tenth of a second, a message for each costs a small machine
+more than they do."""
+LEAST_BATCH_SECONDS = 0.005
 """A batch of less is not worth the trip, even if other workers are idle."""
 FIRST_GUESS = 0.005
-MEMORY = 0.2
+WEIGHT_OF_NEWEST_SECONDS = 0.2
 """Weight of the newest observation in the running mean of a simulation's seconds."""
 
 
@@ -31,7 +32,7 @@ class TaskBacklog:
         For which a few tasks may travel together though they take longer than a batch.
     """
 
-    def __init__(self, shares: int, few_seconds: float = FEW_SECONDS) -> None:
+    def __init__(self, shares: int, few_seconds: float = SECONDS_OF_FEW_TASKS) -> None:
         self._tasks: deque[Task] = deque()
         self._seconds: dict[int, float] = {}
         self._shares, self._few_seconds = shares, few_seconds
@@ -73,8 +74,8 @@ class TaskBacklog:
         seconds = 0.0
         while self._tasks:
             task, count = self._tasks[0], len(batch)
-            few = 0 < count < FEW and seconds + self.next_seconds <= self._few_seconds
-            full = seconds >= (BATCH_SECONDS if count < most else LEAST_SECONDS)
+            few = 0 < count < FEW_TASKS and seconds + self.next_seconds <= self._few_seconds
+            full = seconds >= (BATCH_SECONDS if count < most else LEAST_BATCH_SECONDS)
             if full and not (few and count < most):
                 break
             if batch and (task.want, task.effects) != (batch[0].want, batch[0].effects):
@@ -88,4 +89,4 @@ class TaskBacklog:
         """Remember how long the simulations of a batch took."""
         for experiment, outcome in zip(batch.experiments.tolist(), outcomes, strict=True):
             known = self._seconds.get(experiment, outcome.seconds)
-            self._seconds[experiment] = known + MEMORY * (outcome.seconds - known)
+            self._seconds[experiment] = known + WEIGHT_OF_NEWEST_SECONDS * (outcome.seconds - known)

@@ -77,12 +77,12 @@ class LogReplayExecutor(Executor):
 
     @property
     def workers(self) -> int:  # type: ignore[override]
-        """Those of the executor behind it; a pool may grow."""
+        """Workers of the executor behind it; a pool may grow."""
         return self._inner.workers
 
     @property
     def reset(self) -> ResetPolicy:  # type: ignore[override]
-        """That of the executor behind it."""
+        """The reset policy of the executor behind it."""
         return self._inner.reset
 
     def submit(self, tasks: Sequence[Task]) -> None:

@@ -155,7 +155,7 @@ def _meant_by(address: str) -> str:
     """Return what Ray takes "auto" for now: a Ray that has ended may still be written down."""
     if address != "auto":
         return address
-    with contextlib.suppress(Exception):  # there is none, or Ray finds it otherwise: it says so
+    with contextlib.suppress(Exception):  # without one Ray says so, or finds it otherwise
         return str(ray._private.services.get_ray_address_from_environment(address, None))
     return address
 
@@ -201,7 +201,7 @@ def _alone(local: bool) -> Iterator[None]:
 
 def _close_token_to_others() -> None:
     """Let nobody else read the password that Ray has written for this user."""
-    with contextlib.suppress(OSError, RuntimeError):  # there is none, or no home
+    with contextlib.suppress(OSError, RuntimeError):  # no such file, or no home
         named = os.environ.get("RAY_AUTH_TOKEN_PATH")
         (Path(named) if named else Path.home() / ".ray" / "auth_token").chmod(0o600)
 
@@ -235,7 +235,7 @@ def cores() -> int:
 
 
 def why_not_started(error: Exception) -> Exception:
-    """The model's own error where there is one, else a sentence around Ray's."""
+    """The model's own error if it raised one, else a sentence around Ray's."""
     cause: BaseException | None = error
     with contextlib.suppress(AttributeError):
         cause = error.cause if isinstance(error, RayTaskError) else error

@@ -113,16 +113,16 @@ class ActorSeats:
 
 
 IN_FLIGHT = 2
-FEW_SECONDS = 0.9
-"""For which a few tasks travel together: longer than elsewhere, for a message to an actor costs
-milliseconds of its core and of the coordinator's."""
-LOOK_SECONDS = 0.5
+SECONDS_OF_FEW_TASKS_ON_RAY = 0.9
+"""Seconds that a few tasks which travel together may take: more than elsewhere, for a message to an
+actor costs milliseconds of its core and of the coordinator's."""
+STRAGGLER_POLL_SECONDS = 0.5
 """How often stragglers are looked for while nothing comes back."""
 CLUSTER_SECONDS = 5.0
 """How often the size of the cluster is looked at."""
 LATE, GRACE_SECONDS = 3.0, 0.5
 """A batch is late after so many times what is usual, and this."""
-ALONE, GIVEN_UP = 3, 6
+LOSSES_BEFORE_ALONE, LOSSES_BEFORE_GIVEN_UP = 3, 6
 """Lost workers after which a task is sent alone, and after which it is not sent any more."""
 START_SECONDS, SECOND_SECONDS = 10.0, 40.0
 """How long all workers are waited for, once there is one, and the second if it must be asked."""
@@ -165,7 +165,7 @@ class RayPool(WorkerPool):
         own = uuid.uuid4().hex[:12]
         folder = folder_of_workers()
         self._installation = ray.put(model), ray.put(experiments), limits, own, folder
-        self._backlog = TaskBacklog(IN_FLIGHT * self.workers, FEW_SECONDS)
+        self._backlog = TaskBacklog(IN_FLIGHT * self.workers, SECONDS_OF_FEW_TASKS_ON_RAY)
         self._starting: dict[Any, tuple[str, Any]] = {}
         self._actors: dict[str, Any] = {}
         self._flying: dict[Any, _BatchInFlight] = {}
@@ -209,7 +209,7 @@ class RayPool(WorkerPool):
     def one_worker(self, tasks: Sequence[Task], *, last: bool = False) -> list[Outcome]:
         if last:
             self._wait_for_workers(2, SECOND_SECONDS)
-        for _ in range(ALONE):
+        for _ in range(LOSSES_BEFORE_ALONE):
             name, actor = list(self._actors.items())[-1 if last else 0]
             asked = [actor.once.remote(TaskBatch.of([task])) for task in tasks]
             try:
@@ -230,7 +230,7 @@ class RayPool(WorkerPool):
         if not self._open and self._flying:
             self._receive(0.0)  # the other answers to what was asked twice
         while self._open and not outcomes:
-            outcomes += self._receive(LOOK_SECONDS)
+            outcomes += self._receive(STRAGGLER_POLL_SECONDS)
             self._look()
             self._fill()
         return outcomes
@@ -259,13 +259,14 @@ class RayPool(WorkerPool):
         return len({flight.actor for flight in self._flying.values()})
 
     def free_instances(self, workers: int) -> None:
-        for _ in range(GIVEN_UP):
+        for _ in range(LOSSES_BEFORE_GIVEN_UP):
             names = self._seats.first(workers)
             if sum(self._frees_instance(name) for name in names) == len(names):
                 return
         raise ExecutorError(
             f"executor.instances: a worker must let its instance of {self._model.name} go, but "
-            f"{GIVEN_UP} in its place were lost meanwhile; look at the cluster's nodes"
+            f"{LOSSES_BEFORE_GIVEN_UP} in its place were lost meanwhile; look at the cluster's "
+            "nodes"
         )
 
     def _frees_instance(self, name: str) -> bool:
@@ -415,9 +416,9 @@ class RayPool(WorkerPool):
                 continue
             self._twice.discard(task.id)
             self._lost[task.id] += 1
-            if self._lost[task.id] >= GIVEN_UP:
+            if self._lost[task.id] >= LOSSES_BEFORE_GIVEN_UP:
                 given_up.append(_lost(task, error))
-            elif self._lost[task.id] >= ALONE:
+            elif self._lost[task.id] >= LOSSES_BEFORE_ALONE:
                 self._suspects.append(task)
             else:
                 self._backlog.add_first(task)
@@ -434,5 +435,8 @@ class RayPool(WorkerPool):
 
 def _lost(task: Task, error: RayError) -> Outcome:
     line = (str(error).splitlines() or ["the process ended"])[0]
-    message = f"{GIVEN_UP} workers were lost during this simulation; the last one said: {line}"
+    message = (
+        f"{LOSSES_BEFORE_GIVEN_UP} workers were lost during this simulation; the last one said: "
+        f"{line}"
+    )
     return Outcome(task.id, Status.LOST_WORKER, message=message)

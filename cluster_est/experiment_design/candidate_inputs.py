@@ -8,16 +8,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cluster_est.experiment_design.limits import ExperimentLimits, InputLimits, SignalLimits
-from cluster_est.experiment_design.waveforms import LEVELS, WAVEFORMS
+from cluster_est.experiment_design.waveforms import LEVEL_COORDINATES, WAVEFORMS
 from workers.grid import values_at
 from workers.messages import Experiment, FloatArray, Input, Output, SignalBound
 
 FREE_AMPLITUDES = 0.5
 """Share of the first candidates whose amplitude is drawn; the others have the largest."""
-RANDOM, RECORDED, IMPROVED, SMALLER = "random", "recorded", "improved", "smaller"
+RANDOM, RECORDED, IMPROVED, SMALLER_AMPLITUDES = "random", "recorded", "improved", "smaller"
 """Where a candidate comes from."""
-NOTHING = "start values"
-"""What the waveform is called where no input is designed."""
+NO_WAVEFORM = "start values"
+"""Name of the waveform where no input is designed."""
 
 
 @dataclass(frozen=True)
@@ -102,10 +102,10 @@ class CandidateMaker:
         return self.make(f"candidate {number}", candidate.waveform, IMPROVED, point)
 
     def shrunk(self, candidate: CandidateInput, number: int, factor: float) -> CandidateInput:
-        """The same with smaller amplitudes."""
+        """Return a candidate with its amplitudes made smaller."""
         point = candidate.point.copy()
         point[self._amplitudes(candidate.waveform)] *= factor
-        return self.make(f"candidate {number}", candidate.waveform, SMALLER, point)
+        return self.make(f"candidate {number}", candidate.waveform, SMALLER_AMPLITUDES, point)
 
     def make(self, name: str, waveform: str, origin: str, point: FloatArray) -> CandidateInput:
         """Make the candidate of a point."""
@@ -125,7 +125,7 @@ class CandidateMaker:
             for share, (variable, one) in zip(own, limits.start.items(), strict=True)
         }
         made = self._experiment(name, times, inputs, starts)
-        return CandidateInput(name, waveform if inputs else NOTHING, origin, made, point)
+        return CandidateInput(name, waveform if inputs else NO_WAVEFORM, origin, made, point)
 
     def recorded(self, earlier: Experiment) -> CandidateInput | None:
         """Return the inputs of an earlier experiment as a candidate; None if they break limits."""
@@ -156,7 +156,7 @@ class CandidateMaker:
         )
 
     def _each(self, waveform: str) -> int:
-        return LEVELS + WAVEFORMS[waveform].size
+        return LEVEL_COORDINATES + WAVEFORMS[waveform].size
 
     def _amplitudes(self, waveform: str) -> slice:
         """The places of the amplitudes of all inputs in a point."""

@@ -64,12 +64,12 @@ if TYPE_CHECKING:
 
 
 REFIT = LeastSquares(trials=1, max_iterations=10, ftol=1e-5, xtol=1e-5, differences="forward")
-LEADING = 3
+MOST_REPEATED_INPUTS = 3
 """Inputs that are looked at once more, at most."""
 CONFIRMED = 0.02
-"""By which the expected probability may be lower than it seemed."""
-BEYOND = 0.5
-"""Of an output's range, by which an experiment may leave it where no limits are given."""
+"""Amount by which the expected probability may be lower than it seemed."""
+ALLOWED_EXCURSION = 0.5
+"""Share of an output's range by which an experiment may leave it where no limits are given."""
 UNCONFIRMED = (
     "the budget left no room to fit the rivals to what each model predicts of the best input: what "
     "is expected of it rests on derivatives alone, and may be too much"
@@ -223,7 +223,7 @@ def seen_ranges(problem: Problem, outputs: Sequence[str]) -> dict[str, SignalLim
             [o.values for e in problem.experiments for o in e.outputs if o.variable == name]
         )
         low, high = float(measured.min()), float(measured.max())
-        room = BEYOND * max(high - low, 1e-9 * max(abs(low), abs(high), 1e-9))
+        room = ALLOWED_EXCURSION * max(high - low, 1e-9 * max(abs(low), abs(high), 1e-9))
         found[name] = SignalLimits(lower=low - room, upper=high + room)
     return found
 
@@ -258,7 +258,7 @@ def confirmed_choice(
     """
     weights = np.array([fitted.model.weight for fitted in models])
     best: tuple[float, ScoredCandidate, FloatArray] | None = None
-    for each in ranked[:LEADING]:
+    for each in ranked[:MOST_REPEATED_INPUTS]:
         if best is not None and best[0] >= each.value - CONFIRMED:
             break
         evidence = refitted_evidence(queue, models, each, noise)

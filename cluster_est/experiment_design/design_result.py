@@ -13,7 +13,12 @@ import numpy as np
 import pyarrow as pa
 
 from cluster_est.errors import RunFolderError
-from cluster_est.experiment_design.candidate_inputs import RANDOM, RECORDED, SMALLER, CandidateMaker
+from cluster_est.experiment_design.candidate_inputs import (
+    RANDOM,
+    RECORDED,
+    SMALLER_AMPLITUDES,
+    CandidateMaker,
+)
 from cluster_est.experiment_design.criteria import (
     covariances,
     expected_probabilities,
@@ -70,7 +75,7 @@ def expected_table(models: Sequence[FittedCandidate], best: ScoredCandidate) -> 
 def expected_evidence(
     scorer: CandidateScorer, found: Sequence[ScoredCandidate], own: FloatArray
 ) -> tuple[ExpectedEvidence, ...]:
-    """Return the evidence for every pair of models; none where there is one model.
+    """Return the evidence for every pair of models; empty for a single model.
 
     `own` is that of the chosen input, (true model, rival).
     """
@@ -94,7 +99,7 @@ def expected_evidence(
 def expected_probability(
     scorer: CandidateScorer, found: Sequence[ScoredCandidate], own: FloatArray
 ) -> tuple[ExpectedProbability, ...]:
-    """Return the probability of every model, if it is right; none where there is one model."""
+    """Return the probability of every model, if it is right; empty for a single model."""
     if len(scorer.models) < 2:
         return ()
     weights = np.array([fitted.model.weight for fitted in scorer.models])
@@ -167,7 +172,9 @@ def _compared(
 ) -> tuple[FloatArray, FloatArray]:
     """A measure of the median random input, and of the best recorded one; NaN without any."""
     nothing = np.full(measure(ranked(found)[0]).shape, np.nan)
-    random = ranked([each for each in found if each.candidate.origin in (RANDOM, SMALLER)])
+    random = ranked(
+        [each for each in found if each.candidate.origin in (RANDOM, SMALLER_AMPLITUDES)]
+    )
     recorded = ranked([each for each in found if each.candidate.origin == RECORDED])
     return (
         measure(random[len(random) // 2]) if random else nothing,
@@ -195,7 +202,7 @@ class DesignResult:
     candidates
         All that were looked at.
     probabilities, evidence
-        For every model, and every pair of models; empty where there is one.
+        For every model, and every pair of models; empty for a single model.
     precision
         For every parameter that counts.
     predictions
@@ -427,7 +434,7 @@ def _candidate_table(candidates: Sequence[ScoredCandidate], chosen: ScoredCandid
 
 
 def _rows(kind: type, rows: Sequence[Any]) -> pa.Table:
-    """A table with a row for each, and with its columns where there are none."""
+    """A table with a row for each; without rows it has its columns all the same."""
     if rows:
         return pa.Table.from_pylist([dataclasses.asdict(row) for row in rows])
     types = {"str": pa.string(), "float": pa.float64()}

@@ -25,8 +25,8 @@ class ExpectedEvidence:
     evidence
         Expected difference of their log likelihoods.
     random, recorded
-        The same for a random input within the same limits (the median of those that were looked
-        at) and for the best one of those that were recorded; NaN without any.
+        Expected difference for a random input within the same limits (the median of those that
+        were looked at) and for the best one of those that were recorded; NaN without any.
     best
         The largest that any input that was looked at is expected to give.
     """
@@ -72,7 +72,7 @@ class ExpectedPredictionError:
         The standard deviation that the parameters give it so far, and with the experiment: root
         mean square over the samples, without the noise of a measurement.
     random, recorded
-        The same with a random input or a recorded one, see `ExpectedEvidence`.
+        The standard deviation with a random input or a recorded one, see `ExpectedEvidence`.
     """
 
     experiment: str
@@ -110,16 +110,16 @@ class ExpectedPrecision:
 WORTH_SAYING = 0.1
 """Rise of a probability that is worth a sentence."""
 NO_CHANGE = 0.995
-"""Of a standard error, from which on it stays what it is."""
-LARGEST = 1e6
-"""Times less likely beyond which no number is said."""
+"""Ratio of a standard error after to before, from which on it counts as unchanged."""
+LARGEST_LIKELIHOOD_RATIO = 1e6
+"""Likelihood ratio beyond which no number is said."""
 
 
 def times(evidence: float) -> str:
     """Return how many times less likely evidence makes a rival: "40 times"."""
     if math.isnan(evidence):
         return "unknown"
-    if evidence > math.log(LARGEST):
+    if evidence > math.log(LARGEST_LIKELIHOOD_RATIO):
         return "more than a million times"
     factor = math.exp(max(evidence, 0.0))
     if factor < 10.0:

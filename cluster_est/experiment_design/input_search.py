@@ -21,10 +21,10 @@ from cluster_est.methods.method import TOLERANCE
 from cluster_est.running.runner import Runner
 from workers.messages import FloatArray
 
-FIRST = 0.5
+RANDOM_SHARE = 0.5
 """Share of the candidates that are drawn at random; changes of the best are the others."""
-ROUNDS = ((0.2, 6), (0.1, 4), (0.05, 3))
-"""Of changes: their size, and how many of the best are changed."""
+REFINEMENT_ROUNDS = ((0.2, 6), (0.1, 4), (0.05, 3))
+"""Of each round of changes: their size, and how many of the best candidates are changed."""
 SHRINKING = (0.3, 0.1, 0.03)
 """Amplitudes that are tried where no candidate keeps the limits."""
 FEWEST_KEPT = 3
@@ -144,7 +144,7 @@ def search(
     scorer, maker
         Say what candidates are worth, and make them.
     recorded
-        Those of the inputs of earlier experiments.
+        Candidates with the inputs of earlier experiments.
     count
         Candidates besides these.
     generator
@@ -157,7 +157,7 @@ def search(
     BudgetError
         If the budget is used up before one has been scored.
     """
-    first = max(1, round(FIRST * count)) if maker.waveforms else 0
+    first = max(1, round(RANDOM_SHARE * count)) if maker.waveforms else 0
     drawn = [maker.draw(number, generator) for number in range(first)]
     found = scorer.score([*recorded, *drawn])
     wanted = len(found) + (count - first if maker.waveforms else 0)
@@ -166,8 +166,8 @@ def search(
         if not any(each.ok for each in found):
             raise none_keeps_limits(found)
         left = count - first if maker.waveforms else 0
-        for number, (size, parents) in enumerate(ROUNDS):
-            most = left // (len(ROUNDS) - number)
+        for number, (size, parents) in enumerate(REFINEMENT_ROUNDS):
+            most = left // (len(REFINEMENT_ROUNDS) - number)
             left -= most
             found += _improved(scorer, maker, found, (size, parents, most), generator)
     except BudgetError:

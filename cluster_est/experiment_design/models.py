@@ -20,13 +20,14 @@ from cluster_est.uncertainty import assess
 from workers.messages import FloatArray
 
 SETTLE = LeastSquares(trials=1, max_iterations=30, ftol=1e-8, xtol=1e-6, differences="central")
-WIDE = 10.0
+DEVIATION_OF_UNDETERMINED = 10.0
 """Ranges between bounds, or noticeable changes, that are an unknown's standard deviation where
 nothing is known of it: so wide that what the data say is not changed by it."""
-HELD = 1e-6
-"""The same for an unknown at a bound, which a fit holds there."""
+DEVIATION_AT_BOUND = 1e-6
+"""Ranges between bounds, or noticeable changes, that are the standard deviation of an unknown at a
+bound, which a fit holds there."""
 MOVED = 0.5
-"""Of its standard error, by which a refit may move an estimate without saying so."""
+"""Share of its standard error by which a refit may move an estimate without saying so."""
 
 
 @dataclass(frozen=True)
@@ -227,7 +228,7 @@ def widths(space: SearchSpace) -> FloatArray:
     span = space.upper - space.lower
     bounded = np.isfinite(span) & (span > 0.0)
     size = np.maximum(space.typical, np.abs(space.start))
-    return WIDE * np.where(bounded, np.where(bounded, span, 0.0), size)
+    return DEVIATION_OF_UNDETERMINED * np.where(bounded, np.where(bounded, span, 0.0), size)
 
 
 def _fitted(
@@ -243,7 +244,7 @@ def _fitted(
     own = widths(space)
     bounds = [each.at_bound for each in assess(space, solution).intervals]
     held = [u.label for u, bound in zip(space.unknowns, bounds, strict=True) if bound]
-    own[[bool(bound) for bound in bounds]] *= HELD
+    own[[bool(bound) for bound in bounds]] *= DEVIATION_AT_BOUND
     information = tall.T @ tall + np.diag(1.0 / own**2)
     squares = float(np.add.reduce((solution.at.residuals / plain) ** 2))
     found = FittedCandidate(model, space, solution.x, np.asarray(information), squares, tuple(held))

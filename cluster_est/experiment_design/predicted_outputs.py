@@ -23,7 +23,7 @@ from cluster_est.running.search_state import SearchRequest
 from cluster_est.statistics.projection import inverse, root_of_inverse
 from workers.messages import Experiment, FloatArray
 
-Found = TypeVar("Found")
+StepResult = TypeVar("StepResult")
 
 
 class DesignQueue:
@@ -43,8 +43,8 @@ class DesignQueue:
         self.evaluations, self.simulations, self.failures = 0, 0, 0
 
     def use(
-        self, experiments: Sequence[Experiment], phase: str, step: Callable[[Runner], Found]
-    ) -> Found:
+        self, experiments: Sequence[Experiment], phase: str, step: Callable[[Runner], StepResult]
+    ) -> StepResult:
         """Do a step with a runner whose executor has these experiments.
 
         Raises
@@ -66,10 +66,11 @@ class DesignQueue:
 
 
 FLAT = 1e-9
-"""Singular value of the moves of all unknowns, in units of their sizes, that is none."""
+"""Singular value of the moves of all unknowns, in units of their sizes, that counts as 0."""
 BROKEN = "derivatives could not be simulated"
-FARTHEST = 0.1
-"""Of an unknown, or of a noticeable change of it where that is more, by which it is moved."""
+LONGEST_DIFFERENCE = 0.1
+"""Largest step of a difference, as a share of an unknown, or of a noticeable change of it where
+that is more."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +215,7 @@ def sigma_points(space: SearchSpace, information: FloatArray) -> FloatArray:
         Within the bounds.
     """
     steps = root_of_inverse(information).T
-    most = FARTHEST * np.maximum(space.typical, np.abs(space.start))
+    most = LONGEST_DIFFERENCE * np.maximum(space.typical, np.abs(space.start))
     longest = np.max(np.abs(steps) / most, axis=1, initial=0.0)
     steps = steps / np.maximum(longest, 1.0)[:, None]
     points = np.vstack([space.start, space.start + steps, space.start - steps])
@@ -240,7 +241,7 @@ def predicted_experiment(
     points: FloatArray,
     evaluations: Sequence[Evaluation],
 ) -> PredictedExperiment | str:
-    """Return the prediction of sigma points, or why there is none.
+    """Return the prediction of sigma points, or the reason why it is missing.
 
     Derivatives are one-sided where one of two points could not be simulated.
 

@@ -21,7 +21,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import refuse_process_noise
 from cluster_est.problem.search_space import make_space
 from cluster_est.problem.unknowns import Unknown
-from cluster_est.settings import LARGEST, Names, Settings, one_of, sentence
+from cluster_est.settings import LARGEST_INTEGER, Names, Settings, one_of, sentence
 from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription, nearest
 from workers.messages import Experiment
@@ -51,7 +51,7 @@ class DesignSettings(Settings):
     waveforms: Names = Field(
         (), description=f"families of inputs: {one_of([*WAVEFORMS, RECORDED])}; default: all"
     )
-    candidates: int = Field(120, ge=10, le=LARGEST, description="inputs that are looked at")
+    candidates: int = Field(120, ge=10, le=LARGEST_INTEGER, description="inputs that are looked at")
     predictions: Annotated[tuple[InstanceOf[PredictionTarget], ...], Strict(False)] = Field(
         (),
         description="what is predicted, for v; default: all outputs of all experiments of the run",
@@ -80,7 +80,7 @@ class DesignSettings(Settings):
         return self
 
 
-ALONE = "the fitted model"
+FITTED_MODEL = "the fitted model"
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ def models_of(result: object) -> tuple[CandidateModel, ...]:
             "result: must be what fit or close_loop returned but is "
             f"{type(result).__name__}; fit first"
         )
-    return (CandidateModel(ALONE, problem, x),)
+    return (CandidateModel(FITTED_MODEL, problem, x),)
 
 
 def chosen_models(

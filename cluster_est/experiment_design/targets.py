@@ -58,7 +58,7 @@ def target_experiments(
     Parameters
     ----------
     targets
-        Those that are named; without any, all outputs of all experiments.
+        Named outputs and experiments; without any, all outputs of all experiments.
     problem
         That of the run.
     like

@@ -19,11 +19,11 @@ from cluster_est.experiment_design.limits import InputLimits
 from cluster_est.plug_in import check_class_attributes
 from workers.messages import FloatArray
 
-LEVELS = 2
+LEVEL_COORDINATES = 2
 """Coordinates of a point that every waveform has: the amplitude, and where it lies."""
 LEAST_AMPLITUDE = 0.02
 HELD_SAMPLES = 4
-"""For which a level is held at least where nothing is said: else the samples do not show it."""
+"""Samples for which a level is held at least where nothing is said: else they do not show it."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Waveform(ABC):
             Of the input.
         """
         hold = max(limits.hold, HELD_SAMPLES * float(times[1] - times[0]))
-        shape = np.clip(self.shape(point[LEVELS:], WaveformGrid(times, hold)), 0.0, 1.0)
+        shape = np.clip(self.shape(point[LEVEL_COORDINATES:], WaveformGrid(times, hold)), 0.0, 1.0)
         amplitude = LEAST_AMPLITUDE + (1.0 - LEAST_AMPLITUDE) * float(point[0])
         lowest = float(point[1]) * (1.0 - amplitude)
         values = limits.lower + (limits.upper - limits.lower) * (lowest + amplitude * shape)
@@ -108,7 +108,7 @@ def within_rate(values: FloatArray, times: FloatArray, limits: InputLimits) -> F
     return found
 
 
-MOST = 8
+MOST_LEVELS = 8
 """Levels or lines of one signal, at most."""
 
 
@@ -116,13 +116,13 @@ class Steps(Waveform):
     """Up to eight levels, each held for a time of its own."""
 
     name: ClassVar[str] = "steps"
-    size: ClassVar[int] = 2 * MOST + 1
+    size: ClassVar[int] = 2 * MOST_LEVELS + 1
 
     @override
     def shape(self, point: FloatArray, grid: WaveformGrid) -> FloatArray:
         room = max(1, int(grid.duration / grid.hold))
-        count = min(1 + int(point[0] * MOST), MOST, room)
-        levels, spans = point[1 : 1 + MOST][:count], point[1 + MOST :][:count]
+        count = min(1 + int(point[0] * MOST_LEVELS), MOST_LEVELS, room)
+        levels, spans = point[1 : 1 + MOST_LEVELS][:count], point[1 + MOST_LEVELS :][:count]
         ends = held_ends(spans, grid)
         places = np.searchsorted(ends[:-1], grid.times, side="right")
         return np.asarray(levels[places])
@@ -139,14 +139,14 @@ class Ramps(Waveform):
     """Up to eight straight lines."""
 
     name: ClassVar[str] = "ramps"
-    size: ClassVar[int] = 2 * MOST + 2
+    size: ClassVar[int] = 2 * MOST_LEVELS + 2
 
     @override
     def shape(self, point: FloatArray, grid: WaveformGrid) -> FloatArray:
         room = max(1, int(grid.duration / grid.hold))
-        count = min(1 + int(point[0] * MOST), MOST, room)
-        corners = point[1 : 2 + MOST][: count + 1]
-        ends = held_ends(point[2 + MOST :][:count], grid)
+        count = min(1 + int(point[0] * MOST_LEVELS), MOST_LEVELS, room)
+        corners = point[1 : 2 + MOST_LEVELS][: count + 1]
+        ends = held_ends(point[2 + MOST_LEVELS :][:count], grid)
         return np.interp(grid.times, np.concatenate([[0.0], ends]), corners)
 
 

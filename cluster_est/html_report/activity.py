@@ -85,7 +85,7 @@ class LogTail:
 KINDS_OF_FAILURE = 200
 BREAK_SECONDS, BREAK_SHARE = 60.0, 0.05
 """A break is longer than both: this, and this share of the whole."""
-NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
+NUMBER_IN_MESSAGE = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ class FailureCounts:
         status, message, experiment = (
             batch.column(name)[row].as_py() or "" for name in ("status", "message", "experiment")
         )
-        key = status, NUMBER.sub("", message)
+        key = status, NUMBER_IN_MESSAGE.sub("", message)
         if key not in self._found and len(self._found) >= KINDS_OF_FAILURE:
             key, message = (status, ""), "others"
         number, first, said, experiments = self._found.get(key, (0, self.rows + row, message, {}))
@@ -219,7 +219,7 @@ class ActivityTail:
 
 
 def without_breaks(activity: LogActivity) -> tuple[LogActivity, float]:
-    """The same without long breaks of all workers, as there are before a run is taken up again.
+    """Take out long breaks of all workers, as there are before a run is taken up again.
 
     Returns
     -------

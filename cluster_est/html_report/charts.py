@@ -20,7 +20,7 @@ from markupsafe import Markup
 from cluster_est.html_report.number_text import MINUS
 from workers.messages import FloatArray, IntArray
 
-UNITS = 10_000
+PLOT_UNITS = 10_000
 """Places across a plot and up a plot: fine enough that a value read back has four digits."""
 
 LOG_FROM = 10.0
@@ -67,12 +67,12 @@ class Scale:
         return cls(low - wider, high + wider)
 
     def places(self, values: FloatArray) -> FloatArray:
-        """Where values stand, from 0 at the low end to `UNITS` at the high one; NaN stays NaN."""
+        """Return positions from 0 at the low end to `PLOT_UNITS` at the high one; NaN stays NaN."""
         if self.log:
             with np.errstate(all="ignore"):
                 shares = np.log(values / self.low) / math.log(self.high / self.low)
-            return np.asarray(UNITS * np.where(np.isfinite(shares), shares, np.nan))
-        return np.asarray(UNITS * (values - self.low) / (self.high - self.low))
+            return np.asarray(PLOT_UNITS * np.where(np.isfinite(shares), shares, np.nan))
+        return np.asarray(PLOT_UNITS * (values - self.low) / (self.high - self.low))
 
     def ticks(self, count: int) -> tuple[tuple[float, str], ...]:
         """About so many round values between both ends, two at least, and how they are written."""
@@ -119,15 +119,17 @@ def tick_text(value: float, step: float) -> str:
     return text.replace("-", MINUS)
 
 
-FARTHEST = 100 * UNITS
+LARGEST_COORDINATE = 100 * PLOT_UNITS
 """Places beyond this are cut off: a browser draws them in single precision."""
 
 
 def whole_places(x: FloatArray, y: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
     """Whole places of points whose y grows upwards, and which of the points these are."""
     known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
-    across = np.clip(np.rint(x[known]), -FARTHEST, FARTHEST).astype(np.int64)
-    down = np.clip(np.rint(UNITS - y[known]), -FARTHEST, FARTHEST).astype(np.int64)
+    across = np.clip(np.rint(x[known]), -LARGEST_COORDINATE, LARGEST_COORDINATE).astype(np.int64)
+    down = np.clip(np.rint(PLOT_UNITS - y[known]), -LARGEST_COORDINATE, LARGEST_COORDINATE).astype(
+        np.int64
+    )
     return across, down, known
 
 
@@ -161,7 +163,7 @@ def box_paths(corners: Iterable[Sequence[float]]) -> str:
     parts = []
     for left, right, low, high in corners:
         a, b = round(left), round(right)
-        top, bottom = round(UNITS - high), round(UNITS - low)
+        top, bottom = round(PLOT_UNITS - high), round(PLOT_UNITS - low)
         parts.append(f"M{a} {top}H{b}V{bottom}H{a}z")
     return "".join(parts)
 
@@ -172,7 +174,7 @@ def _joined(numbers: Iterable[int]) -> str:
 
 
 PATH = Markup('<path class="{} {}"{} d="{}"/>')
-LEVELS = 5
+SHADES_OF_CELLS = 5
 """Shades of `Cells`."""
 
 
@@ -289,9 +291,9 @@ class Rules(Mark):
 
     def data(self, x: Scale, y: Scale) -> str:
         upright = x.places(np.array(self.x, float))
-        level = UNITS - y.places(np.array(self.y, float))
-        found = [f"M{round(v)} 0V{UNITS}" for v in upright.tolist() if 0 <= v <= UNITS]
-        found += [f"M0 {round(v)}H{UNITS}" for v in level.tolist() if 0 <= v <= UNITS]
+        level = PLOT_UNITS - y.places(np.array(self.y, float))
+        found = [f"M{round(v)} 0V{PLOT_UNITS}" for v in upright.tolist() if 0 <= v <= PLOT_UNITS]
+        found += [f"M0 {round(v)}H{PLOT_UNITS}" for v in level.tolist() if 0 <= v <= PLOT_UNITS]
         return "".join(found)
 
 
@@ -312,10 +314,10 @@ class Cells(Mark):
     kind: ClassVar[str] = "cells"
 
     def data(self, x: Scale, y: Scale) -> str:
-        return "".join(self._boxes(x, y, level) for level in range(1, LEVELS + 1))
+        return "".join(self._boxes(x, y, level) for level in range(1, SHADES_OF_CELLS + 1))
 
     def svg(self, x: Scale, y: Scale) -> Markup:
-        levels = range(1, LEVELS + 1)
+        levels = range(1, SHADES_OF_CELLS + 1)
         return Markup("").join(
             PATH.format(self.kind, f"{self.ink} level-{n}", "", self._boxes(x, y, n))
             for n in levels
@@ -325,7 +327,7 @@ class Cells(Mark):
         """Cells of one shade; neighbours in a row are one box."""
         ends = x.places(self.edges)
         found = []
-        for row, shares in enumerate(np.rint(self.shares * LEVELS).astype(int)):
+        for row, shares in enumerate(np.rint(self.shares * SHADES_OF_CELLS).astype(int)):
             low, high = y.places(np.array([row - 0.42, row + 0.42]))
             bounds = np.flatnonzero(np.diff(np.concatenate([[0], shares == level, [0]])))
             found += [(ends[a], ends[b], low, high) for a, b in bounds.reshape(-1, 2).tolist()]
@@ -363,7 +365,7 @@ class Plot:
     height
         In pixels.
     rows
-        Names of the rows at y = 0, 1, ...; round values of y if there are none.
+        Names of the rows at y = 0, 1, ...; round values of y without names.
     """
 
     title: str
@@ -392,8 +394,8 @@ class Plot:
         """The plot as HTML; values of x are written below the `last` one of a chart."""
         up = [(place, text) for place, text in self._placed(self.y, self.beside())]
         right = self._placed(self.x, self.under(across))
-        grid = [f"M0 {round(UNITS - place)}H{UNITS}" for place, _ in up if not self.rows]
-        grid += [f"M{round(place)} 0V{UNITS}" for place, _ in right]
+        grid = [f"M0 {round(PLOT_UNITS - place)}H{PLOT_UNITS}" for place, _ in up if not self.rows]
+        grid += [f"M{round(place)} 0V{PLOT_UNITS}" for place, _ in right]
         return PLOT.format(
             height=self.height,
             x=_ends(self.x),
@@ -401,7 +403,7 @@ class Plot:
             label=Markup('<p class="label">{}</p>').format(self.label) if self.label else "",
             beside=_texts("y-axis", "bottom", up),
             title=self.title,
-            units=UNITS,
+            units=PLOT_UNITS,
             grid="".join(grid),
             marks=Markup("").join(mark.svg(self.x, self.y) for mark in self.marks),
             below=_texts("x-axis", "left", right) if last else "",
@@ -492,7 +494,7 @@ def _ends(scale: Scale) -> str:
 def _texts(kind: str, side: str, placed: Sequence[tuple[float, str]]) -> Markup:
     """Texts at their places along one side of a plot."""
     entry = Markup('<span style="{}:{}%">{}</span>')
-    texts = [entry.format(side, f"{100.0 * at / UNITS:.4g}", text) for at, text in placed]
+    texts = [entry.format(side, f"{100.0 * at / PLOT_UNITS:.4g}", text) for at, text in placed]
     return Markup('<div class="{}" aria-hidden="true">{}</div>').format(
         kind, Markup("").join(texts)
     )

@@ -68,13 +68,13 @@ def column_of(x: FloatArray, columns: int) -> IntArray:
     return np.minimum(((x - low) / span * columns).astype(np.int64), columns - 1)
 
 
-MOST_POINTS = 90_000
-"""Of all curves together: about 7 bytes each in the page."""
-FEWEST, MOST = 20, 600
-"""Columns of one chart, each with the lowest and the highest sample of every curve."""
-MOST_PANELS = 250
+MOST_CURVE_POINTS = 90_000
+"""Points of all curves together: about 7 bytes each in the page."""
+FEWEST_COLUMNS_OF_CHART, MOST_COLUMNS_OF_CHART = 20, 600
+"""Limits of the columns of a chart, each with the lowest and the highest sample of every curve."""
+MOST_CURVE_PANELS = 250
 FEW_SAMPLES = 150
-"""Up to so many measured values are dots."""
+"""Number of measured values up to which they are dots."""
 CURVES = (("measured", "measured"), ("before", "before"), ("after", "after"))
 """Names and inks."""
 HEIGHT, RESIDUAL_HEIGHT = 170, 84
@@ -111,8 +111,12 @@ def curves(run: ReportedRun) -> ReportSection:
     errors = {(row["experiment"], row["output"]): row for row in run.tables["errors"]}
     roles = {key: str(part["role"][0].as_py()) for key, part in measured.items()}
     first = _most_telling(errors, list(known))
-    shown = list(known) if len(known) <= MOST_PANELS else _largest(errors, list(known))
-    columns = int(np.clip(MOST_POINTS / (10 * len(shown)), FEWEST, MOST))
+    shown = list(known) if len(known) <= MOST_CURVE_PANELS else _largest(errors, list(known))
+    columns = int(
+        np.clip(
+            MOST_CURVE_POINTS / (10 * len(shown)), FEWEST_COLUMNS_OF_CHART, MOST_COLUMNS_OF_CHART
+        )
+    )
     unit = time_unit(max((_span(each.time) for each in known.values()), default=0.0))
     panels = [
         CurvePanel(
@@ -173,9 +177,9 @@ def _most_telling(errors: Mapping[Key, Row], keys: Sequence[Key]) -> Key:
 
 
 def _largest(errors: Mapping[Key, Row], keys: Sequence[Key]) -> list[Key]:
-    """Those with the largest errors, in their order."""
+    """Return the curves with the largest errors, in their order."""
     ranked = sorted(keys, key=lambda key: -_size(errors.get(key), "normalised_after"))
-    kept = set(ranked[:MOST_PANELS])
+    kept = set(ranked[:MOST_CURVE_PANELS])
     return [key for key in keys if key in kept]
 
 

@@ -22,7 +22,7 @@ from cluster_est.html_report.reported_run import ReportedRun, Row
 from workers.messages import FloatArray
 
 MOST_MODELS = 5
-"""Whose predictions are drawn."""
+"""Number of models whose predictions are drawn."""
 COVERED = 1.96
 Curve = tuple[FloatArray, FloatArray, FloatArray]
 INPUT_NOTE = "It is in the table beside the run's folder, to be fed in as it is."

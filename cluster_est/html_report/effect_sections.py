@@ -38,7 +38,7 @@ from cluster_est.html_report.page_blocks import (
 from cluster_est.html_report.reported_run import ReportedRun, Row
 from workers.messages import FloatArray
 
-MARGIN = 1.5
+BAND_MARGIN = 1.5
 """Heights of a curve by which its band may be drawn beyond it: a wide one would hide it."""
 EVIDENCE = (
     "Dots are what the residuals alone ask for at a few places, without any form, with 95 % bars; "
@@ -52,7 +52,10 @@ def shape_figure(row: Row, number: int) -> FigureBlock:
     """Draw one row of shapes.parquet: the effect, its band, its evidence and its samples."""
     x, y, low, high = (np.array(row[name], float) for name in ("x", "y", "lower", "upper"))
     height = float(np.nanmax(y) - np.nanmin(y)) or abs(float(y[0])) or 1.0
-    floor, ceiling = float(np.nanmin(y)) - MARGIN * height, float(np.nanmax(y)) + MARGIN * height
+    floor, ceiling = (
+        float(np.nanmin(y)) - BAND_MARGIN * height,
+        float(np.nanmax(y)) + BAND_MARGIN * height,
+    )
     known = bool(np.isfinite(low).all() and np.isfinite(high).all())
     marks: list[Mark] = []
     if known:
@@ -149,7 +152,7 @@ def _effect(run: ReportedRun, effect: Row) -> list[Block]:
 
 
 def _shapes(rows: Sequence[Row]) -> list[Block]:
-    """The shapes of one effect, and why there are none."""
+    """The shapes of one effect, or the reason why they are missing."""
     blocks: list[Block] = [shape_figure(row, i) for i, row in enumerate(rows) if not row["why_not"]]
     missing = dict.fromkeys(row["why_not"] for row in rows if row["why_not"])
     return [*blocks, *(TextBlock(f"No shape is drawn: {why}.", "faint") for why in missing)]

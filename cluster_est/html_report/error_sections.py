@@ -25,10 +25,10 @@ from cluster_est.html_report.page_blocks import (
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row
 
-MOST_ROWS = 24
+MOST_EXPERIMENT_ROWS = 24
 """Rows of the picture that are one output of one experiment each; else each is of an output."""
 ROW_PIXELS = 22
-When = Literal["before", "after"]
+FitStage = Literal["before", "after"]
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class ErrorSizes:
     rows: tuple[Row, ...] = field(repr=False)
     divisors: tuple[float, ...] = field(repr=False)
 
-    def of(self, chosen: Sequence[int], when: When) -> float:
+    def of(self, chosen: Sequence[int], when: FitStage) -> float:
         """Root mean square over the samples of some rows; NaN where one of them failed."""
         name = f"{'normalised' if self.is_noise else 'relative'}_{when}"
         return _pooled([self.rows[i] for i in chosen], name, [self.divisors[i] for i in chosen])
@@ -158,7 +158,7 @@ def _groups(sizes: ErrorSizes) -> dict[str, list[int]]:
     single = len({row["output"] for row in sizes.rows}) == 1
     for i, row in enumerate(sizes.rows):
         held = " (held out)" if row["role"] == "test" else ""
-        if len(sizes.rows) <= MOST_ROWS:
+        if len(sizes.rows) <= MOST_EXPERIMENT_ROWS:
             own = row["experiment"] if single else f"{row['experiment']}, {row['output']}"
         else:
             own = row["output"]
@@ -171,7 +171,7 @@ def _known(sizes: ErrorSizes, chosen: Sequence[int]) -> bool:
 
 
 ROLES = {"train": "training", "test": "held out"}
-MOST_OPEN = 24
+MOST_UNFOLDED_ROWS = 24
 """Rows of the table by experiment that are not folded."""
 
 
@@ -190,7 +190,7 @@ def errors(run: ReportedRun) -> ReportSection:
     if len(rows) > len(outputs):
         own = [[r for r in rows if (r["output"], r["role"]) == key] for key in outputs]
         blocks.append(_table("By output, over all experiments", own, pooled=True))
-    folded = len(rows) > MOST_OPEN
+    folded = len(rows) > MOST_UNFOLDED_ROWS
     blocks.append(_table("By experiment", [[row] for row in rows], folded=folded))
     return ReportSection("errors", "Errors before and after", tuple(blocks))
 

@@ -6,15 +6,15 @@ import math
 from dataclasses import dataclass
 from typing import final
 
-MINUS, NONE = "\u2212", "\u2013"
+MINUS, NO_NUMBER = "\u2212", "\u2013"
 FIXED_FROM, FIXED_TO = 1e-4, 1e6
-"""Between these, numbers are written without an exponent."""
+"""Limits between which numbers are written without an exponent."""
 
 
 def digits(value: float | None, count: int = 4) -> str:
-    """A number to so many significant digits; a dash where there is none."""
+    """A number to so many significant digits; a dash for a missing one."""
     if value is None or math.isnan(value):
-        return NONE
+        return NO_NUMBER
     if math.isinf(value):
         return "\u221e" if value > 0.0 else f"{MINUS}\u221e"
     if value == 0.0:
@@ -42,9 +42,9 @@ def beside(value: float | None, width: float) -> str:
 
 
 def interval(low: float | None, high: float | None) -> str:
-    """The two ends of an interval; a dash where there is none."""
+    """The two ends of an interval; a dash for a missing one."""
     if low is None or high is None or math.isnan(low) or math.isnan(high):
-        return NONE
+        return NO_NUMBER
     width = high - low
     return f"{beside(low, width)} \u2026 {beside(high, width)}"
 
@@ -57,7 +57,7 @@ def count(value: float) -> str:
 def percent(share: float | None) -> str:
     """A share as per cent."""
     if share is None or math.isnan(share):
-        return NONE
+        return NO_NUMBER
     return f"{digits(100.0 * share, 3 if abs(share) < 10.0 else 4)}\u2009%"
 
 
@@ -85,7 +85,7 @@ class TimeUnit:
     seconds: float
 
 
-UNITS = (
+TIME_UNITS = (
     (0.1, TimeUnit("ms", 1e-3)),
     (300.0, TimeUnit("s", 1.0)),
     (5.0 * 3600.0, TimeUnit("min", 60.0)),
@@ -97,4 +97,4 @@ DAYS = TimeUnit("days", 86400.0)
 
 def time_unit(span: float) -> TimeUnit:
     """The unit for times that span so many seconds."""
-    return next((unit for most, unit in UNITS if span <= most), DAYS)
+    return next((unit for most, unit in TIME_UNITS if span <= most), DAYS)

@@ -95,7 +95,7 @@ SECTIONS = (
     design, sensitivity, errors, curves, effects, candidates, parameters, search, workers,
     provenance,
 )  # fmt: skip
-"""In the order of the page."""
+"""The sections of a page, in their order."""
 
 
 def write_report(

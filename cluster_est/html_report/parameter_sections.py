@@ -26,7 +26,7 @@ from cluster_est.html_report.reported_run import ReportedRun, Row
 from workers.messages import FloatArray
 
 MOST_IN_MAP = 60
-MOST_OPEN = 30
+MOST_UNFOLDED_PARAMETERS = 30
 STRONG = 0.95
 """Correlation beyond which two parameters are named."""
 
@@ -66,7 +66,7 @@ def _table(run: ReportedRun, rows: tuple[Row, ...]) -> TableBlock:
                 _remark(row),
             )
         )
-    many = len(lines) > MOST_OPEN
+    many = len(lines) > MOST_UNFOLDED_PARAMETERS
     return table(names, lines, f"{len(lines)} parameters" if many else "", folded=many)
 
 
@@ -182,7 +182,7 @@ def _cell(labels: list[str], matrix: FloatArray, i: int, j: int, *, small: bool)
     return MapCell(value, text if small else "", f"{labels[j]}, {labels[i]}: {text}")
 
 
-MOST_RANKED, MOST_LINES, MOST_PANELS = 40, 6, 12
+MOST_RANKED, MOST_UNKNOWNS_OVER_TIME, MOST_OUTPUTS_OVER_TIME = 40, 6, 12
 """Unknowns in the picture of the ranking, unknowns over time, outputs over time."""
 
 RANKING_NOTE = "The bars are 95 % intervals; what stands at 0 does not change the cost."
@@ -240,12 +240,14 @@ def _over_time(run: ReportedRun, ranks: str) -> list[Block]:
         if row["index"] == index and row["experiment"]:
             found[row["experiment"], row["output"]][row["label"]].append(row)
     blocks: list[Block] = []
-    for number, ((experiment, output), own) in enumerate(list(found.items())[:MOST_PANELS]):
+    for number, ((experiment, output), own) in enumerate(
+        list(found.items())[:MOST_OUTPUTS_OVER_TIME]
+    ):
         peaks = {
             label: max((row["value"] for row in rows if math.isfinite(row["value"])), default=0.0)
             for label, rows in own.items()
         }
-        named = sorted(peaks, key=lambda label: -peaks[label])[:MOST_LINES]
+        named = sorted(peaks, key=lambda label: -peaks[label])[:MOST_UNKNOWNS_OVER_TIME]
         marks = [
             Line(label, f"series-{i}", np.array([row["time"] for row in own[label]]),
                  np.array([row["value"] for row in own[label]]))
@@ -269,7 +271,7 @@ def _called(ranks: str) -> str:
 def _index(value: float | None) -> str:
     if value is None or math.isnan(value):
         return ""
-    return "cannot be told" if math.isinf(value) else digits(value, 3)
+    return "unknown" if math.isinf(value) else digits(value, 3)
 
 
 def _together(row: Row) -> str:

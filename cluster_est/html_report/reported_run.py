@@ -20,7 +20,7 @@ from cluster_est.run_folder.run_files import (
 from cluster_est.run_folder.run_progress import PROGRESS, ProgressTail
 
 Row = Mapping[str, Any]
-SMALL = (
+SMALL_TABLES = (
     "parameters", "errors", "constraints", "starts", "minima", "front", "correlations",
     "directions", "profiles", "intervals", "searches", "workers", "findings", "structures",
     "shapes", "ranking", "indices", "probabilities", "evidence", "precision",
@@ -110,9 +110,9 @@ def read_run(path: Path, activity: LogActivity | None = None) -> ReportedRun:
     Raises
     ------
     RunFolderError
-        If it is none, or one of its tables is damaged.
+        If it is no run folder, or one of its tables is damaged.
     """
-    stored = read_stored_run(path, SMALL)
+    stored = read_stored_run(path, SMALL_TABLES)
     facts, running = stored.facts, stored.facts["status"] == RunStatus.RUNNING
     # while it runs, tables are those of an earlier run in a folder that is taken up again
     tables = {name: () if running else tuple(rows) for name, rows in stored.tables.items()}

@@ -26,13 +26,13 @@ from cluster_est.html_report.page_blocks import (
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row
 
-MOST_LINES = 40
+MOST_DRAWN_SEARCHES = 40
 """Searches that are drawn: the best ones."""
 AFTERWARDS = ("derivatives", "profile", "bootstrap")
 """How the names of searches begin that look around a solution."""
-MOST_POINTS = 3000
+MOST_DRAWN_COSTS = 3000
 SMALL_MULTIPLES = 12
-FEW_POINTS, MOST_NAMED, SERIES = 60, 12, 8
+FEW_POINTS, MOST_LEGEND_ENTRIES, SERIES = 60, 12, 8
 MOST_SETS = 20
 LEAST_CLOSED = -25.0
 """Per cent below which a set of effects stands at the lower end of its picture."""
@@ -89,7 +89,7 @@ def _convergence(run: ReportedRun) -> list[Block]:
     if any(_begins_again(rows) for rows in searches.values()):
         return _all_searches(run)
     best = {name: min(row["cost"] for row in rows) for name, rows in searches.items()}
-    names = sorted(searches, key=lambda name: (best[name], name))[:MOST_LINES]
+    names = sorted(searches, key=lambda name: (best[name], name))[:MOST_DRAWN_SEARCHES]
     lead = next((n for n in ("train", "final", "base", *names) if n in searches), names[0])
     order = [name for name in searches if name in names and name != lead] + [lead]
     marks: list[Line | Dots] = []
@@ -103,7 +103,9 @@ def _convergence(run: ReportedRun) -> list[Block]:
     shown = "" if len(names) == len(searches) else f", the best {len(names)} of {len(searches)}"
     title = f"Cost over evaluations{shown}"
     plot = _plot(title, "cost", marks)
-    chart = Chart((plot,), "evaluations of the search", legend=1 < len(order) <= MOST_NAMED)
+    chart = Chart(
+        (plot,), "evaluations of the search", legend=1 < len(order) <= MOST_LEGEND_ENTRIES
+    )
     return [FigureBlock("convergence", title, chart, PATH_NOTE)]
 
 
@@ -119,7 +121,7 @@ def _all_searches(run: ReportedRun) -> list[Block]:
         for number, row in enumerate(run.tables["progress"])
         if math.isfinite(row["cost"])
     ]
-    rows = rows[:: max(1, len(rows) // MOST_POINTS)]
+    rows = rows[:: max(1, len(rows) // MOST_DRAWN_COSTS)]
     if not rows:
         return [
             TextBlock("The folder does not tell its searches apart, so none is drawn.", "faint")
@@ -134,7 +136,7 @@ def _all_searches(run: ReportedRun) -> list[Block]:
     chart = Chart(
         (_plot(title, "cost", marks),),
         "iterations of all searches, in their order",
-        legend=len(marks) <= MOST_NAMED,
+        legend=len(marks) <= MOST_LEGEND_ENTRIES,
     )
     note = (
         "A closed loop makes many searches, here by their purposes. Each dot is an iteration of "
@@ -225,7 +227,7 @@ def _front(run: ReportedRun) -> list[Block]:
     return [FigureBlock("front", title, Chart((plot,), "first objective", legend=False))]
 
 
-BINS, MOST_WORKERS = 160, 64
+ACTIVITY_BINS, MOST_WORKERS = 160, 64
 
 
 def workers(run: ReportedRun) -> ReportSection:
@@ -258,7 +260,7 @@ def _time_line(run: ReportedRun) -> list[Block]:
     if not len(activity.ended):
         return []
     activity, idle = without_breaks(activity)
-    edges, shares = busy_shares(activity, BINS)
+    edges, shares = busy_shares(activity, ACTIVITY_BINS)
     order = sorted(range(len(activity.workers)), key=lambda i: activity.workers[i])[:MOST_WORKERS]
     names = [activity.workers[i] for i in order]
     shown = "" if len(order) == len(activity.workers) else f", {len(order)} of them"

@@ -24,14 +24,14 @@ from cluster_est.html_report.page_blocks import (
     table,
 )
 from cluster_est.html_report.reported_run import Row
-from cluster_est.run_folder.run_files import RunWorth, read_run_table, run_worth
+from cluster_est.run_folder.run_files import SWEEP_SUMMARY_FILE, RunWorth, read_run_table, run_worth
 
-SUMMARY, PAGE = "summary.parquet", "report.html"
+PAGE = "report.html"
 PARAMETER = "parameter "
 """Begins the names of the columns of shared estimates."""
 MOST_DRAWN = 60
 """Runs of a picture: the best ones."""
-KNOWN = (
+COLUMNS_OF_EVERY_SWEEP = (
     "run", "config", "status", "message", "doubts", "cost_before", "cost", "rmse_train",
     "rmse_test", "iterations", "evaluations", "simulations", "failures", "seconds", "seed",
     "started",
@@ -41,7 +41,7 @@ KNOWN = (
 
 def is_sweep(folder: Path) -> bool:
     """Return whether a folder is that of a sweep."""
-    return (folder / SUMMARY).is_file()
+    return (folder / SWEEP_SUMMARY_FILE).is_file()
 
 
 def write_sweep_report(folder: Path, out: Path | None = None) -> Path:
@@ -60,7 +60,7 @@ def write_sweep_report(folder: Path, out: Path | None = None) -> Path:
         If its summary is damaged, or the file cannot be written.
     """
     path = folder / PAGE if out is None else out
-    rows = read_run_table(folder / SUMMARY)
+    rows = read_run_table(folder / SWEEP_SUMMARY_FILE)
     states = Counter(row["status"] for row in rows)
     done = states["done"]
     worths = Counter(_worth(row) for row in rows)
@@ -151,7 +151,11 @@ def _by_run(
 def _axes(rows: Sequence[Row]) -> list[str]:
     """The names of the sweep's axes."""
     names = rows[0] if rows else ()
-    return [name for name in names if name not in KNOWN and not name.startswith(PARAMETER)]
+    return [
+        name
+        for name in names
+        if name not in COLUMNS_OF_EVERY_SWEEP and not name.startswith(PARAMETER)
+    ]
 
 
 def _left_out(rows: Sequence[Row], drawn: Sequence[Row]) -> list[Block]:

@@ -21,7 +21,7 @@ from cluster_est.methods.populations.pymoo_methods import (
 )
 from cluster_est.methods.sqp.sqp import Sqp
 
-METHODS: dict[str, type[Method]] = {
+SEARCH_METHODS: dict[str, type[Method]] = {
     LeastSquares.name: LeastSquares,
     Sqp.name: Sqp,
     NelderMead.name: NelderMead,
@@ -36,7 +36,7 @@ METHODS: dict[str, type[Method]] = {
     ScipyLeastSquares.name: ScipyLeastSquares,
 }
 
-ALIASES = {
+METHOD_ALIASES = {
     "lsqnonlin": LeastSquares.name,
     "fmincon": Sqp.name,
     "fminsearch": NelderMead.name,
@@ -46,8 +46,8 @@ ALIASES = {
 """Names that users of other tools know."""
 
 __all__ = [
-    "ALIASES",
-    "METHODS",
+    "METHOD_ALIASES",
+    "SEARCH_METHODS",
     "AsynchronousPatternSearch",
     "Cmaes",
     "DifferentialEvolution",

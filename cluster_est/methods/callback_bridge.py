@@ -9,12 +9,14 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable, Generator
-from typing import TypeVar
 
-from cluster_est.methods.method import Evaluation, Points, Search, Solution
+from cluster_est.methods.method import Evaluation, Points, RequestResult, Search, Solution
 
 Ask = Callable[[Points], list[Evaluation]]
-T = TypeVar("T")
+MOST_SCIPY_RUNS = 5
+"""Runs of SciPy in one search, of which each but the last met a derivative that was not known."""
+FAILED_TRIALS_IN_A_ROW = 3
+"""Trial points that failed in a row, after which a short step says nothing of a minimum."""
 
 
 class SearchAbandoned(BaseException):
@@ -65,12 +67,14 @@ def search_in_thread(solve: Callable[[Ask], Solution]) -> Search:
         thread.join()
 
 
-def run_with(requests: Generator[Points, list[Evaluation], T], ask: Ask) -> T:
+def run_with(
+    requests: Generator[Points, list[Evaluation], RequestResult], ask: Ask
+) -> RequestResult:
     """Return the result of a generator of requests that is answered by `ask` in a callback."""
     try:
         points = next(requests)
         while True:
             points = requests.send(ask(points))
     except StopIteration as end:
-        result: T = end.value
+        result: RequestResult = end.value
         return result

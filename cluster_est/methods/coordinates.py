@@ -14,7 +14,7 @@ import numpy.typing as npt
 from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
-EXACT = 1e-9
+PARAMETER_CONSTRAINT_TOLERANCE = 1e-9
 """Largest violation of constraints on parameters, in units of their own scale."""
 PROJECTION_STEPS = 20
 STEPS_WITH_GIVEN_JACOBIAN = 4
@@ -88,7 +88,7 @@ class ScaledCoordinates:
     def is_feasible(self, u: FloatArray) -> bool:
         """Return whether u satisfies the constraints on parameters."""
         return not self.parameter_constraint_count or bool(
-            np.all(np.abs(self._violations(u)) <= EXACT)
+            np.all(np.abs(self._violations(u)) <= PARAMETER_CONSTRAINT_TOLERANCE)
         )
 
     def projected(self, u: FloatArray, jacobian: FloatArray | None = None) -> FloatArray | None:
@@ -102,7 +102,7 @@ class ScaledCoordinates:
             violations = self._violations(u)
             if np.isnan(violations).any():
                 return None
-            violated = np.abs(violations) > EXACT
+            violated = np.abs(violations) > PARAMETER_CONSTRAINT_TOLERANCE
             if not violated.any():
                 return u
             if jacobian is not None and i < STEPS_WITH_GIVEN_JACOBIAN:

@@ -30,24 +30,25 @@ from workers.messages import FloatArray, IntArray, Outcome, Solver
 Scheme = Literal["forward", "central"]
 Differences = Literal["auto", "forward", "central", "sensitivities"]
 """The choices of a user."""
-LARGE = 2**23
+LARGE_JACOBIAN = 2**23
 """Entries above which a solution keeps its Jacobian in blocks, where those are much smaller."""
 NOISE_OF_TOLERANCE = 1e-3
 """Part of an adaptive solver's tolerance by which its result jumps."""
 NOISE_OF_CVODE = 10.0
-"""The same of CVODE, which changes order and step in leaps; 1 to 100 on stiff models."""
+"""Multiple of CVODE's tolerance by which its result jumps, for it changes order and step in leaps;
+1 to 100 on stiff models."""
 NOISE_FIXED = 1e-14
 NOISE_UNKNOWN = 1e-11
-"""Of a co-simulation FMU, whose solver is not known."""
-PARTS: dict[Scheme, tuple[tuple[float, ...], ...]] = {
+"""Relative noise of a co-simulation FMU, whose solver is not known."""
+STEP_PARTS: dict[Scheme, tuple[tuple[float, ...], ...]] = {
     "forward": ((1.0,), (-1.0, 0.5), (-0.5, 2.0), (-2.0, 0.25)),
     "central": ((1.0, -1.0), (0.5, -0.5), (2.0, -2.0), (0.25, -0.25)),
 }
 """Parts of a step, one request after the other until each derivative is known."""
-SHORTER = 0.9
-"""Factor of the steps where all of these have failed."""
-MOST_NAMED = 6
-"""Unknowns in a sentence."""
+STEP_REDUCTION = 0.9
+"""Factor of the steps where all parts of `STEP_PARTS` have failed."""
+MOST_NAMED_UNKNOWNS = 6
+"""Unknowns that a sentence names."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ class ResidualJacobian:
     def blocks_if_large(self) -> BlockMatrix | None:
         """`blocks`, where the whole matrix is too large."""
         entries = self.blocks.row_count * self.blocks.size
-        return self.blocks if self.blocks.sparse and entries > LARGE else None
+        return self.blocks if self.blocks.sparse and entries > LARGE_JACOBIAN else None
 
     def added_to(self, solution: Solution, space: SearchSpace, *, dense: bool = False) -> Solution:
         """Return a solution with these derivatives, as one array where small or `dense`."""
@@ -119,8 +120,12 @@ def without_guesses(
     if not frozen.any() or solution.ending not in (Ending.CONVERGED, Ending.NO_EFFECT):
         return solution
     names = [repr(space.unknowns[i].label) for i in np.flatnonzero(frozen)]
-    shown = ", ".join(names[:MOST_NAMED])
-    more = f" and {len(names) - MOST_NAMED} others" if len(names) > MOST_NAMED else ""
+    shown = ", ".join(names[:MOST_NAMED_UNKNOWNS])
+    more = (
+        f" and {len(names) - MOST_NAMED_UNKNOWNS} others"
+        if len(names) > MOST_NAMED_UNKNOWNS
+        else ""
+    )
     message = (
         f"{Ending.DERIVATIVES_MISSING}: simulations beside the last point failed for {shown}{more}"
     )
@@ -183,7 +188,7 @@ def jacobian(
     beside = Neighbours(x, scheme, space.colours)
     purpose = "jacobian" if scheme == "forward" else "jacobian_central"
     wanted = np.ones(space.size, dtype=bool)
-    for parts in PARTS[scheme]:
+    for parts in STEP_PARTS[scheme]:
         yield from beside.ask(space, steps, parts, wanted, purpose, progress)
         found = _assemble(space, at, steps, beside)
         wanted = found.frozen
@@ -235,7 +240,7 @@ class Neighbours:
     @property
     def walls(self) -> FloatArray:
         """See `ResidualJacobian.walls`."""
-        if len(self._rounds) <= len(PARTS[self._scheme][0]):
+        if len(self._rounds) <= len(STEP_PARTS[self._scheme][0]):
             return np.zeros(0)
         tried = np.zeros((2, 2, len(self.x)), dtype=bool)  # failed or succeeded, below or above
         for group, (point, evaluation) in chain(*(each.items() for each in self._rounds)):

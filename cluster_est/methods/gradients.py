@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.differences import (
-    PARTS,
+    STEP_PARTS,
     Differences,
     Neighbours,
     ResidualJacobian,
@@ -39,11 +39,11 @@ from workers.messages import FloatArray
 CHAIN_STEP = 6e-6
 """Relative, of the differences of physical values by the unknowns: formulas, of no noise."""
 LENGTHENING = 10.0
-"""Of differences that lead nowhere."""
-LONGEST_STEP = 0.03
-"""Relative, of differences; longer ones would show another function."""
-AGREEMENT = 1e-3
-"""By how much, relative to their size, the residuals' changes may differ in the check."""
+"""Factor by which steps are lengthened where simulations are noisier than what is known of them."""
+LONGEST_DIFFERENCE_STEP = 0.03
+"""Longest relative step of differences; longer ones would show another function."""
+SENSITIVITY_AGREEMENT = 1e-3
+"""Part of their size by which the residuals' changes may differ in the check."""
 LEAST_EFFECT = 1e-3
 """An unknown that matters less than this part of the one that matters most is checked less."""
 
@@ -63,7 +63,7 @@ class JacobianProvider:
     scheme
         Of the differences; None as long as sensitivities are taken.
     note
-        The reason for differences instead of sensitivities; "" if there is none.
+        The reason for differences instead of sensitivities; "" without one.
     """
 
     def __init__(self, space: SearchSpace, differences: Differences, relative_step: float) -> None:
@@ -96,7 +96,7 @@ class JacobianProvider:
         relative = self._relative(LENGTHENING * self._longer)
         if not self._automatic or self._relative_step > 0.0 or self.scheme is None:
             return False
-        if relative > LONGEST_STEP:
+        if relative > LONGEST_DIFFERENCE_STEP:
             return False
         self._longer *= LENGTHENING
         self.note = (
@@ -195,7 +195,7 @@ def check_sensitivities(
     if not (plus.ok and minus.ok):
         return UnusableSensitivities(f"they could not be checked ({plus.reason or minus.reason})")
     expected, change = found.matrix @ (x_plus - x_minus), plus.residuals - minus.residuals
-    tolerance = AGREEMENT + 10.0 * (space.problem.model.solver.rtol or 0.0)
+    tolerance = SENSITIVITY_AGREEMENT + 10.0 * (space.problem.model.solver.rtol or 0.0)
     whole = max(float(np.linalg.norm(change)), float(np.linalg.norm(expected)))
     for e, row in enumerate(plus.rows):
         size = max(float(np.linalg.norm(change[row])), 0.01 * whole)
@@ -323,7 +323,7 @@ def _cost_differences(
     here, wanted = _values(at), np.ones(space.size, dtype=bool)
     gradient = np.zeros(space.size)
     constraints = np.zeros((len(space.constraint_names), space.size))
-    for parts in PARTS[scheme]:
+    for parts in STEP_PARTS[scheme]:
         yield from beside.ask(space, steps, parts, wanted.copy(), purpose, progress)
         for i in np.flatnonzero(wanted).tolist():
             found = None if here is None else beside.derivative(i, here, _values)

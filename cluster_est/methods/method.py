@@ -52,7 +52,7 @@ class Progress:
     damping
         The method's damping, mesh or simplex size.
     violation
-        Largest violation of a constraint at the best point; NaN where there are none.
+        Largest violation of a constraint at the best point; NaN without constraints.
     ending
         Name of the ending, in the last line of a search; the runner writes that one.
     """
@@ -350,7 +350,7 @@ def worst_constraint(space: SearchSpace, at: Evaluation) -> str:
     return f"the constraint {name!r} is violated most, by {sizes[worst]:.3g} of its scale"
 
 
-Returned = TypeVar("Returned")
+RequestResult = TypeVar("RequestResult")
 
 
 class BudgetTooShortError(Exception):
@@ -361,8 +361,8 @@ class BudgetTooShortError(Exception):
 
 
 def within_budget(
-    requests: Generator[Points, list[Evaluation], Returned], follow_up: int
-) -> Generator[Points, list[Evaluation], Returned | None]:
+    requests: Generator[Points, list[Evaluation], RequestResult], follow_up: int
+) -> Generator[Points, list[Evaluation], RequestResult | None]:
     """Make requests that are of no use without some further points.
 
     Returns what they return; None where a budget has no room for one of them and the points that
@@ -373,7 +373,7 @@ def within_budget(
         try:
             points = next(requests) if answers is None else requests.send(answers)
         except StopIteration as end:
-            returned: Returned = end.value
+            returned: RequestResult = end.value
             return returned
         try:
             answers = yield replace(points, follow_up=follow_up)

@@ -234,8 +234,8 @@ class _LineSearch:
         return [v.cost for v in found]
 
 
-NEGLIGIBLE = 1e-3
-"""Of `xtol`: a simplex so small has converged even if its costs differ, as at a jump."""
+NEGLIGIBLE_SIMPLEX = 1e-3
+"""Part of `xtol`: a simplex so small has converged even if its costs differ, as at a jump."""
 COLLAPSES = (
     "the simplex collapsed after every restart where a poll leads further down; raise "
     'method.options.max_restarts, or use method "pattern_search"'
@@ -389,7 +389,10 @@ class _SimplexSearch:
         size = diameter(self._simplex)
         if size > self._options.xtol:
             return size == 0.0
-        return spread(self._simplex) <= self._tolerance or size <= NEGLIGIBLE * self._options.xtol
+        return (
+            spread(self._simplex) <= self._tolerance
+            or size <= NEGLIGIBLE_SIMPLEX * self._options.xtol
+        )
 
     def _iterate(self) -> Generator[Points, list[Evaluation], None]:
         """Move the worst vertices along the lines through the centre of the others, or shrink."""
@@ -430,7 +433,7 @@ class _SimplexSearch:
     def _restart(self) -> Generator[Points, list[Evaluation], bool]:
         """Poll around the best vertex and build a new simplex; return whether the cost fell."""
         best = self._simplex[0]
-        step = np.sqrt(max(self._options.xtol, NEGLIGIBLE**2))
+        step = np.sqrt(max(self._options.xtol, NEGLIGIBLE_SIMPLEX**2))
         points = axis_points(self._coordinates, best.u, step).reshape(-1, len(best.u))
         evaluated = yield from self._ask(points, "poll")
         pairs = zip(evaluated[::2], evaluated[1::2], strict=True)

@@ -11,8 +11,8 @@ from sympy.printing.c import C99CodePrinter
 
 from cluster_est.model_export.wrapper_layout import WrapperLayout
 from workers.effects.definition import (
-    SIGNAL,
-    TIME,
+    SIGNAL_SYMBOL,
+    TIME_SYMBOL,
     EffectDefinition,
     known_decay,
     known_rates,
@@ -78,9 +78,9 @@ def _body(
 ) -> str:
     """Statements: the symbols that are used, common parts, and what is assigned in the end."""
     used = set().union(*(a.value.free_symbols for a in assignments)) if assignments else set()
-    meaning: dict[sp.Symbol, sp.Symbol] = {TIME: sp.Symbol("t", real=True)}
+    meaning: dict[sp.Symbol, sp.Symbol] = {TIME_SYMBOL: sp.Symbol("t", real=True)}
     lines = []
-    for number, symbol in enumerate(sorted(used - {TIME}, key=str)):
+    for number, symbol in enumerate(sorted(used - {TIME_SYMBOL}, key=str)):
         array, index = locations[symbol]
         meaning[symbol] = sp.Symbol(f"s{number}", real=True)
         lines.append(f"const double s{number} = {array}[{index}]; /* {_comment(symbol)} */")
@@ -193,7 +193,7 @@ def _output_locations(
     locations |= {
         variable_symbol(name): (EffectArray.OUTPUTS, i) for i, name in enumerate(layout.row)
     }
-    locations[SIGNAL] = (EffectArray.OUTPUTS, layout.row.index(definition.site.target))
+    locations[SIGNAL_SYMBOL] = (EffectArray.OUTPUTS, layout.row.index(definition.site.target))
     locations |= {
         s: (EffectArray.COEFFICIENTS, position + i) for i, s in enumerate(definition.coefficients)
     }

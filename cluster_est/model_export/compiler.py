@@ -16,8 +16,8 @@ from pathlib import Path
 from cluster_est.errors import ModelError
 
 # Reproducible results: no fast-math, and no fused multiply-adds on the processors that have them.
-FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-Wall", "-Wextra")
-"""Of the compiler."""
+COMPILER_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-Wall", "-Wextra")
+"""Options of the C compiler."""
 _MACH_O_PARTS = ((0x01000007, 3, 12), (0x0100000C, 0, 14))
 """Processor type, subtype and page size (as a power of two) of the parts of a universal binary."""
 
@@ -58,7 +58,7 @@ PLATFORMS = {
         ("x86_64-darwin", "aarch64-darwin"),
     ),
 }
-"""By FMI 2.0's names."""
+"""What the compiler must know of each platform, by FMI 2.0's names."""
 
 
 def find_compiler() -> tuple[str, ...]:
@@ -67,7 +67,7 @@ def find_compiler() -> tuple[str, ...]:
     Raises
     ------
     ModelError
-        If there is none.
+        If no compiler is found.
     """
     if chosen := os.environ.get("CC", "").strip():
         command = tuple(shlex.split(chosen))
@@ -125,7 +125,7 @@ def compile_library(command: tuple[str, ...], folder: Path, library: str) -> byt
     libraries = () if os.name == "nt" else ("-lm", "-ldl")
     if sys.platform == "darwin":
         libraries = ()
-    return _compile((*command, *FLAGS, *system), folder, library, libraries)
+    return _compile((*command, *COMPILER_FLAGS, *system), folder, library, libraries)
 
 
 def compile_for(platform: str, folder: Path, name: str) -> bytes:
@@ -139,7 +139,7 @@ def compile_for(platform: str, folder: Path, name: str) -> bytes:
     wanted = PLATFORMS[platform]
     parts = [
         _compile(
-            (*_zig(), "-target", target, *FLAGS, *wanted.options, "-s"),
+            (*_zig(), "-target", target, *COMPILER_FLAGS, *wanted.options, "-s"),
             folder,
             name + wanted.suffix,
             wanted.libraries,

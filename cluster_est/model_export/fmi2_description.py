@@ -53,13 +53,15 @@ def as_fmi_2(root: Element, description: ModelDescription) -> Element:
     root
         In FMI 3.0.
     description
-        The same with the variables of FMI 2.0 (see `fmi3_variables.flatten`).
+        Description with the variables of FMI 2.0 (see `fmi3_variables.flatten`).
     """
     made = Element("fmiModelDescription", fmiVersion="2.0")
     made.attrib.update({key: root.get(key, "") for key in _ROOT if root.get(key) is not None})
     made.set("numberOfEventIndicators", str(description.event_indicators))
     if any(")[" in name for name in description.variables):
-        made.set("variableNamingConvention", "flat")  # "der(x)[1]", which the run knows, is none
+        made.set(
+            "variableNamingConvention", "flat"
+        )  # "der(x)[1]", which the run knows, is not structured
     for tag in ("ModelExchange", "CoSimulation"):
         if (section := root.find(tag)) is not None:
             made.append(_interface(tag, section, description))
@@ -355,7 +357,7 @@ def _interfaces(layout: WrapperLayout, old: Element, sources: tuple[str, ...]) -
 
 
 def _child(root: Element, tag: str, after: tuple[str, ...]) -> Element:
-    """A section of the document, made in its place if there is none."""
+    """A section of the document, made in its place if it is missing."""
     found = root.find(tag)
     if found is None:
         found = Element(tag)

@@ -164,7 +164,7 @@ class FmuOptions:
     Attributes
     ----------
     platforms
-        Those that it is compiled for besides this machine's, by FMI 2.0's names.
+        Platforms that it is compiled for besides this machine's, by FMI 2.0's names.
     measure
         Whether the communication step is measured that reproduces the error of the run.
     """

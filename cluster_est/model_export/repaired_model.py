@@ -33,7 +33,7 @@ from cluster_est.run_folder.run_files import (
     read_facts,
     read_run_table,
 )
-from workers.effects.definition import UNKNOWN, EffectDefinition, coefficient_units, define_all
+from workers.effects.definition import UNKNOWN_UNIT, EffectDefinition, coefficient_units, define_all
 from workers.fmu.description import ModelDescription, nearest
 from workers.messages import Experiment, Value
 
@@ -104,7 +104,7 @@ class RepairedModel:
     problem, description
         What was simulated, all effects included.
     effects
-        Those that do something with the values that were found, in the order in which they act.
+        Effects that do something with the values that were found, in the order in which they act.
     coefficients
         Of each of these effects.
     parameters
@@ -185,8 +185,8 @@ def _line(found: EstimatedValue, prefix: str = "") -> str:
     return f"  {found.name.removeprefix(prefix)} = {found.value:.6g}{unit}{interval}"
 
 
-MOST_NAMED = 4
-"""Experiments in a note."""
+MOST_NAMED_EXPERIMENTS = 4
+"""Experiments that a note names."""
 
 
 @dataclass(frozen=True)
@@ -234,12 +234,13 @@ class ParameterReader:
             if start is not None and start.start is not None
         ]
         ids = [e.id for e in self.problem.experiments]
-        more = ", ..." if len(ids) > MOST_NAMED else ""
+        more = ", ..." if len(ids) > MOST_NAMED_EXPERIMENTS else ""
         return (
             f"{', '.join(names)} {'has' if one else 'have'} a value for each experiment and "
             f"{'keeps its' if one else 'keep their'} start in the exported FMU"
             f"{' (' + ', '.join(known) + ')' if known else ''}; choose the values of one with "
-            f"--experiment ID, in Python experiment=ID, of {', '.join(ids[:MOST_NAMED])}{more}"
+            "--experiment ID, in Python experiment=ID, of "
+            f"{', '.join(ids[:MOST_NAMED_EXPERIMENTS])}{more}"
         )
 
     def _of_experiments(
@@ -304,7 +305,7 @@ class ParameterReader:
         unit = row["unit"] or parameter.unit or unit
         return EstimatedValue(
             parameter.target,
-            "" if UNKNOWN in unit else unit,
+            "" if UNKNOWN_UNIT in unit else unit,
             row["value"],
             row["lower95"] if not row["at_bound"] else math.nan,
             row["upper95"] if not row["at_bound"] else math.nan,
@@ -374,7 +375,7 @@ def repaired(
     *,
     fitted: bool = False,
 ) -> RepairedModel:
-    """The same from a result in memory.
+    """Make a repaired model from a result in memory.
 
     Parameters
     ----------

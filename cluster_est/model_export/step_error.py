@@ -25,9 +25,9 @@ from workers.wire import TaskBatch
 
 HALVINGS = 7
 """How often the step is halved at most."""
-SAME = 0.01
-"""Share of the reported error by which another is the same."""
-NEGLIGIBLE = 1e-6
+SAME_STEP_ERROR = 0.01
+"""Share of the reported error within which another error is the same."""
+NEGLIGIBLE_DIFFERENCE = 1e-6
 """Share of a measured signal's standard deviation that is no difference."""
 MOST_STEPS = 4_000_000
 """Communication steps that all simulations at one step may take: some seconds."""
@@ -35,7 +35,8 @@ MOST_STEPS = 4_000_000
 Errors = dict[str, float]
 """Root mean square error of each output, in its unit."""
 ErrorPairs = tuple[tuple[str, float], ...]
-"""The same, to be kept."""
+"""Root mean square error of each output as pairs of name and error, which a frozen dataclass
+keeps."""
 
 
 @dataclass(frozen=True)
@@ -240,7 +241,9 @@ def _same(errors: Errors, reported: Errors, chosen: Sequence[Experiment]) -> boo
     """Return whether all errors are those of the run."""
     for name, value in errors.items():
         own = [o.values for e in chosen for o in e.outputs if o.variable == name]
-        room = SAME * reported[name] + NEGLIGIBLE * float(np.std(np.concatenate(own)))
+        room = SAME_STEP_ERROR * reported[name] + NEGLIGIBLE_DIFFERENCE * float(
+            np.std(np.concatenate(own))
+        )
         if abs(value - reported[name]) > room:
             return False
     return True

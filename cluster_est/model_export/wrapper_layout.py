@@ -17,7 +17,7 @@ from workers.simulation.integrator import DEFAULT_RTOL
 _SAME: tuple[Type, ...] = ("Float64", "Int32", "Boolean", "String")
 """Types that FMI 2.0 has under another name."""
 _LEAST, _MOST = -(2.0**31), 2.0**31 - 1.0
-"""Of the integers of FMI 2.0."""
+"""Limits of the integers of FMI 2.0."""
 
 
 @dataclass(frozen=True)
@@ -271,7 +271,7 @@ def _signals(
 
 
 def _check_needed(repair: RepairedModel, left_out: tuple[str, ...]) -> None:
-    """Refuse what could not be told of this run in FMI 2.0, which the wrapper is of."""
+    """Refuse what FMI 2.0, which the wrapper is of, has no words for."""
     problem = repair.problem
     named = [found.name for found in repair.parameters] + [name for name, _ in repair.known]
     for effect in repair.effects:

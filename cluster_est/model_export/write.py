@@ -28,7 +28,7 @@ from cluster_est.model_export.repaired_model import (
     gather,
 )
 from cluster_est.whole_files import ELSEWHERE, write_whole
-from workers.effects.definition import SIGNAL, TIME, EffectDefinition, variable_symbol
+from workers.effects.definition import SIGNAL_SYMBOL, TIME_SYMBOL, EffectDefinition, variable_symbol
 from workers.fmu.description import nearest
 from workers.messages import Value
 
@@ -39,7 +39,7 @@ _NO_FUNCTION = {
         "no function of Modelica, see Modelica.Blocks.Nonlinear.SlewRateLimiter",
     ),
 }
-_FUNCTIONS = {"Abs": "abs", "sign": "sign", "Min": "min", "Max": "max", "sqrt": "sqrt"}
+_FUNCTION_NAMES = {"Abs": "abs", "sign": "sign", "Min": "min", "Max": "max", "sqrt": "sqrt"}
 
 
 class _ModelicaPrinter(StrPrinter):  # type: ignore[misc]
@@ -57,7 +57,7 @@ class _ModelicaPrinter(StrPrinter):  # type: ignore[misc]
     def _print_Function(self, expr: sp.Expr) -> str:  # noqa: N802
         name = type(expr).__name__
         arguments = [self._print(argument) for argument in expr.args]
-        return f"{_FUNCTIONS.get(name, name)}({', '.join(arguments)})"
+        return f"{_FUNCTION_NAMES.get(name, name)}({', '.join(arguments)})"
 
     def _print_Min(self, expr: sp.Expr) -> str:  # noqa: N802
         return self._nested("min", expr)
@@ -131,7 +131,7 @@ def _equations(effect: EffectDefinition) -> Iterator[str]:
     pairs = zip(effect.states, effect.form.states, strict=True)
     meaning |= {symbol: sp.Symbol(_name(name, own.name)) for symbol, own in pairs}
     meaning |= {variable_symbol(used): sp.Symbol(used) for used in effect.uses}
-    meaning |= {TIME: sp.Symbol("time"), SIGNAL: sp.Symbol(effect.site.target)}
+    meaning |= {TIME_SYMBOL: sp.Symbol("time"), SIGNAL_SYMBOL: sp.Symbol(effect.site.target)}
 
     def text(expression: sp.Expr) -> str:
         return str(_ModelicaPrinter().doprint(expression.xreplace(meaning)))
@@ -202,7 +202,7 @@ def _add(parent: Element, name: str, value: Value, unit: str) -> None:
 
 
 COLUMNS = ("name", "value", "unit", "low", "high")
-"""`low` and `high` are the 95 % interval, empty where there is none."""
+"""`low` and `high` are the 95 % interval, empty if it is unknown."""
 
 
 def value_table(repair: RepairedModel) -> bytes:

@@ -54,7 +54,7 @@ from workers.process.trial import NoAnswer, ProbeBench
 
 STILL = 1e-9
 """Share of its size by which an output may change and yet stand still."""
-CLEAR = 5.0
+CLEAR_CHANGE_OVER_NOISE = 5.0
 """Times the noise by which a measured output moves clearly."""
 
 
@@ -120,19 +120,19 @@ def _moves(values: FloatArray) -> bool:
     """Return True for a signal that moves by more than its noise."""
     if len(values) < 4 or np.ptp(values) == 0.0:
         return False
-    return bool(np.std(values) > CLEAR * noise_of_samples(values))
+    return bool(np.std(values) > CLEAR_CHANGE_OVER_NOISE * noise_of_samples(values))
 
 
 MOST_SECONDS = 1.0
 """Time for the measurement, where it suffices."""
 ENOUGH = 150
 """Simulations for which there is time with any longer time for all checks."""
-SHORT = 2e-4
+SHORT_SIMULATION_SECONDS = 2e-4
 """Seconds: shorter simulations are not worth the way to another process."""
 LONG = 1.0
 """Seconds: so long a simulation is worth a plan that asks for few of them."""
 LEAST_COUNT = 100
-"""Simulations from which on a leak can be told."""
+"""Simulations from which on a leak is visible."""
 LEAK = 1024.0
 """Bytes for each simulation: less is no leak."""
 
@@ -184,7 +184,7 @@ def _time(subject: CheckSubject, seconds: float, count: int) -> CheckFinding:
     together = round(BATCH_SECONDS / max(seconds, 1e-6))
     if together > 1:
         said += f"; a worker gets up to {together} at a time"
-    if seconds < SHORT:
+    if seconds < SHORT_SIMULATION_SECONDS:
         said += "; too short to be worth the way to another process"
         do = "" if subject.in_process else 'executor.name = "local" is enough'
     elif cores > 1 and not CAN_FORK:
@@ -221,8 +221,8 @@ def _memory(subject: CheckSubject, found: SimulationCost) -> CheckFinding:
 SECONDS = 4.0
 """Time for all checks, once there is a process for them."""
 COMPILE_SECONDS = 120.0
-"""For a loop that only checks need; read from disk ever after."""
-MOVING = 0.01
+"""Seconds for compiling a loop that only checks need; it is read from disk ever after."""
+LEAST_MOVEMENT = 0.01
 """Share of its largest range by which an output must move to tell something of the parameters."""
 LOADING, FIRST_SIMULATION = 0.6, 0.6
 """Shares of the time left for loading the FMU, and for one simulation."""
@@ -236,7 +236,7 @@ CHECKS: tuple[Callable[[CheckSubject], list[CheckFinding]], ...] = (
     corners,
     derivatives,
 )
-"""In the order in which they get their time."""
+"""All checks, in the order in which they get their time."""
 
 
 def run_checks(
@@ -344,7 +344,7 @@ def _most_telling(simulations: list[Simulation]) -> Simulation:
     ]
     names = {name for own in ranges for name in own}
     largest = {name: max(own.get(name, 0.0) for own in ranges) for name in names}
-    moving = [sum(own[name] > MOVING * largest[name] for name in own) for own in ranges]
+    moving = [sum(own[name] > LEAST_MOVEMENT * largest[name] for name in own) for own in ranges]
     samples = [0 if one is None else len(one.times) for one in seen]
     return simulations[min(range(len(seen)), key=lambda i: (-moving[i], samples[i]))]
 

@@ -24,9 +24,9 @@ from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Output
 
-ROUNDING = math.sqrt(12.0)
+STEP_OVER_DEVIATION = math.sqrt(12.0)
 """A step over the standard deviation that rounding to it makes; see `quantisation_step`."""
-VISIBLE = 0.01
+LEAST_NOISE_OF_RANGE = 0.01
 """Share of an output's range that its noise counts as at least where outliers are looked for."""
 FEW_OUTLIERS = 0.01
 """Largest share of the samples that are outliers; more of them are how this signal is."""
@@ -115,7 +115,10 @@ def _alone(experiment: Experiment, output: Output) -> int:
     if output.ordinal or len(np.unique(values)) < FEWEST_VALUES or stand_ins(values):
         return 0
     records = make_records([replace(experiment, outputs=(output,))])
-    noise = max(float(estimate_noise(values, records, values)[0]), VISIBLE * float(np.ptp(values)))
+    noise = max(
+        float(estimate_noise(values, records, values)[0]),
+        LEAST_NOISE_OF_RANGE * float(np.ptp(values)),
+    )
     excepted = _answers(experiment, output)
     return int(isolated_outliers(values, noise, excepted=excepted).mask.sum())
 
@@ -124,7 +127,9 @@ def _answers(experiment: Experiment, output: Output) -> npt.NDArray[np.bool_]:
     """Return which samples of an output are just after a jump or a single pulse of an input."""
     after = after_jumps(experiment, output.variable)
     for given in experiment.inputs:
-        pulses = isolated_outliers(given.values, VISIBLE * float(np.ptp(given.values))).mask
+        pulses = isolated_outliers(
+            given.values, LEAST_NOISE_OF_RANGE * float(np.ptp(given.values))
+        ).mask
         after |= samples_after(output.times, given.times[pulses], before=1)
     return after
 
@@ -143,7 +148,7 @@ def _rounded(problem: Problem) -> list[CheckFinding]:
     for each in problem.experiments:
         for output in each.outputs:
             step = quantisation_step(output.values)
-            times = step / ROUNDING / float(output.sigmas.min(initial=np.inf))
+            times = step / STEP_OVER_DEVIATION / float(output.sigmas.min(initial=np.inf))
             # a sigma of 1 is what stands where none is given, and says nothing of the sensor
             if (
                 output.has_sigma
@@ -155,10 +160,10 @@ def _rounded(problem: Problem) -> list[CheckFinding]:
         note(
             f"output {name}",
             f"its values in experiment {each.id} are whole steps of {step:.3g}: rounding alone "
-            f"makes an error of {step / ROUNDING:.3g}, {times:.2g} times the sigma that is given",
-            f"{dotted('sigma', name)} = NUMBER, of {step / ROUNDING:.3g} or more, or measure with "
-            "a finer "
-            "resolution",
+            f"makes an error of {step / STEP_OVER_DEVIATION:.3g}, {times:.2g} times the sigma that "
+            "is given",
+            f"{dotted('sigma', name)} = NUMBER, of {step / STEP_OVER_DEVIATION:.3g} or more, or "
+            "measure with a finer resolution",
         )
         for name, (times, step, each) in worst.items()
     ]
@@ -177,7 +182,7 @@ def _gaps(times: FloatArray, rows: FloatArray, experiment: Experiment) -> tuple[
     """Return the longest gap of an input, and a sentence on all of them; None without any.
 
     A gap is longer than the usual interval, and other signals were measured in it: an input that
-    is sampled more slowly than they are, or a time at which nothing was measured, is none.
+    is sampled more slowly than they are, or a time at which nothing was measured, is no gap.
     """
     if len(times) < 2:
         return None

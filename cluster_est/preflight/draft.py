@@ -10,14 +10,13 @@ from pathlib import Path
 
 from cluster_est.errors import DataError, ModelError
 from cluster_est.preflight.table_columns import ColumnMatch, TableColumns, match, read_columns, same
+from cluster_est.problem.tables.files import MOST_NAMED_COLUMNS
 from workers.fmu.description import ModelDescription, describe, nearest
 from workers.fmu.variable import ModelVariable
 from workers.messages import Role
 
-TIME = "time"
+TIME_NAME = "time"
 """Stands for the time, whatever the FMU calls it."""
-MOST_COLUMNS = 30
-"""Columns in a message."""
 
 
 def check_variables(mapping: Mapping[str, str], description: ModelDescription) -> None:
@@ -31,10 +30,10 @@ def check_variables(mapping: Mapping[str, str], description: ModelDescription) -
     measurable = [v.name for v in description.variables.values() if v.is_computed]
     inputs = [v.name for v in description.inputs()]
     for name in mapping:
-        if name == TIME:
+        if name == TIME_NAME:
             continue
         if name not in description.variables:
-            known = nearest(name, [TIME, *inputs, *description.outputs, *measurable])
+            known = nearest(name, [TIME_NAME, *inputs, *description.outputs, *measurable])
             raise ModelError(f"--map {name}: {description.file} has no variable {name!r}{known}")
         if name not in inputs and name not in measurable:
             variable = description.variables[name]
@@ -65,8 +64,8 @@ def check_columns(mapping: Mapping[str, str], tables: Sequence[TableColumns]) ->
         names = [*first.named]
         found = nearest(column, names)
         if found.endswith("?"):
-            listed = ", ".join(repr(each) for each in names[:MOST_COLUMNS])
-            more = len(names) - MOST_COLUMNS
+            listed = ", ".join(repr(each) for each in names[:MOST_NAMED_COLUMNS])
+            more = len(names) - MOST_NAMED_COLUMNS
             found += f" Its columns are {listed}" + (f" and {more} more" if more > 0 else "")
         raise DataError(f"--map {name}: {first.path} has no column {column!r}{found}")
 
@@ -136,7 +135,7 @@ def draft(fmu: Path, data: Sequence[Path], mapping: Mapping[str, str] | None = N
         raise ModelError(f"init: {fmu} cannot be read ({error.strerror}); check it") from error
     description = describe(fmu.name, archive)
     check_variables(known, description)
-    tables = [read_columns(path, known.get(TIME, "")) for path in data]
+    tables = [read_columns(path, known.get(TIME_NAME, "")) for path in data]
     check_columns(known, tables)
     roles: list[Role] = ["train"] * len(tables)
     if len(tables) > 1:
@@ -161,7 +160,9 @@ def _run(
     description: ModelDescription,
     mapping: Mapping[str, str],
 ) -> DraftExperiment:
-    known = {v: columns.named[c] for v, c in mapping.items() if v != TIME and c in columns.named}
+    known = {
+        v: columns.named[c] for v, c in mapping.items() if v != TIME_NAME and c in columns.named
+    }
     inputs = [v for v in description.inputs() if v.kind in ("real", "integer", "boolean")]
     outputs = [description.variables[n] for n in description.outputs]
     numbers = [v for v in outputs if v.kind in ("real", "integer", "boolean")]
@@ -215,8 +216,8 @@ def _ids(data: Sequence[Path]) -> list[str]:
 
 MOST_ACTIVE = 6
 """Parameters estimated at once in a first config: more are seldom determined by a few tables."""
-MOST_LISTED = 60
-WIDTH = 10.0
+MOST_LISTED_VARIABLES = 60
+GUESSED_BOUND_FACTOR = 10.0
 """Guessed bounds are the start over and times this."""
 
 _CONSTANTS = {"g", "pi", "e", "R_gas", "gravity", "c_light", "k_B", "sigma_SB", "T_ref", "p_ref"}
@@ -226,7 +227,7 @@ _SETTINGS = re.compile(
 _SPECIFIC_HEAT = re.compile(r"k?J/(\(kg[.* ]?(K|degC)\)|kg/(K|degC)|kg[.](K|degC))")
 _INITIAL = re.compile(r"(?i)(^|[._])(\w*_init(ial)?|\w*_start|x0|v0)$")
 _KELVINS = 50.0
-"""To both sides of a temperature: a tenth and ten times of it would be no temperatures."""
+"""Kelvins to both sides of a temperature: a tenth and ten times of it would be no temperatures."""
 
 
 @dataclass(frozen=True)
@@ -323,6 +324,9 @@ def _guess(variable: ModelVariable, start: float) -> tuple[tuple[float, float], 
     if variable.unit in ("K", "degC"):
         ends, how = (start - _KELVINS, start + _KELVINS), f"{_KELVINS:g} K around the start"
     else:
-        ends, how = (start / WIDTH, start * WIDTH), "a tenth and ten times the start"
+        ends, how = (
+            (start / GUESSED_BOUND_FACTOR, start * GUESSED_BOUND_FACTOR),
+            "a tenth and ten times the start",
+        )
     low, high = sorted(float(f"{end:.12g}") for end in ends)
     return (low, high), how

@@ -10,12 +10,18 @@ from statistics import median
 
 from cluster_est.config.config_text import FILL_IN
 from cluster_est.preflight.draft import (
-    MOST_LISTED,
+    MOST_LISTED_VARIABLES,
     ConfigDraft,
     DraftExperiment,
     ParameterCandidate,
 )
-from cluster_est.preflight.table_columns import TIMES, ColumnMatch, TableColumn, fold, split_unit
+from cluster_est.preflight.table_columns import (
+    TIME_COLUMN_NAMES,
+    ColumnMatch,
+    TableColumn,
+    fold,
+    split_unit,
+)
 from cluster_est.problem.tables.units import conversion, same_unit
 from cluster_est.toml import dotted, inline
 from workers.fmu.description import ModelDescription
@@ -74,14 +80,14 @@ def _parameters(draft: ConfigDraft) -> Iterator[str]:
     if not draft.parameters:
         yield f"# {draft.fmu.name} declares no real parameter with a start value, so there is"
         yield "# nothing to estimate but the initial states; export it with tunable parameters."
-    for candidate in draft.parameters[:MOST_LISTED]:
+    for candidate in draft.parameters[:MOST_LISTED_VARIABLES]:
         yield _parameter(candidate)
-    more = len(draft.parameters) - MOST_LISTED
+    more = len(draft.parameters) - MOST_LISTED_VARIABLES
     if more > 0:
         yield f"# and {more} more, which the FMU's description names"
     if draft.states:
         yield "# Initial states, where they are not known: one for each experiment."
-    for state in draft.states[:MOST_LISTED]:
+    for state in draft.states[:MOST_LISTED_VARIABLES]:
         value = inline({"start": state.start or 0.0, "per": "experiment"})
         yield f"# {dotted(state.name)} = {value}{said(state)}"
 
@@ -99,9 +105,9 @@ def _clean(line: str) -> str:
     return "".join(c if c >= " " and c != "\x7f" else " " for c in line)
 
 
-MOST_OPEN = 20
+MOST_UNMATCHED_OUTPUTS = 20
 """Outputs that are looked at for a comment where no column is like them."""
-MOST_SIGNALS = 20
+MOST_PROPOSED_SIGNALS = 20
 """Columns that are proposed as signals."""
 
 
@@ -174,7 +180,7 @@ def _signals(unused: Sequence[TableColumn], description: ModelDescription) -> It
     """Yield columns that nothing uses as signals."""
     taken = {*description.variables, "t", "s"}
     yield "# Uncomment what may matter, such as a temperature: effects may depend on such signals."
-    for column in unused[:MOST_SIGNALS]:
+    for column in unused[:MOST_PROPOSED_SIGNALS]:
         name = re.sub(r"\W+", "_", column.plain).strip("_") or "signal"
         name = f"signal_{name}" if name[0].isdigit() else name
         while name in taken:
@@ -182,7 +188,7 @@ def _signals(unused: Sequence[TableColumn], description: ModelDescription) -> It
         taken.add(name)
         unit = f"  # [{column.unit}]" if column.unit else ""
         yield f"# {dotted('signals', name)} = {inline(column.name)}{unit}"
-    more = len(unused) - MOST_SIGNALS
+    more = len(unused) - MOST_PROPOSED_SIGNALS
     if more > 0:
         yield f"# and {more} more columns"
 
@@ -194,7 +200,7 @@ def _time(run: DraftExperiment) -> Iterator[str]:
         return
     why = "no column is called time"
     for name in run.columns.unusable:
-        if fold(split_unit(name)[0]) in TIMES:
+        if fold(split_unit(name)[0]) in TIME_COLUMN_NAMES:
             why = f"column {name!r} holds no numbers: dates, or a row of units that must go?"
     yield f'sample_time = "{FILL_IN}: seconds between rows"  # {why}'
     for name in run.columns.increasing[:3]:
@@ -253,7 +259,7 @@ def _open_outputs(run: DraftExperiment) -> Iterator[str]:
     """Yield outputs that may be one of the columns left over, though no name is similar."""
     certain = any(m.column is not None for m in (*run.outputs, *run.further))
     first = run.outputs[:1]
-    for match in run.outputs[:MOST_OPEN]:
+    for match in run.outputs[:MOST_UNMATCHED_OUTPUTS]:
         asked = not certain and match in first
         if match.column is None and match.similar is None and not asked:
             variable = match.variable

@@ -27,14 +27,14 @@ from workers.probes.probes import MovementProbe
 from workers.process.trial import NoAnswer
 
 CHANGE = 0.01
-"""Of an unknown, in noticeable changes."""
-UNKNOWN = 1e-300
+"""Change of an unknown, in noticeable changes."""
+UNKNOWN_EFFECT = 1e-300
 """Stands for an effect that was not computed in every experiment."""
-FAINT = 1e-9
-"""An effect of less, of the outputs' size, drowns in rounding."""
-STEPS = tuple(10.0**-k for k in range(3, 9))
+ROUNDING_OF_OUTPUTS = 1e-9
+"""Effect on the outputs, over their size, below which it drowns in rounding."""
+TRIED_DIFFERENCE_STEPS = tuple(10.0**-k for k in range(3, 9))
 """Relative steps of differences that are tried."""
-AGREEMENT = 0.02
+DERIVATIVE_AGREEMENT = 0.02
 """Largest relative difference of derivatives that count as the same."""
 
 
@@ -61,8 +61,10 @@ def effects(subject: CheckSubject) -> list[CheckFinding]:
     dead = [name for name, size in sizes.items() if size == 0.0]
     waiting = _waiting(dead, subject) if len(dead) > 1 or len(dead) == len(sizes) else []
     lines += waiting or _dead(dead, subject)
-    lines += [_faint(name, size) for name, size in sizes.items() if 0.0 < size < FAINT]
-    alive = {name: size for name, size in sizes.items() if size >= FAINT}
+    lines += [
+        _faint(name, size) for name, size in sizes.items() if 0.0 < size < ROUNDING_OF_OUTPUTS
+    ]
+    alive = {name: size for name, size in sizes.items() if size >= ROUNDING_OF_OUTPUTS}
     if alive:
         least, most = min(alive, key=alive.__getitem__), max(alive, key=alive.__getitem__)
         said = f"{len(alive)} of {len(names)} act on the outputs: moved by 1 % of its size, "
@@ -87,7 +89,7 @@ def _unknowns(subject: CheckSubject) -> list[tuple[int, Unknown]]:
 
 
 def _effect_elsewhere(subject: CheckSubject, column: int, unknown: Unknown) -> float:
-    """Return the first effect in other experiments; `UNKNOWN` without time for all of them."""
+    """Return the first effect in other experiments; `UNKNOWN_EFFECT` if time is too short."""
     for e in unknown.experiments:
         other = replace(subject, experiment=e)
         if e == subject.experiment:
@@ -97,7 +99,7 @@ def _effect_elsewhere(subject: CheckSubject, column: int, unknown: Unknown) -> f
         )
         found = subject.ask(probe, 2)
         if isinstance(found, NoAnswer) or not found or isinstance(found[0], str):
-            return UNKNOWN
+            return UNKNOWN_EFFECT
         if found[0] > 0.0:
             return float(found[0])
     return 0.0
@@ -149,7 +151,7 @@ def _waiting(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
 
 
 def _faint(name: str, size: float) -> CheckFinding:
-    if size == UNKNOWN:
+    if size == UNKNOWN_EFFECT:
         said = "does not act in one experiment, and there was no time to try all others"
         return not_done(f"parameter {name}", said, "give it more time with --seconds")
     said = f"hardly acts: moved by 1 % of its size it changes the outputs by {size:.2g} of theirs"
@@ -163,21 +165,21 @@ def _failed(name: str, said: str) -> CheckFinding:
 
 def _steps(subject: CheckSubject, column: int) -> list[CheckFinding]:
     """Return the smallest relative step of trustworthy differences."""
-    points = np.array([_moved(subject, column, step) for step in STEPS])
+    points = np.array([_moved(subject, column, step) for step in TRIED_DIFFERENCE_STEPS])
     probe = MovementProbe(*subject.probe_arguments, points, max(subject.budget.left / 3.0, 0.1))
-    found = subject.ask(probe, 1 + len(STEPS))
+    found = subject.ask(probe, 1 + len(TRIED_DIFFERENCE_STEPS))
     if isinstance(found, NoAnswer):
         return [unanswered("differences", found)]
-    pairs = zip(STEPS, found, strict=False)
+    pairs = zip(TRIED_DIFFERENCE_STEPS, found, strict=False)
     quotients = [each / step for step, each in pairs if not isinstance(each, str)]
-    if len(quotients) < len(STEPS):
+    if len(quotients) < len(TRIED_DIFFERENCE_STEPS):
         return [unanswered("differences", NoAnswer("simulations failed or took too long"))]
     truth = quotients[1]
-    pairs = zip(STEPS, quotients, strict=True)
-    good = [step for step, each in pairs if abs(each - truth) <= AGREEMENT * truth]
-    least = min(good, default=STEPS[0])
+    pairs = zip(TRIED_DIFFERENCE_STEPS, quotients, strict=True)
+    good = [step for step, each in pairs if abs(each - truth) <= DERIVATIVE_AGREEMENT * truth]
+    least = min(good, default=TRIED_DIFFERENCE_STEPS[0])
     usual = math.sqrt(relative_noise(subject.problem.model.solver))
-    if least <= max(usual, STEPS[-1]):
+    if least <= max(usual, TRIED_DIFFERENCE_STEPS[-1]):
         said = f"slopes hold down to relative steps of {least:.0e}; a fit takes {usual:.0e}"
         return [passed("differences", said)]
     said = f"slopes by {subject.space.unknowns[column].label} hold down to relative steps of "

@@ -24,7 +24,7 @@ from cluster_est.preflight.subject import (
 from cluster_est.problem.problem import Problem
 from cluster_est.results.output_errors import Simulation
 from cluster_est.running import reset_policy
-from cluster_est.running.threads_trial import DISTURBED, two_simulations
+from cluster_est.running.threads_trial import DISTURBED, PERTURBATION_FACTOR, two_simulations
 from workers.messages import FloatArray, ResetPolicy, Status
 from workers.probes.other_simulations import RemedyProbe, SimulationVariant
 from workers.probes.probes import (
@@ -38,16 +38,20 @@ from workers.probes.probes import (
 from workers.process.forked import CAN_FORK
 from workers.process.trial import NoAnswer
 
-FACTOR = 1.37
-"""Of every value, to see whether it survives a reset: no round number."""
 FRESH = "processes" if CAN_FORK else "instances"
-Earlier = tuple[float, FloatArray] | None
+EarlierSimulation = tuple[float, FloatArray] | None
 """When a simulation began, and its outputs."""
-TRIED: tuple[tuple[ResetPolicy, ...], ...] = (("reset", "instance"), ("instance",), ())
-"""What is tried, one after the other, as long as the process crashes."""
+TRIED_RESET_POLICIES: tuple[tuple[ResetPolicy, ...], ...] = (
+    ("reset", "instance"),
+    ("instance",),
+    (),
+)
+"""The policies that are tried, one set after the other, as long as the process crashes."""
 
 
-def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy | None, Earlier]:
+def repeatable(
+    subject: CheckSubject,
+) -> tuple[list[CheckFinding], ResetPolicy | None, EarlierSimulation]:
     """Compare a reset instance with a fresh one, and two fresh processes (or instances) together.
 
     Returns also the reset policy for all further checks, None if none makes simulations in one
@@ -55,7 +59,7 @@ def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy |
     """
     begun = time.monotonic()
     crash = ""
-    for policies in TRIED:
+    for policies in TRIED_RESET_POLICIES:
         probe = RepeatProbe(subject.experiment, subject.start, policies)
         found = subject.ask(probe, 2)
         if not isinstance(found, NoAnswer) or found.late:
@@ -80,7 +84,7 @@ def repeatable(subject: CheckSubject) -> tuple[list[CheckFinding], ResetPolicy |
     return lines, policy, (begun, found.first)
 
 
-def later(subject: CheckSubject, earlier: Earlier) -> list[CheckFinding]:
+def later(subject: CheckSubject, earlier: EarlierSimulation) -> list[CheckFinding]:
     """Compare a simulation with what it was more than a second before, in another process."""
     if earlier is None:
         return []
@@ -143,7 +147,7 @@ def _reset_advice(subject: CheckSubject, needed: str, how: str, do: str) -> Chec
 
 def _leftovers(subject: CheckSubject) -> list[CheckFinding]:
     """Return a note if values survive a reset, which matters if experiments set different ones."""
-    other = np.where(subject.start == 0.0, FACTOR, FACTOR * subject.start)
+    other = np.where(subject.start == 0.0, PERTURBATION_FACTOR, PERTURBATION_FACTOR * subject.start)
     found = subject.ask(LeftoverProbe(subject.experiment, other), 3)
     if isinstance(found, NoAnswer):  # an FMU that fails with its own values tells nothing of a fit
         return [unanswered("values", found)] if found.late else []
@@ -220,10 +224,11 @@ def _one_only(subject: CheckSubject, said: str) -> CheckFinding:
     return CheckFinding(verdict, "instances", said, do)
 
 
-SHORTER = (10.0, 100.0)
+COMMUNICATION_STEP_PARTS = (10.0, 100.0)
 """Parts of the longest step that are tried as communication steps."""
-SIMULATIONS = 20
-"""For which there must be time; the FMU has just failed, so nothing is known of how long one is."""
+SIMULATIONS_OF_REMEDY = 20
+"""Simulations for which there must be time; the FMU has just failed, so how long one takes is
+unknown."""
 
 
 @dataclass(frozen=True)
@@ -297,7 +302,7 @@ def _steps(subject: CheckSubject) -> list[float]:
     longest = min(model.solver.step or math.inf, longest_step(subject))
     own = description.default_step
     steps = [own] if own is not None and 0.0 < own < longest else []
-    return [*steps, *(longest / part for part in SHORTER)]
+    return [*steps, *(longest / part for part in COMMUNICATION_STEP_PARTS)]
 
 
 def _works(subject: CheckSubject, variants: Sequence[SimulationVariant]) -> list[bool]:
@@ -307,5 +312,5 @@ def _works(subject: CheckSubject, variants: Sequence[SimulationVariant]) -> list
     probe = RemedyProbe(
         subject.experiment, subject.start, tuple(variants), max(subject.budget.left / 3.0, 0.1)
     )
-    answer = subject.ask(probe, SIMULATIONS)
+    answer = subject.ask(probe, SIMULATIONS_OF_REMEDY)
     return [] if isinstance(answer, NoAnswer) else list(answer)

@@ -20,6 +20,7 @@ from cluster_est.preflight.subject import (
     passed,
     unanswered,
 )
+from cluster_est.results.solver_error.finer_solver import LEAST_RTOL, RTOL_TIGHTENING
 from cluster_est.toml import dotted
 from workers.messages import FloatArray, Solver
 from workers.probes.probes import (
@@ -35,8 +36,8 @@ from workers.simulation.jacobian import MAX_JACOBIAN_ERROR
 CHEAPER = 0.5
 """Part of the time of differences from which sensitivities are recommended. Far from 1, because
 times vary, and because differences of a Jacobian run on all workers at once."""
-SIMULATIONS = 10
-"""As long as which the trial takes about, in simulations without sensitivities."""
+SIMULATIONS_OF_TRIAL = 10
+"""Time that the trial takes about, in simulations without sensitivities."""
 
 
 def sensitivities(subject: CheckSubject) -> list[CheckFinding]:
@@ -48,7 +49,9 @@ def sensitivities(subject: CheckSubject) -> list[CheckFinding]:
     choice = choice and subject.repeats and subject.reset_policy == "reset"
     if not choice or unknowns == 0:
         return []
-    found = subject.ask(SensitivityCostProbe(subject.experiment, subject.start), SIMULATIONS)
+    found = subject.ask(
+        SensitivityCostProbe(subject.experiment, subject.start), SIMULATIONS_OF_TRIAL
+    )
     if isinstance(found, NoAnswer):
         return [unanswered("sensitivities", found)]
     if found is None:
@@ -64,15 +67,14 @@ def sensitivities(subject: CheckSubject) -> list[CheckFinding]:
     return [passed("sensitivities", said, do)]
 
 
-TIGHTER = 100.0
-LEAST_RTOL = 1e-13
 COUNTING = 0.3
 """Relative change above which an output may count the steps, however it is declared."""
-GOOD, BAD = 1e-5, 1e-2
+GOOD_RELATIVE_CHANGE, BAD_RELATIVE_CHANGE = 1e-5, 1e-2
 """Relative changes of the outputs below which all is well, and above which there is a problem."""
 
 NOISE_GOOD, NOISE_BAD = 0.1, 1.0
-"""The same of their absolute size over the declared standard deviation of the noise."""
+"""Absolute changes of the outputs, over the declared standard deviation of the noise, below which
+all is well, and above which there is a problem."""
 
 
 def accuracy(subject: CheckSubject) -> list[CheckFinding]:
@@ -105,14 +107,14 @@ def _judged(subject: CheckSubject, found: FloatArray, how: str, key: str) -> lis
         said = f"with {how} {name} changes by {far:.2g} of its size, and no output by more"
         share, noisy = _against_noise(subject, moving)
         said += noisy
-        bad = far > BAD or share > NOISE_BAD
+        bad = far > BAD_RELATIVE_CHANGE or share > NOISE_BAD
         verdict = CheckVerdict.PROBLEM if bad else CheckVerdict.NOTE
         fine = passed("accuracy", said)
         do = key if far < COUNTING else f"{key}; nothing, if it counts steps or calls"
-        good = far < GOOD and share < NOISE_GOOD
+        good = far < GOOD_RELATIVE_CHANGE and share < NOISE_GOOD
         lines.append(fine if good else CheckFinding(verdict, "accuracy", said, do))
     name, far = max(others, key=_far, default=("", 0.0))
-    if not far < GOOD:
+    if not far < GOOD_RELATIVE_CHANGE:
         said = f"with {how} {name}, which is no continuous output, changes by {far:.2g} of its size"
         do = f"nothing, if it counts steps or calls; else {key}"
         lines.append(note("accuracy", said, do))
@@ -150,7 +152,7 @@ def _finer(subject: CheckSubject, solver: Solver) -> tuple[Solver, str, str]:
         how = f"{name} of {step:.3g} s halved"
         return replace(solver, step=step / 2.0), how, f"model.step = {step / 4.0:.3g}"
     rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
-    tight = max(rtol / TIGHTER, LEAST_RTOL)
+    tight = max(rtol / RTOL_TIGHTENING, LEAST_RTOL)
     atol = None if solver.atol is None else solver.atol * tight / rtol
     how = f"model.rtol = {tight:.1g} in place of {rtol:.1g}"
     return replace(solver, rtol=tight, atol=atol), how, f"model.rtol = {tight:.1g}"

@@ -59,7 +59,7 @@ class CheckFinding:
 passed, note = partial(CheckFinding, CheckVerdict.OK), partial(CheckFinding, CheckVerdict.NOTE)
 fault = partial(CheckFinding, CheckVerdict.PROBLEM)
 not_done = partial(CheckFinding, CheckVerdict.NOT_DONE)
-"""Each takes the name of the check, its result and, where there is one, the advice."""
+"""Each takes the name of the check, its result and, where something can be done, the advice."""
 
 
 @dataclass(frozen=True)
@@ -84,21 +84,21 @@ class CheckPage:
         return not any(each.verdict is CheckVerdict.PROBLEM for each in self.findings)
 
 
-MOST_LISTED = 5
+MOST_LISTED_TEXTS = 5
 
 
 def listed(texts: Sequence[str]) -> str:
     """Return the first of some texts in a row, and how many more there are."""
-    more = len(texts) - MOST_LISTED
-    return ", ".join(texts[:MOST_LISTED]) + (f" and {more} more" if more > 0 else "")
+    more = len(texts) - MOST_LISTED_TEXTS
+    return ", ".join(texts[:MOST_LISTED_TEXTS]) + (f" and {more} more" if more > 0 else "")
 
 
-LEAST_SECONDS = 0.2
-"""With less left no probe is asked."""
+LEAST_PROBE_SECONDS = 0.2
+"""Seconds that must be left for a probe to be asked."""
 
 
-SHARE = 1.0 / 3.0
-"""Of the time that is left, that a probe may take where that is more than it needs: with more time
+PROBE_SHARE_OF_TIME = 1.0 / 3.0
+"""Share of the time left that a probe may take where that is more than it needs: with more time
 each check has more."""
 
 
@@ -184,9 +184,11 @@ class CheckSubject:
         """Ask, if there is time for so many simulations; return `NoAnswer` if not."""
         left = self.budget.left
         needed = simulations * self.simulation_seconds
-        if left < max(LEAST_SECONDS, needed):
-            return NoAnswer(f"it would take about {max(needed, LEAST_SECONDS):.2g} s", late=True)
-        return self.bench.ask(probe, min(left, max(most, 3.0 * needed, SHARE * left)))
+        if left < max(LEAST_PROBE_SECONDS, needed):
+            return NoAnswer(
+                f"it would take about {max(needed, LEAST_PROBE_SECONDS):.2g} s", late=True
+            )
+        return self.bench.ask(probe, min(left, max(most, 3.0 * needed, PROBE_SHARE_OF_TIME * left)))
 
 
 def unanswered(check: str, stopped: NoAnswer) -> CheckFinding:
@@ -197,8 +199,8 @@ def unanswered(check: str, stopped: NoAnswer) -> CheckFinding:
     return note(check, f"could not be found out: {stopped.message}")
 
 
-MOST_PARAMETERS, MOST_OUTPUTS = 12, 50
-TIMES = 101
+MOST_CHECKED_PARAMETERS, MOST_CHECKED_OUTPUTS = 12, 50
+NUMBER_OF_CHECKED_TIMES = 101
 DEFAULT_STOP = 1.0
 """Seconds, where the FMU names no stop."""
 
@@ -234,7 +236,7 @@ def _parameters(description: ModelDescription) -> list[ModelVariable]:
     own = [v for v in found if v.alias_of is None and not v.is_tool_setting]
     once = {v.aliases or (v.name,): v for v in reversed(own)}  # the first of several names
     kept = [v for v in own if once[v.aliases or (v.name,)] is v]
-    return [v for v in kept if constants.isdisjoint(v.aliases)][:MOST_PARAMETERS]
+    return [v for v in kept if constants.isdisjoint(v.aliases)][:MOST_CHECKED_PARAMETERS]
 
 
 def _parameter(variable: ModelVariable) -> Parameter:
@@ -253,14 +255,14 @@ def _experiment(description: ModelDescription) -> Experiment:
     start = description.default_start or 0.0
     stop = description.default_stop
     stop = start + DEFAULT_STOP if stop is None or not stop > start else stop
-    times = np.linspace(start, stop, TIMES, dtype=np.float64)
+    times = np.linspace(start, stop, NUMBER_OF_CHECKED_TIMES, dtype=np.float64)
     step = description.default_step
     if not description.variable_steps and step:
         count = max(1, math.floor((stop - start) / step + 1e-9))
         times = np.asarray(start + step * np.arange(1 + count), np.float64)
         stop = float(times[-1])
     nothing = np.zeros(len(times))
-    outputs = tuple(Output(name, times, nothing) for name in numbers[:MOST_OUTPUTS])
+    outputs = tuple(Output(name, times, nothing) for name in numbers[:MOST_CHECKED_OUTPUTS])
     return Experiment("default", start, stop, (), outputs)
 
 

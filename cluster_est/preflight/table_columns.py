@@ -14,16 +14,26 @@ import numpy as np
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.files import MeasuredTable, read_table
 from cluster_est.problem.tables.jumps import count_jumps
-from cluster_est.problem.tables.units import WORDS, conversion, is_known
+from cluster_est.problem.tables.units import UNIT_SUFFIXES, conversion, is_known
 from workers.fmu.variable import ModelVariable
 from workers.messages import FloatArray
 
-TIMES = ("time", "t", "times", "zeit", "seconds", "second", "sec", "timesec", "timestamp")
+TIME_COLUMN_NAMES = (
+    "time",
+    "t",
+    "times",
+    "zeit",
+    "seconds",
+    "second",
+    "sec",
+    "timesec",
+    "timestamp",
+)
 """Names of a time column, folded."""
 
-LEAST_NOISE = 1e-3
-"""Of a signal's standard deviation."""
-LEAST_SAMPLES = 10
+LEAST_GUESSED_NOISE = 1e-3
+"""Least guess of the noise, as a share of a signal's standard deviation."""
+LEAST_SAMPLES_FOR_NOISE = 10
 """Samples from which on noise can be guessed at all."""
 
 _IN_BRACKETS = re.compile(r"(.*?)[\s_]*[\[(<]([^\[\](){}<>]*)[\])>]\s*")
@@ -45,7 +55,7 @@ class TableColumn:
     plain, unit
         "force" and "N" of "force [N]".
     noise
-        A first guess of the standard deviation of its noise, in its unit; 0 if there is none.
+        A first guess of the standard deviation of its noise, in its unit; 0 without noise.
     jumps
         Times that it jumps, if it keeps its value in between.
     """
@@ -151,7 +161,7 @@ def _numbers(table: MeasuredTable) -> tuple[dict[str, FloatArray], list[str]]:
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Return "force" and "N" of "force [N]"; the unit is "" where there is none."""
+    """Return "force" and "N" of "force [N]"; the unit is "" where the name has no unit."""
     found = _IN_BRACKETS.fullmatch(name) or _AFTER_SLASH.fullmatch(name)
     if found is None or not found.group(1).strip():
         return name, ""
@@ -174,7 +184,7 @@ def split_suffix(name: str, wanted: str) -> tuple[str, str] | None:
     for count in range(min(MOST_PARTS, len(parts) - 1), 0, -1):
         plain, tail = "_".join(parts[:-count]), parts[-count:]
         unit = "/".join(part for part in tail if part != "per")
-        unit = WORDS.get(unit, unit)
+        unit = UNIT_SUFFIXES.get(unit, unit)
         if wanted:
             fits = conversion(unit, wanted) is not None
         else:
@@ -197,10 +207,10 @@ def _noise(values: FloatArray) -> float:
     least a part of the signal's own deviation: sensors are no better.
     """
     finite = values[np.isfinite(values)]
-    if len(finite) < LEAST_SAMPLES:
+    if len(finite) < LEAST_SAMPLES_FOR_NOISE:
         return 0.0
     spread = float(1.4826 * np.median(np.abs(np.diff(finite, 2))) / np.sqrt(6.0))
-    return max(spread, LEAST_NOISE * float(np.std(finite)))
+    return max(spread, LEAST_GUESSED_NOISE * float(np.std(finite)))
 
 
 def _time(columns: list[TableColumn], given: str) -> TableColumn | None:
@@ -215,7 +225,7 @@ def _time(columns: list[TableColumn], given: str) -> TableColumn | None:
 
 
 def _is_time(column: TableColumn) -> bool:
-    if column.folded not in TIMES:
+    if column.folded not in TIME_COLUMN_NAMES:
         return False
     return not column.unit or conversion(column.unit, "s") is not None
 
@@ -228,7 +238,7 @@ SIMILAR = 0.6
 """Ratio of `difflib` from which two names look alike."""
 
 _PARTS = re.compile(r"[A-Z]?[a-z0-9]+|[A-Z0-9]+")
-"""Of a column's name: "u" and "Est" of "uEst"."""
+"""Parts of a column's name: "u" and "Est" of "uEst"."""
 
 
 @dataclass(frozen=True)
@@ -238,9 +248,9 @@ class ColumnMatch:
     Attributes
     ----------
     column
-        The column of its name; None if there is none.
+        The column of its name; None without such a column.
     similar
-        A suggestion; None if there is none, or `column` is certain.
+        A suggestion; None if no column is similar, or `column` is certain.
     """
 
     variable: ModelVariable

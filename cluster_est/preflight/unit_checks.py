@@ -36,7 +36,7 @@ from workers.probes.other_simulations import SimulatedVariant, VariantProbe
 from workers.process.trial import NoAnswer
 
 LEAST_LETTERS = 2
-"""Of a unit at the end of a name: "x_m" may be a measured x, "x_mm" is not."""
+"""Letters that a unit at the end of a name has: "x_m" may be a measured x, "x_mm" is not."""
 
 
 def unit_findings(config: Config, description: ModelDescription) -> list[CheckFinding]:
@@ -77,9 +77,9 @@ def _unit(column: str, wanted: str) -> str:
     return unit if found is None or len(found[1]) < LEAST_LETTERS else found[1]
 
 
-FAR, NEAR = 0.7, 0.5
+MISFIT_AS_READ, MISFIT_CONVERTED = 0.7, 0.5
 """Errors over the signal's spread: as it is read, and in the other unit."""
-BETTER = 0.5
+REMAINING_MISFIT = 0.5
 """Share of the error that may be left in the other unit."""
 NAMELESS = {
     "rpm": ("rad/s", UnitConversion(np.pi / 30.0)),
@@ -89,11 +89,11 @@ NAMELESS = {
 }
 """What is tried for variables whose unit the FMU does not name: unit, the model's, conversion."""
 KELVINS = 25.0
-"""By which a start may be off, where 273.15 K are the question."""
-LONGER, SMOOTH, ALIKE = 20.0, 0.5, 1.6
-"""Of a time in milliseconds: how often the record is the FMU's own experiment at least; changes
-from sample to sample over the spread, and the factor within which two of them are alike."""
-TIMES = {"milliseconds": 1e-3, "minutes": 60.0, "hours": 3600.0}
+"""Kelvins by which a start may be off, where 273.15 K are the question."""
+RECORD_OVER_EXPERIMENT, SMOOTH, ALIKE = 20.0, 0.5, 1.6
+"""Criteria for a time in milliseconds: how often the record is the FMU's own experiment at least;
+changes from sample to sample over the spread, and the factor within which two of them are alike."""
+TIME_UNIT_SECONDS = {"milliseconds": 1e-3, "minutes": 60.0, "hours": 3600.0}
 
 
 @dataclass(frozen=True)
@@ -172,9 +172,9 @@ def _readings(subject: CheckSubject, name: str) -> list[_Reading]:
 def _likelier(
     measured: FloatArray, simulated: FloatArray, readings: Sequence[_Reading]
 ) -> _Reading | None:
-    """Return the reading with which the data fit the simulation; None if there is none clearly."""
+    """Return the reading with which the data fit the simulation; None if none clearly does."""
     as_is = _error(measured, simulated)
-    if not as_is > FAR:
+    if not as_is > MISFIT_AS_READ:
         return None
     errors = []
     for i, reading in enumerate(readings):
@@ -187,7 +187,7 @@ def _likelier(
         else:
             errors.append((_error(read, simulated), i))
     error, i = min(errors, default=(np.inf, 0))
-    return readings[i] if error < min(NEAR, BETTER * as_is) else None
+    return readings[i] if error < min(MISFIT_CONVERTED, REMAINING_MISFIT * as_is) else None
 
 
 def _error(measured: FloatArray, simulated: FloatArray) -> float:
@@ -237,7 +237,7 @@ def _inputs(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[Ch
     if seen is not None:
         as_is = _joint(experiment, SimulatedVariant(seen.times, seen.values), seen.variables)
     variants = [*_input_variants(subject, experiment), *_time_variants(subject, experiment)]
-    if not as_is > FAR or not variants:
+    if not as_is > MISFIT_AS_READ or not variants:
         return []
     tried = tuple((v.experiment, v.factor) for v in variants)
     probe = VariantProbe(tried, subject.start, subject.reset_policy, subject.budget.left / 3.0)
@@ -249,7 +249,7 @@ def _inputs(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[Ch
         for v, table in zip(variants, found, strict=False)
     ]
     best = int(np.argmin(errors)) if errors else 0
-    if errors and errors[best] < min(NEAR, BETTER * as_is):
+    if errors and errors[best] < min(MISFIT_CONVERTED, REMAINING_MISFIT * as_is):
         chosen = variants[best]
         far = f", in place of {as_is:.2g}" if np.isfinite(as_is) else ""
         said = f"{chosen.said}: the error at the start values is then {errors[best]:.2g} of what "
@@ -274,7 +274,7 @@ def _jumpy(
     start, stop = subject.description.default_start or 0.0, subject.description.default_stop
     long = experiment.stop - experiment.start
     whole = all(np.allclose(o.times, np.round(o.times), 0.0, 1e-6) for o in experiment.outputs)
-    if stop is None or not whole or not long > LONGER * (stop - start):
+    if stop is None or not whole or not long > RECORD_OVER_EXPERIMENT * (stop - start):
         return []
     wanted, variables = _steps(experiment, None), experiment.recorded
     as_is = np.inf if before is None else _steps(experiment, before, variables)
@@ -328,7 +328,7 @@ def _time_variants(subject: CheckSubject, experiment: Experiment) -> Iterator[_V
     long = experiment.stop - experiment.start
     tables = {table.experiment: table for table in subject.problem.tables}
     table = tables.get(experiment.id)
-    for unit, factor in TIMES.items():
+    for unit, factor in TIME_UNIT_SECONDS.items():
         yield _Variant(
             _stretched(experiment, factor),
             factor,

@@ -37,7 +37,7 @@ def besides_plain_outputs(experiment: Experiment) -> list[str]:
 
 
 def check_observed_outputs(problem: Problem) -> None:
-    """Refuse a cost, or a sigma that is none, with which such outputs would mean something else.
+    """Refuse a cost, or a missing sigma, with which such outputs would mean something else.
 
     The best scale and the bounds of categories are those of least squares, and a value below a
     detection limit counts by a probability that depends on the noise.

@@ -196,7 +196,7 @@ class CauchyCost(_RobustCost):
         return 1.0 / (1.0 + z)
 
 
-SMALLEST = 1e-300
+SMALLEST_SUM = 1e-300
 
 
 @dataclass(frozen=True)
@@ -239,7 +239,7 @@ def _sums(residuals: FloatArray, outputs: IntArray) -> tuple[FloatArray, FloatAr
     counts = np.array([len(part) for part in parts], np.float64)
     with np.errstate(over="ignore"):
         sums = np.array([np.add.reduce(part * part) for part in parts], np.float64)
-    return counts, np.maximum(sums, SMALLEST)
+    return counts, np.maximum(sums, SMALLEST_SUM)
 
 
 @dataclass(frozen=True)
@@ -271,7 +271,7 @@ COSTS: dict[str, type[Cost]] = {
     TotalCost.name: TotalCost,
 }
 
-ALIASES = {"SSE": SumSquared.name, "residuals": SumSquared.name, "SAE": SumAbsolute.name}
+COST_ALIASES = {"SSE": SumSquared.name, "residuals": SumSquared.name, "SAE": SumAbsolute.name}
 """Names that users of other tools know; raw residuals are what every cost of them gets anyway."""
 
-__all__ = ["ALIASES", "COSTS", "Cost"]
+__all__ = ["COSTS", "COST_ALIASES", "Cost"]

@@ -16,7 +16,7 @@ from workers.effects.kinds import FormCoefficient
 from workers.fmu.description import nearest
 from workers.messages import Effect
 
-LEAST = 1e-3
+LEAST_COEFFICIENT_OVER_START = 1e-3
 """Lower bound of a coefficient that has a size, over its start. A start is known to be wrong by a
 factor of ten or a hundred; what is a thousandth of it is as good as not there."""
 
@@ -67,7 +67,7 @@ class DeclaredEffect:
     variables
         Arguments of the form; empty for the state of der(STATE).
     coefficients
-        Those of which something is declared, by name.
+        Coefficients of which something is declared, by name.
     reaction
         Of an equation at a pair: what is added to the second state's derivative.
     shape
@@ -96,7 +96,7 @@ class MadeEffect:
     constraints: tuple[ParameterConstraint, ...] = ()
 
 
-NOTHING = DeclaredCoefficient()
+UNDECLARED_COEFFICIENT = DeclaredCoefficient()
 """A coefficient of which nothing is declared."""
 
 
@@ -146,16 +146,18 @@ def make_effect(declared: DeclaredEffect) -> MadeEffect:
     parameters = [
         _parameter(
             f"{name}.{c.name}",
-            _start(c, given.get(c.name, NOTHING), declared, singular=c.name in divided),
+            _start(
+                c, given.get(c.name, UNDECLARED_COEFFICIENT), declared, singular=c.name in divided
+            ),
             c,
-            given.get(c.name, NOTHING),
+            given.get(c.name, UNDECLARED_COEFFICIENT),
             singular=c.name in divided,
         )
         for c in known
     ]
     if not declared.shape.says_something:
         return MadeEffect(effect, tuple(parameters))
-    chosen = {c.name: _chosen_keys(given.get(c.name, NOTHING)) for c in known}
+    chosen = {c.name: _chosen_keys(given.get(c.name, UNDECLARED_COEFFICIENT)) for c in known}
     shaped = ShapedCurve(name, form_of(effect, where), declared.shape, tuple(parameters), chosen)
     return MadeEffect(effect, shaped.parameters(), shaped.constraints())
 
@@ -163,7 +165,9 @@ def make_effect(declared: DeclaredEffect) -> MadeEffect:
 def _chosen_keys(chosen: DeclaredCoefficient) -> tuple[str, ...]:
     """What is declared of a coefficient beside its start, its unit and what it is by nature."""
     keys = ("bounds", "scale", "fixed", "per", "prior")
-    return tuple(key for key in keys if getattr(chosen, key) != getattr(NOTHING, key))
+    return tuple(
+        key for key in keys if getattr(chosen, key) != getattr(UNDECLARED_COEFFICIENT, key)
+    )
 
 
 def _start(
@@ -203,7 +207,7 @@ def _parameter(
     scale = chosen.scale
     if coefficient.positive and coefficient.scale is not None and start > 0.0 and not chosen.fixed:
         if chosen.bounds is None and (scale != "linear" or singular):
-            low = LEAST * start
+            low = LEAST_COEFFICIENT_OVER_START * start
         scale = scale or ("log" if low > 0.0 else "linear")
     return Parameter(
         label,

@@ -7,8 +7,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-MOST_ROWS = 50
-"""Of a table; how many more there are is said."""
+MOST_PRINTED_ROWS = 50
+"""Rows of a table; how many more there are is said."""
 
 _CELL = "text-align:left;padding:0.15em 0.8em 0.15em 0"
 
@@ -32,7 +32,7 @@ def section(title: str, *tables: DisplayTable) -> str:
 
 
 def plain(title: str, *tables: DisplayTable) -> str:
-    """The same as text, for `print`."""
+    """Return a title and tables as text, for `print`."""
     lines = [title]
     for table in tables:
         if table.rows:
@@ -41,7 +41,7 @@ def plain(title: str, *tables: DisplayTable) -> str:
 
 
 def _aligned(table: DisplayTable) -> list[str]:
-    shown, more = table.rows[:MOST_ROWS], len(table.rows) - MOST_ROWS
+    shown, more = table.rows[:MOST_PRINTED_ROWS], len(table.rows) - MOST_PRINTED_ROWS
     cells = [table.head, *([_text(cell) for cell in row] for row in shown)]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     lines = [
@@ -52,7 +52,7 @@ def _aligned(table: DisplayTable) -> list[str]:
 
 
 def _table(table: DisplayTable) -> str:
-    shown, more = table.rows[:MOST_ROWS], len(table.rows) - MOST_ROWS
+    shown, more = table.rows[:MOST_PRINTED_ROWS], len(table.rows) - MOST_PRINTED_ROWS
     rows = "".join(_row("td", [_text(cell) for cell in row]) for row in shown)
     rest = f"<p>and {more} more</p>" if more > 0 else ""
     return (

@@ -26,8 +26,8 @@ from workers.messages.checks import (
 )
 
 _COMPARISON = re.compile(r"<=|>=|==|=|<|>")
-LARGEST = 1e300
-"""Of the numbers in a formula."""
+LARGEST_FORMULA_NUMBER = 1e300
+"""Largest number in a formula."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Formula:
                 f"{self.text!r} is true or false; remove the comparison"
             )
         if parsed.has(sp.zoo, sp.nan, sp.oo, -sp.oo, sp.I) or any(
-            not abs(number) < LARGEST for number in parsed.atoms(sp.Number)
+            not abs(number) < LARGEST_FORMULA_NUMBER for number in parsed.atoms(sp.Number)
         ):
             raise ProblemError(
                 f"{self.where}: must have a finite value but {self.text!r} has none; correct its "

@@ -33,7 +33,7 @@ from cluster_est.problem.priors import NormalPrior
 from workers.effects.kinds import EffectForm
 from workers.messages.checks import check_choice, check_number, is_number, shown
 
-FARTHEST = 8.0
+FARTHEST_SLOPE_CHANGE = 8.0
 """Standard deviations up to which a change of slope is searched."""
 Monotone = Literal["", "increasing", "decreasing"]
 UNBOUNDED = (-math.inf, math.inf)
@@ -156,7 +156,7 @@ class ValueTable:
         pairs = zip(pairwise(slopes), pairwise(widths), strict=True)
         for i, ((before, after), pair) in enumerate(pairs, 1):
             sd = change * math.sqrt(0.5 * sum(pair))
-            most = FARTHEST * sd
+            most = FARTHEST_SLOPE_CHANGE * sd
             start = min(max(after - before, -most), most)
             yield TableUnknown(self._bend(i), start, -most, most, sd)
 
@@ -243,7 +243,7 @@ def check_table_name(name: str, where: str, made: str) -> None:
 
 UNSHAPED = TableShape()
 """Free values: nothing is known of a curve."""
-ENDS = ("low", "high")
+CURVE_END_COEFFICIENTS = ("low", "high")
 """The coefficients between which a free curve has its points."""
 
 
@@ -299,10 +299,12 @@ class ShapedCurve:
     def _check_free_of_keys(self, where: str) -> None:
         """Refuse keys of what follows from other values, or is held."""
         whys = dict.fromkeys(self.form.curve_values, "the value follows from changes of slope")
-        whys |= dict.fromkeys(ENDS, "changes of slope are counted over fixed points")
+        whys |= dict.fromkeys(
+            CURVE_END_COEFFICIENTS, "changes of slope are counted over fixed points"
+        )
         for name, why in whys.items():
             for key in self.chosen.get(name or "", ()):
-                if not (name in ENDS and key == "fixed"):
+                if not (name in CURVE_END_COEFFICIENTS and key == "fixed"):
                     raise ConfigError(
                         f"{where}.parameters.{name}.{key}: must be left out where there is "
                         f"slope_change, because {why}; remove one of the two"
@@ -317,7 +319,7 @@ class ShapedCurve:
     @cached_property
     def table(self) -> ValueTable:
         """The values over their points."""
-        low, high = (self._starts[name] for name in ENDS)
+        low, high = (self._starts[name] for name in CURVE_END_COEFFICIENTS)
         if not low < high:
             raise ConfigError(
                 f"effects.{self.name}.parameters.low.start: must be below that of high, {high:g}, "
@@ -338,7 +340,7 @@ class ShapedCurve:
         if self.shape.slope_change is None:
             return tuple(self._bounded(p) for p in self.coefficients)
         texts = dict(self.table.expressions())
-        ends = [f"{self.name}.{end}" for end in ENDS]
+        ends = [f"{self.name}.{end}" for end in CURVE_END_COEFFICIENTS]
         found = [_auxiliary(unknown) for unknown in self.table.unknowns()]
         for p in self.coefficients:
             if p.name in texts:
@@ -356,11 +358,11 @@ class ShapedCurve:
         return replace(parameter, lower=low, upper=high)
 
     def constraints(self) -> tuple[ParameterConstraint, ...]:
-        """Those of a monotone curve; of a characteristic, that signal and curve together are."""
+        """Constraints that keep a curve monotone; a characteristic, signal and curve together."""
         known = [*(name for name in self.table.values if name is not None)]
         steps = ""
         if self.form.is_characteristic:
-            low, high = (f"{self.name}.{end}" for end in ENDS)
+            low, high = (f"{self.name}.{end}" for end in CURVE_END_COEFFICIENTS)
             known += [low, high]
             steps = f"({high} - {low}) / {len(self.table.points) - 1}"
         found = []

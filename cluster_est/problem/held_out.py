@@ -12,7 +12,7 @@ from cluster_est.errors import DataError
 from workers.messages import Experiment, FloatArray, Output
 from workers.messages.checks import is_number
 
-SUFFIX = " (held out)"
+HELD_OUT_SUFFIX = " (held out)"
 
 
 def hold_out(
@@ -56,7 +56,7 @@ def hold_out(
     train = replace(experiment, outputs=_kept(experiment.outputs, [~each for each in inside]))
     test = replace(
         experiment,
-        id=experiment.id + SUFFIX,
+        id=experiment.id + HELD_OUT_SUFFIX,
         role="test",
         record=experiment.record_id,
         outputs=_learning(_kept(experiment.outputs, inside), train.outputs),

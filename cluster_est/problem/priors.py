@@ -113,7 +113,7 @@ class NormalPrior(Prior):
         return f"normal, {self.mean:g} \u00b1 {self.sd:g}"
 
 
-SMALLEST = 1e-300
+SMALLEST_PRIOR_VALUE = 1e-300
 """Stands for a value of 0, at a lower bound: a search needs a finite residual there."""
 
 
@@ -149,15 +149,15 @@ class LogNormalPrior(Prior):
 
     @override
     def residual(self, value: float) -> float:
-        return math.log(max(value, SMALLEST) / self.median) / math.log(self.factor)
+        return math.log(max(value, SMALLEST_PRIOR_VALUE) / self.median) / math.log(self.factor)
 
     @override
     def slope(self, value: float) -> float:
-        return 1.0 / (max(value, SMALLEST) * math.log(self.factor))
+        return 1.0 / (max(value, SMALLEST_PRIOR_VALUE) * math.log(self.factor))
 
     @override
     def log_density(self, value: float) -> float:
-        return -0.5 * self.residual(value) ** 2 - math.log(max(value, SMALLEST))
+        return -0.5 * self.residual(value) ** 2 - math.log(max(value, SMALLEST_PRIOR_VALUE))
 
     @override
     def said(self) -> str:

@@ -44,7 +44,7 @@ class Problem:
     model, experiments, cost
         What is simulated, from which measurements, and what is minimised.
     parameters
-        Those of the model, in the order of `model.parameters`, then the coefficients of the
+        Parameters of the model, in the order of `model.parameters`, then the coefficients of the
         effects, called "EFFECT.COEFFICIENT". Auxiliary ones may stand anywhere.
     effects
         Terms that are added to the model.
@@ -106,7 +106,7 @@ class Problem:
         advice = "; import one from cluster_est.problem.costs"
         check_kind(self.cost, Cost, "problem.cost", ProblemError, advice)
         check_options(self.cost, "cost.options", ProblemError)
-        for key, kind in _LISTS.items():
+        for key, kind in _PROBLEM_LISTS.items():
             found: tuple[object, ...] = as_tuple(
                 getattr(self, key), kind, f"problem.{key}", ProblemError
             )
@@ -235,7 +235,7 @@ class Problem:
         )
 
 
-_LISTS: dict[str, type] = {
+_PROBLEM_LISTS: dict[str, type] = {
     "parameters": Parameter,
     "experiments": Experiment,
     "effects": Effect,

@@ -14,8 +14,8 @@ from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from workers.messages import Experiment
 
-NEAR = 1e-6
-"""Distance of a strength from its lower bound, over the range of both, that is none."""
+NEAR_LOWER_BOUND = 1e-6
+"""Distance of a strength from its lower bound, over the range of both, that is negligible."""
 FILTERED = (
     "process noise ({names}): errors, curves and residuals are those of predictions from each "
     "measured time to the next, by an extended Kalman filter, and not of a simulation that goes "
@@ -67,7 +67,9 @@ def vanished_noise(
         own = [label for label in values if label.partition("[")[0] == f"{effect.name}.q"]
         for label in own if effect.is_noise else []:
             lower, upper = bounds[label]
-            if values[label] <= lower + NEAR * (upper - lower if np.isfinite(upper) else 1.0):
+            if values[label] <= lower + NEAR_LOWER_BOUND * (
+                upper - lower if np.isfinite(upper) else 1.0
+            ):
                 found.append(
                     f"{label} ended at its lower end, {values[label]:.3g}: the data are as likely "
                     "without this noise as with a little of it, and the intervals of all other "

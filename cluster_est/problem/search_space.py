@@ -31,7 +31,7 @@ from cluster_est.problem.unknowns import (
 from workers.messages import Experiment, FloatArray, IntArray, Want
 
 LEAST_RESIDUALS = 10
-"""Up to so many residuals for each output of an experiment, on average, nothing is saved: an answer
+"""Residuals for each output of an experiment, on average, up to which nothing is saved: an answer
 takes about as many bytes besides, and whole residuals may spare another search a simulation."""
 
 
@@ -98,7 +98,7 @@ class SearchSpace:
         return np.clip(start, self.lower, self.upper)  # a logarithm may lie just outside
 
     def starting_at(self, x: FloatArray) -> SearchSpace:
-        """The same space with another start, in search coordinates."""
+        """Return a space with another start, in search coordinates."""
         if np.array_equal(x, self.start):
             return self
         pairs = zip(self.unknowns, x.tolist(), strict=True)

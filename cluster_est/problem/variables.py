@@ -267,8 +267,8 @@ def _whole_numbers(type_: str) -> tuple[float, float, str]:
     return -(2.0 ** (most - 1)), 2.0 ** (most - 1) - 1, f"a whole number of {bits} bits"
 
 
-MOST_NAMED = 4
-"""Inputs in a note."""
+MOST_NAMED_INPUTS = 4
+"""Inputs that a note names."""
 
 
 def idle_inputs(problem: Problem, description: ModelDescription) -> dict[str, list[str]]:
@@ -307,8 +307,8 @@ def silent_notes(problem: Problem, description: ModelDescription) -> tuple[str, 
     names = silent_inputs(problem, description)
     if not names:
         return ()
-    named = [f"{n} ({stays(description.variables[n])})" for n in names[:MOST_NAMED]]
-    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    named = [f"{n} ({stays(description.variables[n])})" for n in names[:MOST_NAMED_INPUTS]]
+    more = f" and {len(names) - MOST_NAMED_INPUTS} more" if len(names) > MOST_NAMED_INPUTS else ""
     one = len(names) == 1
     return (
         f"input{'' if one else 's'} {', '.join(named)}{more} {'has' if one else 'have'} no data "

@@ -21,10 +21,12 @@ from cluster_est.running.sizes import with_sizes
 from cluster_est.uncertainty import Uncertainty, assess
 from workers.messages import FloatArray
 
-ROUNDING = 1e-5
-"""Of what was measured: rounded values and other steps of a solver change a simulation by less."""
+SAME_SIMULATION = 1e-5
+"""Part of what was measured: rounded values and other steps of a solver change a simulation by
+less."""
 BEFORE_BYTES = 2**28
-"""Of all trajectories at the start values together: more are not kept until the end of a fit."""
+"""Bytes of all trajectories at the start values together: more are not kept until the end of a
+fit."""
 
 
 def complete(
@@ -150,7 +152,7 @@ def _not_repeated(space: SearchSpace, solution: Solution, after: list[Simulation
     outputs = [o for e in space.experiments for o in space.problem.experiments[e].outputs]
     sizes = [np.linalg.norm(again), *(np.linalg.norm(o.values / o.sigmas) for o in outputs)]
     change, size = float(np.linalg.norm(again - found)), float(np.linalg.norm(sizes))
-    if not change > ROUNDING * size:
+    if not change > SAME_SIMULATION * size:
         return ""
     return (
         f"simulated once more with the same values, the outputs differ by {change / size:.1g} of "

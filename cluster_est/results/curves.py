@@ -135,7 +135,7 @@ def trajectory_table(
 
 
 def _at(trajectory: Trajectory | None, variable: str, times: FloatArray) -> FloatArray:
-    """An output at the times of another simulation; NaN if it is none of the same experiment."""
+    """An output at the times of another simulation; NaN if that is of another experiment."""
     if trajectory is None or variable not in trajectory.variables:
         return np.full(len(times), np.nan)
     if not np.array_equal(trajectory.times, times):

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from cluster_est.results.result import Result
 
 
-FAR = 2.0
+PRIOR_CONTRADICTION = 2.0
 """Standard deviations from the centre of a prior beyond which an estimate contradicts it: one of
 twenty lies there by chance."""
 
@@ -57,7 +57,7 @@ def prior_sentences(problem: Problem, estimates: Sequence[Estimate]) -> tuple[st
         said = [f"{named} {added:.3g} to the cost"]
     for each, prior, _ in known:
         residual = prior.residual(each.value)
-        if abs(residual) > FAR:
+        if abs(residual) > PRIOR_CONTRADICTION:
             where = "above" if residual > 0.0 else "below"
             said.append(
                 f"{each.label} = {each.value:.4g} lies {abs(residual):.2g} standard deviations "
@@ -66,10 +66,10 @@ def prior_sentences(problem: Problem, estimates: Sequence[Estimate]) -> tuple[st
     return tuple(said)
 
 
-MOST_OUTPUTS = 4
+MOST_NAMED_OUTPUTS = 4
 """Outputs in a sentence; of more, those with the largest error are named."""
 
-VISIBLE = 0.1
+LEAST_NEIGHBOUR_CORRELATION = 0.1
 """Correlation of neighbours below which it is better said over how many samples they are alike."""
 
 ADVICE = "to look for it: cluster-est close-loop CONFIG --out FOLDER, in Python close_loop(problem)"
@@ -116,7 +116,7 @@ def residual_sentences(diagnostics: ResidualDiagnostics) -> tuple[str, ...]:
 
 def _each(outputs: Iterable[OutputDiagnostics], say: Callable[[OutputDiagnostics], str]) -> str:
     ordered = sorted(outputs, key=lambda o: -o.rms_over_sigma)
-    said = [f"{o.output}: {say(o)}" for o in ordered[:MOST_OUTPUTS]]
+    said = [f"{o.output}: {say(o)}" for o in ordered[:MOST_NAMED_OUTPUTS]]
     more = len(ordered) - len(said)
     return "; ".join(said) + (f"; and {more} more outputs" if more > 0 else "")
 
@@ -140,7 +140,7 @@ def _times_noise(output: OutputDiagnostics) -> str:
 
 
 def _related(output: OutputDiagnostics) -> str:
-    if output.lag1 >= VISIBLE:
+    if output.lag1 >= LEAST_NEIGHBOUR_CORRELATION:
         return f"autocorrelated at lag 1 with {output.lag1:.2g}"
     return f"autocorrelated over about {output.length:.0f} samples (lag 1: {output.lag1:.2g})"
 
@@ -173,7 +173,7 @@ def _of_sigma(output: OutputDiagnostics) -> str:
 
 HELD_OUT = 2.0
 """Held-out error over that of training from which on it is doubtful what the fit predicts."""
-MOST_NAMED = 3
+MOST_NAMED_VALUES = 3
 """Values that a note names; it counts the others."""
 
 
@@ -259,9 +259,9 @@ def fitted_to_held_out(estimates: Sequence[Estimate]) -> tuple[str, ...]:
     labels = [each.label for each in estimates if each.estimated_on == "test"]
     if not labels:
         return ()
-    named = ", ".join(labels[:MOST_NAMED])
-    if len(labels) > MOST_NAMED:
-        named += f" and {len(labels) - MOST_NAMED} more"
+    named = ", ".join(labels[:MOST_NAMED_VALUES])
+    if len(labels) > MOST_NAMED_VALUES:
+        named += f" and {len(labels) - MOST_NAMED_VALUES} more"
     which = "this value" if len(labels) == 1 else "these values"
     return (
         f"{named}: fitted to the held-out data, because no training experiment has {which}; errors "

@@ -42,7 +42,7 @@ class Estimate:
         NaN where the data do not determine the value, or hold it at a bound.
     error_white, error_autoregression, error_experiments
         The standard error for white noise, for noise that is an autoregression, and from the
-        scatter of the experiments; NaN where there is none. `std_error` is one of them.
+        scatter of the experiments; NaN where one is missing. `std_error` is one of them.
     at_bound
         "lower", "upper" or "".
     difference_step
@@ -323,7 +323,7 @@ def coefficient_units(problem: Problem) -> dict[str, str]:
         names = [f"{definition.effect.name}.{c.name}" for c in definition.form.coefficients]
         texts = effects.coefficient_units(definition, description)
         pairs = zip(names, texts, strict=True)
-        found |= {name: "" if effects.UNKNOWN in unit else unit for name, unit in pairs}
+        found |= {name: "" if effects.UNKNOWN_UNIT in unit else unit for name, unit in pairs}
     return found
 
 

@@ -13,8 +13,8 @@ from cluster_est.uncertainty import Uncertainty, not_assessed
 
 LOG = logging.getLogger("cluster_est")
 LOG.addHandler(logging.NullHandler())  # who wants to see the traceback of a fault adds another
-T = TypeVar("T")
-U = TypeVar("U")
+Value = TypeVar("Value")
+Substitute = TypeVar("Substitute")
 
 
 class GuardedSteps:
@@ -29,7 +29,7 @@ class GuardedSteps:
     def __init__(self) -> None:
         self.failed: list[str] = []
 
-    def do(self, what: str, step: Callable[[], T], instead: U) -> T | U:
+    def do(self, what: str, step: Callable[[], Value], instead: Substitute) -> Value | Substitute:
         """Return what a step gives, or something else where it fails.
 
         Parameters

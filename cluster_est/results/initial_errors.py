@@ -18,15 +18,15 @@ from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Output
 
-CLEAR = 10.0
+INITIAL_ERROR_OVER_NOISE = 10.0
 """Times the noise that an error at the first sample must reach."""
 OUTSTANDING = 1.5
 """Times the error of the later half of the record that it must reach, once a model is fitted: what
 stays is an offset. A swing that began elsewhere is 1.4 times its own root mean square."""
-LARGE = 0.2
+INITIAL_ERROR_OVER_SPREAD = 0.2
 """Share of the standard deviation of what was measured that it must reach, before the fit."""
-MOST_NAMED = 3
-"""States in a sentence."""
+MOST_NAMED_STATES = 3
+"""States that a sentence names."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class InitialError:
     distance
         The largest error at a first sample, in that unit.
     over_noise
-        The same over the noise.
+        The largest error at a first sample, over the noise.
     found, count
         In how many experiments, of how many whose initial state is not estimated.
     """
@@ -120,7 +120,7 @@ def free_start_advice(problem: Problem) -> str:
         for name in description.states
         if description.variables[name].settable and name not in taken
     ]
-    named = states[:MOST_NAMED] or ["STATE"]
+    named = states[:MOST_NAMED_STATES] or ["STATE"]
     starts = [description.variables[n].start if n in states else None for n in named]
     keys = ", ".join(
         f"{dotted('parameters', name)} = {{ start = {'NUMBER' if start is None else f'{start:g}'}, "
@@ -168,11 +168,13 @@ def _begins(experiment: Experiment, output: Output) -> bool:
 
 
 def _off(output: Output, errors: FloatArray, *, fitted: bool) -> tuple[float, float]:
-    """Return the error of a first sample and the same over the noise; zeros if it is none."""
+    """Return the error of a first sample, and its ratio to the noise; zeros if it is no error."""
     noise = float(output.sigmas[0]) if output.has_sigma else noise_of_samples(output.values)
     first = abs(float(errors[0]))
     later = float(np.sqrt(np.mean(errors[len(errors) // 2 :] ** 2)))
-    least = OUTSTANDING * later if fitted else LARGE * float(np.std(output.values))
-    if not first > max(CLEAR * noise, least):
+    least = (
+        OUTSTANDING * later if fitted else INITIAL_ERROR_OVER_SPREAD * float(np.std(output.values))
+    )
+    if not first > max(INITIAL_ERROR_OVER_NOISE * noise, least):
         return 0.0, 0.0
     return first, first / noise if noise > 0.0 else np.inf

@@ -122,7 +122,7 @@ def compared_values(output: Output, outcome: Outcome) -> FloatArray | None:
 
 
 def fitted_categories(output: Output, trajectory: Trajectory | None) -> CategoryBounds | None:
-    """Return the bounds of an ordinal output's categories; None if there are none."""
+    """Return the bounds of an ordinal output's categories; None for other outputs."""
     if trajectory is None or not output.ordinal or not len(output.times):
         return None
     found = bounds_of_categories(output, *simulated_values(output, trajectory))

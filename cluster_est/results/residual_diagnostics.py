@@ -23,13 +23,13 @@ from cluster_est.uncertainty.covariance.normal_equations import (
 )
 from workers.messages import FloatArray
 
-EXACT = 1e-5
+EXACT_FIT_RESIDUAL = 1e-5
 """Residuals over the spread of the signal up to which they are numerical errors: no sensor is so
 good, and what is simulated data without noise has no sigma."""
 
-MOST_ENTRIES = 1_000_000
-"""Of a Jacobian that is taken into account, for about a second of transforms. Without it the test
-expects more smoothness of noise than a fit has left, and may only see a little less."""
+MOST_TRANSFORMED_ENTRIES = 1_000_000
+"""Entries of a Jacobian that is taken into account, for about a second of transforms. Without it
+the test expects more smoothness of noise than a fit has left, and may only see a little less."""
 
 
 def diagnose_residuals(
@@ -114,12 +114,12 @@ def _exact(space: SearchSpace, residuals: FloatArray, records: StackedRecords) -
         if len(output.values):
             errors[item.output] += np.add.reduce((residuals[item.rows] * output.sigmas) ** 2)
             spreads[item.output] += len(output.values) * np.var(output.values)
-    return tuple((errors <= EXACT**2 * spreads).tolist())
+    return tuple((errors <= EXACT_FIT_RESIDUAL**2 * spreads).tolist())
 
 
 def _basis(space: SearchSpace, solution: Solution, count: int) -> FloatArray:
     """Directions that the free unknowns have taken out of the residuals, orthonormal (n, rank)."""
-    if not has_jacobian(solution) or count * space.size > MOST_ENTRIES:
+    if not has_jacobian(solution) or count * space.size > MOST_TRANSFORMED_ENTRIES:
         return np.zeros((count, 0))
     blocks, priors = jacobian_blocks(space, solution), space.priors.among(space.rows)
     if blocks is None or blocks.row_count != count + int(priors.sum()):

@@ -69,7 +69,7 @@ class Result:
     solution
         Of the search on the training experiments.
     test_solution
-        Of the search for values that belong to test records alone; None if there are none.
+        Of the search for values that belong to test records alone; None without such values.
     cost_before, cost
         Of the training experiments, at the start and at the estimates.
     errors
@@ -84,7 +84,7 @@ class Result:
     search_seconds
         Of `seconds`, those since the workers stood ready.
     constraints
-        On the training experiments; empty where there are none.
+        On the training experiments; empty without constraints.
     starts, minima
         Of a multi-start: each start, and the values at each different minimum.
     front

@@ -21,7 +21,7 @@ from cluster_est.running.resources import RunSnapshot, SearchIteration, Show, Ta
 from workers.messages import Outcome
 
 
-class Existing(enum.Enum):
+class ExistingRun(enum.Enum):
     """The treatment of a run that the folder holds already."""
 
     REFUSE = enum.auto()
@@ -63,10 +63,10 @@ class RunContext:
     """
 
     def __init__(
-        self, identity: RunIdentity, out: Path, existing: Existing, say: Callable[[str], None]
+        self, identity: RunIdentity, out: Path, existing: ExistingRun, say: Callable[[str], None]
     ) -> None:
         self._identity, self.out, self._say = identity, out, say
-        self._overwrite = existing is Existing.OVERWRITE
+        self._overwrite = existing is ExistingRun.OVERWRITE
         self._logged: LoggedOutcomes | None = None
         self._reset: ResetDecision | None = None
         self._searches: dict[str, None] = {}
@@ -74,8 +74,8 @@ class RunContext:
         self.finished = False
         self.earlier: EarlierRun | None = None
         self._lock: RunLock | None = None
-        is_there = existing is Existing.RESUME and check_resumable(out, identity)
-        if existing is not Existing.RESUME:
+        is_there = existing is ExistingRun.RESUME and check_resumable(out, identity)
+        if existing is not ExistingRun.RESUME:
             check_free(out, overwrite=self._overwrite)
         self.finished = is_there and is_finished(out)
         if self.finished:

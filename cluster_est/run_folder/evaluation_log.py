@@ -29,7 +29,7 @@ from cluster_est.run_folder.log_segment import (
     slim,
 )
 from cluster_est.running.resources import LogSettings, TaskOrigin
-from cluster_est.whole_files import AGAIN, writing
+from cluster_est.whole_files import MAKE_ROOM_AND_RESUME, writing
 from workers.messages import FloatArray, Outcome, Trajectory
 
 
@@ -196,7 +196,7 @@ class EvaluationLog:
     def flush(self) -> None:
         """Write what has been recorded, and sync it once a second."""
         try:
-            with writing(self._folder, AGAIN):
+            with writing(self._folder, MAKE_ROOM_AND_RESUME):
                 self._flush()
         except UnwritableError as error:
             self._failure = error
@@ -236,7 +236,7 @@ class EvaluationLog:
         if self._failure is not None:
             raise self._failure
         self.flush()
-        with self._writing, writing(self._folder, AGAIN):
+        with self._writing, writing(self._folder, MAKE_ROOM_AND_RESUME):
             self._end_segment()
 
     def let_residuals_go(self) -> None:

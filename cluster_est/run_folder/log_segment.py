@@ -20,7 +20,7 @@ import numpy as np
 import pyarrow as pa
 
 from cluster_est.errors import RunFolderError
-from cluster_est.whole_files import MEND, SEAL, is_damaged, sealed
+from cluster_est.whole_files import MEND, SEAL, SEAL_KEY, is_damaged, sealed
 from workers.messages import FloatArray, Outcome, Want, content_hash
 
 SCHEMA = pa.schema(
@@ -56,13 +56,13 @@ residuals have left."""
 HASH_LENGTH = 32
 """Characters of a hash of residuals: 128 bits."""
 ROWS_PER_BATCH = 2000
-"""Of a segment without its large columns."""
-LARGE = ("residuals", "variables", "times", "trajectory")
+"""Rows of a batch in a segment without its large columns."""
+LARGE_LOG_COLUMNS = ("residuals", "variables", "times", "trajectory")
 """Columns that can be left out: a resumed run simulates those rows again."""
 
 
 def logged_cost(outcome: Outcome, want: Want) -> float:
-    """The sum of squares of an outcome's residuals, NaN where there are none.
+    """The sum of squares of an outcome's residuals, NaN for a failed one.
 
     That of absolute values where only this is known.
     """
@@ -80,13 +80,11 @@ def residuals_hash(residuals: FloatArray | None) -> str | None:
 
 END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
 BEGIN = re.compile(rb"(?=\xff\xff\xff\xff)")
-"""Of a message, which begins at a multiple of 8 bytes."""
-CHECKSUM = "checksum"
-"""The key of a seal in the metadata of a message."""
+"""The begin of a message, which is at a multiple of 8 bytes."""
 LARGEST_HEAD = 2**20
 Message = tuple[int, int]
 """The end of a message, and the rows of the segment up to there."""
-_SEAL = re.compile(rb"cluster-est crc32:[0-9a-f]{8} bytes:(\d{12}) rows:(\d{12})")
+_SEGMENT_SEAL = re.compile(rb"cluster-est crc32:[0-9a-f]{8} bytes:(\d{12}) rows:(\d{12})")
 _INVALID = (pa.ArrowException, OSError, EOFError, ValueError, KeyError, MemoryError)
 """What reading a damaged message raises."""
 
@@ -109,7 +107,7 @@ class SegmentWriter:
 
     def __init__(self, file: BinaryIO, schema: pa.Schema) -> None:
         self._file, self._rows = file, 0
-        self._schema = schema.with_metadata({**(schema.metadata or {}), CHECKSUM: _seal(0, 0)})
+        self._schema = schema.with_metadata({**(schema.metadata or {}), SEAL_KEY: _seal(0, 0)})
         head = self._schema.serialize().to_pybytes()
         self._head = len(head)
         file.write(_filled(head, 0))
@@ -120,7 +118,7 @@ class SegmentWriter:
         stream = io.BytesIO()
         writer = pa.ipc.new_stream(stream, self._schema)
         batch = batch.replace_schema_metadata(self._schema.metadata)
-        writer.write_batch(batch, custom_metadata={CHECKSUM: _seal(0, self._rows)})
+        writer.write_batch(batch, custom_metadata={SEAL_KEY: _seal(0, self._rows)})
         self._file.write(_filled(stream.getvalue()[self._head :], self._rows))
 
     def close(self) -> None:
@@ -217,7 +215,7 @@ class SegmentReader:
         rest = view[self.end :]
         self.closed = rest == END_OF_STREAM
         self.torn = len(rest) > 0 and not self.closed
-        seals = list(_SEAL.finditer(rest))
+        seals = list(_SEGMENT_SEAL.finditer(rest))
         ends = self.torn and len(rest) > 8 and view[-8:] == END_OF_STREAM
         self.damaged |= ends or (bool(seals) and int(seals[0][1]) <= len(rest))
         self._cut_off = max(int(seals[-1][2]) - self._rows, 0) if seals else 0
@@ -233,7 +231,9 @@ def _seal_at(view: memoryview, begin: int) -> re.Match[bytes] | None:
     if view[begin : begin + 4] != END_OF_STREAM[:4]:
         return None
     size = int.from_bytes(view[begin + 4 : begin + 8], "little", signed=True)
-    return _SEAL.search(view[begin : begin + 8 + size]) if 0 < size <= LARGEST_HEAD else None
+    return (
+        _SEGMENT_SEAL.search(view[begin : begin + 8 + size]) if 0 < size <= LARGEST_HEAD else None
+    )
 
 
 def _sealed_message(view: memoryview, begin: int) -> Message | None:
@@ -258,7 +258,7 @@ def _following(view: memoryview, begin: int) -> tuple[int, Message | None]:
 
 def _schema(part: pa.Buffer) -> pa.Schema:
     schema = pa.ipc.read_schema(part)
-    kept = {k: v for k, v in (schema.metadata or {}).items() if k != CHECKSUM.encode()}
+    kept = {k: v for k, v in (schema.metadata or {}).items() if k != SEAL_KEY.encode()}
     return schema.with_metadata(kept or None)
 
 
@@ -364,7 +364,9 @@ def _rewrite(path: Path, schema: pa.Schema, batches: list[pa.RecordBatch]) -> No
 def _without(batch: pa.RecordBatch) -> pa.RecordBatch:
     schema = batch.schema
     columns = [
-        pa.nulls(batch.num_rows, field.type) if field.name in LARGE else batch.column(field.name)
+        pa.nulls(batch.num_rows, field.type)
+        if field.name in LARGE_LOG_COLUMNS
+        else batch.column(field.name)
         for field in schema
     ]
     return pa.RecordBatch.from_arrays(columns, schema=schema)

@@ -75,7 +75,7 @@ class LoggedOutcomes(OutcomeSource):
         return len(self._order)
 
     def take(self, questions: Sequence[tuple[str, Want]]) -> list[int | None]:
-        """For each key and want the first row that nobody has taken, None where there is none."""
+        """For each key and want the first row that nobody has taken, None if all are taken."""
         asked = np.array([_short(key, want) for key, want in questions], self._keys.dtype)
         places = np.searchsorted(self._keys, asked)
         return [self._take(key, place) for key, place in zip(asked, places.tolist(), strict=True)]

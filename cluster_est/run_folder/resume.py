@@ -18,7 +18,7 @@ from cluster_est.run_folder.run_folder import check_free
 from cluster_est.run_folder.run_identity import DECISIVE, FORMAT, UNHASHED, RunIdentity, versions
 from cluster_est.run_folder.run_progress import PROGRESS, ProgressTail
 
-ENDS = ("parameters", "ranking", "next_input")
+FINAL_TABLES = ("parameters", "ranking", "next_input")
 """Tables of which every run that has ended has one."""
 
 
@@ -26,7 +26,7 @@ def is_finished(out: Path) -> bool:
     """Return whether a folder holds a run that reached its end, and nothing of it is damaged."""
     return (
         (out / "run.json").is_file()
-        and any((out / f"{name}.parquet").is_file() for name in ENDS)
+        and any((out / f"{name}.parquet").is_file() for name in FINAL_TABLES)
         and read_facts(out)["status"] == RunStatus.DONE
         and is_whole(out)
     )

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 
 from cluster_est.errors import RunFolderError
 from cluster_est.run_folder.lock import is_left
-from cluster_est.whole_files import MEND, SEAL, is_damaged, is_sealed, sealed, write_whole
+from cluster_est.whole_files import MEND, SEAL, SEAL_KEY, is_damaged, is_sealed, sealed, write_whole
 
 
 class RunStatus(enum.StrEnum):
@@ -54,8 +54,8 @@ def run_worth(status: str, doubts: Sequence[str]) -> RunWorth:
 
 
 Rows = list[dict[str, Any]]
-CHECKSUM = "checksum"
-"""The key of a seal in run.json and in the metadata of tables."""
+SWEEP_SUMMARY_FILE = "summary.parquet"
+"""The table of a sweep in its folder, with a row for each run."""
 WITHOUT_ESTIMATES = {"sensitivity": "sensitivity analysis", "design": "design"}
 """Runs that estimate nothing, by the key of run.json that they have."""
 
@@ -138,7 +138,7 @@ def read_facts(run_folder: Path) -> dict[str, Any]:
     Raises
     ------
     RunFolderError
-        If there is none, or it is damaged.
+        If it is missing or damaged.
     """
     path = run_folder / "run.json"
     if not path.is_file():
@@ -153,7 +153,7 @@ def read_facts(run_folder: Path) -> dict[str, Any]:
         raise RunFolderError(
             f"{path}: is damaged ({error}); run again, with --overwrite"
         ) from error
-    facts.pop(CHECKSUM, None)
+    facts.pop(SEAL_KEY, None)
     return facts
 
 
@@ -197,7 +197,7 @@ def write_run_columns(path: Path, table: pa.Table, advice: str) -> None:
         If it cannot be written.
     """
     content = io.BytesIO()
-    metadata = {**(table.schema.metadata or {}), CHECKSUM: SEAL}
+    metadata = {**(table.schema.metadata or {}), SEAL_KEY: SEAL}
     pq.write_table(table.replace_schema_metadata(metadata), content, write_page_checksum=True)
     write_whole(path, sealed(content.getvalue()), advice)
 
@@ -234,5 +234,5 @@ def read_run_columns(path: Path) -> pa.Table:
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         reason = " ".join(str(error).split())  # of Arrow, it may have several lines
         raise RunFolderError(f"{path}: is damaged ({reason}); {MEND}") from error
-    kept = {k: v for k, v in (table.schema.metadata or {}).items() if k != CHECKSUM.encode()}
+    kept = {k: v for k, v in (table.schema.metadata or {}).items() if k != SEAL_KEY.encode()}
     return table.replace_schema_metadata(kept or None)

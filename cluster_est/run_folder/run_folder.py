@@ -19,12 +19,20 @@ from cluster_est.errors import RunFolderError, UnwritableError
 from cluster_est.run_folder.evaluation_log import EvaluationLog
 from cluster_est.run_folder.lock import LOCK, OWNER, RunLock
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
-from cluster_est.run_folder.run_files import CHECKSUM, RunStatus, may_be_resumed, write_run_columns
+from cluster_est.run_folder.run_files import RunStatus, may_be_resumed, write_run_columns
 from cluster_est.run_folder.run_identity import FORMAT, RunIdentity, RunKind, versions
 from cluster_est.run_folder.run_progress import PROGRESS, ProgressFile
 from cluster_est.running.reset_policy import ResetDecision
 from cluster_est.running.resources import RunSnapshot, SearchIteration, TaskOrigin
-from cluster_est.whole_files import AGAIN, ELSEWHERE, SEAL, sealed, write_whole, writing
+from cluster_est.whole_files import (
+    ELSEWHERE,
+    MAKE_ROOM_AND_RESUME,
+    SEAL,
+    SEAL_KEY,
+    sealed,
+    write_whole,
+    writing,
+)
 from workers.messages import Outcome
 
 BEGUN = {"evaluations", "config.toml", ".config.toml", PROGRESS, ".run.json"}
@@ -201,7 +209,7 @@ class RunFolder:
     def _write_table(self, name: str, table: pa.Table) -> None:
         metadata = {**(table.schema.metadata or {}), **self._metadata}
         path = self.path / f"{name}.parquet"
-        write_run_columns(path, table.replace_schema_metadata(metadata), AGAIN)
+        write_run_columns(path, table.replace_schema_metadata(metadata), MAKE_ROOM_AND_RESUME)
 
     def _write_status(self, status: RunStatus, numbers: dict[str, Any]) -> None:
         base = self._identity.base
@@ -224,8 +232,8 @@ class RunFolder:
             "experiments": {e.id: e.key for e in self._problem.experiments},
             "versions": versions(),
         }
-        text = json.dumps({CHECKSUM: SEAL, **_finite(facts)}, indent=2) + "\n"
-        write_whole(self.path / "run.json", sealed(text.encode()), AGAIN)
+        text = json.dumps({SEAL_KEY: SEAL, **_finite(facts)}, indent=2) + "\n"
+        write_whole(self.path / "run.json", sealed(text.encode()), MAKE_ROOM_AND_RESUME)
 
 
 def check_free(path: Path, *, overwrite: bool) -> None:

@@ -61,7 +61,7 @@ class RunIdentity:
     seed
         Of the run's random generators.
     base
-        The folder that the config's paths start from; None if there is none.
+        The folder that the config's paths start from; None without a config.
     log
         How much of each simulation is kept.
     """

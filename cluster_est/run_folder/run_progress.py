@@ -21,9 +21,9 @@ from cluster_est.running.resources import RunSnapshot, SearchIteration
 from cluster_est.whole_files import MEND, SEAL, is_damaged, is_sealed, sealed
 
 PROGRESS = "progress.jsonl"
-SECONDS_BETWEEN = 1.0
-MOST_BYTES = 8 * 2**20
-"""When there are more, the file begins anew with the last line of each search."""
+SECONDS_BETWEEN_LINES = 1.0
+MOST_PROGRESS_BYTES = 8 * 2**20
+"""Bytes above which the file begins anew with the last line of each search."""
 
 
 class ProgressFile:
@@ -49,7 +49,7 @@ class ProgressFile:
     def show(self, snapshot: RunSnapshot) -> None:
         """The state of the whole run, at most once a second."""
         now = time.monotonic()
-        if now - self._shown < SECONDS_BETWEEN:
+        if now - self._shown < SECONDS_BETWEEN_LINES:
             return
         self._shown = now
         row = {field.name: getattr(snapshot, field.name) for field in fields(snapshot)}
@@ -62,7 +62,7 @@ class ProgressFile:
 
     def _write(self, line: str) -> None:
         text = line.encode()
-        if self._size > MOST_BYTES:
+        if self._size > MOST_PROGRESS_BYTES:
             text, self._size = "".join(self._last.values()).encode() + text, 0
         with suppress(OSError):
             with self._path.open("r+b") as file:

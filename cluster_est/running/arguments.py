@@ -11,7 +11,7 @@ import numpy as np
 
 from cluster_est.errors import ProblemError
 from cluster_est.executors import EXECUTORS
-from cluster_est.methods import ALIASES, METHODS, Method
+from cluster_est.methods import METHOD_ALIASES, SEARCH_METHODS, Method
 from cluster_est.plug_in import check_options
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import SearchSpace, make_space
@@ -75,10 +75,12 @@ def method_of(method: Method | str) -> Method:
         If there is none of that name.
     """
     if isinstance(method, str):
-        name = ALIASES.get(method, method)
-        if name not in METHODS:
-            raise ProblemError(f"method.name: there is no {method!r}{nearest(method, METHODS)}")
-        return METHODS[name]()
+        name = METHOD_ALIASES.get(method, method)
+        if name not in SEARCH_METHODS:
+            raise ProblemError(
+                f"method.name: there is no {method!r}{nearest(method, SEARCH_METHODS)}"
+            )
+        return SEARCH_METHODS[name]()
     check_kind(method, Method, "method", ProblemError, "; give a method or its name")
     check_options(method, "method.options", ProblemError)
     return method

@@ -199,7 +199,7 @@ def open_executor(problem: Problem, resources: Resources) -> WorkerPool:
     Raises
     ------
     ModelError, ExecutorError
-        If there are none to be had.
+        If no worker can be started.
     ProblemError
         If there is process noise where there cannot be.
     """

@@ -16,11 +16,11 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-SIGNALS = tuple(
+TERMINATION_SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
-LOOK_SECONDS = 0.5
-INSISTED = 3
+STOP_FILE_POLL_SECONDS = 0.5
+INTERRUPTS_BEFORE_RAISE = 3
 """Interrupts after which one is raised at once, wherever that is."""
 
 
@@ -38,7 +38,7 @@ class DeferredInterrupts:
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
-            for number in SIGNALS:
+            for number in TERMINATION_SIGNALS:
                 before = signal.getsignal(number)
                 if isinstance(before, _RaisingHandler):
                     self.noted += before.noted
@@ -71,7 +71,7 @@ class DeferredInterrupts:
         for before in self._before.values():
             if isinstance(before, _RaisingHandler):
                 before.interrupted = True
-        if self._waiting or self.noted >= INSISTED:
+        if self._waiting or self.noted >= INTERRUPTS_BEFORE_RAISE:
             raise KeyboardInterrupt
 
 
@@ -100,7 +100,7 @@ def terminations() -> Iterator[None]:
         return
     handler = _RaisingHandler()
     before: dict[signal.Signals, Any] = {}
-    for number in SIGNALS:
+    for number in TERMINATION_SIGNALS:
         usual = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
         if number == signal.SIGTERM or signal.getsignal(number) is usual:
             before[number] = signal.signal(number, handler)
@@ -156,7 +156,7 @@ def stopped_by(path: Path) -> Iterator[None]:
     ended = threading.Event()
 
     def look() -> None:
-        while not ended.wait(LOOK_SECONDS):
+        while not ended.wait(STOP_FILE_POLL_SECONDS):
             if path.exists():
                 interrupt()
                 return
@@ -172,7 +172,7 @@ def stopped_by(path: Path) -> Iterator[None]:
 
 
 def _remove(path: Path) -> None:
-    with contextlib.suppress(OSError):  # there is no such folder, or it is none: others say so
+    with contextlib.suppress(OSError):  # no such folder, or it is a file: others say so
         path.unlink()
 
 

@@ -33,7 +33,7 @@ from workers.messages import FloatArray, Outcome
 from workers.messages.types import by_content
 from workers.residuals.observed import best_scale_and_offset
 
-AT_ONCE = 16
+STARTS_AT_ONCE = 16
 """Starts whose trajectories are asked for together, so that they fit into the memory."""
 
 
@@ -50,8 +50,8 @@ def with_best_sensors(runner: Runner, space: SearchSpace, starts: FloatArray) ->
     if not sensors or not len(starts):
         return starts
     changed = starts.copy()
-    for first in range(0, len(starts), AT_ONCE):
-        rows = range(first, min(first + AT_ONCE, len(starts)))
+    for first in range(0, len(starts), STARTS_AT_ONCE):
+        rows = range(first, min(first + STARTS_AT_ONCE, len(starts)))
         values = [space.physical(_neutral(space, sensors, starts[row])) for row in rows]
         outcomes = runner.simulate(
             np.concatenate(values),
@@ -120,7 +120,7 @@ def _given_scale(space: SearchSpace, sensor: UnstartedSensor, x: FloatArray) -> 
 Sampler = Literal["sobol", "latin_hypercube", "uniform"]
 ATTEMPTS = 50
 """Samples drawn for each one that must satisfy the constraints on parameters."""
-ITERATIONS = 10
+LEAST_ITERATIONS_OF_SEARCH = 10
 """Gradients, each with a step, or simplices, for which a search must have room to get anywhere."""
 SCREENED = 0.25
 """Share of a budget that may go into evaluating starts, where it is too short for one search."""
@@ -237,17 +237,17 @@ def plan_for_budget(
 ) -> tuple[FloatArray, int]:
     """Choose which starts come first, and how many searches are under way at the same time.
 
-    Where a budget has room for `ITERATIONS` gradients of each search, nothing changes. Where it has
-    not, searches that share it evenly would all end before they get anywhere. So the starts are
-    evaluated first, as many as leave room for a search, and searched from the best on, so few at
-    once that there is room for these.
+    Where a budget has room for `LEAST_ITERATIONS_OF_SEARCH` gradients of each search, nothing
+    changes. Where it has not, searches that share it evenly would all end before they get anywhere.
+    So the starts are evaluated first, as many as leave room for a search, and searched from the
+    best on, so few at once that there is room for these.
 
     Returns
     -------
     tuple
         The starts in the order in which they are searched, and the number at once.
     """
-    needed = ITERATIONS * (space.size + 2)
+    needed = LEAST_ITERATIONS_OF_SEARCH * (space.size + 2)
     left = runner.evaluations_left
     if len(starts) == 1 or left >= len(starts) * needed:
         return starts, at_once

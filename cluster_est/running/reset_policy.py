@@ -20,7 +20,7 @@ from cluster_est.executors import WorkerPool, executor_class
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
 from cluster_est.running.resources import Resources
-from cluster_est.running.threads_trial import TOGETHER, Trial, what_disturbs
+from cluster_est.running.threads_trial import INSTANCES_AT_ONCE, Trial, what_disturbs
 from workers.errors import ModelError
 from workers.messages import Experiment, Limits, Outcome, ResetPolicy, Status, Task
 from workers.process.forked import CAN_FORK
@@ -29,11 +29,12 @@ WAYS: tuple[ResetPolicy, ...] = ("reset", "instance", "process")
 NO_ANSWER = (Status.LOST_WORKER, Status.TIMEOUT, Status.OUT_OF_MEMORY)
 """Ends of a simulation that say nothing of what it would have given."""
 LATER_SECONDS = 1.1
-"""After which a clock that counts seconds has moved."""
+"""Seconds after which a clock that counts seconds has moved."""
 LONG_SECONDS, LONG_AT_THE_END = 60.0, 5.0
-"""Of a simulation that is not done once more only to be compared."""
+"""Seconds from which on a simulation is not done once more only to be compared: before a run or
+within it, and at its end."""
 NO_LIMITS = Limits(*[float("inf")] * 4)
-BEGINS = {
+BEGINNING_OF_SIMULATION = {
     "reset": "a reset of the instance",
     "instance": "a new instance",
     "process": "a new process",
@@ -193,7 +194,7 @@ def _disturbance(problem: Problem, resources: Resources, pool: WorkerPool) -> st
     if resources.instances is None:
         return what_disturbs(problem)
     limited = replace(problem, model=resources.limited(problem.model))
-    return what_disturbs(limited, lambda: pool.free_instances(TOGETHER))
+    return what_disturbs(limited, lambda: pool.free_instances(INSTANCES_AT_ONCE))
 
 
 def _open(
@@ -226,7 +227,9 @@ def _open(
         )
     declared = problem.model.reset
     if known is None and declared != "auto":
-        said = f"each simulation begins with {BEGINS[declared]}, as model.reset says"
+        said = (
+            f"each simulation begins with {BEGINNING_OF_SIMULATION[declared]}, as model.reset says"
+        )
         known = ResetDecision(declared, said, plain=True)
     if known is not None:
         return start(resources.executor, known.policy, resources.workers), known
@@ -242,7 +245,7 @@ _UNKNOWN = (
 def _find_policy(
     problem: Problem, resources: Resources, start: _Start
 ) -> tuple[WorkerPool, ResetDecision]:
-    """Find the least policy with which the test has one answer; a reset if there is none.
+    """Find the least policy with which the test has one answer; a reset if no policy has.
 
     An FMU that this machine does not know with these values is tried in a process of its own: it
     may crash, or depend on its process.
@@ -346,7 +349,8 @@ def _decide(file: str, answers: Mapping[ResetPolicy, RepeatabilityAnswer]) -> Re
         return ResetDecision("reset", said, plain=True) if answer.same else None
     if not answer.same:
         return None
-    said = f"{file} {answers['reset'].message}: each simulation begins with {BEGINS[policy]}"
+    begins = BEGINNING_OF_SIMULATION[policy]
+    said = f"{file} {answers['reset'].message}: each simulation begins with {begins}"
     return ResetDecision(policy, said)
 
 

@@ -90,7 +90,7 @@ class RunSnapshot:
     waiting
         Simulations that could begin if there were more workers.
     pace
-        Seconds of an iteration so far, on average, of a single search; NaN where there is none.
+        Seconds of an iteration so far, on average, of a single search; NaN before the first.
     """
 
     search: str

@@ -95,7 +95,7 @@ class Runner:
 
     @property
     def failures(self) -> int:
-        """Those of them that failed."""
+        """Simulations that failed, of those that were run or found in a log."""
         return self._pending.failures
 
     def free_instances(self, workers: int) -> ResetPolicy:
@@ -342,7 +342,7 @@ class Runner:
     def _note_line(self, search: SearchState, line: Progress) -> None:
         """Note a line of a search's table, at once where it is sure that the search counts.
 
-        Those of a search that may be given up wait: how far it came by then, only the clock says.
+        Lines of a search that may be given up wait: how far it came by then, only the clock says.
         """
         search.lines.append(SearchIteration(search.request.name, line, search.asked))
         if search.counts:

@@ -176,7 +176,7 @@ class SearchState:
         return [evaluation for evaluation, _ in answers]
 
     def cut_short(self, ending: Ending) -> None:
-        """End with the best point so far, or with the start where there is none."""
+        """End with the best point so far, or with the start without such a point."""
         x = self.request.space.start if self.best_x is None else self.best_x
         cost = np.nan if self.best is None else self.best.cost
         self.solution = Solution(x, cost, ending, iterations=self.progress.iteration, at=self.best)
@@ -203,7 +203,7 @@ Slot = tuple[SearchState, int, int]
 """A search, the index of its point, and the position of the experiment: where an outcome goes."""
 
 
-class _Asked(NamedTuple):
+class _AskedTask(NamedTuple):
     """A task that was asked for, and what it answers."""
 
     origin: TaskOrigin
@@ -230,7 +230,7 @@ class PendingTasks:
         self._executor = executor
         self._record = record
         self._next_task = 0
-        self._under_way: dict[int, _Asked] = {}
+        self._under_way: dict[int, _AskedTask] = {}
         self._waiting: dict[Question, list[Slot]] = {}
         self._known: dict[Question, Outcome] = {}
         self._known_bytes = 0
@@ -262,7 +262,7 @@ class PendingTasks:
         experiment, _, effects, want, bound = question
         task = Task(self._next_task, experiment, values, want, effects, bound)
         self._next_task += 1
-        self._under_way[task.id] = _Asked(TaskOrigin(task, name, index, purpose), question)
+        self._under_way[task.id] = _AskedTask(TaskOrigin(task, name, index, purpose), question)
         return task
 
     def request(self, search: SearchState, points: Points) -> Iterator[Task]:

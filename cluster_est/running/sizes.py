@@ -20,21 +20,22 @@ from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from workers.messages import FloatArray
 
-ROUNDS = 8
-"""Of trial steps, at most."""
-CLEAR = 100.0
+MOST_TRIAL_STEPS = 8
+"""Trial steps at most."""
+CLEAR_CHANGE_FACTOR = 100.0
 """A change of the residuals within this factor of what is left of them shows the size."""
-FIRST = 2.0**-50
+FIRST_TRIAL_STEP = 2.0**-50
 """First trial step, of the size as it is: one that is far too long may take hours to simulate."""
-SHORTER, LONGER = 1e-4, 1e8
+TRIAL_STEP_REDUCTION, TRIAL_STEP_GROWTH = 1e-4, 1e8
 """Factors of a trial step whose simulation fails, and of one that changes no bit."""
-FARTHEST = 1e16
+LARGEST_TRIAL_FACTOR = 1e16
 """Largest factor of one trial step."""
-LEAST_SHARE = 1e-3
-"""Of the measured outputs: what is left of the residuals counts as at least this."""
-MUCH_SMALLER = 1e-2
-"""Of a size from bounds: a measured one takes its place where it is smaller than this part."""
-ROOM = 10
+LEAST_RESIDUAL_SHARE = 1e-3
+"""Share of the measured outputs that the rest of the residuals counts as at least."""
+MUCH_SMALLER_SIZE = 1e-2
+"""Part of a size from bounds: a measured size takes its place where it is smaller than this
+part."""
+EVALUATIONS_LEFT_PER_UNKNOWN = 10
 """Evaluations for each unknown that a budget must have left, or sizes stay what they are."""
 
 
@@ -44,14 +45,16 @@ def with_sizes(runner: Runner, space: SearchSpace) -> SearchSpace:
     An unknown whose size cannot be measured keeps what it has.
     """
     wanted = np.array([u.start == 0.0 and u.size == 0.0 and not u.log for u in space.unknowns])
-    if not wanted.any() or runner.evaluations_left < ROOM * (space.size + 2):
+    if not wanted.any() or runner.evaluations_left < EVALUATIONS_LEFT_PER_UNKNOWN * (
+        space.size + 2
+    ):
         return space
     (found,) = runner.run([SearchRequest("sizes", _Sizes(tuple(wanted.tolist())), space)])
     if not found.ending.success:
         return space
     bounded = np.isfinite(space.upper - space.lower)
     kept = ~wanted | ~(found.x > 0.0)
-    kept |= bounded & (found.x > MUCH_SMALLER * space.typical)
+    kept |= bounded & (found.x > MUCH_SMALLER_SIZE * space.typical)
     sized = [
         u if keep else replace(u, size=size)
         for u, keep, size in zip(space.unknowns, kept.tolist(), found.x.tolist(), strict=True)
@@ -80,8 +83,8 @@ class _Sizes(Method):
         (at,) = yield Points(x[None, :], "start")
         targets = _targets(space, at) if at.ok else np.zeros(space.size)
         open_ &= targets > 0.0
-        steps = np.where(space.upper > x, FIRST, -FIRST) * space.typical
-        for _ in range(ROUNDS):
+        steps = np.where(space.upper > x, FIRST_TRIAL_STEP, -FIRST_TRIAL_STEP) * space.typical
+        for _ in range(MOST_TRIAL_STEPS):
             groups = [members[open_[members]] for members in space.colours]
             groups = [members for members in groups if len(members)]
             if not groups:
@@ -94,7 +97,7 @@ class _Sizes(Method):
             for found, point, members in zip(answers, points, groups, strict=True):
                 for i in members.tolist():
                     ratio = _change(space, at, found, i) / float(targets[i])
-                    if 1.0 / CLEAR <= ratio <= CLEAR:
+                    if 1.0 / CLEAR_CHANGE_FACTOR <= ratio <= CLEAR_CHANGE_FACTOR:
                         open_[i] = False
                         # of other units by a power of two it changes no bit
                         exponent = np.round(np.log2(abs(float(point[i] - x[i])) / ratio))
@@ -110,7 +113,7 @@ def _targets(space: SearchSpace, at: Evaluation) -> FloatArray:
         experiment = space.problem.experiments[number]
         measured = [float(np.linalg.norm(o.values / o.sigmas)) for o in experiment.outputs]
         own = 0.0 if outcome.residuals is None else float(np.linalg.norm(outcome.residuals))
-        left[e] = max(own, LEAST_SHARE * float(np.linalg.norm(measured)))
+        left[e] = max(own, LEAST_RESIDUAL_SHARE * float(np.linalg.norm(measured)))
     return np.asarray(np.sqrt(space.acts_on @ left**2))
 
 
@@ -129,5 +132,9 @@ def _change(space: SearchSpace, at: Evaluation, found: Evaluation, i: int) -> fl
 def _factor(ratio: float) -> float:
     """Return the factor of the next trial step, after a change of the residuals over its target."""
     if not np.isfinite(ratio):
-        return SHORTER
-    return float(np.clip(1.0 / ratio, 1.0 / FARTHEST, FARTHEST)) if ratio > 0.0 else LONGER
+        return TRIAL_STEP_REDUCTION
+    return (
+        float(np.clip(1.0 / ratio, 1.0 / LARGEST_TRIAL_FACTOR, LARGEST_TRIAL_FACTOR))
+        if ratio > 0.0
+        else TRIAL_STEP_GROWTH
+    )

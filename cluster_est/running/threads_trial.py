@@ -65,11 +65,11 @@ class Trial:
         return folder.with_name(f"{folder.name}.{self.shows}-{content_hash(parts)[:32]}")
 
 
-FACTOR = 1.37
-"""Between the values of the two instances: no round number."""
+PERTURBATION_FACTOR = 1.37
+"""Ratio of the values of two simulations that must not see each other: no round number."""
 NO_HURRY = 1e6
 """Seconds: a clock must not decide what a run may do."""
-TOGETHER = 2
+INSTANCES_AT_ONCE = 2
 """Instances that are tried at once."""
 DISTURBED = "give other results while another one is simulated"
 
@@ -135,7 +135,11 @@ def _beside(space: SearchSpace) -> FloatArray:
     searched = []
     for unknown in space.unknowns:
         start, low, high = unknown.start, unknown.parameter.lower, unknown.parameter.upper
-        choices = (FACTOR * start, start / FACTOR) if start != 0.0 else (FACTOR, -FACTOR)
+        choices = (
+            (PERTURBATION_FACTOR * start, start / PERTURBATION_FACTOR)
+            if start != 0.0
+            else (PERTURBATION_FACTOR, -PERTURBATION_FACTOR)
+        )
         inside = [each for each in choices if low <= each <= high]
         near = inside[0] if inside else min(max(choices[0], low), high)
         searched.append(unknown.to_search(near))

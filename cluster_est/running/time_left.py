@@ -23,7 +23,7 @@ from workers.messages import FloatArray
 
 TELLING_ITERATIONS = 25
 """A search that may take more iterations mostly takes far fewer: its limit tells no time."""
-LEAST_SHARE = 0.05
+LEAST_SHARE_OF_WORK = 0.05
 """Share of the work from whose time that of the rest is known."""
 LEAST_ENDED = 3
 """Searches that have ended, from whose lengths those of the others are known."""
@@ -57,7 +57,7 @@ def _evaluations_left(searches: Sequence[SearchState]) -> float:
     """
     ended = np.array([s.asked for s in searches if s.solution is not None], np.float64)
     begun = np.array([s.asked for s in searches if s.solution is None], np.float64)
-    if len(ended) < max(LEAST_ENDED, LEAST_SHARE * len(searches)):
+    if len(ended) < max(LEAST_ENDED, LEAST_SHARE_OF_WORK * len(searches)):
         return np.nan
     lengths, weights = _lengths(ended, begun[begun > 0.0])
     return float(sum(_residual(lengths, weights, asked) for asked in begun))
@@ -225,7 +225,7 @@ class RunDisplay:
         limits = [
             budget.seconds_left,
             self._seconds_for(points, seconds),
-            seconds * (1.0 - share) / share if share >= LEAST_SHARE else math.nan,
+            seconds * (1.0 - share) / share if share >= LEAST_SHARE_OF_WORK else math.nan,
         ]
         limit = min((each for each in limits if math.isfinite(each)), default=math.nan)
         about = self._seconds_for(_evaluations_left(searches), seconds)

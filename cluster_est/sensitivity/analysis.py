@@ -116,7 +116,7 @@ def _collinearity(unit: FloatArray) -> float:
     return 1.0 / smallest if smallest > 0.0 else np.inf
 
 
-AT_ONCE, VALUES_AT_ONCE = 1000, 20_000_000
+POINTS_AT_ONCE, RESIDUALS_AT_ONCE = 1000, 20_000_000
 """Points that are asked for together, and their residuals: only the quantities are kept."""
 
 
@@ -284,7 +284,7 @@ def _simulated(
 ) -> FloatArray:
     """(points, quantities): NaN where a simulation failed."""
     parts = []
-    many = min(AT_ONCE, max(1, VALUES_AT_ONCE // max(space.rows[-1].stop, 1)))
+    many = min(POINTS_AT_ONCE, max(1, RESIDUALS_AT_ONCE // max(space.rows[-1].stop, 1)))
     for first in range(0, len(points), many):
         unit = points[first : first + many]
         x = space.lower + unit * (space.upper - space.lower)
@@ -303,7 +303,7 @@ def _whole_groups(values: FloatArray, group: int) -> np.ndarray:
 def _order(
     runner: Runner, space: SearchSpace, settings: SensitivitySettings, seed: int
 ) -> tuple[list[IdentifiableUnknown], str]:
-    """The order of estimation at the start values; else why there is none."""
+    """The order of estimation at the start values, or the reason why it is unknown."""
     request = SearchRequest("before", GivenPoints(space.start[None], "start"), space, seed)
     (solution,) = runner.run([request])
     linear = linearise(runner, space, solution)

@@ -137,7 +137,7 @@ def _residuals_are_outputs(space: SearchSpace, samples: int) -> bool:
     return plain and not space.reduced and space.rows[-1].stop == samples
 
 
-MOST_NAMED = 5
+MOST_NAMED_INFLUENCES = 5
 """Unknowns that a sentence names."""
 
 UNSETTLED = 0.5
@@ -214,7 +214,7 @@ class SensitivityResult:
     seconds
         From start to end.
     why_no_order
-        Why there is no order of estimation; "" where there is one.
+        Why there is no order of estimation; "" with an order.
     """
 
     problem: Problem = field(repr=False)
@@ -324,6 +324,6 @@ class SensitivityResult:
 
 def _named(labels: Sequence[str]) -> str:
     """Some labels, and how many more there are."""
-    shown = ", ".join(labels[:MOST_NAMED])
-    more = len(labels) - MOST_NAMED
+    shown = ", ".join(labels[:MOST_NAMED_INFLUENCES])
+    more = len(labels) - MOST_NAMED_INFLUENCES
     return f"{shown} and {more} more" if more > 0 else shown

@@ -14,13 +14,13 @@ from cluster_est.shooting.record_segments import SegmentedProblem, measured_at
 from cluster_est.shooting.segment_space import segment_values
 from workers.messages import FloatArray, Outcome, Trajectory
 
-EXACT = 1e-6
+STATE_IN_OUTPUT_TOLERANCE = 1e-6
 """Residual of a state as a line in an output, over the state's spread, up to which it is one."""
-LEAST_SAMPLES = 4
-LEAST = 1e-3
+LEAST_SAMPLES_FOR_STATE = 4
+LEAST_SPREAD_OF_STARTS = 1e-3
 """Spread of segments' starts, over what is known of it, that says nothing."""
-BEGINS = 1e-6
-"""Distance of a segment's first state from what was set, over its size, that is none."""
+SAME_FIRST_STATE = 1e-6
+"""Distance of a segment's first state from what was set, over its size, that is negligible."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ def _check_begin(
         return
     begins = _states(segmented, path)
     for name, is_, set_ in zip(segmented.states.names, begins[0], wanted, strict=True):
-        if abs(is_ - set_) > BEGINS * max(abs(set_), abs(is_), 1e-12):
+        if abs(is_ - set_) > SAME_FIRST_STATE * max(abs(set_), abs(is_), 1e-12):
             raise ProblemError(
                 f"method.shooting: needs a model that begins with the states that are set, but "
                 f"{name!r} of {segmented.original.model.name} was set to {set_:.6g} in "
@@ -214,8 +214,8 @@ def find_measured(
 
 
 def _line(output: FloatArray, state: FloatArray) -> tuple[float, float] | None:
-    """Offset and slope of a state as a line in an output; None if it is none."""
-    if len(output) < LEAST_SAMPLES or not np.isfinite(output).all():
+    """Offset and slope of a state as a line in an output; None if it is not a line."""
+    if len(output) < LEAST_SAMPLES_FOR_STATE or not np.isfinite(output).all():
         return None
     spread = float(np.std(state))
     if not (np.isfinite(state).all() and spread > 0.0 and np.std(output) > 0.0):
@@ -223,7 +223,7 @@ def _line(output: FloatArray, state: FloatArray) -> tuple[float, float] | None:
     design = np.column_stack([np.ones(len(output)), output])
     (offset, slope), *_ = np.linalg.lstsq(design, state, rcond=None)
     left = float(np.std(state - offset - slope * output))
-    return (float(offset), float(slope)) if left <= EXACT * spread else None
+    return (float(offset), float(slope)) if left <= STATE_IN_OUTPUT_TOLERANCE * spread else None
 
 
 def _spread_of_courses(segmented: SegmentedProblem, courses: Sequence[FloatArray]) -> FloatArray:
@@ -231,7 +231,7 @@ def _spread_of_courses(segmented: SegmentedProblem, courses: Sequence[FloatArray
     joined = np.concatenate(courses)
     known = segmented.problem.describe().variables
     nominal = np.array([known[name].nominal for name in segmented.states.names], np.float64)
-    if len(joined) < LEAST_SAMPLES:
+    if len(joined) < LEAST_SAMPLES_FOR_STATE:
         return nominal
     with np.errstate(over="ignore", invalid="ignore"):
         spread = np.std(joined, axis=0)
@@ -257,4 +257,6 @@ def spread_of_states(
             if o.variable == each.output
         ]
         spread[each.state] = abs(each.slope) * float(np.std(np.concatenate(values)))
-    return np.asarray(np.where(np.isfinite(spread) & (spread > LEAST * known), spread, known))
+    return np.asarray(
+        np.where(np.isfinite(spread) & (spread > LEAST_SPREAD_OF_STARTS * known), spread, known)
+    )

@@ -24,8 +24,8 @@ from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Input, IntArray, Output
 from workers.messages.checks import shown
 
-LEAST_SAMPLES = 4
-"""Of a segment that is cut in halves."""
+LEAST_SAMPLES_OF_SEGMENT = 4
+"""Least samples of a segment that is cut in halves."""
 
 
 class Shooting(Settings):
@@ -81,7 +81,7 @@ class Shooting(Settings):
             for e in problem.experiments
             if e.role == "train"
         )
-        if 0.5 * shortest < LEAST_SAMPLES * longest:
+        if 0.5 * shortest < LEAST_SAMPLES_OF_SEGMENT * longest:
             return None
         if self.segments:
             return Shooting(segments=2 * self.segments)
@@ -102,7 +102,7 @@ class SegmentStates:
         For each state, the parameter whose value a segment begins with: the problem's own where it
         estimates the state, else one that is made for it.
     added
-        Those that are made.
+        Parameters that are made for the first states of segments.
     """
 
     names: tuple[str, ...]
@@ -117,7 +117,7 @@ def segment_states(problem: Problem, description: ModelDescription) -> SegmentSt
     Raises
     ------
     ProblemError
-        If there are none, or one cannot be set.
+        If the model has no states, or one cannot be set.
     """
     names = description.states
     if not names:

@@ -151,23 +151,23 @@ def response(blocks: BlockMatrix, size: int) -> FloatArray:
     return found
 
 
-WEIGHTS = tuple(10.0**k for k in range(-1, 7))
-"""Of a difference as large as the spread of a state, over that of a sample as large as the spread
-of an output."""
+CONTINUITY_WEIGHTS = tuple(10.0**k for k in range(-1, 7))
+"""Weights of a difference as large as the spread of a state, over that of a sample as large as the
+spread of an output."""
 JOINED = 1e-3
 """Largest difference between segments, over the spread of the state, of segments that join."""
 LOOSE = 1e-3
 """`ftol` of all searches but the last ones."""
 CONTINUOUS = 1e-6
-"""Largest difference between segments, over the spread of the state, that is none."""
+"""Largest difference between segments, over the spread of the state, that is negligible."""
 UNNOTICED = 0.04
-"""Change of the sum of squares, over the variance of the residuals, that is none."""
+"""Change of the sum of squares, over the variance of the residuals, that is negligible."""
 
 
 FOLLOWS = 0.05
 """Cost of segments whose states are free, over that of constants, above which they are too long to
 follow what was measured."""
-FLOOR = 0.3
+LEAST_REMAINING_DIFFERENCE = 0.3
 """Part of the largest difference between segments that is left at a weight ten times as large,
 above which the rest is the error of the solver."""
 
@@ -223,10 +223,10 @@ def search_segments(
     # forward sensitivities know nothing of the ends of segments
     sensitive = method.differences == "sensitivities"
     strict = replace(method, differences="auto") if sensitive else method
-    space = searches.fitted_states(weighted(space, unit * WEIGHTS[0], spread), loose)
+    space = searches.fitted_states(weighted(space, unit * CONTINUITY_WEIGHTS[0], spread), loose)
     before: SegmentSolution | None = None
     loosest: SegmentSolution | None = None
-    for weight in WEIGHTS:
+    for weight in CONTINUITY_WEIGHTS:
         space = weighted(space, unit * weight, spread)
         found = searches.run(space, spread, loose, f"segments, continuity counts {weight:g}")
         loosest = loosest or found
@@ -238,7 +238,7 @@ def search_segments(
                 return SegmentSearch(found, too_long=True)
         if before is not None:
             small = before.largest_jump <= JOINED
-            if small and found.largest_jump > FLOOR * before.largest_jump:
+            if small and found.largest_jump > LEAST_REMAINING_DIFFERENCE * before.largest_jump:
                 found = before  # what is left of the differences does not shrink with the weight
                 break
             change = abs(found.data_cost - before.data_cost)

@@ -340,8 +340,9 @@ AS_GOOD = 1e-3
 PROMISED = 0.3
 """Ratio of a standard error from whole records to that from segments, below which it is not
 believed: states that may differ between segments by what is no difference would undo it."""
-EXACT = 1e-9
-"""The same over the cost of constants, where nothing is left of the residuals."""
+EXACT_FIT_COST = 1e-9
+"""Part of the cost of constants by which the cost of whole records may be above that of the
+segments too, where these leave nothing of the residuals."""
 
 
 @dataclass(frozen=True)
@@ -394,7 +395,7 @@ def fit_whole_records(
         begun = with_start(train, x)
         found = search_from_starts(runner, begun, method, Multistart(), seed)
         least = max(constants, float(len(train.outputs)))
-        enough = shot.solution.cost * (1.0 + AS_GOOD) + EXACT * least
+        enough = shot.solution.cost * (1.0 + AS_GOOD) + EXACT_FIT_COST * least
         summary = replace(summary, promised=_promised(train, found.best, shot.solution))
         follows = found.best.cost <= enough and summary.promised > PROMISED
         if runner.interrupted or follows:

@@ -17,7 +17,7 @@ import numpy as np
 from workers.messages import FloatArray, IntArray
 
 RANK = 1e-12
-"""Of the largest eigenvalue of a scaled normal matrix: what is smaller counts as 0."""
+"""Part of the largest eigenvalue of a scaled normal matrix: what is smaller counts as 0."""
 
 
 @dataclass(frozen=True)

@@ -24,16 +24,16 @@ ORDERS = (1, 2, 4, 8, 12, 20)
 LAGS = (4.0, 16.0, 64.0)
 """Time constants, in samples, of low passes of the signal: a model answers late."""
 
-MOST = 3000
+MOST_DEPENDENCE_SAMPLES = 3000
 """Samples in all; longer data are averaged over neighbours."""
 
-LEAST = 60
+LEAST_DEPENDENCE_SAMPLES = 60
 """Samples in all, below which nothing is said."""
 
 SHIFTS = 40
 """Shifts of the signal along the records, by which the test's own scale is measured."""
 
-ROUNDING = 1e-10
+ROUNDING_OF_SIGNAL = 1e-10
 """Share of a signal's largest value that is no variation."""
 
 Pair = tuple[FloatArray, FloatArray]
@@ -56,7 +56,7 @@ class Dependence:
     share: float
 
 
-NOTHING = Dependence(1.0, 0.0)
+NO_DEPENDENCE = Dependence(1.0, 0.0)
 
 
 def dependence(
@@ -75,15 +75,15 @@ def dependence(
         measured input moves would vary with everything else that it moves. One that stands still
         in a record, or is not there, says nothing in that record.
     """
-    block = max(1, -(-sum(len(y) for y, _ in records) // MOST))
+    block = max(1, -(-sum(len(y) for y, _ in records) // MOST_DEPENDENCE_SAMPLES))
     longest = max(ORDERS)
     kept = [i for i, (y, _) in enumerate(records) if len(y) // block > 2 * longest]
     residuals = [_detrended(_averaged(records[i][0], block)) for i in kept]
     signals = [_averaged(records[i][1], block) for i in kept]
     total = sum(len(y) for y in residuals)
     scale = float(np.std(np.concatenate(signals))) if kept else 0.0
-    if total < LEAST or not any(np.any(y) for y in residuals) or not scale > 0.0:
-        return NOTHING
+    if total < LEAST_DEPENDENCE_SAMPLES or not any(np.any(y) for y in residuals) or not scale > 0.0:
+        return NO_DEPENDENCE
     columns = [_late(x / scale) for x in signals]
     others = [{} if known is None else known[i] for i in kept]
     names = list(dict.fromkeys(name for own in others for name in own))
@@ -95,7 +95,7 @@ def dependence(
     white = whitener.of(residuals)
     freedom = len(white) - whitener.rank - columns[0].shape[1] - 2 * len(kept)
     if freedom < longest:
-        return NOTHING
+        return NO_DEPENDENCE
     found = _ratio(white, whitener.of(columns), freedom)
     shifted = [
         _ratio(white, whitener.of([_moved(c, part) for c in columns]), freedom)
@@ -151,7 +151,11 @@ def _detrended(values: FloatArray) -> FloatArray:
     if len(values) < 2:
         return np.zeros(len(values))
     left = np.asarray(detrend(values))
-    return left if np.abs(left).max() > ROUNDING * np.abs(values).max() else np.zeros(len(values))
+    return (
+        left
+        if np.abs(left).max() > ROUNDING_OF_SIGNAL * np.abs(values).max()
+        else np.zeros(len(values))
+    )
 
 
 def _late(x: FloatArray) -> FloatArray:

@@ -13,16 +13,15 @@ from scipy.fft import next_fast_len, rfft
 
 from cluster_est.statistics.projection import NOTHING_LEFT, OrthogonalProjection
 from cluster_est.statistics.records import StackedRecords
+from cluster_est.statistics.whiteness import KERNEL_CUTOFF
 from workers.messages import FloatArray
 
-DRAWS = 400
-"""Of the null distribution: a p-value of 0.01 needs some hundred."""
+NULL_DISTRIBUTION_DRAWS = 400
+"""Draws of the null distribution: a p-value of 0.01 needs some hundred."""
 
-LENGTHS = (2.0, 6.0, 20.0)
+OMNIBUS_LENGTHS = (2.0, 6.0, 20.0)
 """Lengths of smooth structure, in samples, that are looked for."""
 
-REACH = 4
-"""Lengths after which a Gaussian kernel is cut off."""
 
 NUMBERS_AT_ONCE = 2_500_000
 """Random numbers held at once: 20 MB, and their spectra about three times that."""
@@ -49,8 +48,8 @@ def omnibus(
     residuals: FloatArray,
     records: StackedRecords,
     generator: np.random.Generator,
-    draws: int = DRAWS,
-    lengths: Sequence[float] = LENGTHS,
+    draws: int = NULL_DISTRIBUTION_DRAWS,
+    lengths: Sequence[float] = OMNIBUS_LENGTHS,
 ) -> OmnibusTest:
     """Test the residual against white noise for every smooth alternative at once.
 
@@ -113,7 +112,7 @@ def _smoothness(
         count = len(item.times)
         if not count:
             continue
-        reaches = [min(int(REACH * length), count - 1) for length in lengths]
+        reaches = [min(int(KERNEL_CUTOFF * length), count - 1) for length in lengths]
         padded = next_fast_len(count + max(reaches), real=True)
         spectra = rfft(signals[:, item.rows], padded, axis=1)
         power = spectra.real**2 + spectra.imag**2

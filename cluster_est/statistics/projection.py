@@ -11,7 +11,7 @@ import numpy as np
 
 from workers.messages import FloatArray
 
-DEPENDENT = 1e-6
+NEARLY_DEPENDENT_DIRECTIONS = 1e-6
 """Smallest singular value, over the largest, of a direction that counts."""
 
 NOTHING_LEFT = 1e-12
@@ -41,7 +41,7 @@ class OrthogonalProjection:
         lengths = np.linalg.norm(matrix, axis=0)
         used = matrix[:, lengths > 0.0] / lengths[lengths > 0.0]
         left, singular, _ = np.linalg.svd(used, full_matrices=False)
-        kept = singular > DEPENDENT * singular.max(initial=0.0)
+        kept = singular > NEARLY_DEPENDENT_DIRECTIONS * singular.max(initial=0.0)
         self.basis: FloatArray = np.ascontiguousarray(left[:, kept])
 
     @property
@@ -68,8 +68,8 @@ class ProjectedResidual:
     residuals: FloatArray = field(repr=False)
 
 
-SMALLEST = 1e-13
-"""Of the largest eigenvalue of a scaled matrix, below which one is rounding."""
+ROUNDING_OF_EIGENVALUES = 1e-13
+"""Part of the largest eigenvalue of a scaled matrix, below which another one is rounding."""
 
 
 def inverse(matrix: FloatArray) -> FloatArray:
@@ -99,5 +99,5 @@ def _spectrum(matrix: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     diagonal = np.sqrt(np.diag(matrix))
     scale = np.where(diagonal > 0.0, diagonal, 1.0)
     values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale)
-    floor = SMALLEST * float(values.max(initial=0.0))
+    floor = ROUNDING_OF_EIGENVALUES * float(values.max(initial=0.0))
     return scale, np.maximum(values, max(floor, 1e-300)), vectors

@@ -99,7 +99,7 @@ class ResidualDiagnostics:
 
     @property
     def findings(self) -> tuple[OutputDiagnostics, ...]:
-        """Those to be warned of: each output, or all together where no single one stands out."""
+        """What to warn of: each output, or all together where no single one stands out."""
         found = tuple(o for o in self.outputs if _structured(o) or o.sigma)
         if any(map(_structured, found)) or self.together is None or not _structured(self.together):
             return found

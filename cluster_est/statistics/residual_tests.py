@@ -30,7 +30,7 @@ class Autocorrelation:
     Attributes
     ----------
     lag1
-        Correlation of neighbours; 0 where there are none.
+        Correlation of neighbours; 0 without neighbours.
     widening
         Square root of 1 + 2 (rho_1 + rho_2 + ...), at least 1: by about so much are standard
         errors too small that take the residuals for white, where the sensitivities vary more slowly
@@ -58,7 +58,7 @@ def autocorrelation(residuals: FloatArray, records: Sequence[OutputRecord]) -> A
     residuals : (n,)
         Stacked; their scale is irrelevant.
     records
-        Those that are pooled.
+        Records that are pooled.
     """
     covariances = np.zeros(max((len(record.times) for record in records), default=0))
     for record in records:
@@ -80,23 +80,23 @@ def autocorrelation(residuals: FloatArray, records: Sequence[OutputRecord]) -> A
     )
 
 
-LEVEL = 2e-3
-"""Of all tests of structure in a fit together, and of all tests of size: of a hundred fits in which
-nothing is wrong none warns."""
+FAMILY_WISE_LEVEL = 2e-3
+"""Level of all tests of structure in a fit together, and of all tests of size: of a hundred fits in
+which nothing is wrong none warns."""
 
 LEAST_DEGREES = 20
 """Degrees of freedom that an output needs, or its p-values are too rough."""
 
-LARGE, SMALL = 1.2, 0.5
+LARGE_RMS_OVER_SIGMA, SMALL_RMS_OVER_SIGMA = 1.2, 0.5
 """An rms over sigma above or below these is worth a word: a sigma is rarely known any better."""
 
 NOISY = 2.0
 """Noise over sigma from which on the declared sigma itself is doubted."""
 
-LEAST_NOISE = 1e-3
+LEAST_NOISE_OVER_RMS = 1e-3
 """Noise over rms below which the estimate is not believed."""
 
-TOGETHER = "all outputs together"
+ALL_OUTPUTS_TOGETHER = "all outputs together"
 
 
 @dataclass(frozen=True)
@@ -128,8 +128,8 @@ class ResidualTests:
 
         Structure is looked for by `smoothness`. The size of a mean square is judged by a
         chi-squared distribution with the degrees of freedom that the parameters left, divided by
-        what autocorrelation takes away (`Autocorrelation.squares`). `LEVEL` is shared by all tests
-        (Bonferroni).
+        what autocorrelation takes away (`Autocorrelation.squares`). `FAMILY_WISE_LEVEL` is shared
+        by all tests (Bonferroni).
 
         Returns
         -------
@@ -157,7 +157,7 @@ class ResidualTests:
         names = range(len(self.records.outputs))
         rms = np.array([_rms(self.residuals[self.records.of_output(o)]) for o in names])
         noise = estimate_noise(self.residuals, self.records)
-        noise = np.where(noise > LEAST_NOISE * rms, noise, rms)
+        noise = np.where(noise > LEAST_NOISE_OVER_RMS * rms, noise, rms)
         return np.where(noise > 0.0, noise, np.min(noise[noise > 0.0], initial=1.0))
 
     def _scopes(self, noise: FloatArray) -> list[_Scope]:
@@ -173,7 +173,7 @@ class ResidualTests:
             counts = [len(self.records.of_output(o)) for o in usable]
             level = float(np.sqrt(np.average(noise[usable] ** 2, weights=counts)))
             declared = all(self.declared[o] for o in usable)
-            scopes.append(self._scope(TOGETHER, items, level, declared, exact=False))
+            scopes.append(self._scope(ALL_OUTPUTS_TOGETHER, items, level, declared, exact=False))
         return scopes
 
     def _scope(
@@ -196,7 +196,7 @@ class ResidualTests:
             degrees=scope.degrees,
             correlation=related.squares,
             largest=scope.largest,
-            level=LEVEL / max(len(results), 1),
+            level=FAMILY_WISE_LEVEL / max(len(results), 1),
         )
         structure, doubt = ResidualStructure.NOT_TESTED, SigmaDoubt.NONE
         p = length = np.nan
@@ -253,7 +253,7 @@ class _Size:
     def large(self) -> bool:
         """Return whether it is above sigma by more than chance and carelessness."""
         p = chdtrc(self.degrees / self.correlation, self.square / self.correlation)
-        return self.rms > LARGE and bool(p < self.level)
+        return self.rms > LARGE_RMS_OVER_SIGMA and bool(p < self.level)
 
     @property
     def outlying(self) -> bool:
@@ -268,14 +268,14 @@ class _Size:
     def small(self) -> bool:
         """Return whether it is below."""
         p = chdtr(self.degrees / self.correlation, self.square / self.correlation)
-        return self.rms < SMALL and bool(p < self.level)
+        return self.rms < SMALL_RMS_OVER_SIGMA and bool(p < self.level)
 
 
 def _judged(
     p: float, size: _Size, noise: float, *, declared: bool
 ) -> tuple[ResidualStructure, SigmaDoubt]:
     """Say what a p-value of smoothness, and the sizes of residuals and noise over sigma, mean."""
-    related = p < LEVEL
+    related = p < FAMILY_WISE_LEVEL
     structure = ResidualStructure.AUTOCORRELATED if related else ResidualStructure.WHITE
     if declared and size.small:
         return structure, SigmaDoubt.TOO_LARGE

@@ -16,14 +16,14 @@ from cluster_est.statistics.projection import NOTHING_LEFT, OrthogonalProjection
 from workers.messages import FloatArray, IntArray
 
 CONFOUNDED = 5e-3
-"""Share of a direction outside the parameters below which it cannot be told from them: the
+"""Share of a direction outside the parameters below which it cannot be distinguished from them: the
 linearisations of a simulation are not more exact."""
 
-DEPENDENT = 1e-3
+NEARLY_DEPENDENT_COLUMNS = 1e-3
 """Smallest singular value of a candidate's scaled columns, over the largest, that counts; a
 direction below it is made of the simulations' own errors."""
 
-LEVEL = 0.01
+EFFECTIVE_NUMBER_QUANTILE = 0.01
 """Quantile at which the effective number of candidates is read off."""
 
 
@@ -162,8 +162,8 @@ def family_wise(
         return FamilyWise(1.0, 0.0)
     least = float(scores.log_p.min())
     null = _null_of_least(scores, generator, draws)
-    quantile = float(np.exp(np.quantile(null, LEVEL)))
-    effective = float(np.log1p(-LEVEL) / np.log1p(-quantile))
+    quantile = float(np.exp(np.quantile(null, EFFECTIVE_NUMBER_QUANTILE)))
+    effective = float(np.log1p(-EFFECTIVE_NUMBER_QUANTILE) / np.log1p(-quantile))
     beaten = int((null <= least).sum())
     p = (1 + beaten) / (draws + 1)
     return FamilyWise(p if beaten else min(p, tested * float(np.exp(least))), effective)
@@ -230,7 +230,7 @@ def _tested(
     )
 
 
-LARGEST = 1e150
+LARGEST_SQUARABLE_LENGTH = 1e150
 """Length of a direction whose squares do not overflow."""
 
 
@@ -241,7 +241,7 @@ def _normalise(rows: FloatArray) -> FloatArray:
     """
     with np.errstate(over="ignore", invalid="ignore"):
         lengths: FloatArray = np.linalg.norm(rows, axis=1)
-    wild = ~(lengths < LARGEST)
+    wild = ~(lengths < LARGEST_SQUARABLE_LENGTH)
     rows[wild], lengths[wild] = 0.0, 0.0
     rows /= np.where(lengths > 0.0, lengths, 1.0)[:, None]
     return lengths
@@ -264,7 +264,7 @@ def _orthonormal(units: FloatArray, outside: FloatArray, confounded: float) -> F
     angles to them.
     """
     values, vectors = np.linalg.eigh(units @ units.T)
-    kept = values > DEPENDENT**2 * values[-1]
+    kept = values > NEARLY_DEPENDENT_COLUMNS**2 * values[-1]
     mixing = vectors[:, kept] / np.sqrt(values[kept])
     directions = mixing.T @ outside
     squares, turn = np.linalg.eigh(directions @ directions.T)

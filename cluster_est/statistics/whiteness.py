@@ -18,7 +18,7 @@ from scipy.special import gammaincc, ndtr
 from cluster_est.statistics.records import OutputRecord
 from workers.messages import FloatArray, IntArray
 
-LENGTHS = (1.0, 2.0, 6.0, 20.0, 60.0)
+WHITENESS_LENGTHS = (1.0, 2.0, 6.0, 20.0, 60.0)
 """Lengths of smooth structure, in samples, that are looked for."""
 
 WAVES = ((20.0, 0.1), (20.0, 0.2), (10.0, 0.4), (10.0, 0.6), (10.0, 0.8))
@@ -29,7 +29,7 @@ SAMPLES_PER_LENGTH = 5
 """Samples that the longest record needs for each sample of a length: longer kernels see only the
 mean of a record, which a shorter one sees too."""
 
-REACH = 4
+KERNEL_CUTOFF = 4
 """Lengths after which a Gaussian kernel is cut off."""
 
 NEARLY_NORMAL = 1e-3
@@ -61,7 +61,7 @@ class StructureKernel:
 
     def reach(self, count: int) -> int:
         """Largest lag that counts in a record of so many samples."""
-        return max(0, min(int(REACH * self.length), count - 1))
+        return max(0, min(int(KERNEL_CUTOFF * self.length), count - 1))
 
     def fits(self, count: int) -> bool:
         """Return whether a record of so many samples has room for it."""
@@ -144,23 +144,26 @@ def smoothness(
     for kernel in _kernels(max(longest, default=0)):
         smooth = SmoothedColumns.of(residuals, null, records, kernel)
         for number, group in enumerate(groups):
-            if kernel.length == LENGTHS[0] or kernel.fits(longest[number]):
+            if kernel.length == WHITENESS_LENGTHS[0] or kernel.fits(longest[number]):
                 found[number].append((smooth.p(group), kernel.length))
     return [_smallest(each) for each in found]
 
 
 def _smallest(found: Sequence[tuple[float, float]]) -> SmoothnessTest:
     if not found:
-        return SmoothnessTest(1.0, LENGTHS[0])
+        return SmoothnessTest(1.0, WHITENESS_LENGTHS[0])
     p, length = min(found)
     return SmoothnessTest(min(1.0, len(found) * p), length)
 
 
 def _kernels(longest: int) -> list[StructureKernel]:
-    """Those that records of this length have room for, the shortest always."""
+    """Return the kernels that records of this length have room for, the shortest always."""
     if longest < 2:
         return []
-    first, *others = [*map(StructureKernel, LENGTHS), *(StructureKernel(*wave) for wave in WAVES)]
+    first, *others = [
+        *map(StructureKernel, WHITENESS_LENGTHS),
+        *(StructureKernel(*wave) for wave in WAVES),
+    ]
     return [first, *(kernel for kernel in others if kernel.fits(longest))]
 
 

@@ -101,7 +101,8 @@ def partial_autocorrelations(
 ) -> FloatArray:
     """Partial autocorrelations of one output at lags 1 ... order, pooled over its records.
 
-    Those of an autoregression of order p are 0 beyond lag p, with a standard error of 1 / sqrt(n):
+    The partial autocorrelations of an autoregression of order p are 0 beyond lag p, with a standard
+    error of 1 / sqrt(n):
     M. H. Quenouille, J. R. Stat. Soc. B 11 (1949) 68-84, doi:10.1111/j.2517-6161.1949.tb00023.x.
 
     Parameters

@@ -17,7 +17,7 @@ from cluster_est.config.reader import read_config
 from cluster_est.config.sections import Config
 from cluster_est.errors import BudgetError, ProblemError, UnwritableError
 from cluster_est.problem.problem import Problem
-from cluster_est.run_folder.context import Existing, RunContext
+from cluster_est.run_folder.context import ExistingRun, RunContext
 from cluster_est.run_folder.run_files import RunStatus
 from cluster_est.run_folder.run_folder import RunResult
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
@@ -113,7 +113,7 @@ class Destination:
     """
 
     out: Path
-    existing: Existing = Existing.REFUSE
+    existing: ExistingRun = ExistingRun.REFUSE
     report: bool = True
     begin_at_once: bool = False
 
@@ -127,7 +127,7 @@ class RunEnd:
     status
         As in its run.json.
     stopped
-        Why there is no result, as a sentence; "" where there is one, now or from before.
+        Why there is no result, as a sentence; "" with a result, now or from before.
     """
 
     status: RunStatus

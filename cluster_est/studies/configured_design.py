@@ -17,7 +17,7 @@ from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.experiment_design.design import Design
 from cluster_est.experiment_design.models import CandidateModel
 from cluster_est.experiment_design.request import (
-    ALONE,
+    FITTED_MODEL,
     DesignRequest,
     chosen_models,
 )
@@ -130,7 +130,7 @@ def _models(
     rows = [row for row in read_run_table(path) if row["estimated_on"] in ("train", "test")]
     values = {row["label"]: float(row["value"]) for row in rows}
     problem = build_problem(config, base, allow_code=allow_code)
-    return (CandidateModel(ALONE, _with_noise(problem, facts), values),)
+    return (CandidateModel(FITTED_MODEL, _with_noise(problem, facts), values),)
 
 
 def _model(

@@ -89,7 +89,8 @@ def export(
     experiment
         Whose values are taken, where parameters have one for each; None for shared ones alone.
     platforms
-        Those that the FMU is compiled for besides this machine's: "linux64", "win64", "darwin64".
+        What the FMU is compiled for besides this machine's platform: "linux64", "win64",
+        "darwin64".
         Needs the package ziglang.
     measure
         Whether the communication step is measured that reproduces the error.

@@ -23,6 +23,7 @@ from cluster_est.config.sections import Config
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.run_folder.resume import is_whole
 from cluster_est.run_folder.run_files import (
+    SWEEP_SUMMARY_FILE,
     RunStatus,
     read_config_text,
     read_facts,
@@ -37,8 +38,8 @@ from cluster_est.whole_files import write_whole
 from workers.fmu.description import nearest
 from workers.messages import content_hash
 
-NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._+-]*[A-Za-z0-9])?")
-"""Of runs, which are folders, and of what they are made of: usable on every file system."""
+RUN_NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9._+-]*[A-Za-z0-9])?")
+"""Names of runs, which are folders, and of what they are made of: usable on every file system."""
 
 
 def value_name(value: Any) -> str:
@@ -127,8 +128,8 @@ class SweepSections(ConfigSection):
 
 ONLY, DROP = "only_experiments", "drop_experiments"
 """Override keys that no config has: which of its experiments a run keeps or leaves out, by id."""
-LARGEST = 10_000
-LONGEST_NAME = 150
+MOST_RUNS = 10_000
+LONGEST_RUN_NAME = 150
 
 
 @dataclass(frozen=True)
@@ -183,8 +184,8 @@ def read_sweep(path: Path) -> list[SweepRun]:
     sweep = checked(SweepSections, raw, str(path))
     _refuse(path, [*_wrong_names(sweep), *_wrong_overrides(sweep), *_wrong_skips(sweep)])
     count = len(sweep.configs) * math.prod(len(axis.values) for axis in sweep.axes)
-    if count > LARGEST:
-        _refuse(path, [f"axes: must make at most {LARGEST} runs but make {count}; remove some"])
+    if count > MOST_RUNS:
+        _refuse(path, [f"axes: must make at most {MOST_RUNS} runs but make {count}; remove some"])
     runs = [*_matrix(sweep, path.parent), *_singles(sweep, path.parent)]
     _refuse(path, [*_wrong_runs(runs)])
     return runs
@@ -227,7 +228,7 @@ def _wrong_names(sweep: SweepSections) -> Iterator[str]:
         named += [(f"axes.{axis.name}.values.{name}", name) for name in axis.values]
     named += [(f"runs.{run.name}", run.name) for run in sweep.runs]
     for where, name in named:
-        if not NAME.fullmatch(name):
+        if not RUN_NAME.fullmatch(name):
             yield (
                 f"{where}: the name must consist of letters, digits and . _ + - and begin and end "
                 f"with a letter or digit but is {name!r}; give another one"
@@ -288,8 +289,8 @@ def _wrong_runs(runs: list[SweepRun]) -> Iterator[str]:
         yield "skip: must leave some run but leaves none; remove one of its entries"
     seen: dict[str, str] = {}
     for run in runs:
-        if len(run.name) > LONGEST_NAME:
-            yield f"{run.name}: the name of a run must have at most {LONGEST_NAME} characters"
+        if len(run.name) > LONGEST_RUN_NAME:
+            yield f"{run.name}: the name of a run must have at most {LONGEST_RUN_NAME} characters"
         if run.name in ("sweep.json", "summary.parquet"):
             yield f"runs.{run.name}: the name is taken by a file of the sweep; give another one"
         other = seen.get(run.name.lower())  # some file systems ignore case
@@ -309,9 +310,9 @@ def _subset(config: Config, key: str, ids: list[str]) -> Config:
     return config.model_copy(update={"experiments": kept})
 
 
-STATE, SUMMARY = "sweep.json", "summary.parquet"
+STATE = "sweep.json"
 SUCCESS = RunStatus.DONE
-FAILED = (RunStatus.FAILED, RunStatus.NOT_CONVERGED)
+FAILED_STATES = (RunStatus.FAILED, RunStatus.NOT_CONVERGED)
 NOT_RUN = "not run"
 GO_ON = "see that there is room and that it may be written, and give the same command again"
 
@@ -371,9 +372,13 @@ def status(folder: Path, planned: PlannedRun) -> str:
     except (RunFolderError, KeyError, TypeError):
         return NOT_RUN
     found = str(facts["status"])
-    if known != planned.fingerprint or found not in (SUCCESS, *FAILED) or not is_whole(folder):
+    if (
+        known != planned.fingerprint
+        or found not in (SUCCESS, *FAILED_STATES)
+        or not is_whole(folder)
+    ):
         return NOT_RUN
-    if found in FAILED and _budget(folder) != planned.budget:
+    if found in FAILED_STATES and _budget(folder) != planned.budget:
         return NOT_RUN
     return found
 
@@ -422,7 +427,7 @@ def summary_rows(
 
 def write_summary(out: Path, rows: list[dict[str, Any]]) -> None:
     """Write summary.parquet in one step."""
-    write_run_columns(out / SUMMARY, pa.Table.from_pylist(rows), GO_ON)
+    write_run_columns(out / SWEEP_SUMMARY_FILE, pa.Table.from_pylist(rows), GO_ON)
 
 
 def _row(out: Path, run: SweepRun, state: str, axes: list[str]) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from cluster_est.errors import (
     UnsuitableExecutorError,
 )
 from cluster_est.executors import executor_class
-from cluster_est.run_folder.context import Existing
+from cluster_est.run_folder.context import ExistingRun
 from cluster_est.run_folder.lock import locked_by_sweep
 from cluster_est.run_folder.resume import check_resumable
 from cluster_est.run_folder.run_files import RunStatus, RunWorth, read_facts, run_worth
@@ -25,7 +25,7 @@ from cluster_est.run_folder.run_identity import RunIdentity
 from cluster_est.running.environment import SharedPools, pool_key
 from cluster_est.studies.configured import ConfiguredStudy, Destination, Listener, configure, do_run
 from cluster_est.sweep.matrix import (
-    FAILED,
+    FAILED_STATES,
     NOT_RUN,
     PlannedRun,
     SweepRun,
@@ -87,7 +87,9 @@ def do_sweep_run(
     """
     configured = read_sweep_run(run, allow_code=allow_code)
     clear_torn(folder)
-    existing = Existing.RESUME if _is_under_way(folder, configured.identity) else Existing.OVERWRITE
+    existing = (
+        ExistingRun.RESUME if _is_under_way(folder, configured.identity) else ExistingRun.OVERWRITE
+    )
     to = Destination(folder, existing, report=False, begin_at_once=True)
     try:
         return do_run(configured, to, listener, pools).status
@@ -183,7 +185,7 @@ def sweep(
         raise RunFolderError(f"{out}: cannot be made ({error}); choose another") from error
     with locked_by_sweep(out):
         states = {p.run.name: status(out / p.run.name, p) for p in plan}
-        again = FAILED if retry_failed else ()
+        again = FAILED_STATES if retry_failed else ()
         todo = [p for p in plan if states[p.run.name] in (NOT_RUN, *again)]
         try:
             with SharedPools() as pools:

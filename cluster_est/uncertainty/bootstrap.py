@@ -31,7 +31,7 @@ from workers.messages.types import by_content
 
 LEAST_EXPERIMENTS = 5
 LEAST_DRAWS = 20
-"""With fewer usable draws there is no interval."""
+"""Usable draws below which there is no interval."""
 
 
 @dataclass(frozen=True)

@@ -182,7 +182,7 @@ def split_shrink_factors(chain: FloatArray) -> FloatArray:
     return np.where(np.isnan(factors), np.inf, factors)
 
 
-WHOLE = 0.1
+WHOLE_DIFFERENCES = 0.1
 """Share of the moves by a whole difference, which lead from one mode to another (ter Braak)."""
 
 
@@ -231,7 +231,10 @@ class EnsembleSampling(Method):
         import emcee  # only a posterior needs it
 
         density = _Density(space, ask, self.chain)
-        moves = [(emcee.moves.DEMove(), 1.0 - WHOLE), (emcee.moves.DEMove(gamma0=1.0), WHOLE)]
+        moves = [
+            (emcee.moves.DEMove(), 1.0 - WHOLE_DIFFERENCES),
+            (emcee.moves.DEMove(gamma0=1.0), WHOLE_DIFFERENCES),
+        ]
         sampler = emcee.EnsembleSampler(
             len(self.starts), space.size, density, vectorize=True, moves=moves
         )
@@ -295,13 +298,14 @@ PER_UNKNOWN = 4
 FORGOTTEN = 10.0
 """Autocorrelation times after which a walker has forgotten its start."""
 MOST_DISCARDED = 0.5
-"""Of the steps."""
+"""Largest share of the steps that is discarded."""
 WIDEST = 0.25
-"""Of the range between the bounds: as wide as nearly uniform walkers are."""
-APART = 2.0
-"""Standard deviations of the likelihood as which walkers begin."""
+"""Widest standard deviation of walkers, as a part of the range between the bounds: that of nearly
+uniform walkers."""
+INITIAL_WALKER_SPREAD = 2.0
+"""Standard deviation of the first walkers, in those of the likelihood."""
 SPREAD = 0.1
-"""Of a typical size, where no standard error is known."""
+"""Spread of walkers where no standard error is known, as a part of a typical size."""
 
 
 def sample_posterior(
@@ -389,7 +393,7 @@ def _starts(
     normal = generator.normal(size=(count, space.size))
     if solution.jacobian is None or not np.isfinite(solution.jacobian).all():
         return _folded(x + sizes * normal, space.lower, space.upper)
-    tall = solution.jacobian / APART
+    tall = solution.jacobian / INITIAL_WALKER_SPREAD
     root = root_of_inverse(tall.T @ tall + np.diag(1.0 / sizes**2))
     drawn = x + normal @ root.T
     return _folded(drawn, space.lower, space.upper)

@@ -14,7 +14,7 @@ from workers.messages import FloatArray
 from workers.messages.types import by_content
 from workers.residuals.observed import learnt_from, scale_and_offset
 
-LONGEST = 50.0
+LEAST_CHAIN_LENGTH = 50.0
 """Autocorrelation times that a chain must be long, or the time itself is not known (the advice of
 D. Foreman-Mackey et al., doi:10.1086/670067, and of emcee's documentation)."""
 SHRINKS = 1.05
@@ -128,13 +128,13 @@ class PosteriorResult:
         worst = max(self.intervals, key=lambda each: each.autocorrelation_time)
         if not np.isfinite(self.slowest):
             return (f"{said}; no interval, because some walker never moved: too few steps",)
-        if kept < LONGEST * self.slowest:
-            wanted = int(np.ceil(1.2 * LONGEST * self.slowest * self.steps / kept))
+        if kept < LEAST_CHAIN_LENGTH * self.slowest:
+            wanted = int(np.ceil(1.2 * LEAST_CHAIN_LENGTH * self.slowest * self.steps / kept))
             return (
                 f"{said}; no interval, because the chains are too short to have mixed: draws of "
                 f"{worst.label} are alike over {self.slowest:.0f} of {kept:,} steps, and "
-                f"{LONGEST:.0f} times as many are needed: at least uncertainty.posterior = "
-                f"{wanted}",
+                f"{LEAST_CHAIN_LENGTH:.0f} times as many are needed: at least "
+                f"uncertainty.posterior = {wanted}",
             )
         apart = max(self.intervals, key=lambda each: each.shrink_factor)
         return (
@@ -152,14 +152,14 @@ def central(confidence: float) -> tuple[float, float, float]:
 def is_mixed(kept: int, intervals: tuple[PosteriorInterval, ...]) -> bool:
     """Return whether so many steps tell of all unknowns, and all walkers tell the same."""
     slowest = max((each.autocorrelation_time for each in intervals), default=np.inf)
-    return bool(kept >= LONGEST * slowest and all(each.mixed for each in intervals))
+    return bool(kept >= LEAST_CHAIN_LENGTH * slowest and all(each.mixed for each in intervals))
 
 
-DRAWS = 200
-"""Whose simulations make a band: the ends of a 95 % band, of which 5 of them lie beyond each, are
-then known to about a tenth of its width."""
+DRAWS_OF_BAND = 200
+"""Draws whose simulations make a band: the ends of a 95 % band, of which 5 of them lie beyond each,
+are then known to about a tenth of its width."""
 FEWEST_DRAWS = 100
-AT_ONCE = 20
+DRAWS_AT_ONCE = 20
 """Draws whose simulations are asked for together."""
 MOST_VALUES = 20_000_000
 """Simulated values that are kept at a time: 160 MB."""
@@ -211,17 +211,17 @@ def predicted_bands(
         would be too large to be kept.
     """
     samples = sum(len(o.times) for e in problem.experiments for o in e.outputs)
-    count = min(DRAWS, MOST_VALUES // max(samples, 1))
+    count = min(DRAWS_OF_BAND, MOST_VALUES // max(samples, 1))
     flat = posterior.values.reshape(-1, len(posterior.labels))
     if not posterior.mixed or count < FEWEST_DRAWS or len(flat) < count:
         return ()
     chosen = flat[np.linspace(0, len(flat) - 1, count).astype(int)]
     simulated: dict[tuple[int, str], list[FloatArray]] = {}
     everything, labels = tuple(range(len(problem.experiments))), posterior.labels
-    for first in range(0, count, AT_ONCE):
+    for first in range(0, count, DRAWS_AT_ONCE):
         spaces = [
             make_space(problem, everything, {**known, **dict(zip(labels, draw, strict=True))})
-            for draw in chosen[first : first + AT_ONCE].tolist()
+            for draw in chosen[first : first + DRAWS_AT_ONCE].tolist()
         ]
         outcomes = runner.simulate(
             np.concatenate([space.physical(space.start) for space in spaces]),

@@ -13,7 +13,7 @@ from workers.messages.types import by_content
 
 
 class ProfileEnd(enum.StrEnum):
-    """The end of one side of a profile, or why there is none; the texts of the tables."""
+    """How one side of a profile ends, or why it has no end; the texts of the tables."""
 
     FOUND = ""
     BOUND = "bound"
@@ -54,7 +54,7 @@ class ProfileResult:
         the unknown's bound first, "flat" if it never rises enough, "failed" if refits failed,
         "unknown" if the residuals do not determine how far the cost may rise.
     better
-        (estimates, cost) of a point that is better than the optimum; None if there is none.
+        (estimates, cost) of a point that is better than the optimum; None without such a point.
     """
 
     label: str
@@ -103,9 +103,9 @@ def _sentence(label: str, side: str, end: ProfileEnd, value: float) -> str:
     return f"{label} has no {side} limit: the refits beyond {value:.6g} failed, or were cut off"
 
 
-CLOSE = 1e-3
+CLOSE_TO_INTERVAL_END = 1e-3
 """Distance from the end, in units of the root, at which a point is close enough."""
-NARROW = 1e-6
+NARROW_BRACKET = 1e-6
 """Part of the interval: a bracket so narrow is the end of a nearly vertical profile."""
 GROWTH = 3.0
 LONGEST_LOG = 2.3
@@ -210,9 +210,12 @@ class ProfileSteps:
         """Return a value between the last point inside and the one outside."""
         inside, part = self.inside[-1], 1.0 / self.target.steps
         end = float(outside.x[self.target.unknown])
-        if outside.root <= 1.0 + CLOSE or inside.root >= 1.0 - CLOSE:
+        if (
+            outside.root <= 1.0 + CLOSE_TO_INTERVAL_END
+            or inside.root >= 1.0 - CLOSE_TO_INTERVAL_END
+        ):
             return None
-        if self.bracket <= NARROW * abs(end - float(self.inside[0].x[self.target.unknown])):
+        if self.bracket <= NARROW_BRACKET * abs(end - float(self.inside[0].x[self.target.unknown])):
             return None
         if self.bisect:
             return 0.5 * (last + end)
@@ -253,7 +256,7 @@ class ProfileSteps:
         """Return the step that the profile seems to need for the next part of its root."""
         i = self.target.unknown
         width, rise = abs(float(point.x[i] - last.x[i])), point.root - last.root
-        wanted = min(1.0 / self.target.steps, max(1.02 - point.root, CLOSE))
+        wanted = min(1.0 / self.target.steps, max(1.02 - point.root, CLOSE_TO_INTERVAL_END))
         factor = wanted / rise if rise > 0.0 else GROWTH
         longest = LONGEST_LOG if self.space.unknowns[i].log else np.inf
         return min(width * min(max(factor, 1.0 / GROWTH), GROWTH), longest)

@@ -104,8 +104,8 @@ def embedded(
 
 
 FAILURE_FACTOR = 0.25
-"""Of the step, after a refit that failed."""
-MOST_FAILURES = 5
+"""Factor of the step after a refit that failed."""
+MOST_FAILED_REFITS = 5
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class ProfileContinuation(Method):
                 continue
             failures += 1
             steps.factor *= FAILURE_FACTOR
-            if failures == MOST_FAILURES:
+            if failures == MOST_FAILED_REFITS:
                 return _solution(steps, ProfileEnd.FAILED)
         return _solution(steps, ProfileEnd.BOUND)
 
@@ -183,8 +183,8 @@ def _is_valid(solution: Solution) -> bool:
     return bool(np.isfinite(solution.cost)) and not invalid and not infeasible
 
 
-BETTER = 1e-3
-"""Of the rise: a cost lower than the optimum's by more means that it was none."""
+BETTER_OPTIMUM = 1e-3
+"""Part of the rise: a cost that is lower than the optimum's by more means that it was none."""
 
 
 def profiles(
@@ -249,7 +249,7 @@ def select(space: SearchSpace, names: Sequence[str]) -> list[int]:
     Raises
     ------
     ProblemError
-        If there is none of a name.
+        If no unknown has one of the names.
     """
     shared = is_shared(space)
     chosen: set[int] = set()
@@ -394,7 +394,7 @@ def _result(
     points = [*(low.point(space, refit) for refit in low.path[:0:-1])]
     points += [high.point(space, refit) for refit in high.path]
     best = min((*low.path, *high.path), key=lambda refit: refit.cost)
-    better = best.cost < solution.cost - BETTER * target.rise
+    better = best.cost < solution.cost - BETTER_OPTIMUM * target.rise
     return replace(
         _undetermined(space, solution, target.unknown, settings),
         rise=target.rise,

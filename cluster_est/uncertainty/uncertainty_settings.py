@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from cluster_est.settings import LARGEST, Count, Finite, Names, Positive, Settings
+from cluster_est.settings import LARGEST_INTEGER, Count, Finite, Names, Positive, Settings
 
 
 class UncertaintySettings(Settings):
@@ -42,7 +42,7 @@ class UncertaintySettings(Settings):
         "ends are found to a thousandth in any case",
     )
     max_steps: int = Field(
-        20, ge=2, le=LARGEST, description="refits on a side, then it is called flat"
+        20, ge=2, le=LARGEST_INTEGER, description="refits on a side, then it is called flat"
     )
     rise: Finite = Field(
         0.0,

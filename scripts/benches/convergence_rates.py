@@ -19,7 +19,7 @@ import numpy as np
 import cluster_est as ce
 from benches import Row
 from benches.common import EXAMPLES, example
-from cluster_est.methods import METHODS
+from cluster_est.methods import SEARCH_METHODS
 from cluster_est.methods.method import Ending
 from cluster_est.problem.search_space import make_space
 from cluster_est.running.environment import open_executor
@@ -73,7 +73,9 @@ def converged(problem: ce.Problem, name: str, start: int, most: int) -> list[Sea
     lines: list[SearchIteration] = []
     with open_executor(problem, ce.Resources(workers=1)) as executor:
         runner = Runner(executor, ce.Budget(evaluations=most), note=lines.append)
-        request = SearchRequest("train", METHODS[name](**options), space.starting_at(starts[start]))
+        request = SearchRequest(
+            "train", SEARCH_METHODS[name](**options), space.starting_at(starts[start])
+        )
         (solution,) = runner.run([request])
     return lines if solution.ending is Ending.CONVERGED else []
 

@@ -1,9 +1,9 @@
 """How much simulated time populations save by ending simulations early.
 
 Each method runs with and without `early_end` on the embedded examples and, from `tanks` starts, on
-the chain of tanks of the bench `dear_simulations`, with a budget of `points`. The results must be
-the same, bit for bit. What counts is the simulated time (not the wall clock's) that was saved, over
-the whole.
+the chain of tanks of the bench `expensive_simulations`, with a budget of `points`. The results must
+be the same, bit for bit. What counts is the simulated time (not the wall clock's) that was saved,
+over the whole.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from pathlib import Path
 import cluster_est as ce
 from benches import Row
 from benches.common import EXAMPLES, example
-from benches.dear_simulations import made_problem, write_model
-from cluster_est.methods import METHODS
+from benches.expensive_simulations import made_problem, write_model
+from cluster_est.methods import SEARCH_METHODS
 from cluster_est.running.resources import TaskOrigin
 from workers.messages import Outcome, Status
 
@@ -57,6 +57,6 @@ def simulated(problem: ce.Problem, name: str, points: int, *, early: bool) -> tu
         seconds += end - run.start if origin.search == "train" else 0.0
 
     budget = ce.Resources(workers=1, budget=ce.Budget(evaluations=points))
-    method = METHODS[name](early_end=early)  # type: ignore[call-arg]
+    method = SEARCH_METHODS[name](early_end=early)  # type: ignore[call-arg]
     result = ce.fit(problem, method, budget, record=record)
     return seconds, result.solution.x.tobytes()

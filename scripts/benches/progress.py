@@ -21,7 +21,7 @@ from virtual_executor import VirtualExecutor
 import cluster_est as ce
 from benches import Row
 from benches.common import Array, example
-from cluster_est.methods import METHODS
+from cluster_est.methods import SEARCH_METHODS
 from cluster_est.methods.method import Method
 from cluster_est.problem.search_space import make_space
 from cluster_est.running.multistart import Multistart, search_from_starts
@@ -47,30 +47,30 @@ class Case:
     config: str = "mass_with_friction"
 
 
-LEAST_SQUARES = METHODS["least_squares"]()
+LEAST_SQUARES = SEARCH_METHODS["least_squares"]()
 CASES = {
     "least_squares, 40 points": Case(LEAST_SQUARES, budget=40),
     "least_squares, 40 points, 12 workers": Case(LEAST_SQUARES, 1, 40, workers=12),
     "4 starts, 200 points": Case(LEAST_SQUARES, 4, 200),
-    "pattern_search, 150 points": Case(METHODS["pattern_search"](), budget=150),
-    "nelder_mead, 100 points": Case(METHODS["nelder_mead"](bounds="enforce"), budget=100),  # type: ignore[call-arg]
-    "de, 600 points": Case(METHODS["de"](), budget=600),
-    "de, 600 points, 100 workers": Case(METHODS["de"](), budget=600, workers=100),
-    "cmaes, 300 points": Case(METHODS["cmaes"](), budget=300),
+    "pattern_search, 150 points": Case(SEARCH_METHODS["pattern_search"](), budget=150),
+    "nelder_mead, 100 points": Case(SEARCH_METHODS["nelder_mead"](bounds="enforce"), budget=100),  # type: ignore[call-arg]
+    "de, 600 points": Case(SEARCH_METHODS["de"](), budget=600),
+    "de, 600 points, 100 workers": Case(SEARCH_METHODS["de"](), budget=600, workers=100),
+    "cmaes, 300 points": Case(SEARCH_METHODS["cmaes"](), budget=300),
     "tanks, least_squares, 40 points": Case(LEAST_SQUARES, budget=40, config="cascaded_tanks"),
-    "de, 10 h": Case(METHODS["de"](), seconds=36000.0, workers=8),
+    "de, 10 h": Case(SEARCH_METHODS["de"](), seconds=36000.0, workers=8),
     "least_squares, converges": Case(LEAST_SQUARES),
-    "pattern_search, converges": Case(METHODS["pattern_search"]()),
+    "pattern_search, converges": Case(SEARCH_METHODS["pattern_search"]()),
     "16 starts, converge": Case(LEAST_SQUARES, starts=16),
     "64 starts, converge": Case(LEAST_SQUARES, starts=64),
     "64 starts, converge, 32 workers": Case(LEAST_SQUARES, starts=64, workers=32),
     "tanks, 64 starts, converge": Case(LEAST_SQUARES, starts=64, config="cascaded_tanks"),
-    "de, 20 generations": Case(METHODS["de"](max_generations=20)),  # type: ignore[call-arg]
+    "de, 20 generations": Case(SEARCH_METHODS["de"](max_generations=20)),  # type: ignore[call-arg]
 }
 
 
 @dataclass
-class Recorded:
+class RecordedDisplay:
     """What a display was shown, and when."""
 
     times: list[float] = field(default_factory=list)
@@ -94,7 +94,7 @@ def rows(options: argparse.Namespace) -> Iterator[Row]:
             yield {"predicted over actual time left": name, **ratios}
 
 
-def run(case: Case, mean: float, spread: float) -> Recorded:
+def run(case: Case, mean: float, spread: float) -> RecordedDisplay:
     """Run a case, and record what it shows."""
     problem = example(case.config)
     evaluator = Evaluator(problem.model, problem.experiments, "virtual")
@@ -107,7 +107,7 @@ def run(case: Case, mean: float, spread: float) -> Recorded:
         return float(mean * np.exp(spread * generator.normal()))
 
     executor = VirtualExecutor(residuals, seconds, case.workers)
-    recorded = Recorded()
+    recorded = RecordedDisplay()
 
     def show(snapshot: RunSnapshot) -> None:
         recorded.times.append(executor.now)

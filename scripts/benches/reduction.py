@@ -18,7 +18,7 @@ import cluster_est as ce
 from benches import Row
 from benches.common import searches_by_turns
 from benches.sensitivities import chain_problem
-from cluster_est.methods import METHODS
+from cluster_est.methods import SEARCH_METHODS
 from cluster_est.problem.costs import SumSquared
 from workers.messages import Reduction
 
@@ -43,7 +43,7 @@ def rows(options: argparse.Namespace) -> Iterator[Row]:
     budget = ce.Budget(evaluations=options.evaluations)
     resources = ce.Resources(options.executor, options.workers, budget=budget)
     ways = {
-        way: partial(ce.fit, replace(problem, cost=cost), METHODS["de"](), resources)
+        way: partial(ce.fit, replace(problem, cost=cost), SEARCH_METHODS["de"](), resources)
         for way, cost in COSTS.items()
     }
     found = searches_by_turns(ways, options.rounds)

@@ -147,7 +147,7 @@ class Oracle:
 
     @property
     def best(self) -> Refit:
-        """The fit, or where there is none the truth itself."""
+        """The fit, or without a fit the truth itself."""
         return self.fit or self.truth
 
 

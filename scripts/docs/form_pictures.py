@@ -164,7 +164,7 @@ def _shape(
     dashed: bool = True,
     offset: float = 0.0,
 ) -> Tile:
-    """What a form makes of a signal, or what it adds where there is none."""
+    """What a form makes of a signal, or what it adds without a signal."""
     times = np.linspace(0.0, 1.0, len(variable))
     before = np.zeros_like(variable) if signal is None else signal
     after = evaluated(FORMS[site, name], values, (times, before, variable, variable))  # type: ignore[index]

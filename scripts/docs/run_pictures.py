@@ -52,8 +52,8 @@ from cluster_est.html_report.page_blocks import FigureBlock, PanelsBlock, Report
 from cluster_est.html_report.parameter_sections import sensitivity
 from cluster_est.html_report.reported_run import ReportedRun, read_run
 from cluster_est.html_report.search_sections import search
-from cluster_est.html_report.sweep_page import SUMMARY, errors, is_sweep
-from cluster_est.run_folder.run_files import read_run_table
+from cluster_est.html_report.sweep_page import errors, is_sweep
+from cluster_est.run_folder.run_files import SWEEP_SUMMARY_FILE, read_run_table
 from workers.messages import FloatArray
 
 DOCS = Path(__file__).resolve().parents[2] / "cluster_est" / "docs"
@@ -101,7 +101,7 @@ def is_loop(run: Path) -> bool:
 def pictures(folder: Path) -> Iterator[tuple[str, str]]:
     """The name and the text of each picture of a run."""
     if is_sweep(folder):
-        figure = first_figure(errors(read_run_table(folder / SUMMARY)))
+        figure = first_figure(errors(read_run_table(folder / SWEEP_SUMMARY_FILE)))
         yield "sweep_errors", drawn(figure.title, figure.chart)
         return
     run = read_run(folder)

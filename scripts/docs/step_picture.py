@@ -36,7 +36,7 @@ STYLE = """
 
 
 @dataclass(frozen=True)
-class Held:
+class HeldInputSimulation:
     """A simulation whose input is held within each communication step.
 
     Attributes
@@ -109,7 +109,7 @@ def reference() -> ce.Output:
     return _simulated(experiment(), "model_exchange", ce.Solver("dormand_prince"))
 
 
-def held(step: float) -> Held:
+def held(step: float) -> HeldInputSimulation:
     """The same in a tool that sets the force at each communication point and then holds it."""
     measured = experiment()
     (force,), (position,) = measured.inputs, measured.outputs
@@ -122,7 +122,9 @@ def held(step: float) -> Held:
         stop=float(times[-1]),
     )
     found = _simulated(given, "co_simulation", ce.Solver("fmu", step=step))
-    return Held(times, values, found.values, found.values - reference().values[::every])
+    return HeldInputSimulation(
+        times, values, found.values, found.values - reference().values[::every]
+    )
 
 
 def _simulated(measured: ce.Experiment, interface: Interface, solver: ce.Solver) -> ce.Output:
@@ -146,7 +148,11 @@ def _shown(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def _both(
-    axes: Axes, large: Held, at_large: FloatArray, small: Held, at_small: FloatArray
+    axes: Axes,
+    large: HeldInputSimulation,
+    at_large: FloatArray,
+    small: HeldInputSimulation,
+    at_small: FloatArray,
 ) -> list[str]:
     """A curve for each step; dots at the communication points where they can be told apart."""
     return [

@@ -32,7 +32,7 @@ class Kind(StrEnum):
 
 
 @dataclass(frozen=True)
-class Ended:
+class EndedRun:
     """How a run ended: its case and kind, and a word or the last line that it printed."""
 
     case: str
@@ -42,7 +42,7 @@ class Ended:
 
 def run_cases(
     cases: Iterable[LeagueCase], kinds: Iterable[Kind], out: Path, minutes: float, workers: int
-) -> Iterator[Ended]:
+) -> Iterator[EndedRun]:
     """Run what has not run yet, one after the other, with default settings.
 
     Parameters
@@ -59,7 +59,7 @@ def run_cases(
 
     Yields
     ------
-    Ended
+    EndedRun
         After each run.
     """
     environment = prepared_environment(out)
@@ -68,7 +68,7 @@ def run_cases(
         for kind in chosen:
             if finished_facts(run_folder(out, case, kind)) is None:
                 how = _run(case, kind, out, minutes, workers, environment)
-                yield Ended(case.name, kind, how)
+                yield EndedRun(case.name, kind, how)
 
 
 def prepared_environment(out: Path) -> dict[str, str]:
@@ -85,7 +85,7 @@ def run_folder(out: Path, case: LeagueCase, kind: Kind) -> Path:
 
 
 def finished_facts(folder: Path) -> dict[str, Any] | None:
-    """What a run says of itself; None where there is none, or where it has not ended by itself."""
+    """What a run says of itself; None for a missing run, or one that has not ended by itself."""
     file = folder / "run.json"
     if not file.is_file():
         return None

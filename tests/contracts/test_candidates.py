@@ -42,7 +42,7 @@ VISITED = {"coulomb_table_25": ("mass_spring_damper",)}
 
 
 @dataclass(frozen=True)
-class Seen:
+class SimulatedSystem:
     """A system, simulated, with all that could be missing from it."""
 
     bench: LoopWorkbench
@@ -98,7 +98,7 @@ def systems():
             trials = [CandidatePoint(c, c.grid[len(c.grid) // 2]) for c in candidates]
             known = [[fitted.estimates[n] for n in each.linear.parameter_names] for each in courses]
             moves = directions(courses, trials, [np.array(values) for values in known])
-            found[name] = Seen(bench, fitted, trials, moves)
+            found[name] = SimulatedSystem(bench, fitted, trials, moves)
         yield found
 
 
@@ -178,7 +178,7 @@ def _of(candidates: list[EffectCandidate], kind: str, name: str) -> list[EffectC
     return own
 
 
-def _visible(seen: Seen, kind: str, name: str) -> tuple[CandidatePoint, np.ndarray]:
+def _visible(seen: SimulatedSystem, kind: str, name: str) -> tuple[CandidatePoint, np.ndarray]:
     """Of the form's candidates the one that the outputs show best, and its direction."""
     own = _of(seen.candidates, kind, name)
     pairs = zip(seen.trials, seen.directions, strict=True)

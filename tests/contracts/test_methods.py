@@ -13,7 +13,7 @@ from support.problems.nist import MODELS, read
 from support.thinning import thinned
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods import METHODS, LeastSquares, Nsga2, ScipyLeastSquares
+from cluster_est.methods import SEARCH_METHODS, LeastSquares, Nsga2, ScipyLeastSquares
 from cluster_est.methods.method import Ending, GivenPoints, Points, Solution
 
 PRODUCT = thinned(
@@ -31,17 +31,17 @@ PRODUCT = thinned(
 
 
 def test_every_registered_method_is_tested():
-    tested, registered = {type(entry.method) for entry in ENTRIES}, set(METHODS.values())
+    tested, registered = {type(entry.method) for entry in ENTRIES}, set(SEARCH_METHODS.values())
     assert registered <= tested, "add an entry to ENTRIES in method_entries.py"
-    assert tested <= registered, "add it to METHODS, under a name that no other method has"
+    assert tested <= registered, "add it to SEARCH_METHODS, under a name that no other method has"
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", SEARCH_METHODS)
 def test_a_method_is_called_what_the_config_calls_it(name):
-    assert METHODS[name].name == name, "METHODS and the class name it differently"
+    assert SEARCH_METHODS[name].name == name, "METHODS and the class name it differently"
 
 
-@pytest.mark.parametrize("method", METHODS.values(), ids=lambda method: method.__name__)
+@pytest.mark.parametrize("method", SEARCH_METHODS.values(), ids=lambda method: method.__name__)
 def test_registered_options_are_the_fields_of_a_frozen_dataclass_with_defaults(method):
     own = vars(method).get("__dataclass_params__")
     assert getattr(own, "frozen", False), "write @dataclass(frozen=True) above it"
@@ -56,7 +56,7 @@ def methods_on(kind):
 
 
 def test_methods_that_claim_to_keep_constraints_are_tested_with_constraints_and_no_others():
-    claimed = {method for method in METHODS.values() if method.keeps_constraints}
+    claimed = {method for method in SEARCH_METHODS.values() if method.keeps_constraints}
     # gives a front, not a minimum: its own tests cut the front with a constraint
     assert methods_on(INEQUALITY) == claimed - {Nsga2}, (
         "a method whose keeps_constraints is True has INEQUALITY among the kinds of its entry in "

@@ -15,7 +15,13 @@ from support.problems.springs import spring_problem
 from support.thinning import thinned
 
 from cluster_est import Budget, Experiment, Multistart, Output, Parameter, fit
-from cluster_est.methods import METHODS, DifferentialEvolution, LeastSquares, Nsga2, PatternSearch
+from cluster_est.methods import (
+    SEARCH_METHODS,
+    DifferentialEvolution,
+    LeastSquares,
+    Nsga2,
+    PatternSearch,
+)
 from cluster_est.methods.method import GivenPoints
 from cluster_est.problem.costs import COSTS
 from cluster_est.problem.search_space import SearchSpace, make_space
@@ -105,7 +111,7 @@ BLIND = [entry for entry in ENTRIES if not entry.method.needs_every_residual]
 
 
 def test_methods_that_work_on_residuals_get_them_all():
-    for method in METHODS.values():
+    for method in SEARCH_METHODS.values():
         assert method.needs_every_residual or not method.needs_residuals, (
             f"{method.name} works on residuals: leave out its needs_every_residual = False"
         )

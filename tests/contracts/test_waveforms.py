@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cluster_est.experiment_design.limits import InputLimits
-from cluster_est.experiment_design.waveforms import LEVELS, WAVEFORMS
+from cluster_est.experiment_design.waveforms import LEVEL_COORDINATES, WAVEFORMS
 
 EVERY = pytest.mark.parametrize("name", WAVEFORMS)
 TIMES = 0.05 * np.arange(401)
@@ -12,7 +12,7 @@ LIMITS = InputLimits(-3.0, 5.0)
 
 
 def points(name, count=60, seed=3):
-    return np.random.default_rng(seed).random((count, LEVELS + WAVEFORMS[name].size))
+    return np.random.default_rng(seed).random((count, LEVEL_COORDINATES + WAVEFORMS[name].size))
 
 
 def signals(name, limits=LIMITS, times=TIMES, **how):
@@ -38,7 +38,7 @@ def test_every_point_gives_a_signal_within_the_limits(name, count):
 @EVERY
 def test_the_corners_of_the_cube_are_signals_too(name):
     for corner in (0.0, 1.0):
-        point = np.full(LEVELS + WAVEFORMS[name].size, corner)
+        point = np.full(LEVEL_COORDINATES + WAVEFORMS[name].size, corner)
         signal = WAVEFORMS[name].signal(point, TIMES, LIMITS)
         assert LIMITS.lower <= signal.min() <= signal.max() <= LIMITS.upper
 

@@ -25,7 +25,7 @@ import workers.simulation.simulator as simulator
 from workers.core import library as c
 from workers.core.assemble import Registers, assemble
 from workers.effects.compiled import compile_inner, equations
-from workers.effects.definition import SIGNAL, TIME, variable_symbol
+from workers.effects.definition import SIGNAL_SYMBOL, TIME_SYMBOL, variable_symbol
 from workers.effects.machine_code import CAssignment, EffectArray
 from workers.effects.signal_memory import MEMORIES, SampledSignal
 from workers.kernels.fmi.arguments import KernelArguments
@@ -65,7 +65,7 @@ def inner_program(given, states, coefficients, base):
     own = len(laid_out.start_states)
     registers = Registers(states, own, len(given[3]), coefficients, base, len(laid_out.parameters))
     code = assemble(
-        registers, laid_out.locations, TIME, laid_out.start_states, laid_out.modify_inputs,
+        registers, laid_out.locations, TIME_SYMBOL, laid_out.start_states, laid_out.modify_inputs,
         laid_out.add_derivatives,
     )  # fmt: skip
     return c.LoadedProgram(code, with_c_library())
@@ -85,7 +85,7 @@ def output_program(definition, recorded, inputs):
     """The byte code of an effect at an output."""
     places = {variable_symbol(n): (EffectArray.INPUTS, i) for i, n in enumerate(inputs)}
     places |= {variable_symbol(n): (EffectArray.OUTPUTS, i) for i, n in enumerate(recorded)}
-    places[SIGNAL] = (EffectArray.OUTPUTS, recorded.index(definition.site.target))
+    places[SIGNAL_SYMBOL] = (EffectArray.OUTPUTS, recorded.index(definition.site.target))
     places |= {s: (EffectArray.COEFFICIENTS, i) for i, s in enumerate(definition.coefficients)}
     places |= {s: (EffectArray.STATES, i) for i, s in enumerate(definition.states)}
     own = len(definition.states)
@@ -97,7 +97,7 @@ def output_program(definition, recorded, inputs):
         return [CAssignment(array, i, value) for i, value in enumerate(values)]
 
     code = assemble(
-        registers, places, TIME, assigned(EffectArray.STATES, definition.starts),
+        registers, places, TIME_SYMBOL, assigned(EffectArray.STATES, definition.starts),
         assigned(EffectArray.RESULT, [e for _, e in definition.equations]),
         assigned(EffectArray.DERIVATIVES, definition.derivatives),
     )  # fmt: skip

@@ -10,7 +10,7 @@ from support.problems.springs import FMU
 
 from workers.core.assemble import MARK, OPERATIONS, Registers, assemble
 from workers.effects.compiled import CompiledEquations, equations
-from workers.effects.definition import TIME, define
+from workers.effects.definition import TIME_SYMBOL, define
 from workers.effects.forms import FORMS, SiteKind
 from workers.fmu.description import describe_model
 from workers.messages import Effect, Model, Solver
@@ -60,7 +60,7 @@ def form_program(kind: SiteKind, name: str) -> FormProgram:
     coefficients = 1 + len(definition.coefficients)
     registers = Registers(2 + own, own, 1, coefficients, parameters, parameters)
     code = assemble(
-        registers, laid_out.locations, TIME, laid_out.start_states, laid_out.modify_inputs,
+        registers, laid_out.locations, TIME_SYMBOL, laid_out.start_states, laid_out.modify_inputs,
         laid_out.add_derivatives,
     )  # fmt: skip
     return FormProgram(code, laid_out, registers)

@@ -15,7 +15,7 @@ from typing import Any
 
 import sympy as sp
 
-from workers.effects.definition import SIGNAL, TIME, EffectDefinition, variable_symbol
+from workers.effects.definition import SIGNAL_SYMBOL, TIME_SYMBOL, EffectDefinition, variable_symbol
 from workers.effects.machine_code import CAssignment, EffectArray, SymbolLocations, compile_function
 
 
@@ -73,14 +73,14 @@ def compile_inner(
     return InnerEffects(
         parameters=laid_out.parameters,
         n_effect_states=len(laid_out.start_states),
-        start_states=_compile(READ, laid_out.locations, laid_out.start_states),
+        start_states=_compile(READ_ARRAYS, laid_out.locations, laid_out.start_states),
         modify_inputs=_compile(
-            (*READ, EffectArray.EFFECTIVE_INPUTS, EffectArray.EFFECTIVE_PARAMETERS),
+            (*READ_ARRAYS, EffectArray.EFFECTIVE_INPUTS, EffectArray.EFFECTIVE_PARAMETERS),
             laid_out.locations,
             laid_out.modify_inputs,
         ),
         add_derivatives=_compile(
-            (*READ, EffectArray.DERIVATIVES), laid_out.locations, laid_out.add_derivatives
+            (*READ_ARRAYS, EffectArray.DERIVATIVES), laid_out.locations, laid_out.add_derivatives
         ),
     )
 
@@ -96,7 +96,7 @@ def equations(
     Parameters
     ----------
     definitions
-        Those effects, in the order in which they act.
+        The effects, in the order in which they act.
     positions
         Where the coefficients of each begin in the array of coefficients.
     states, inputs
@@ -139,14 +139,14 @@ def _own_states(
     return starts, derivatives
 
 
-READ = (EffectArray.STATES, EffectArray.INPUTS, EffectArray.COEFFICIENTS, EffectArray.BASE)
+READ_ARRAYS = (EffectArray.STATES, EffectArray.INPUTS, EffectArray.COEFFICIENTS, EffectArray.BASE)
 """Arrays that every function reads: states, inputs as measured, coefficients, parameters."""
 
 
 def _compile(
     arrays: tuple[EffectArray, ...], locations: SymbolLocations, assignments: Sequence[CAssignment]
 ) -> Any:
-    return compile_function(arrays, locations, assignments, TIME) if assignments else None
+    return compile_function(arrays, locations, assignments, TIME_SYMBOL) if assignments else None
 
 
 def _locate_symbols(
@@ -184,7 +184,7 @@ class _EffectChain:
         """Return the expressions of the symbols of an effect's equations at its site."""
         if definition.site.at_rates:
             return {variable_symbol(name): value for name, value in self.inputs.items()}
-        return {SIGNAL: self._of(definition)[definition.site.target]}
+        return {SIGNAL_SYMBOL: self._of(definition)[definition.site.target]}
 
     def apply(self, definition: EffectDefinition, states: Sequence[str]) -> list[CAssignment]:
         """Apply an effect: to its signal for those that follow, or to derivatives, returned."""

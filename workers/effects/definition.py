@@ -23,10 +23,10 @@ from workers.errors import EffectError
 from workers.fmu.description import ModelDescription
 from workers.messages import Effect, Experiment, FloatArray, Interface
 
-KEPT = 4096
+REMEMBERED_DEFINITIONS = 4096
 """Definitions that are remembered: those of the same effects are asked for again and again."""
 
-TIME, SIGNAL = sp.Symbol("t", real=True), sp.Symbol("s", real=True)
+TIME_SYMBOL, SIGNAL_SYMBOL = sp.Symbol("t", real=True), sp.Symbol("s", real=True)
 
 
 def variable_symbol(name: str) -> sp.Symbol:
@@ -44,7 +44,7 @@ class EffectDefinition:
         The effect, where it acts, and its form.
     equations
         (target, equation): what is added to the derivative of a state, or takes the place of the
-        signal `SIGNAL` of that name. Two at a pair, else one.
+        signal `SIGNAL_SYMBOL` of that name. Two at a pair, else one.
     coefficients
         Symbols, in the order of the form's coefficients.
     states
@@ -103,7 +103,7 @@ def _vanishes(definition: EffectDefinition) -> bool:
     """Return whether equations change nothing once the coefficients are neutral that can be."""
     pairs = zip(definition.coefficients, definition.form.coefficients, strict=True)
     neutral = {symbol: c.neutral for symbol, c in pairs if c.neutral is not None}
-    unchanged = sp.Integer(0) if definition.site.at_rates else SIGNAL
+    unchanged = sp.Integer(0) if definition.site.at_rates else SIGNAL_SYMBOL
     return all(equation.subs(neutral) - unchanged == 0 for _, equation in definition.equations)
 
 
@@ -133,7 +133,7 @@ def known_decay(definition: EffectDefinition) -> sp.Expr:
     constant = set(definition.coefficients)
     moving = derivative.free_symbols - constant
     linear = all(sp.diff(derivative, symbol).free_symbols <= constant for symbol in moving)
-    return -sp.diff(derivative, state) if linear and TIME not in moving else sp.Integer(0)
+    return -sp.diff(derivative, state) if linear and TIME_SYMBOL not in moving else sp.Integer(0)
 
 
 def known_rates(definition: EffectDefinition, names: tuple[str, ...]) -> list[sp.Expr]:
@@ -196,7 +196,7 @@ def define_all(
     return [define(effect, description, interface, signals) for effect in effects]
 
 
-@lru_cache(KEPT)
+@lru_cache(REMEMBERED_DEFINITIONS)
 def _definition(effect: Effect, site: EffectSite, allowed: tuple[str, ...]) -> EffectDefinition:
     """Read the equations of an effect over the variables that they may depend on."""
     variables = {name: variable_symbol(name) for name in allowed}
@@ -205,9 +205,9 @@ def _definition(effect: Effect, site: EffectSite, allowed: tuple[str, ...]) -> E
     names = _placeholders(effect, chosen, site, variables, where)
     own = {c.name: sp.Symbol(f"{effect.name}.{c.name}", real=True) for c in chosen.coefficients}
     states = {z.name: sp.Symbol(f"{effect.name}:{z.name}", real=True) for z in chosen.states}
-    symbols = {"t": TIME, **names, **own, **states}
+    symbols = {"t": TIME_SYMBOL, **names, **own, **states}
     if not site.at_rates:
-        symbols["s"] = SIGNAL
+        symbols["s"] = SIGNAL_SYMBOL
 
     def read(text: str) -> sp.Expr:
         return parse(text, symbols, f"{where}: equation")
@@ -339,7 +339,7 @@ def _variable(text: str, variables: Mapping[str, sp.Symbol], where: str) -> sp.E
     return first - second[0] if second else first
 
 
-UNKNOWN = "?"
+UNKNOWN_UNIT = "?"
 _WORD = re.compile(r"(site|other|travel|second|v|w|s)(\^[\d.]+)?")
 
 
@@ -361,7 +361,7 @@ def coefficient_units(
 def _units(definition: EffectDefinition, description: ModelDescription) -> dict[str, str]:
     def unit(name: str = "") -> str:
         known = description.variables.get(name)
-        return (known.unit if known is not None else "") or UNKNOWN
+        return (known.unit if known is not None else "") or UNKNOWN_UNIT
 
     site = definition.site
     found = [unit(name) for name in site.targets]

@@ -69,7 +69,7 @@ def _are_numbers(arguments: tuple[Any, ...]) -> bool:
     return all(term.is_number for term in terms)
 
 
-FUNCTIONS: dict[str, Callable[..., sp.Expr]] = {
+EQUATION_FUNCTIONS: dict[str, Callable[..., sp.Expr]] = {
     "abs": Abs,
     "sign": sp.sign,
     "sqrt": sp.sqrt,
@@ -94,14 +94,16 @@ _ARITHMETIC: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Pow: lambda a, b: _power(a, b),
 }
 MAX_EXPONENT = 1000
-"""Of a number: SymPy would compute all digits of 9^9^9."""
+"""Largest exponent of a number: SymPy would compute all digits of 9^9^9."""
 MOST_DIGITS = 10_000
-"""Of a power of numbers, all of which SymPy computes."""
-LARGEST = 1e300
-"""Of a function of numbers: beyond, the function of that function would never be computed."""
+"""Digits of a power of numbers, all of which SymPy computes."""
+LARGEST_FUNCTION_VALUE = 1e300
+"""Largest value of a function of numbers: beyond, the function of that function would never be
+computed."""
 MAX_DEPTH = 50
-"""Of calls, signs, powers and parentheses in each other; SymPy goes through them by recursion."""
-_COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
+"""Depth of calls, signs, powers and parentheses in each other; SymPy goes through them by
+recursion."""
+_COMPARISON_OPERATORS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Lt: lambda a, b: a < b,
     ast.LtE: lambda a, b: a <= b,
     ast.Gt: lambda a, b: a > b,
@@ -168,8 +170,14 @@ def _power(base: Any, exponent: Any) -> Any:
 
 def _bounded(value: Any) -> Any:
     """Return the value of a function; refused is a number that is out of all proportion."""
-    if getattr(value, "is_number", False) and value.is_finite and abs(value.evalf()) > LARGEST:
-        raise OverflowError(f"a number must be at most {LARGEST:g} in size but one is more")
+    if (
+        getattr(value, "is_number", False)
+        and value.is_finite
+        and abs(value.evalf()) > LARGEST_FUNCTION_VALUE
+    ):
+        raise OverflowError(
+            f"a number must be at most {LARGEST_FUNCTION_VALUE:g} in size but one is more"
+        )
     return value
 
 
@@ -216,9 +224,9 @@ class _ExpressionReader:
             case ast.BinOp():
                 return self._chain(node)
             case ast.Compare(left=left, ops=[comparison], comparators=[right]) if (
-                type(comparison) in _COMPARISONS
+                type(comparison) in _COMPARISON_OPERATORS
             ):
-                return _COMPARISONS[type(comparison)](self.read(left), self.read(right))
+                return _COMPARISON_OPERATORS[type(comparison)](self.read(left), self.read(right))
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
                 return self._call(name, arguments)
         raise self._refused(node)
@@ -240,7 +248,7 @@ class _ExpressionReader:
         part = ast.get_source_segment(self._text, node) or self._text
         return EffectError(
             f"{self._where}: must be made of numbers, variables, + - * / ^, comparisons and "
-            f"{', '.join(FUNCTIONS)} but has {part!r}"
+            f"{', '.join(EQUATION_FUNCTIONS)} but has {part!r}"
         )
 
     def _compute(self, operation: Callable[..., Any], *values: Any) -> Any:
@@ -258,7 +266,7 @@ class _ExpressionReader:
         return EffectError(f"{self._where}: {error} in {_shown(self._text)}; change it")
 
     def _call(self, name: str, arguments: list[ast.expr]) -> Any:
-        function = self._look_up(name, FUNCTIONS, "function")
+        function = self._look_up(name, EQUATION_FUNCTIONS, "function")
         try:
             return _bounded(function(*(self.read(argument) for argument in arguments)))
         except OverflowError as error:

@@ -95,20 +95,20 @@ _WITHIN = _at("v", GridScale.QUANTILE_V, 0.15, 0.3, 0.5, 0.7, 0.85)
 _WIDTH = FormCoefficient(
     "width", None, positive=True, scale=GridScale.RMS_V, grid=(0.004, 0.0005), held=True, unit="v"
 )
-"""Of a switch: as narrow as a solver can still step across."""
+"""Width of a switch: as narrow as a solver can still step across."""
 _WAVE = _wave("site", _FREQUENCY)
 _WAVES = tuple(0.5 * halves for halves in range(3, 33))
 """Waves within the range of the data: in steps of a half no peak of a periodogram is missed."""
 _BEYOND = _shape("at", "v", GridScale.MAX_V, 0.35, 0.55, 0.75)
 _HALF = _shape("half", "v", GridScale.MAX_V, 0.1, 0.3, 1.0)
-"""Where half of the limit is reached, as in the law of Michaelis and Menten."""
+"""Value where half of the limit is reached, as in the law of Michaelis and Menten."""
 _REFERENCE = FormCoefficient(
     "ref", None, positive=True, scale=GridScale.MAX_V, grid=(1.0,), held=True, unit="v"
 )
-"""Of a power law: there it is as large as its strength, whatever its exponent."""
-_EXPONENT = _shape("n", "1", GridScale.EXPONENT, 0.7, 1.5, 2.5, 4.5)
-"""Beside those of the square root, the line, the square and the cube, which have forms of their
-own."""
+"""Reference of a power law: there it is as large as its strength, whatever its exponent."""
+_EXPONENT_OF_POWER = _shape("n", "1", GridScale.EXPONENT, 0.7, 1.5, 2.5, 4.5)
+"""Exponents of a power law, beside those of the square root, the line, the square and the cube,
+which have forms of their own."""
 _ZERO = FormCoefficient(
     "zero", None, scale=GridScale.ABSOLUTE_ZERO, grid=(1.0,), held=True, unit="v"
 )
@@ -140,7 +140,8 @@ _TRAVEL = OwnState("z", "v", "0")
 _BRISTLE = OwnState("z", "(v - abs(v) * z) / x0", "0")
 
 _VALUES = 7
-"""Of a free curve; there are finer ones with twice and four times as many steps between them."""
+"""Values of a free curve; there are finer ones with twice and four times as many steps between
+them."""
 _FINER = (13, 25)
 
 
@@ -233,7 +234,7 @@ _RATES = (
     EffectForm("cubic", "drag", _DER, "-k * v^3", (_drag("site / v^3", if_own=True),), 1,
          order=0.5),
     EffectForm("power", "drag", _DER, "-k * sign(v) * (abs(v) / ref)^n",
-         (_drag("site", if_own=True), _EXPONENT, _REFERENCE), 1, order=1.0),
+         (_drag("site", if_own=True), _EXPONENT_OF_POWER, _REFERENCE), 1, order=1.0),
     EffectForm("coulomb", "friction", _DER, "-k * tanh(v / width)",
          (_drag("site"), _WIDTH), 1, when=_OWN_OSCILLATES),
     EffectForm("stribeck", "friction", _DER, "-(k + peak * exp(-(v / vs)^2)) * tanh(v / width)",
@@ -305,7 +306,7 @@ _RATES = (
     _between("linear", "coupling", "v", " / v", when=(), order=0.3),
     _between("quadratic", "drag", "v * abs(v)", " / v^2"),
     _between("cubic", "drag", "v^3", " / v^3", when=(), order=0.5),
-    _between("power", "drag", "sign(v) * (abs(v) / ref)^n", "", _EXPONENT, _REFERENCE,
+    _between("power", "drag", "sign(v) * (abs(v) / ref)^n", "", _EXPONENT_OF_POWER, _REFERENCE,
              when=(), order=1.0),
     _between("coulomb", "friction", "tanh(v / width)", "", _WIDTH),
     _between("overflow", "leak", "max(v - at, 0)", " / v",
@@ -502,7 +503,7 @@ FORMS: dict[tuple[SiteKind, str], EffectForm] = {
     for f in (*_RATES, *_SIGNALS, *_FORCES, *_TERMS, *_VARIATIONS)
     for kind in f.kinds
 }
-"""By kind of site and name."""
+"""All forms, by kind of site and name."""
 
 
 def form(kind: SiteKind, name: str, where: str) -> EffectForm:
@@ -511,7 +512,7 @@ def form(kind: SiteKind, name: str, where: str) -> EffectForm:
     Raises
     ------
     EffectError
-        If there is none of that name for that kind of site.
+        If no form has that name for that kind of site.
     """
     if (kind, name) in PROCESS_NOISE:
         return PROCESS_NOISE[kind, name]

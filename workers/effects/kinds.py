@@ -28,7 +28,8 @@ class GridScale(enum.Enum):
     """Entries are how often a wave repeats within the range of v; small whole numbers are tried too
     where v is an angle of several turns."""
     WAVES_TRAVEL_V = "waves travel v"
-    """The same within the range of the integral of v from the start of each experiment."""
+    """Entries are how often a wave repeats within the range of the integral of v from the start of
+    each experiment."""
     QUANTILE_V = "quantile v"
     """Entries are quantiles of v."""
     LOW_V = "low v"

@@ -28,7 +28,7 @@ from numba.core import types
 from numba.core.compiler_lock import global_compiler_lock
 from sympy.printing.pycode import pycode
 
-_CALLED: dict[type[sp.Function], str] = {
+_LIBRARY_FUNCTIONS: dict[type[sp.Function], str] = {
     sp.exp: "exp",
     sp.log: "log",
     sp.sin: "sin",
@@ -38,7 +38,7 @@ _CALLED: dict[type[sp.Function], str] = {
     sp.atan: "atan",
 }
 """Functions of the C library, by address."""
-_COMPARISONS: dict[type[sp.core.relational.Relational], str] = {
+_LLVM_COMPARISONS: dict[type[sp.core.relational.Relational], str] = {
     sp.StrictLessThan: "olt",
     sp.LessThan: "ole",
     sp.StrictGreaterThan: "ogt",
@@ -46,7 +46,7 @@ _COMPARISONS: dict[type[sp.core.relational.Relational], str] = {
     sp.Equality: "oeq",
     sp.Unequality: "une",
 }
-_MOST_MULTIPLICATIONS = 64
+_LARGEST_POWER_AS_PRODUCT = 64
 """Integer powers up to this one are products."""
 _INTRINSICS = """
 declare double @llvm.fabs.f64(double)
@@ -125,7 +125,7 @@ class Assembly:
             return reduce(lambda a, b: self._less(b, a, b, a), arguments)
         if isinstance(value, sp.Max):
             return reduce(lambda a, b: self._less(a, b, b, a), arguments)
-        name = _CALLED.get(type(value))
+        name = _LIBRARY_FUNCTIONS.get(type(value))
         if name is None:
             raise UntranslatableError(f"{type(value).__name__} is not known")
         return self._call(name, arguments)
@@ -149,7 +149,7 @@ class Assembly:
         written = self.write(base)
         if exponent == sp.Rational(1, 2):
             return self._assign(f"call double @llvm.sqrt.f64(double {written})")
-        if exponent.is_Integer and int(exponent) <= _MOST_MULTIPLICATIONS:
+        if exponent.is_Integer and int(exponent) <= _LARGEST_POWER_AS_PRODUCT:
             return self._integer_power(written, int(exponent))
         return self._call("pow", [written, self.write(exponent)])
 
@@ -182,7 +182,7 @@ class Assembly:
             operation = "and" if isinstance(condition, sp.And) else "or"
             written = [self._condition(each) for each in _ordered(condition.args)]
             return reduce(lambda a, b: self._assign(f"{operation} i1 {a}, {b}"), written)
-        comparison = _COMPARISONS.get(type(condition))
+        comparison = _LLVM_COMPARISONS.get(type(condition))
         if comparison is None:
             raise UntranslatableError(f"{type(condition).__name__} is not known")
         left, right = (self.write(side) for side in condition.args)
@@ -342,7 +342,7 @@ def compile_function(
     return cfunc(types.int32(types.float64, *pointers), error_model="numpy")(scope["effect"])
 
 
-_TIME = sp.Symbol("t", real=True)
+_TIME_ARGUMENT = sp.Symbol("t", real=True)
 
 
 @dataclass(frozen=True)
@@ -370,7 +370,7 @@ class _PreparedEquations:
         used = set().union(*(a.value.free_symbols for a in assignments)) if assignments else set()
         ordered = sorted(used - {time}, key=str)
         short = {symbol: sp.Symbol(f"s{i}", real=True) for i, symbol in enumerate(ordered)}
-        values = [a.value.xreplace(short | {time: _TIME}) for a in assignments]
+        values = [a.value.xreplace(short | {time: _TIME_ARGUMENT}) for a in assignments]
         common, reduced = sp.cse(values, symbols=sp.numbered_symbols("c"))
         read = tuple((local, locations[symbol]) for symbol, local in short.items())
         return cls(read, tuple(common), tuple(reduced))
@@ -379,7 +379,7 @@ class _PreparedEquations:
 def _body(equations: _PreparedEquations, assignments: Sequence[CAssignment]) -> Assembly:
     """Return the function in LLVM's language."""
     body = Assembly()
-    body.define(_TIME, "%t")
+    body.define(_TIME_ARGUMENT, "%t")
     for local, location in equations.read:
         body.define(local, body.load(*location))
     for symbol, value in equations.common:

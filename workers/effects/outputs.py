@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from workers.effects.definition import SIGNAL, TIME, EffectDefinition, variable_symbol
+from workers.effects.definition import SIGNAL_SYMBOL, TIME_SYMBOL, EffectDefinition, variable_symbol
 from workers.effects.machine_code import CAssignment, EffectArray, SymbolLocations, compile_function
 from workers.effects.signal_memory import MEMORIES, SampledSignal
 from workers.grid import SignalGrid
@@ -24,12 +24,12 @@ from workers.kernels.record import OutputHooks, OutputWorkspace, OwnStateMotion,
 from workers.messages import FloatArray, IntArray
 
 PIECES = 8
-"""Of each interval; within one a straight line will do."""
+"""Pieces of each interval; within one a straight line will do."""
 SHARES = np.arange(PIECES) / PIECES
 STENCIL = 4
 """Records that a cubic goes through."""
-UNEVEN = 5.0
-"""Longest over shortest interval between them, above which there is none."""
+UNEVEN_INTERVALS = 5.0
+"""Ratio of the longest to the shortest interval above which the times are not even."""
 
 
 def refine(grid: SignalGrid, outputs: FloatArray) -> tuple[SignalGrid, FloatArray]:
@@ -102,10 +102,10 @@ def _stencils(grid: SignalGrid) -> tuple[IntArray, npt.NDArray[np.bool_]]:
     enough = end - begin >= STENCIL - 1
     rows = np.where(enough, first, 0)[:, None] + np.arange(STENCIL - 1)
     lengths = grid.intervals[np.minimum(rows, count - 2)]
-    return first, enough & (lengths.max(axis=1) <= UNEVEN * lengths.min(axis=1))
+    return first, enough & (lengths.max(axis=1) <= UNEVEN_INTERVALS * lengths.min(axis=1))
 
 
-READ = (
+READ_AT_OUTPUTS = (
     EffectArray.STATES,
     EffectArray.OUTPUTS,
     EffectArray.INPUTS,
@@ -187,7 +187,7 @@ def _compile(
     locations |= {
         variable_symbol(name): (EffectArray.OUTPUTS, i) for i, name in enumerate(recorded)
     }
-    locations[SIGNAL] = (EffectArray.OUTPUTS, recorded.index(definition.site.target))
+    locations[SIGNAL_SYMBOL] = (EffectArray.OUTPUTS, recorded.index(definition.site.target))
     locations |= {s: (EffectArray.COEFFICIENTS, i) for i, s in enumerate(definition.coefficients)}
     locations |= {s: (EffectArray.STATES, i) for i, s in enumerate(definition.states)}
     start_states = [CAssignment(EffectArray.STATES, i, e) for i, e in enumerate(definition.starts)]
@@ -197,14 +197,16 @@ def _compile(
     output = [CAssignment(EffectArray.RESULT, 0, equation) for _, equation in definition.equations]
     own_coefficients = bool(definition.states)
     return CompiledOutputEffect(
-        start_states=compile_function(READ, locations, start_states, TIME)
+        start_states=compile_function(READ_AT_OUTPUTS, locations, start_states, TIME_SYMBOL)
         if own_coefficients
         else None,
         state_derivatives=compile_function(
-            (*READ, EffectArray.DERIVATIVES), locations, state_derivatives, TIME
+            (*READ_AT_OUTPUTS, EffectArray.DERIVATIVES), locations, state_derivatives, TIME_SYMBOL
         )
         if own_coefficients
         else None,
-        output=compile_function((*READ, EffectArray.RESULT), locations, output, TIME),
+        output=compile_function(
+            (*READ_AT_OUTPUTS, EffectArray.RESULT), locations, output, TIME_SYMBOL
+        ),
         states=len(definition.states),
     )

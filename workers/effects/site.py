@@ -20,7 +20,7 @@ _PATTERNS: dict[SiteKind, str] = {
     "parameter": r"parameter (.+)",
 }
 _COMMA = re.compile(r",(?![^\[]*\])")
-"""Between two names: not one within brackets, as in "x[1,2]"."""
+"""The comma between two names: not one within brackets, as in "x[1,2]"."""
 
 
 @dataclass(frozen=True)

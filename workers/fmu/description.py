@@ -121,7 +121,7 @@ class ModelDescription:
         return next(offer for offer in self.offers if offer.interface == interface)
 
     def variable(self, name: str, where: str) -> ModelVariable:
-        """Look up a variable; `where` opens the message if there is none of that name."""
+        """Look up a variable; `where` opens the message if no variable has that name."""
         if name not in self.variables:
             first = next((n for n in self.variables if n.startswith(f"{name}[")), None)
             ending = nearest(name, self.variables)

@@ -94,7 +94,7 @@ def make_callbacks() -> ctypes.Structure:
 
 
 CALLBACKS = make_callbacks()
-"""Of FMI 2.0, for all instances."""
+"""The callbacks of FMI 2.0, for all instances."""
 
 
 _REQUIRED = {

@@ -10,8 +10,8 @@ from xml.etree.ElementTree import Element
 
 from workers.fmu.variable import KINDS, ModelVariable
 from workers.fmu.xml import (
-    NOTHING,
-    TYPES,
+    NO_ELEMENT,
+    XML_TYPES,
     RawVariable,
     ReadingNotes,
     Version,
@@ -173,10 +173,10 @@ def _scalar(
 ) -> ModelVariable:
     """Return the variable as if it were no array and without a start value."""
     own, value, name = raw.own, raw.value, raw.name
-    kind = KINDS[TYPES[version][raw.tag]]
+    kind = KINDS[XML_TYPES[version][raw.tag]]
     wanted = value.get("declaredType")
-    declared = types.get(wanted or "", NOTHING)
-    if wanted and declared is NOTHING:
+    declared = types.get(wanted or "", NO_ELEMENT)
+    if wanted and declared is NO_ELEMENT:
         notes.add("types that are declared nowhere are ignored", name)
 
     def attribute(key: str) -> str | None:
@@ -209,7 +209,7 @@ def _scalar(
         low=low,
         high=high,
         nominal=abs(nominal or 1.0),
-        type=TYPES[version][raw.tag],
+        type=XML_TYPES[version][raw.tag],
         variability=variability,
         description=" ".join((own.get("description") or "").split()),
     )

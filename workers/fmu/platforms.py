@@ -11,7 +11,7 @@ from workers.fmu.xml import Version
 PLATFORM: str = fmpy.platform
 """This machine's platform in FMI 2.0's names."""
 PLATFORM_TUPLE: str = fmpy.platform_tuple
-"""The same in FMI 3.0's."""
+"""This machine's platform in FMI 3.0's names."""
 _SUFFIX: str = fmpy.sharedLibraryExtension
 _BITS_32 = ("linux32", "win32", "darwin32", "x86-linux", "x86-windows", "i686-linux")
 

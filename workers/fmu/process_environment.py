@@ -100,10 +100,10 @@ def resident_bytes(process: int | str) -> int:
     return pages * 4096
 
 
-KEPT = tuple(
+KEPT_SIGNALS = tuple(
     int(getattr(signal, name)) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
-ROOM = 512
+SIGACTION_BYTES = 512
 """Bytes: more than a struct sigaction has on any system."""
 ADDRESS = ctypes.sizeof(ctypes.c_void_p)
 """Bytes of a struct sigaction, its first, that are the handler; its flags are the library's own."""
@@ -170,7 +170,7 @@ def _sigaction(number: int, given: Any, found: Any) -> None:
 
 
 def _rooms() -> dict[int, Any]:
-    return {number: ctypes.create_string_buffer(ROOM) for number in KEPT}
+    return {number: ctypes.create_string_buffer(SIGACTION_BYTES) for number in KEPT_SIGNALS}
 
 
 def _read(rooms: dict[int, Any]) -> None:

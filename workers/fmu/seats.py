@@ -23,8 +23,9 @@ from workers.errors import ModelError
 from workers.messages import Seats
 
 WAIT_SECONDS = 120.0
-"""For which a seat is waited that another process has: one that was killed is gone long before."""
-LOOK_SECONDS = 0.01
+"""Seconds for which a seat is waited that another process has: one that was killed is gone long
+before."""
+SEAT_POLL_SECONDS = 0.01
 
 _lock = threading.Lock()
 _taken: dict[tuple[str, int], BaseFileLock] = {}
@@ -115,7 +116,7 @@ def _take(seats: Seats, file: str) -> tuple[str, int]:
                 f"was given back within {WAIT_SECONDS:.0f} s; look for a process that hangs in it, "
                 "or raise executor.instances"
             )
-        time.sleep(LOOK_SECONDS)
+        time.sleep(SEAT_POLL_SECONDS)
 
 
 def _locked(key: tuple[str, int], file: str) -> BaseFileLock | None:

@@ -130,7 +130,7 @@ def first_line(error: BaseException) -> str:
 
 
 def number(text: str | None, notes: ReadingNotes, what: str, name: str) -> float | None:
-    """Read a floating-point number of an XML schema; None if there is none or it is not finite.
+    """Read a floating-point number of an XML schema; None if it is missing or not finite.
 
     `what` is the attribute and `name` the variable, for the note about one that cannot be read.
     """
@@ -146,7 +146,7 @@ def number(text: str | None, notes: ReadingNotes, what: str, name: str) -> float
 
 
 def whole(text: str | None) -> int | None:
-    """Read a whole number; None if it is none."""
+    """Read a whole number; None if the text is not one."""
     plain = (text or "").strip()
     return int(plain) if _WHOLE.fullmatch(plain) else None
 
@@ -158,7 +158,7 @@ def flag(text: str | None) -> bool:
 
 Version = Literal["2.0", "3.0"]
 
-TYPES: dict[Version, dict[str, Type]] = {
+XML_TYPES: dict[Version, dict[str, Type]] = {
     "2.0": {
         "Real": "Float64",
         "Integer": "Int32",
@@ -169,7 +169,7 @@ TYPES: dict[Version, dict[str, Type]] = {
     "3.0": {name: name for name in KINDS},
 }
 """Names of types in the XML."""
-NOTHING = Element("nothing")
+NO_ELEMENT = Element("nothing")
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,7 @@ class RawVariable:
 def raw_variables(root: Element, version: Version, notes: ReadingNotes) -> list[RawVariable]:
     """Return the usable variables; in FMI 2, the others still count for positions."""
     section = root.find("ModelVariables")
-    types = TYPES[version]
+    types = XML_TYPES[version]
     found = []
     if section is None:
         notes.add("it has no <ModelVariables>")
@@ -219,13 +219,15 @@ def declared_types(root: Element, version: Version) -> dict[str, Element]:
     for definition in root.iterfind("TypeDefinitions/*"):
         holds = definition
         if version == "2.0":
-            holds = next((child for child in definition if child.tag in TYPES[version]), NOTHING)
+            holds = next(
+                (child for child in definition if child.tag in XML_TYPES[version]), NO_ELEMENT
+            )
         found[definition.get("name", "")] = holds
     return found
 
 
 BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
-"""In the order of the powers of a definition."""
+"""The base units, in the order of the powers of a definition."""
 
 
 @dataclass(frozen=True)

@@ -89,7 +89,7 @@ def check_choice(
 
 
 def as_path(value: object, where: str, error: type[ClusterEstError]) -> Path:
-    """A path; refuses what is none."""
+    """A path; refuses everything else."""
     if not isinstance(value, str | PathLike) or not str(value):
         raise error(f"{where}: must be a path but is {shown(value)}")
     return Path(value)

@@ -311,7 +311,7 @@ class Experiment:
     def __post_init__(self) -> None:
         check_name(self.id, "experiment.id", DataError)
         where = f"experiment {self.id!r}"
-        for key, kind in _LISTS.items():
+        for key, kind in _EXPERIMENT_LISTS.items():
             given = getattr(self, key)
             object.__setattr__(self, key, as_tuple(given, kind, f"{where}.{key}", DataError))
         for key in ("values", "groups"):
@@ -349,7 +349,7 @@ class Experiment:
         return (*(len(output.times) for output in self.outputs), *segments)
 
     def counts_in(self, want: Want) -> tuple[int, ...]:
-        """The same for an answer to `want`, which may have one number for all of an output."""
+        """Numbers in an answer to `want`, which may have one for all residuals of an output."""
         return tuple(min(c, 1) for c in self.counts) if want in REDUCTIONS else self.counts
 
     @cached_property
@@ -408,7 +408,7 @@ class Experiment:
         return content_hash(signals)
 
 
-_LISTS: dict[str, type] = {
+_EXPERIMENT_LISTS: dict[str, type] = {
     "inputs": Input,
     "outputs": Output,
     "signals": Input,
@@ -430,7 +430,7 @@ def _check_values(values: tuple[tuple[str, Value], ...], where: str) -> None:
 
 
 def _check_interval(experiment: Experiment, where: str) -> None:
-    """Refuse an interval that is none, or that measured times lie outside of."""
+    """Refuse an interval that is empty, or that measured times lie outside of."""
     start, stop = experiment.start, experiment.stop
     for key, time in (("start", start), ("stop", stop)):
         check_number(time, f"{where}.{key}", DataError)

@@ -35,7 +35,7 @@ class Seats:
     program
         Names the program whose seats these are.
     numbers
-        Those that may be taken: of a pool all, of one of its workers its own.
+        Seats that may be taken: of a pool all, of one of its workers its own.
     """
 
     program: str
@@ -174,7 +174,7 @@ class Model:
         Whether the FMU is told when a simulation will end. None: only if it cannot be initialised
         otherwise.
     seats
-        Those that its instances may take, where their number is limited; None where it is not.
+        Seats that its instances may take, where their number is limited; None where it is not.
 
     Raises
     ------
@@ -224,7 +224,7 @@ class Model:
         return workers if self.seats is None else min(workers, len(self.seats.numbers))
 
     def of_worker(self, worker: int) -> Self:
-        """The same for one of a pool's workers, counted from 0: with a seat of its own."""
+        """Return the model of one of a pool's workers, counted from 0: with a seat of its own."""
         if self.seats is None:
             return self
         return replace(self, seats=self.seats.of_worker(worker))

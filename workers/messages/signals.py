@@ -179,7 +179,7 @@ class Input:
     Raises
     ------
     DataError
-        If times are not finite and increasing, or values not finite, or there are none.
+        If times are not finite and increasing, or values not finite, or both are empty.
     """
 
     variable: str
@@ -219,7 +219,7 @@ class Output:
         Whether what is simulated may be multiplied by any factor, and shifted by any amount, before
         it is compared: the best ones, in each experiment.
     detection_limit
-        Measured values at or below it say no more than that; None where there is none.
+        Measured values at or below it say no more than that; None without a limit.
     ordinal
         Whether the measured values say an order and nothing else, such as grades from 1 to 5: equal
         values are one category, and a larger value says that the output was larger. `sigma` is then

@@ -274,5 +274,5 @@ class Outcome:
 
     @property
     def failed(self) -> bool:
-        """True if it is none that was asked for: neither OK nor ended early."""
+        """True unless the status is one that was asked for: OK, or ended early."""
         return self.status.is_failure

@@ -339,7 +339,7 @@ class SensitivityCost:
 
 @dataclass(frozen=True)
 class SensitivityCostProbe(FmuProbe):
-    """Times both ways at one point of an experiment; no answer where there are none."""
+    """Times both ways at one point of an experiment; no answer without sensitivities."""
 
     experiment: int
     point: FloatArray

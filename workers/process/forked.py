@@ -276,7 +276,7 @@ def _folder() -> str:
 
 
 TEMPLATE = TemplateClient()
-"""That of this program."""
+"""The client of this program's template."""
 
 
 def share_template(group: str) -> None:

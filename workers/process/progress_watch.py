@@ -21,7 +21,8 @@ from workers.messages import IntArray
 from workers.messages.types import CALLED, RUNNING, SIMULATIONS, no_watcher
 
 LATE_SECONDS = 1.0
-"""Of sleep that count from one look to the next: who looks so rarely was kept from looking."""
+"""Seconds of sleep that count from one look to the next: who looks so rarely was kept from
+looking."""
 WAITING = "RTtD"
 """States of Linux in which a thread would go on if it were let: ready to run, stopped, or waiting
 for a disk, as on a machine whose memory is short. `executor.timeout` ends it all the same."""

@@ -27,8 +27,8 @@ from workers.process.progress_watch import ProgressWatch
 from workers.wire import TaskBatch
 
 LOAD_SECONDS = 300.0
-"""For which a process may stand still outside of a simulation: it loads the FMU, compiles what
-simulates, or compares the outputs with what was measured."""
+"""Seconds for which a process may stand still outside of a simulation: it loads the FMU, compiles
+what simulates, or compares the outputs with what was measured."""
 
 
 @dataclass(frozen=True)
@@ -108,18 +108,19 @@ def _signal_name(number: int) -> str:
         return f"signal {number}"
 
 
-LOOK_SECONDS = 0.1
-"""How often the memory and the progress of a running simulation are looked at."""
+WATCH_SECONDS = 0.1
+"""Seconds from one look at the memory and the progress of a running simulation to the next."""
 SELDOM_SECONDS = 1.0
-"""The same where no limit is so narrow that it matters: a look costs a tenth of a millisecond."""
-WIDE = 20.0
+"""Seconds between two looks where no limit is so narrow that it matters: a look costs a tenth of a
+millisecond."""
+WIDE_LIMIT = 20.0
 """Times `SELDOM_SECONDS`, from which on a limit is not narrow."""
-TRIES, LOST = 2, 10
+MOST_TRIES, MOST_KILLS = 2, 10
 """How often a simulation may fail, and how often it may be killed from outside."""
 CAREFUL = 500
 """Tasks in a row without a failure before they travel in batches again."""
 MOST_INSTANCES = 900
-"""Of an FMU in one process; some tools' FMUs die at about 1000."""
+"""Instances of an FMU in one process; some tools' FMUs die at about 1000."""
 
 
 class LostError(Exception):
@@ -211,14 +212,14 @@ class SupervisedEvaluator:
             self._careful = CAREFUL
             lost += answered.from_outside
             failed += not answered.from_outside
-            if (failed >= TRIES and alone) or lost >= LOST:
+            if (failed >= MOST_TRIES and alone) or lost >= MOST_KILLS:
                 return self._failed(task, answered)
 
     def _failed(self, task: Task, failure: ProcessFailure) -> Outcome:
         return Outcome(task.id, failure.status, message=failure.message, worker=self._name)
 
     def _ask(self, batch: TaskBatch) -> list[Outcome] | ProcessFailure:
-        """One attempt: the outcomes, or why there are none."""
+        """One attempt: the outcomes, or the reason of its failure."""
         try:
             child, connection = self._child or self._begin()
         except ModelError as error:
@@ -254,8 +255,8 @@ class SupervisedEvaluator:
     def _wait(self, child: int, connection: Connection) -> ProcessFailure | None:
         """Wait for an answer; why not, if it stands still, or time or memory ran out."""
         limits = self._limits
-        wide = min(limits.seconds, limits.stall) >= WIDE * SELDOM_SECONDS
-        pause = SELDOM_SECONDS if wide and limits.memory == float("inf") else LOOK_SECONDS
+        wide = min(limits.seconds, limits.stall) >= WIDE_LIMIT * SELDOM_SECONDS
+        pause = SELDOM_SECONDS if wide and limits.memory == float("inf") else WATCH_SECONDS
         if connection.poll(pause):  # most answers are there before the first look
             return None
         watch = ProgressWatch(child, self._forks.progress)
@@ -280,7 +281,7 @@ class SupervisedEvaluator:
         return grown or report.instances > MOST_INSTANCES
 
     def _begin_at_last(self) -> None:
-        for left in reversed(range(LOST)):
+        for left in reversed(range(MOST_KILLS)):
             try:
                 self._begin()
                 return
@@ -300,7 +301,7 @@ class SupervisedEvaluator:
         said: ModelError | None
         try:
             watch = ProgressWatch(child, self._forks.progress)
-            while not connection.poll(LOOK_SECONDS):
+            while not connection.poll(WATCH_SECONDS):
                 watch.look()
                 if watch.still > LOAD_SECONDS:
                     self._end(kill=True)

@@ -44,7 +44,7 @@ class NoAnswer:
 
 
 class ProbeBench(ABC):
-    """Asks probes about an FMU: in processes of their own, or here where there are none."""
+    """Asks probes about an FMU: in processes of their own, or here where the system has none."""
 
     @staticmethod
     def open(model: Model, experiments: Sequence[Experiment]) -> ProbeBench:

@@ -47,7 +47,7 @@ class MeasuredTimes(Comparison):
 
 
 class SignalBounds(Comparison):
-    """For each side of each bound the largest violation over its times; at most 0 if there is none.
+    """For each side of each bound the largest violation over its times; at most 0 if it is kept.
 
     lower: max over t of (lower(t) - y(t)) / scale; upper: max of (y(t) - upper(t)) / scale;
     equality: the y(t) - lower(t), over scale, that is farthest from 0.
@@ -111,9 +111,9 @@ def _points(curve: Curve, simulated: SimulatedOutputs) -> FloatArray:
     return np.ascontiguousarray(simulated.outputs[:, rows][:, :, columns])
 
 
-RELATIVE_STEP = 1e-6
-"""Of the outputs, for a comparison that is not linear in them: it is no simulation, so rounding is
-all its noise."""
+COMPARISON_STEP = 1e-6
+"""Relative step of the outputs, for a comparison that is not linear in them: it is no simulation,
+so rounding is all its noise."""
 
 
 def comparison_jacobian(
@@ -148,7 +148,7 @@ def _steps(simulated: SimulatedOutputs, sensitivities: FloatArray) -> FloatArray
     own = np.abs(simulated.values[0, : len(sensitivities)])
     own[own == 0.0] = 1.0
     with np.errstate(divide="ignore"):
-        steps: FloatArray = RELATIVE_STEP * np.fmin(own, size / largest)
+        steps: FloatArray = COMPARISON_STEP * np.fmin(own, size / largest)
     return steps
 
 

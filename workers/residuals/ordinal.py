@@ -30,13 +30,13 @@ import numpy as np
 
 from workers.messages import FloatArray, IntArray
 
-GAPS = 0.5
-"""Of all gaps together, in spreads of the simulated signal. Wide gaps bias what is found where
-samples lie densely around a threshold, which in truth has no gap; with narrow ones a simulation
-whose samples nearly all coincide costs little."""
+SUM_OF_GAPS = 0.5
+"""Sum of all gaps, in spreads of the simulated signal. Wide gaps bias what is found where samples
+lie densely around a threshold, which in truth has no gap; with narrow ones a simulation whose
+samples nearly all coincide costs little."""
 NO_MOTION = 1e-12
 """Spread over the largest value, up to which a simulation does not move."""
-NOTHING_KNOWN = 1.0 + 0.5 * GAPS
+DISTANCE_WITHOUT_ORDER = 1.0 + 0.5 * SUM_OF_GAPS
 """The distance of every sample of a simulation that does not move, in spreads. It has no order,
 which must not cost less than a wrong one: with all thresholds around its mean, any simulation has a
 root mean square distance of at most this."""
@@ -84,7 +84,7 @@ def category_bounds(measured: FloatArray, simulated: FloatArray) -> CategoryBoun
         return CategoryBounds(categories, none, none, np.nan)
     if not spread > NO_MOTION * size:
         return CategoryBounds(categories, none, none, 0.0)
-    gap = GAPS / len(categories)
+    gap = SUM_OF_GAPS / len(categories)
     places = (simulated - centre) / spread
     thresholds = centre + spread * _thresholds(places, numbers, len(categories), gap)
     half = 0.5 * gap * spread
@@ -96,7 +96,7 @@ def category_bounds(measured: FloatArray, simulated: FloatArray) -> CategoryBoun
 def disparities(bounds: CategoryBounds, measured: FloatArray, simulated: FloatArray) -> FloatArray:
     """Return for each sample the value of its category that is nearest to the simulated one, (n,).
 
-    A measured value that is none of the categories may lie anywhere between its neighbours' far
+    A measured value outside of the categories may lie anywhere between its neighbours' far
     ends. NaN where there are no bounds.
     """
     last = len(bounds.categories) - 1
@@ -112,7 +112,7 @@ def ordinal_residuals(
 ) -> FloatArray:
     """Return the signed distances of simulated values to their categories, over sigma spreads."""
     if bounds.spread == 0.0:
-        return np.full(len(simulated), NOTHING_KNOWN / sigma)
+        return np.full(len(simulated), DISTANCE_WITHOUT_ORDER / sigma)
     if not np.isfinite(bounds.spread):
         return np.full(len(simulated), np.nan)
     nearest = disparities(bounds, measured, simulated)

@@ -32,7 +32,7 @@ class BoundEffects:
     recorded
         The experiment's outputs, and what else effects at outputs depend on.
     inner
-        The compiled effects at derivatives, inputs and parameters; None if there are none.
+        The compiled effects at derivatives, inputs and parameters; None without such effects.
     """
 
     definitions: tuple[EffectDefinition, ...]

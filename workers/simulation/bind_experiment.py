@@ -16,7 +16,7 @@ from workers.kernels.fmi.values import TYPES, VariableAccess
 from workers.messages import Experiment, FloatArray, IntArray, Model
 from workers.simulation.fixed_step import CommunicationPoints, communication_points, step_lengths
 
-_CALLED = {"Enumeration": "Int64"}
+_TYPES_READ_AS = {"Enumeration": "Int64"}
 """Types whose values are got and set as those of another one."""
 
 
@@ -29,7 +29,7 @@ def variable_access(
     Parameters
     ----------
     variables
-        Those of the columns; None for a column that the FMU does not see.
+        Variables of the columns; None for a column that the FMU does not see.
     array_starts
         The values of all elements of an array, for those that have no column.
     """
@@ -68,7 +68,7 @@ class _ArrayAccess:
 
 def _assign_column(variable: ModelVariable, column: int, others: list[_ArrayAccess]) -> None:
     """Assign a column to an element of a variable; a second name of a value has its own call."""
-    code = TYPES.index(_CALLED.get(variable.type, variable.type))
+    code = TYPES.index(_TYPES_READ_AS.get(variable.type, variable.type))
     for each in others:
         same = each.code == code and each.variable.reference == variable.reference
         if same and each.columns[variable.element] < 0:

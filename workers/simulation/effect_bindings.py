@@ -23,7 +23,7 @@ class EffectBindings:
     Parameters
     ----------
     model, description, experiments
-        Those of the simulator.
+        What the simulator simulates.
     signals
         Measured signals that effects may depend on.
     """

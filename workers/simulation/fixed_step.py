@@ -13,9 +13,9 @@ from workers.grid import SignalGrid, build_grid, on_times
 from workers.messages import Experiment, FloatArray, IntArray, Model
 
 ON_GRID = 1e-6
-"""Of a step: a time that is nearer to a communication point than this stands on it."""
-ROUNDING = 2.0 * float(np.finfo(np.float64).eps)
-"""Of the largest time: what rounding may change in the difference of two."""
+"""Part of a step: a time that is nearer to a communication point than this stands on it."""
+ROUNDING_OF_STEPS = 2.0 * float(np.finfo(np.float64).eps)
+"""Part of the largest time that rounding may change in the difference of two."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class CommunicationPoints:
     step
         Seconds from one point to the next.
     max_step
-        The same with room for rounding, so that every interval is cut into steps of this length.
+        Step with room for rounding, so that every interval is cut into steps of this length.
     before, after : (n,)
         The points before and after each time of the experiment.
     fractions : (n,)
@@ -118,7 +118,7 @@ def step_lengths(times: FloatArray, own_step: float | None) -> FloatArray:
     """
     differences = np.diff(times)
     lengths, positions = np.unique(differences, return_inverse=True)
-    room = ROUNDING * float(np.abs(times).max())
+    room = ROUNDING_OF_STEPS * float(np.abs(times).max())
     multiples = np.array([_multiple(each, room, own_step) for each in lengths.tolist()])[positions]
     shortest = np.array([_shortest(each, room) for each in lengths.tolist()])[positions]
     plain = np.where(times[:-1] + shortest >= times[1:], shortest, differences)

@@ -82,14 +82,16 @@ BATCHES: dict[str, Batch] = {
     "dormand_prince": lambda arguments: int(dormand_prince_batch(*arguments)),
 }
 
-UNTOLD, EXACT = -1.0, 0.0
-STOP_UNITS = (EXACT, 1.0, 86400.0)
+UNTOLD, EXPERIMENT_STOP = -1.0, 0.0
+STOP_UNITS = (EXPERIMENT_STOP, 1.0, 86400.0)
 """What FMUs ask of a stop time: that of the experiment, whole seconds, whole days (EnergyPlus)."""
 _stop_units: dict[str, float] = {}
-"""By the FMU's hash, what this process has found to be asked, where there must be a stop time."""
+"""What stop times FMUs have asked for in this process, by the FMU's hash, where there must be
+one."""
 
 DEFAULT_RTOL = 1e-8
-"""Of Dormand-Prince: on sampled inputs its steps are short anyhow, so accuracy costs little."""
+"""Tolerance of Dormand-Prince: on sampled inputs its steps are short anyhow, so accuracy costs
+little."""
 
 
 @dataclass(frozen=True)
@@ -296,7 +298,9 @@ class FmuIntegrator:
     def _stop_unit(self) -> float:
         if self._model.stop_time is False:
             return UNTOLD
-        return _stop_units.get(self._model.archive_hash, EXACT if self._model.stop_time else UNTOLD)
+        return _stop_units.get(
+            self._model.archive_hash, EXPERIMENT_STOP if self._model.stop_time else UNTOLD
+        )
 
     def _told(self, component: FmiComponent) -> FmiComponent:
         """Return an instance that is told the stop time if the FMU needs it."""
@@ -338,7 +342,7 @@ class FmuIntegrator:
         Raises
         ------
         ModelError
-            If there is none to be had.
+            If no instance is to be had.
         """
         try:
             return FmuInstance(self._model, self._description)

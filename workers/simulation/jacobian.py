@@ -16,8 +16,8 @@ from workers.fmu.description import ModelDescription
 from workers.kernels.solvers.sundials import DirectionalJacobian
 from workers.messages import FloatArray
 
-RELATIVE_STEP = float(np.cbrt(np.finfo(np.float64).eps))
-"""Of a central difference, over the size of a state."""
+STATE_DIFFERENCE_STEP = float(np.cbrt(np.finfo(np.float64).eps))
+"""Step of a central difference, over the size of a state."""
 MAX_JACOBIAN_ERROR = 1e-4
 """Largest error of directional derivatives, over the largest derivative in their row."""
 
@@ -84,7 +84,7 @@ def _compare(fmu: Any, version: str, unknowns: list[int], knowns: list[int]) -> 
     for column, known in enumerate(knowns):
         directional[:, column] = fmu.getDirectionalDerivative(unknowns, [known], [1.0])
     for column in range(len(knowns)):
-        step = RELATIVE_STEP * max(abs(states[column]), 1.0)
+        step = STATE_DIFFERENCE_STEP * max(abs(states[column]), 1.0)
         perturbed = np.tile(states, (2, 1))
         perturbed[:, column] += step, -step
         high, low = (vectors.derivatives_at(x) for x in perturbed)

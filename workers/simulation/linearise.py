@@ -286,7 +286,7 @@ def allocate(perturbed: PerturbedVariables, n: int, outputs: int) -> Linearisati
     )
 
 
-SHORTEST = 1e-6
+LEAST_SPREAD_FACTOR = 1e-6
 """Factor of the squares of residuals that a `log_spread` of another model leaves at least."""
 
 
@@ -342,7 +342,7 @@ class FilterPass:
         if squares == 0.0:
             return np.asarray(plain)
         wider = max(self.total_log_spread(grid), 0.0) - self.log_spread
-        return np.asarray(plain * np.sqrt(max(1.0 + wider / squares, SHORTEST)))
+        return np.asarray(plain * np.sqrt(max(1.0 + wider / squares, LEAST_SPREAD_FACTOR)))
 
 
 @dataclass(frozen=True)

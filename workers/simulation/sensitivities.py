@@ -37,7 +37,7 @@ TABLEAUS = {
         np.array([1.0, 2.0, 2.0, 1.0]) / 6.0,
     ),
 }
-RELATIVE_STEP = 6e-6
+PARAMETER_DIFFERENCE_STEP = 6e-6
 """The cube root of the rounding unit: of a parameter, for differences of instances and initial
 states; they are no simulations, so rounding is all their noise."""
 NOT_AVAILABLE = -1
@@ -229,8 +229,8 @@ class SensitivitySource:
         sizes = np.where(point == 0.0, [v.nominal for v in known], np.abs(point))
         lows = [-np.inf if v.low is None else v.low for v in known]
         highs = [np.inf if v.high is None else v.high for v in known]
-        above = np.maximum(np.minimum(point + RELATIVE_STEP * sizes, highs), point)
-        below = np.minimum(np.maximum(point - RELATIVE_STEP * sizes, lows), point)
+        above = np.maximum(np.minimum(point + PARAMETER_DIFFERENCE_STEP * sizes, highs), point)
+        below = np.minimum(np.maximum(point - PARAMETER_DIFFERENCE_STEP * sizes, lows), point)
         return np.column_stack([above, below])
 
     def _derivatives(self) -> dict[str, ModelVariable]:

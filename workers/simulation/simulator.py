@@ -36,7 +36,7 @@ class Simulator:
     model, description
         The FMU; the description must be of the same archive.
     experiments
-        Those that `run` refers to by index.
+        Experiments that `run` refers to by index.
     progress
         Progress that simulations note; see `workers.messages.types`.
 
@@ -239,7 +239,7 @@ class Simulator:
     def _run_with_sensitivities(
         self, bound: BoundExperiment, point: FloatArray
     ) -> tuple[SimulationBatch | None, str]:
-        """Run one simulation with sensitivities; None and a reason where there are none."""
+        """Run one simulation with sensitivities; None and a reason where it fails."""
         reason = self._sensitivity_source.unavailable_reason(bound)
         if reason:
             return None, reason

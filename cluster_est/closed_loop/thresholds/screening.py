@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cluster_est.statistics.omnibus import DRAWS, LENGTHS
+from cluster_est.statistics.omnibus import NULL_DISTRIBUTION_DRAWS, OMNIBUS_LENGTHS
 from cluster_est.statistics.score import CONFOUNDED
 
 
@@ -84,8 +84,8 @@ class ScreeningThresholds:
     probed_curves: int = 4
     confounded: float = CONFOUNDED
     autoregression: int = 2
-    omnibus_lengths: tuple[float, ...] = LENGTHS
-    omnibus_draws: int = DRAWS
+    omnibus_lengths: tuple[float, ...] = OMNIBUS_LENGTHS
+    omnibus_draws: int = NULL_DISTRIBUTION_DRAWS
     probe_amount: float = 0.01
 
 

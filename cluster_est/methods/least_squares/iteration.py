@@ -105,7 +105,7 @@ def _correction(model: LocalModel, trials: TrialPoints, i: int) -> FloatArray:
 
 DAMPING_RATIO = 10.0
 LEAST_DAMPING, LARGEST_DAMPING = 1e-14, 1e14
-CLOSE = 1e-6
+REDUCTION_NEAR_MINIMUM = 1e-6
 """Relative reduction by a full step below which a point is close to the minimum."""
 NOTICEABLE = 0.04
 """Fall of the sum of squares, over the variance of the residuals, that is a fifth of a standard
@@ -251,7 +251,7 @@ class LeastSquaresIteration:
 
 def enough_to_notice(at: Evaluation) -> float:
     """Return the relative fall of a cost that data can show at all."""
-    return max(CLOSE, NOTICEABLE / max(len(at.residuals), 1))
+    return max(REDUCTION_NEAR_MINIMUM, NOTICEABLE / max(len(at.residuals), 1))
 
 
 def _end_of_steps(state: IterationState, damping: float) -> Ending:

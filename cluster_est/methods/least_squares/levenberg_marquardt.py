@@ -40,8 +40,8 @@ from cluster_est.methods.block_matrix import BlockMatrix
 from cluster_est.methods.differences import Differences, ResidualJacobian
 from cluster_est.methods.gradients import JacobianProvider
 from cluster_est.methods.least_squares.iteration import (
-    CLOSE,
     LEAST_DAMPING,
+    REDUCTION_NEAR_MINIMUM,
     IterationState,
     LeastSquaresIteration,
     Result,
@@ -75,7 +75,7 @@ def final_step(
     """Take the full step. Return None if the point is not close, or the step raises the cost."""
     step = model.step(LEAST_DAMPING)
     reduction = model.predicted_reduction(step) / model.squares if model.squares > 0.0 else np.inf
-    if reduction > CLOSE:
+    if reduction > REDUCTION_NEAR_MINIMUM:
         return None
     if reduction <= FINAL_PART * ftol:
         return state, Ending.CONVERGED
@@ -137,7 +137,7 @@ def secant_update(
 
 
 INITIAL_DAMPING = 1e-3
-SMALLER = 0.1
+SHRUNK_UNKNOWN = 0.1
 """An unknown this much smaller than its start gets smaller differences at the end."""
 MATTERS = 1e-3
 """Change of the residuals, over their size, that an unknown makes when it changes by its own size,
@@ -184,7 +184,7 @@ class LeastSquares(Method):
         Relative step of the differences; 0 takes the one that suits the solver's noise.
     secant_updates
         How many times in a row the derivatives of the next point may be those of the last one,
-        corrected by what its step has shown, in place of new ones: for dear simulations on few
+        corrected by what its step has shown, in place of new ones: for expensive simulations on few
         workers, with some ten unknowns or more in each experiment. Derivatives are computed anew
         where they do not suit, and before it ends. Without effect under constraints.
     """
@@ -393,7 +393,7 @@ def _without_scales(state: IterationState) -> IterationState:
 
 def _with_current_sizes(space: SearchSpace, x: FloatArray) -> SearchSpace:
     """Return the space, for differences, with starts as small as unknowns have become."""
-    small = (np.abs(x) < SMALLER * space.typical) & (space.start != 0.0)
-    size = np.maximum(np.abs(x), SMALLER**2 * space.typical)
+    small = (np.abs(x) < SHRUNK_UNKNOWN * space.typical) & (space.start != 0.0)
+    size = np.maximum(np.abs(x), SHRUNK_UNKNOWN**2 * space.typical)
     start = np.where(small, np.copysign(size, x), space.start)
     return space.starting_at(np.clip(start, space.lower, space.upper))

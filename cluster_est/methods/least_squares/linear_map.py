@@ -289,13 +289,13 @@ class _DenseMatrix:
         return np.asarray(self.matrix @ step)
 
 
-LONGEST_STEP = 10.0
+LONGEST_RELATIVE_STEP = 10.0
 """Largest change of an unknown in one step, over its own size.
 
 A longer one can lead to where nothing depends on an unknown any more, and there is no way back.
 """
-LARGEST_WEIGHT = 1e200
-"""Of a residual; those of an output that is followed exactly would be infinite."""
+LARGEST_RESIDUAL_WEIGHT = 1e200
+"""Largest weight of a residual; that of an output which is followed exactly would be infinite."""
 
 
 class LocalModel:
@@ -348,7 +348,7 @@ class LocalModel:
         free = ~blocked & (sizes > 0.0)
         self.optimality = float(np.max(np.abs(gradient[free]) / sizes[free], initial=0.0))
         unsized = (space.start == 0.0) & ~np.isfinite(space.upper - space.lower)
-        longest = np.where(unsized, np.inf, LONGEST_STEP * unknown_sizes(space, x))
+        longest = np.where(unsized, np.inf, LONGEST_RELATIVE_STEP * unknown_sizes(space, x))
         self._bounds = np.maximum(space.lower - x, -longest), np.minimum(space.upper - x, longest)
         self._diagonal = np.where(self.scale > 0.0, self.scale, 1.0)
         self._walls = derivatives.walls
@@ -406,4 +406,4 @@ def _weights(space: SearchSpace, at: Evaluation) -> FloatArray:
             f"cost.name: must be one with weights for a least-squares method, but is "
             f'{space.problem.cost.name!r}; use method.name = "sqp" or another cost'
         )
-    return np.clip(weights, 0.0, LARGEST_WEIGHT)
+    return np.clip(weights, 0.0, LARGEST_RESIDUAL_WEIGHT)

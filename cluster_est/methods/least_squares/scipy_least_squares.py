@@ -12,9 +12,15 @@ import numpy.typing as npt
 from typing_extensions import override
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods.callback_bridge import Ask, run_with, search_in_thread
+from cluster_est.methods.callback_bridge import (
+    FAILED_TRIALS_IN_A_ROW,
+    MOST_SCIPY_RUNS,
+    Ask,
+    run_with,
+    search_in_thread,
+)
 from cluster_est.methods.differences import (
-    SHORTER,
+    STEP_REDUCTION,
     Scheme,
     jacobian,
     suitable_step,
@@ -37,17 +43,10 @@ from workers.messages import FloatArray
 FAILED_RESIDUAL = 1e100
 """SciPy has no failed evaluations: a residual so large makes it shorten its step."""
 
-
-RESTARTS = 5
-"""Runs of SciPy, of which each but the last ended with a derivative that was not known."""
-
-
 BY_XTOL = 3
 """SciPy's status where a step was short."""
-FAILURES = 3
-"""Trials that failed in a row, after which a short step says nothing of a minimum."""
-NEARLY_OPTIMAL = 1e-3
-"""Cosine between the residuals and a column, below which it is one all the same."""
+NEARLY_ORTHOGONAL = 1e-3
+"""Cosine between the residuals and a column, below which a point is a minimum all the same."""
 
 
 class _StartFailedError(Exception):
@@ -124,11 +123,11 @@ class ScipyLeastSquares(Method):
 
         start, bounds = space.start / unit, (space.lower / unit, space.upper / unit)
         try:
-            for _ in range(RESTARTS):
+            for _ in range(MOST_SCIPY_RUNS):
                 cache.frozen = cache.frozen_before = np.zeros(space.size, dtype=bool)
                 result = self._run(residuals, derivatives, start, bounds)
-                start, relative = result.x, SHORTER * relative
-                short = result.status == BY_XTOL and cache.failures >= FAILURES
+                start, relative = result.x, STEP_REDUCTION * relative
+                short = result.status == BY_XTOL and cache.failures >= FAILED_TRIALS_IN_A_ROW
                 if result.status <= 0 or not cache.guessed.any():
                     break
         except _StartFailedError as failure:
@@ -222,7 +221,7 @@ def _ending(result: Any, cut_short: bool) -> Ending:
     norms = np.linalg.norm(result.jac, axis=0) * np.linalg.norm(result.fun)
     free = (norms > 0.0) & (result.active_mask * result.grad <= 0.0)
     cosines = np.abs(result.grad[free]) / norms[free]
-    steep = bool(np.max(cosines, initial=0.0) > NEARLY_OPTIMAL)
+    steep = bool(np.max(cosines, initial=0.0) > NEARLY_ORTHOGONAL)
     return Ending.STALLED if cut_short and steep else Ending.CONVERGED
 
 

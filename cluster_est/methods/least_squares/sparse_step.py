@@ -36,19 +36,23 @@ import numpy.typing as npt
 from cluster_est.methods.block_matrix import BlockMatrix
 from workers.messages import FloatArray, IntArray
 
-ROUNDS = 60
-"""After which the last minimum is moved into the bounds instead."""
+ACTIVE_SET_ROUNDS = 60
+"""Rounds after which the last minimum is moved into the bounds instead."""
 PATIENCE = 5
 """Rounds without fewer infeasibilities, before one unknown changes at a time."""
-ROUNDING = 1e-14
-"""Of the terms of a gradient: less of it has no sign."""
+ROUNDING_OF_GRADIENT = 1e-14
+"""Part of the terms of a gradient that is rounding: a component below it has no sign."""
 
 Solve = Callable[[npt.NDArray[np.bool_], FloatArray], FloatArray]
 Gradient = Callable[[FloatArray], tuple[FloatArray, float]]
 
 
 def within_bounds(
-    solve: Solve, gradient: Gradient, lower: FloatArray, upper: FloatArray, rounds: int = ROUNDS
+    solve: Solve,
+    gradient: Gradient,
+    lower: FloatArray,
+    upper: FloatArray,
+    rounds: int = ACTIVE_SET_ROUNDS,
 ) -> FloatArray:
     """Return the minimum (unknowns,) within bounds.
 
@@ -73,7 +77,7 @@ def within_bounds(
         wanted = np.where(active == 0, np.where(x < lower, -1, np.where(x > upper, 1, 0)), active)
         if (active != 0).any():
             g, size = gradient(x)
-            wanted = np.where((active * g > ROUNDING * size) & ~equal, 0, wanted)
+            wanted = np.where((active * g > ROUNDING_OF_GRADIENT * size) & ~equal, 0, wanted)
         infeasible = np.flatnonzero(wanted != active)
         if not len(infeasible):
             break
@@ -293,7 +297,7 @@ def make_chains(matrix: BlockMatrix, residuals: FloatArray, border: Mask) -> lis
     matrix, residuals
         J and r.
     border : (unknowns,)
-        Those that stay; every other one acts on one block, or on two that follow each other.
+        Unknowns that stay; every other one acts on one block, or on two that follow each other.
     """
     last = np.full(matrix.size, -1)
     for e, columns in enumerate(matrix.columns):

@@ -29,7 +29,7 @@ from cluster_est.methods.pattern_search.synchronous import (
 from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
-NONE = -1
+NO_DIRECTION = -1
 
 
 @dataclass
@@ -48,7 +48,7 @@ class RequestedPoint:
 
     u: FloatArray
     mesh: float
-    direction: int = NONE
+    direction: int = NO_DIRECTION
     overtaken: int = 0
 
 
@@ -91,7 +91,9 @@ class PollState:
                 self._outstanding[self._next_index] = asked
                 self._next_index += 1
                 found.append(asked)
-            if found or any(asked.direction != NONE for asked in self._outstanding.values()):
+            if found or any(
+                asked.direction != NO_DIRECTION for asked in self._outstanding.values()
+            ):
                 break
             if not self._refine():  # all directions were tried, at points with known evaluations
                 break
@@ -125,9 +127,9 @@ class PollState:
             self._update_progress(length)
             return
         for asked in self._outstanding.values():
-            if asked.direction != NONE and asked.overtaken >= self._late:
+            if asked.direction != NO_DIRECTION and asked.overtaken >= self._late:
                 self._shorten(asked.direction)  # its point is slow; its answer still counts
-                asked.direction = NONE
+                asked.direction = NO_DIRECTION
         self._refine()
 
     @property
@@ -151,7 +153,7 @@ class PollState:
     def _add(self, evaluation: Evaluation) -> int:
         """Add an evaluation; return the number of its point."""
         asked = self._outstanding[evaluation.index]
-        if asked.direction != NONE:
+        if asked.direction != NO_DIRECTION:
             self._shorten(asked.direction)
         for index, other in self._outstanding.items():
             other.overtaken += index < evaluation.index
@@ -167,7 +169,7 @@ class PollState:
         """
         self._drop([index for index in self._outstanding if index > self._newest])
         for asked in self._outstanding.values():
-            asked.direction = NONE
+            asked.direction = NO_DIRECTION
         self._mesh = mesh
         self._plan = self._state.plan(mesh)
         self._steps = np.full(len(self._plan.directions), mesh)
@@ -207,9 +209,9 @@ class PollState:
             twin = out.get(key(asked.u))
             if twin is None:
                 return asked
-            if twin.direction == NONE:
+            if twin.direction == NO_DIRECTION:
                 twin.direction = asked.direction
-            elif asked.direction != NONE:
+            elif asked.direction != NO_DIRECTION:
                 self._shorten(asked.direction)
 
     def _candidate(self) -> RequestedPoint | None:

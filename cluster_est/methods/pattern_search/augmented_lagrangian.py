@@ -20,9 +20,9 @@ import numpy.typing as npt
 from cluster_est.methods.method import TOLERANCE
 from workers.messages import FloatArray
 
-MARGIN = 0.5 * TOLERANCE
+INEQUALITY_MARGIN = 0.5 * TOLERANCE
 """Inequalities are tightened by this, because minima are approached from outside."""
-CLOSE = 0.5 * TOLERANCE
+NEGLIGIBLE_VIOLATION = 0.5 * TOLERANCE
 LARGEST_REMAINDER = 0.25
 """Part of the error that may remain after a minimisation, or the penalty grows."""
 PENALTY_FACTOR = 8.0
@@ -76,7 +76,11 @@ class AugmentedLagrangian:
         """Return it with the multipliers t, and a larger penalty if the error hardly fell."""
         error = self.constraint_error(constraints)
         new = replace(self, multipliers=self.shifted(constraints), error=error)
-        return new.stronger() if error > max(CLOSE, LARGEST_REMAINDER * self.error) else new
+        return (
+            new.stronger()
+            if error > max(NEGLIGIBLE_VIOLATION, LARGEST_REMAINDER * self.error)
+            else new
+        )
 
     def stronger(self) -> AugmentedLagrangian:
         """Return it with a larger penalty."""
@@ -93,7 +97,7 @@ def first_lagrangian(equality: npt.NDArray[np.bool_], on_parameters: int) -> Aug
     on_parameters
         Number of them, at the front, that are satisfied by other means.
     """
-    margins = np.where(equality, 0.0, MARGIN)
+    margins = np.where(equality, 0.0, INEQUALITY_MARGIN)
     margins[:on_parameters] = 0.0
     return AugmentedLagrangian(equality, margins, np.zeros(len(equality)), 1.0)
 

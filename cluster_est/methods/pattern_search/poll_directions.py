@@ -23,7 +23,7 @@ from workers.messages import FloatArray
 
 Basis = Literal["2n", "n+1"]
 Axes = Literal["aligned", "coordinates", "random"]
-NEGLIGIBLE = 1e-8
+NEGLIGIBLE_LENGTH = 1e-8
 
 
 def reflection(vector: FloatArray) -> FloatArray:
@@ -85,12 +85,12 @@ def _independent(vectors: FloatArray) -> FloatArray:
         return vectors[:0]
     found, triangle, _ = qr(vectors.T, mode="economic", pivoting=True)
     sizes = np.abs(np.diag(triangle))
-    return np.ascontiguousarray(found[:, sizes > NEGLIGIBLE].T)
+    return np.ascontiguousarray(found[:, sizes > NEGLIGIBLE_LENGTH].T)
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
     lengths = np.linalg.norm(vectors, axis=1)
-    long = lengths > NEGLIGIBLE
+    long = lengths > NEGLIGIBLE_LENGTH
     found: FloatArray = vectors[long] / lengths[long, None]
     return found
 
@@ -99,7 +99,7 @@ def _distinct(vectors: FloatArray) -> FloatArray:
     """Return the vectors without repetitions."""
     kept: list[FloatArray] = []
     for vector in vectors:
-        if all(np.abs(vector - other).max() > NEGLIGIBLE for other in kept):
+        if all(np.abs(vector - other).max() > NEGLIGIBLE_LENGTH for other in kept):
             kept.append(vector)
     return np.array(kept).reshape(-1, vectors.shape[1])
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from cluster_est.methods.coordinates import ScaledCoordinates
 from cluster_est.methods.method import Ending, Evaluation
 from cluster_est.methods.pattern_search.augmented_lagrangian import (
-    CLOSE,
+    NEGLIGIBLE_VIOLATION,
     AugmentedLagrangian,
     first_lagrangian,
     first_penalty,
@@ -31,7 +31,7 @@ from cluster_est.methods.pattern_search.poll_directions import (
 from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray, IntArray
 
-ROUNDING = 2.0**-40
+ROUNDING_OF_POINTS = 2.0**-40
 """Points that agree to this, in units of a noticeable change, are the same."""
 
 
@@ -114,7 +114,7 @@ class EvaluatedPoints:
 
 def key(u: FloatArray) -> bytes:
     """Return a key that is the same for points that count as the same."""
-    return (np.rint(u / ROUNDING) + 0.0).tobytes()
+    return (np.rint(u / ROUNDING_OF_POINTS) + 0.0).tobytes()
 
 
 CURVATURE_WEIGHT = 1e-5
@@ -210,7 +210,7 @@ def fit_model(base: FloatArray, steps: FloatArray, changes: FloatArray) -> Quadr
 MODEL_RADIUS = 4.0
 """The model interpolates points within so many meshes."""
 MODEL_STEPS = (1.0, 3.0)
-"""In meshes: the bounds within which its minima are requested."""
+"""Bounds, in meshes, within which the minima of a model are requested."""
 HYPERCUBE_RADIUS = 4.0
 """Meshes from the best point to the sides of the Latin hypercube."""
 FINER, COARSER = 0.1, 2.0
@@ -350,7 +350,10 @@ class PatternState:
         """Return an ending, or a new mesh, once the mesh is as fine as `tolerance`."""
         finest = self._options.mesh_tolerance
         lagrangian, constraints = self._lagrangian, self.evaluated.constraints[self._centre]
-        if self.tolerance <= finest and lagrangian.constraint_error(constraints) <= CLOSE:
+        if (
+            self.tolerance <= finest
+            and lagrangian.constraint_error(constraints) <= NEGLIGIBLE_VIOLATION
+        ):
             return Ending.CONVERGED, finest
         self._lagrangian = lagrangian.updated(constraints)
         if not self._lagrangian.penalty <= LARGEST_PENALTY * self._first_penalty:

@@ -24,9 +24,9 @@ from cluster_est.methods.pattern_search.state import PatternState, PollPlan
 from cluster_est.problem.search_space import SearchSpace
 
 NEAR_MINIMUM = 0.1
-"""In meshes: where a model's minimum is closer, the mesh is contracted twice at once."""
+"""Distance of a model's minimum, in meshes, below which the mesh is contracted twice at once."""
 FULL_STEP = 0.99
-"""In meshes: a step of this length counts as one of the pattern."""
+"""Length of a step, in meshes, from which on it counts as one of the pattern."""
 
 
 @dataclass(frozen=True)

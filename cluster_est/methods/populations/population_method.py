@@ -34,9 +34,9 @@ from cluster_est.problem.unknowns import Unknown
 from cluster_est.toml import dotted
 from workers.messages import FloatArray
 
-LARGEST = 1e300
+LARGEST_COST = 1e300
 """Costs and violations are cut to this, to stay finite."""
-FAILED = 1e301
+COST_OF_FAILURE = 1e301
 """Cost and violation of a failed simulation: worse than any other, and finite, as pymoo needs."""
 
 
@@ -73,9 +73,13 @@ def member_of(
 ) -> PopulationMember:
     """Return the member of an evaluated point; a failed simulation is worse than any other."""
     if not evaluation.ok or np.isnan(evaluation.cost):
-        return PopulationMember(unit, x, FAILED, np.full(goal.objectives, FAILED), FAILED)
-    values = np.fmax(np.fmin(goal.values(evaluation), LARGEST), -LARGEST)  # NaN counts as LARGEST
-    violation = min(evaluation.rank[0], LARGEST)
+        return PopulationMember(
+            unit, x, COST_OF_FAILURE, np.full(goal.objectives, COST_OF_FAILURE), COST_OF_FAILURE
+        )
+    values = np.fmax(
+        np.fmin(goal.values(evaluation), LARGEST_COST), -LARGEST_COST
+    )  # NaN counts as LARGEST
+    violation = min(evaluation.rank[0], LARGEST_COST)
     return PopulationMember(unit, x, evaluation.cost, values, violation)
 
 
@@ -343,7 +347,7 @@ def _better(
 ) -> _BestSoFar | None:
     """Return the best of a generation and all before; None while all have failed."""
     for member, evaluation in zip(new_members, evaluations, strict=True):
-        if member.violation < FAILED and (best is None or member.rank < best.member.rank):
+        if member.violation < COST_OF_FAILURE and (best is None or member.rank < best.member.rank):
             best = _BestSoFar(member, evaluation)
     return best
 

@@ -6,7 +6,7 @@ region. Three things make the model: the Hessian, the linearisations and the pen
 
 Hessian: two approximations compete, neither of which needs further evaluations. Gauss-Newton's
 matrix of the cost, 2 J'WJ, is right where residuals are small and constraints straight. A
-quasi-Newton matrix is that one, or a multiple of the identity where there is none, updated by the
+quasi-Newton matrix is that one, or else a multiple of the identity, updated by the
 change of the gradient along each of the last steps: it takes up what large residuals and curved
 constraints add. Whichever predicted the last steps better makes the next one, as in J. E. Dennis,
 D. M. Gay, R. E. Welsch, ACM TOMS 7 (1981) 348-368, doi:10.1145/355958.355965. Updates are those of
@@ -51,7 +51,7 @@ from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 Hessian = Literal["auto", "gauss_newton", "quasi_newton"]
-MEMORY = 30
+QUASI_NEWTON_MEMORY = 30
 """Steps that the updates are made of."""
 ERROR_DECAY = 0.5
 """Factor of the older prediction errors at each step."""
@@ -95,7 +95,7 @@ class HessianApproximations:
             A noticeable change of each unknown.
         """
         self._iterates.append((x, derivatives))
-        self._iterates = self._iterates[-MEMORY - 1 :]
+        self._iterates = self._iterates[-QUASI_NEWTON_MEMORY - 1 :]
         pairs = self._pairs(multipliers)
         gauss_newton = derivatives.gauss_newton
         if gauss_newton is None:
@@ -241,7 +241,7 @@ LEAST_REDUCTION = 0.1
 """Part of the possible reduction of the violation that every step must predict."""
 MOST_INCREASES = 12
 """Limit of tenfold increases for one step."""
-NEGLIGIBLE = 1e-3 * TOLERANCE
+NEGLIGIBLE_LINEAR_VIOLATION = 1e-3 * TOLERANCE
 
 
 class PenaltyParameter:
@@ -286,13 +286,16 @@ class PenaltyParameter:
         """
         step, multipliers = penalised_step(model, self.value, lower, upper)
         violation = model.violation(step)
-        if violation > NEGLIGIBLE:
+        if violation > NEGLIGIBLE_LINEAR_VIOLATION:
             nearly_zero = np.diag(1e-8 / sizes**2)
             feasibility = replace(model, gradient=np.zeros_like(step), hessian=nearly_zero)
             least = model.violation(penalised_step(feasibility, 1.0, lower, upper)[0])
             possible = max(model.violation(np.zeros_like(step)) - least, 0.0)
             for _ in range(MOST_INCREASES):
-                if violation <= least + (1.0 - LEAST_REDUCTION) * possible + NEGLIGIBLE:
+                if (
+                    violation
+                    <= least + (1.0 - LEAST_REDUCTION) * possible + NEGLIGIBLE_LINEAR_VIOLATION
+                ):
                     break
                 self.value *= 10.0
                 step, multipliers = penalised_step(model, self.value, lower, upper)

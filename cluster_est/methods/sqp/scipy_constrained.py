@@ -18,9 +18,15 @@ from typing import Any
 import numpy as np
 from scipy.optimize import BFGS, Bounds, NonlinearConstraint, lsq_linear, minimize
 
-from cluster_est.methods.callback_bridge import Ask, run_with, search_in_thread
+from cluster_est.methods.callback_bridge import (
+    FAILED_TRIALS_IN_A_ROW,
+    MOST_SCIPY_RUNS,
+    Ask,
+    run_with,
+    search_in_thread,
+)
 from cluster_est.methods.differences import (
-    SHORTER,
+    STEP_REDUCTION,
     Scheme,
     suitable_step,
     without_guesses,
@@ -39,7 +45,7 @@ from cluster_est.methods.method import (
     undefined_reason,
     worst_constraint,
 )
-from cluster_est.methods.sqp.sqp import NEARLY_OPTIMAL, Sqp
+from cluster_est.methods.sqp.sqp import OPTIMALITY_TOLERANCE, Sqp
 from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
@@ -76,7 +82,7 @@ class EvaluationCache:
     def forget_derivatives(self) -> None:
         """Have all derivatives asked for anew, with other steps than those that failed."""
         relative = self._relative_step or suitable_step(self._space, self.scheme)
-        self._relative_step = SHORTER * relative
+        self._relative_step = STEP_REDUCTION * relative
         self._derivatives.clear()
 
     def point(self, z: FloatArray) -> FloatArray:
@@ -131,12 +137,8 @@ ENDLESS = 1_000_000
 GRADIENT_TOLERANCE = 1e-14
 """Next to none: trust-constr takes a stationary point of its barrier for one of the problem."""
 STANDSTILL, STANDSTILLS = 1e-9, 5
-"""Steps of SLSQP, in typical sizes, that are less than derivatives by differences can tell, and so
+"""Steps of SLSQP, in typical sizes, that are below the error of derivatives by differences, and so
 many in a row: at a feasible point it has converged then, though its own tolerance is finer."""
-RESTARTS = 5
-"""Runs of SciPy, of which each but the last met a derivative that was not known."""
-FAILURES = 3
-"""Points that failed in a row, after which a short step says nothing of a minimum."""
 BARRIER_MARGIN = 0.01
 """Distance from a bound at which the barrier of trust-constr begins, in typical sizes."""
 
@@ -202,7 +204,7 @@ class _ScipyCallbacks:
 
     def _until_known(self, run: Callable[[], tuple[Ending, str]]) -> tuple[Ending, str]:
         """Run SciPy; again, from the best point, if a derivative was not known on the way."""
-        for i in range(RESTARTS):
+        for i in range(MOST_SCIPY_RUNS):
             if i:
                 self._cache.forget_derivatives()
             self._guessed = np.zeros(self._space.size, dtype=bool)
@@ -391,11 +393,11 @@ class _ScipyCallbacks:
 
     def _cut_short(self, x: FloatArray) -> bool:
         """Return whether failures ended the search where the cost can still fall."""
-        if self._feasibility_only or self._cache.failures < FAILURES:
+        if self._feasibility_only or self._cache.failures < FAILED_TRIALS_IN_A_ROW:
             return False
         self._cache.origin = x
         self._cache.derivatives(self._origin)
-        return self._optimality(self._origin) > NEARLY_OPTIMAL
+        return self._optimality(self._origin) > OPTIMALITY_TOLERANCE
 
     def _solution(self, ending: Ending, message: str) -> Solution:
         cache = self._cache

@@ -42,15 +42,15 @@ from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray
 
 INITIAL_RADIUS = 1.0
-"""In units of each unknown's size."""
+"""Radius of the first trust region, in units of each unknown's size."""
 REFINED_RADIUS = 1e-2
 """The least radius that central differences begin with."""
-ACCEPTED, POOR, GOOD = 0.05, 0.25, 0.75
+ACCEPTED_RATIO, POOR_RATIO, GOOD_RATIO = 0.05, 0.25, 0.75
 """Values of rho: the least that is accepted, and those that shrink and widen the region."""
-SHRINK, WIDEN = 0.25, 3.0
-FLOOR = 1e-16
+RADIUS_REDUCTION, RADIUS_GROWTH = 0.25, 3.0
+ZERO_COST = 1e-16
 """A cost this much smaller than the largest so far counts as zero."""
-NEARLY_OPTIMAL = 1e-3
+OPTIMALITY_TOLERANCE = 1e-3
 AT_A_KINK = (
     "no step longer than xtol lowers the cost; the gradient is not zero there, as at a kink or "
     "where simulations are noisy"
@@ -189,7 +189,7 @@ class _TrustRegionSearch:
     def refine(self, ending: Ending) -> bool:
         """Change to central differences if forward ones have converged; return whether."""
         converged = ending is Ending.CONVERGED or (
-            ending is Ending.STALLED and self._progress.optimality < NEARLY_OPTIMAL
+            ending is Ending.STALLED and self._progress.optimality < OPTIMALITY_TOLERANCE
         )
         if not converged or self._feasible_point_suffices() or not self._provider.refine():
             return False
@@ -204,8 +204,8 @@ class _TrustRegionSearch:
             x, at = self._x, self._at
         message = self._provider.note
         if ending is Ending.STALLED and self._progress.iteration > 0:
-            zero = abs(at.cost) <= FLOOR * self._largest_cost
-            settled = zero or self._progress.optimality < NEARLY_OPTIMAL
+            zero = abs(at.cost) <= ZERO_COST * self._largest_cost
+            settled = zero or self._progress.optimality < OPTIMALITY_TOLERANCE
             if settled or not self._shrunk_by_failures:
                 ending = Ending.CONVERGED
             message = message if settled else CUT_SHORT if self._shrunk_by_failures else AT_A_KINK
@@ -264,10 +264,10 @@ class _TrustRegionSearch:
             if violated and not corrected:
                 corrected = True
                 better = yield from self._correct(trial)
-                least = max(trial.reduction, ACCEPTED * trial.step.predicted_reduction)
+                least = max(trial.reduction, ACCEPTED_RATIO * trial.step.predicted_reduction)
                 if better.reduction > least:
                     return self._accept(better)
-            if trial.rho >= ACCEPTED or self._feasible_point_suffices():
+            if trial.rho >= ACCEPTED_RATIO or self._feasible_point_suffices():
                 return self._accept(trial)
             if violated and not linearised and self._model.has_kink(trial.step, trial.at):
                 linearised, corrected = True, False
@@ -279,7 +279,9 @@ class _TrustRegionSearch:
                 if self._model.derivatives.walls.any() and not self._model.along_walls:
                     self._model.along_walls = True
                     continue
-            self._radius = SHRINK * min(self._radius, self._model.length(trial.step.vector))
+            self._radius = RADIUS_REDUCTION * min(
+                self._radius, self._model.length(trial.step.vector)
+            )
         return Ending.STALLED
 
     def _try(self) -> Generator[Points, list[Evaluation], _TrialStep]:
@@ -344,7 +346,7 @@ class _TrustRegionSearch:
 
     def _merit_scale(self, at: Evaluation) -> float:
         """Return the scale to which changes of the merit are relative."""
-        size = max(abs(at.cost), FLOOR * self._largest_cost)
+        size = max(abs(at.cost), ZERO_COST * self._largest_cost)
         return size if at.feasible else size + self._penalty.value * self._penalty.violations(at)
 
     def _clip(self, x: FloatArray) -> FloatArray:
@@ -368,8 +370,8 @@ def _begun(requests: DerivativeRequests, answers: list[Evaluation]) -> Derivativ
 
 def _next_radius(radius: float, rho: float, length: float) -> float:
     """Return the next trust radius, after a step of some length."""
-    if rho < POOR:
-        return SHRINK * min(radius, length)
-    if rho >= GOOD and length >= 0.8 * radius:
-        return WIDEN * radius
+    if rho < POOR_RATIO:
+        return RADIUS_REDUCTION * min(radius, length)
+    if rho >= GOOD_RATIO and length >= 0.8 * radius:
+        return RADIUS_GROWTH * radius
     return radius

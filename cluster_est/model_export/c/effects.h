@@ -13,8 +13,8 @@ void effects_inside(double t, const double *states, const double *raw, const dou
                     const double *base, double *slopes);
 double effects_rate(const double *coefficients);
 
-/* The same for effect number e at an output, which sees `row`, the variables that such effects
- * need. */
+/* Steps of effect number e at an output, which sees `row`, the variables that
+ * such effects need. */
 void output_begin(int e, double t, double *states, const double *row, const double *raw,
                   const double *coefficients);
 void output_inside(int e, double t, const double *states, const double *row, const double *raw,

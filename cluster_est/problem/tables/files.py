@@ -57,7 +57,7 @@ def with_switches(cells: pa.ChunkedArray) -> pa.ChunkedArray:
 
 
 def as_numbers(column: pa.ChunkedArray) -> FloatArray:
-    """Return the cells as floats, NaN where there is none."""
+    """Return the cells as floats, NaN for empty ones."""
     # unsafe: integers beyond 2**53, like times in nanoseconds, are rounded rather than refused
     return np.array(column.cast(pa.float64(), safe=False).to_numpy(), dtype=np.float64)
 
@@ -81,10 +81,10 @@ READERS = {
     ".feather": "feather", ".arrow": "feather", ".ipc": "feather",
     ".mat": "mat",
 }  # fmt: skip
-MOST_SIGNALS = 1000
-"""In a matrix: it has fewer signals than samples."""
-MOST_LISTED = 30
-"""Columns in a message."""
+MOST_MATRIX_SIGNALS = 1000
+"""Signals in a matrix, which has fewer signals than samples."""
+MOST_NAMED_COLUMNS = 30
+"""Columns that a message names."""
 
 
 @by_content
@@ -152,8 +152,8 @@ class MeasuredTable:
             found = f"; did you mean {fields[0]!r}?"
         if not names and self.unusable:
             found = "; " + "; ".join(f"{n!r} {why}" for n, why in [*self.unusable.items()][:5])
-        listed = ", ".join(repr(each) for each in names[:MOST_LISTED])
-        more = len(names) - MOST_LISTED
+        listed = ", ".join(repr(each) for each in names[:MOST_NAMED_COLUMNS])
+        more = len(names) - MOST_NAMED_COLUMNS
         listed += f" and {more} more" if more > 0 else ""
         ending = f"{found} Its columns are {listed}" if found.endswith("?") else found
         return f"{self.path} has no column {name!r}{ending}"
@@ -321,7 +321,11 @@ def _read_mat(path: Path) -> MeasuredTable:
             unusable[name] = f"must be a vector of numbers but is {shape or 'a'} " + (
                 f"{values.dtype}" if isinstance(values, np.ndarray) else type(values).__name__
             )
-            if numbers is not None and numbers.ndim == 2 and min(numbers.shape) <= MOST_SIGNALS:
+            if (
+                numbers is not None
+                and numbers.ndim == 2
+                and min(numbers.shape) <= MOST_MATRIX_SIGNALS
+            ):
                 signals = numbers if len(numbers) < len(numbers.T) else numbers.T
                 own = {f"{name}[{i}]": each for i, each in enumerate(signals)}
                 columns |= {key: each.astype(np.float64) for key, each in own.items()}

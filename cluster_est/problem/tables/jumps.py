@@ -14,14 +14,14 @@ import numpy.typing as npt
 from cluster_est.toml import dotted, inline
 from workers.messages import Experiment, FloatArray, Input
 
-LEAST_SAMPLES = 10
-KEPT = 0.5
+LEAST_SAMPLES_WITH_JUMPS = 10
+LEAST_REPEATED_SHARE = 0.5
 """Least share of the samples that repeat the one before."""
-ALONE = 0.8
+LEAST_ISOLATED_SHARE = 0.8
 """Least share of the changes that stand alone, with samples that repeat before and after."""
-SIZE = 0.05
+LEAST_JUMP = 0.05
 """Least median change, over the range of the signal: smaller ones are the steps of a converter."""
-AFTER = 3
+SAMPLES_AFTER_JUMP = 3
 """Samples from the jump of an input on, in which what is fast answers."""
 REGULAR = 0.1
 """Largest range of the times between changes, over their median, of a staircase."""
@@ -37,22 +37,22 @@ def count_jumps(times: FloatArray, values: FloatArray) -> int:
     times, values : (n,)
         Of its samples, in order.
     """
-    if len(values) < LEAST_SAMPLES or not np.isfinite(values).all():
+    if len(values) < LEAST_SAMPLES_WITH_JUMPS or not np.isfinite(values).all():
         return 0
     size = np.abs(np.diff(values))
     intervals = np.diff(times)
     changes = _changes(values)
     wide = intervals >= 0.5 * float(np.median(intervals))
-    if not changes.any() or np.mean(~changes) < KEPT:
+    if not changes.any() or np.mean(~changes) < LEAST_REPEATED_SHARE:
         return 0
     around = np.concatenate([[False], changes, [False]])
     alone = changes & wide & ~around[:-2] & ~around[2:]
     binary = len(np.unique(values)) == 2 and bool(np.all(wide[changes]))
-    small = float(np.median(size[changes])) < SIZE * float(np.ptp(values))
+    small = float(np.median(size[changes])) < LEAST_JUMP * float(np.ptp(values))
     if (
         small
         or _is_rounded(values, changes)
-        or not (binary or np.sum(alone) >= ALONE * np.sum(changes))
+        or not (binary or np.sum(alone) >= LEAST_ISOLATED_SHARE * np.sum(changes))
     ):
         return 0
     return int(np.sum(changes))
@@ -84,7 +84,7 @@ def samples_after(
     """Return which of some times are just after events, or so many samples before them."""
     after = np.zeros(len(times), bool)
     first = np.searchsorted(times, events)
-    for late in range(-before, AFTER):
+    for late in range(-before, SAMPLES_AFTER_JUMP):
         after[np.clip(first + late, 0, len(times) - 1)] = True
     return after
 

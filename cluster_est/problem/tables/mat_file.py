@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 HEADER_BYTES = 128
 MATRIX, COMPRESSED = 14, 15
-NAME, COMPRESSED_NAME, DIMENSIONS, FLAGS = 1, 16, 5, 6
+NAME_TYPE, COMPRESSED_NAME_TYPE, DIMENSIONS_TYPE, FLAGS_TYPE = 1, 16, 5, 6
 SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}
 """Bytes of a number of each type."""
 NUMERIC = range(6, 16)
@@ -24,11 +24,11 @@ CLASSES = {1: "a cell array", 2: "a structure", 3: "an object", 4: "text", 5: "a
 STRUCTURE = 2
 DEEPEST = 8
 """Structures in structures that are looked into."""
-LONGEST_NAME = 1024
-MOST_NAMED = 12
+LONGEST_FIELD_NAME = 1024
+MOST_NAMED_FIELDS = 12
 COMPLEX = 0x0800
-MOST_BYTES = 2**31
-"""Of one variable, unpacked."""
+MOST_VARIABLE_BYTES = 2**31
+"""Bytes of one variable, unpacked."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def contents(file: bytes) -> MatContents | None:
         if at > len(file):
             raise ValueError("it is cut off")
         if kind == COMPRESSED:
-            body = zlib.decompressobj().decompress(body, MOST_BYTES)
+            body = zlib.decompressobj().decompress(body, MOST_VARIABLE_BYTES)
             kind, size = _unpack(f"{order}II", body, 0)
             body = body[8 : 8 + size]
         if kind != MATRIX:
@@ -125,18 +125,18 @@ def _variables(
     inside, own, depth
         Of a field: the name of its structure with a point, its own, and how deep it stands.
     """
-    at, flags = _element(body, 0, order, (FLAGS,))
+    at, flags = _element(body, 0, order, (FLAGS_TYPE,))
     (first,) = _unpack(f"{order}I", flags, 0)
     kind = first & 0xFF
     if kind not in NUMERIC and kind not in CLASSES:
         yield _Variable(inside + own, "of an unknown class")
         return
-    at, dimensions = _element(body, at, order, (DIMENSIONS,))
+    at, dimensions = _element(body, at, order, (DIMENSIONS_TYPE,))
     shape = _unpack(f"{order}{len(dimensions) // 4}i", dimensions, 0)
     if not 2 <= len(shape) <= 32 or min(shape) < 0:
         raise ValueError(f"a variable has the dimensions {shape[:4]}")
     before = body[:at]
-    at, name = _element(body, at, order, (NAME, COMPRESSED_NAME))
+    at, name = _element(body, at, order, (NAME_TYPE, COMPRESSED_NAME_TYPE))
     whole = inside + (own or name.decode("latin-1"))
     if kind == STRUCTURE and math.prod(shape) == 1 and depth < DEEPEST:
         yield from _structure(body, at, order, whole, depth)
@@ -154,14 +154,14 @@ def _structure(body: bytes, at: int, order: str, whole: str, depth: int) -> Iter
     """Yield a structure and its fields."""
     at, length = _element(body, at, order, (5,), 1)
     (longest,) = _unpack(f"{order}i", length, 0)
-    at, texts = _element(body, at, order, (NAME,))
-    if not 0 < longest <= LONGEST_NAME:
+    at, texts = _element(body, at, order, (NAME_TYPE,))
+    if not 0 < longest <= LONGEST_FIELD_NAME:
         raise ValueError(f"a structure has names of {longest} bytes")
     names = [
         texts[i : i + longest].split(b"\0")[0].decode("latin-1")
         for i in range(0, len(texts), longest)
     ]
-    yield _Variable(whole, f"a structure with {', '.join(names[:MOST_NAMED]) or 'nothing'}")
+    yield _Variable(whole, f"a structure with {', '.join(names[:MOST_NAMED_FIELDS]) or 'nothing'}")
     for name in names:
         kind, size = _unpack(f"{order}II", body, at)
         if kind != MATRIX or at + 8 + size > len(body):
@@ -175,7 +175,7 @@ def _structure(body: bytes, at: int, order: str, whole: str, depth: int) -> Iter
 def _named(before: bytes, name: str, data: bytes, order: str) -> bytes:
     """Return a matrix as a variable with a name."""
     text = name.encode("latin-1")
-    named = struct.pack(f"{order}II", NAME, len(text)) + text + bytes(-len(text) % 8)
+    named = struct.pack(f"{order}II", NAME_TYPE, len(text)) + text + bytes(-len(text) % 8)
     body = before + named + data
     return struct.pack(f"{order}II", MATRIX, len(body)) + body
 

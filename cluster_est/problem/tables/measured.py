@@ -308,7 +308,7 @@ class TableSource:
     def unused(self) -> UnusedColumns:
         """Read the file again, for its other columns.
 
-        There are none where the file cannot be read any more, or does not say the times.
+        Empty where the file cannot be read any more, or does not say the times.
         """
         try:
             table = read_table(self.path)

@@ -29,23 +29,23 @@ INTEGER_LIMITS = (
 """The least and largest integers of a type. A converter that is at its end gives them too."""
 HUGE = 9.9e36
 """Sizes from which on a number is the filling of a file format: 9.97e36, 9.9e37, 1e38, 3.4e38."""
-LEAST_SAMPLES = 10
-FAR = 50.0
+LEAST_SAMPLES_BESIDE_CODES = 10
+FAR_FROM_OTHER_VALUES = 50.0
 """Distance of a written code from the others, in their robust spread, where one of them is far off
 itself, so that they have a large range."""
-FEW, MANY = 10, 20
+LEAST_VALUES_BESIDE_CODE, LEAST_VALUES_BESIDE_NUMBER = 10, 20
 """Different values that the others must have: below, the column is one of levels, such as a switch
 or a set point, and its last level is one of these. The first is for codes, the second for any
 number."""
-REPEATED = 3
-"""Least number of samples that say of any number that it is none."""
-LONGEST = 10
+LEAST_REPETITIONS = 3
+"""Least number of samples that say of any number that it stands for no measurement."""
+LONGEST_REPETITION = 10
 """Samples in a row of any number; longer ones are a state."""
-MOST = 0.5
-"""Largest share of the samples that a code has, and ..."""
-RARE = 0.05
-"""... any other number."""
-MOST_NAMED = 3
+LARGEST_SHARE_OF_CODE = 0.5
+"""Largest share of the samples that a written code may have."""
+LARGEST_SHARE_OF_NUMBER = 0.05
+"""Largest share of the samples that any other number may have, if it stands for no measurement."""
+MOST_NAMED_RECORDS = 3
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def stand_ins(values: FloatArray) -> tuple[StandIn, ...]:
     other values than their own range. So is any number that is the least or the largest of the
     column, is there at least three times, each time for a few samples, and lies as far off, if the
     others are many and different. Where a signal ends at a limit without a gap, as of a sensor in
-    saturation, or has levels alone, as a switch, there is none.
+    saturation, or has levels alone, as a switch, no number stands for a missing one.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def stand_ins(values: FloatArray) -> tuple[StandIn, ...]:
         In the order of time; NaN where nothing was measured.
     """
     known = values[np.isfinite(values)]
-    if len(known) < LEAST_SAMPLES:
+    if len(known) < LEAST_SAMPLES_BESIDE_CODES:
         return ()
     is_code = is_missing(known, (*NINES, *INTEGER_LIMITS)) | (np.abs(known) >= HUGE)
     found = list(_codes(known, is_code)) if is_code.any() else []
@@ -122,11 +122,11 @@ def _codes(known: FloatArray, is_code: npt.NDArray[np.bool_]) -> Iterator[StandI
         gap = max(low - value, value - high)
         near = high - low
         if nines and spread > 0.0:
-            near = min(near, FAR * spread)
-        if not gap > near or np.mean(known == value) > MOST:
+            near = min(near, FAR_FROM_OTHER_VALUES * spread)
+        if not gap > near or np.mean(known == value) > LARGEST_SHARE_OF_CODE:
             continue
         plain = abs(value) >= HUGE or (nines and value < 0.0 and gap > 0.5 * abs(value))
-        if plain or len(np.unique(core)) >= FEW:
+        if plain or len(np.unique(core)) >= LEAST_VALUES_BESIDE_CODE:
             yield _stand_in(value, known, core)
 
 
@@ -138,7 +138,11 @@ def _stand_in(value: float, known: FloatArray, others: FloatArray) -> StandIn:
 def _is_apart(values: FloatArray, value: float, others: FloatArray) -> bool:
     """Return whether a column leaves many different values for one far off, now and then."""
     count = len(values) - len(others)
-    if count < REPEATED or count > RARE * len(values) or not len(others):
+    if (
+        count < LEAST_REPETITIONS
+        or count > LARGEST_SHARE_OF_NUMBER * len(values)
+        or not len(others)
+    ):
         return False
     gap = max(float(others.min()) - value, value - float(others.max()))
     if not gap > float(np.ptp(others)):
@@ -147,7 +151,11 @@ def _is_apart(values: FloatArray, value: float, others: FloatArray) -> bool:
     edges = np.flatnonzero(there[1:] != there[:-1])
     longest = int((edges[1::2] - edges[::2]).max())
     at_an_end = bool(there[1] or there[-2])
-    return longest <= LONGEST and not at_an_end and len(np.unique(others)) >= MANY
+    return (
+        longest <= LONGEST_REPETITION
+        and not at_an_end
+        and len(np.unique(others)) >= LEAST_VALUES_BESIDE_NUMBER
+    )
 
 
 @dataclass(frozen=True)
@@ -222,8 +230,8 @@ def _said(group: Sequence[FoundStandIn]) -> str:
     each = [found.stand_in for found in group]
     count, samples = sum(one.count for one in each), sum(one.samples for one in each)
     ids = list(dict.fromkeys(found.experiment for found in group))
-    more = f" and {len(ids) - MOST_NAMED} more" if len(ids) > MOST_NAMED else ""
-    runs = f"experiment{'s' if len(ids) > 1 else ''} {', '.join(ids[:MOST_NAMED])}{more}"
+    more = f" and {len(ids) - MOST_NAMED_RECORDS} more" if len(ids) > MOST_NAMED_RECORDS else ""
+    runs = f"experiment{'s' if len(ids) > 1 else ''} {', '.join(ids[:MOST_NAMED_RECORDS])}{more}"
     columns = list(dict.fromkeys(found.column for found in group if found.column))
     of = f" of column {columns[0]!r}" if len(columns) == 1 else ""
     low, high = min(one.low for one in each), max(one.high for one in each)

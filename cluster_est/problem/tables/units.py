@@ -12,14 +12,14 @@ from collections import Counter
 from dataclasses import dataclass
 
 PREFIXES = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6, "G": 1e9}
-SPELLINGS = {
+UNIT_SPELLINGS = {
     "°C": "degC", "celsius": "degC", "°": "deg", "Ω": "Ohm", "ohm": "Ohm",
     "\u00b5": "u", "\u03bc": "u",  # the micro sign and the Greek letter
     "·": ".", "*": ".", "^": "", "**": "", "²": "2", "³": "3", "sec": "s", "Nm": "N.m",
     "s^-1": "1/s", "s-1": "1/s",
     "RPM": "rpm", "1/min": "rpm", "r/min": "rpm", "rev/min": "rpm", "U/min": "rpm", "min-1": "rpm",
 }  # fmt: skip
-WORDS = {
+UNIT_SUFFIXES = {
     "C": "degC", "Kelvin": "K", "kelvin": "K", "volt": "V", "volts": "V", "amp": "A", "amps": "A",
     "newton": "N", "pascal": "Pa", "meter": "m", "metre": "m", "seconds": "s", "minutes": "min",
     "hours": "h", "radps": "rad/s", "degps": "deg/s", "mps": "m/s", "kmh": "km/h", "kph": "km/h",
@@ -103,7 +103,7 @@ _UNITS |= {
         ("%", (), 1e-2, 0.0),
     )
 }
-_PART = re.compile(r"1|(?P<name>.*?[^\d-])(?P<power>-?\d+)?")
+_UNIT_POWER = re.compile(r"1|(?P<name>.*?[^\d-])(?P<power>-?\d+)?")
 """A unit and its power, as in m3 or s-2."""
 
 
@@ -128,7 +128,7 @@ def likely_conversions(wanted: str) -> dict[str, UnitConversion]:
 def spelled(unit: str) -> str:
     """Return a unit in its usual spelling."""
     text = unit.strip()
-    for other, usual in SPELLINGS.items():
+    for other, usual in UNIT_SPELLINGS.items():
         if text == other or len(other) == 1:
             text = text.replace(other, usual)
     return text
@@ -172,7 +172,7 @@ def _parsed(unit: str) -> _Unit | None:
 
 def _raised(part: str) -> _Unit | None:
     """Return a unit with its power."""
-    read = _PART.fullmatch(part)
+    read = _UNIT_POWER.fullmatch(part)
     name = (read["name"] or "1") if read is not None else ""
     if read is None or name not in _UNITS:
         return None

@@ -10,7 +10,13 @@ import sympy as sp
 
 from cluster_est.results.fit_tables import EffectCurve, Estimate
 from cluster_est.results.result import Result
-from workers.effects.definition import SIGNAL, TIME, EffectDefinition, define_all, variable_symbol
+from workers.effects.definition import (
+    SIGNAL_SYMBOL,
+    TIME_SYMBOL,
+    EffectDefinition,
+    define_all,
+    variable_symbol,
+)
 from workers.effects.site import EffectSite, difference, own_variable, parts_of, split_variable
 from workers.fmu.description import ModelDescription
 from workers.messages import FloatArray
@@ -19,7 +25,7 @@ from workers.messages import FloatArray
 def covariance_of(result: Result, coefficients: Sequence[Estimate]) -> FloatArray:
     """(coefficients, coefficients): those that are held do not vary.
 
-    Those that follow from other parameters of the effect vary with these.
+    Coefficients that follow from other parameters of the effect vary with these.
     """
     if any(e.estimated_on == "derived" for e in coefficients):
         begin = f"{coefficients[0].label.rpartition('.')[0]}."
@@ -59,11 +65,12 @@ def _derivatives(
     return np.asarray((found[:, 1:] - found[:, :1]) / sizes)
 
 
-POINTS, BINS = 201, 48
-NOTHING_KNOWN = "nothing is known of"
+POINTS, ARGUMENT_BINS = 201, 48
+UNKNOWN_ARGUMENT = "nothing is known of"
 """Begins the reason where an argument's values are not to be had."""
-NORMAL95 = 1.959963984540054
-Visited = Callable[[EffectSite, str], FloatArray]
+BAND_QUANTILE = 1.959963984540054
+"""The 97.5 % quantile of the normal distribution, half the width of a 95 % band."""
+VisitedValues = Callable[[EffectSite, str], FloatArray]
 """The values of a variable by its name in the training experiments, at a site: empty if unknown."""
 Shape = Callable[[FloatArray, FloatArray], FloatArray]
 """What an effect adds, as a function of its argument and its coefficients."""
@@ -93,7 +100,7 @@ class EffectShape:
 
 
 def effect_shapes(
-    result: Result, description: ModelDescription, visited: Visited
+    result: Result, description: ModelDescription, visited: VisitedValues
 ) -> tuple[EffectCurve, ...]:
     """Compute the curves of all effects of a fitted model.
 
@@ -147,7 +154,7 @@ def _curves(
     definition: EffectDefinition,
     result: Result,
     description: ModelDescription,
-    visited: Visited,
+    visited: VisitedValues,
 ) -> list[EffectCurve]:
     if definition.form.memory or definition.states:
         why = "it depends on the past, so no curve over one variable shows it"
@@ -165,7 +172,7 @@ def _curves(
         if len(seen):
             found.append(_curve(definition, part, seen, result, description))
         else:
-            found.append(_none(definition, f"{NOTHING_KNOWN} {part.argument}"))
+            found.append(_none(definition, f"{UNKNOWN_ARGUMENT} {part.argument}"))
     return found
 
 
@@ -201,14 +208,14 @@ def _part(
     """
     site = definition.site
     if site.kind == "parameter":
-        equation = equation.subs(SIGNAL, signal)
-    elif not site.at_rates and _arguments(definition, equation) != {SIGNAL}:
-        equation = sp.expand(equation - SIGNAL)
+        equation = equation.subs(SIGNAL_SYMBOL, signal)
+    elif not site.at_rates and _arguments(definition, equation) != {SIGNAL_SYMBOL}:
+        equation = sp.expand(equation - SIGNAL_SYMBOL)
     used = _arguments(definition, equation)
-    if used == {TIME}:
-        return "time", TIME, equation
-    if used == {SIGNAL}:
-        return site.target, SIGNAL, equation
+    if used == {TIME_SYMBOL}:
+        return "time", TIME_SYMBOL, equation
+    if used == {SIGNAL_SYMBOL}:
+        return site.target, SIGNAL_SYMBOL, equation
     if len(used) == 1:
         (symbol,) = used
         return str(symbol).removeprefix("fmu:"), symbol, equation
@@ -234,7 +241,7 @@ def _arguments(definition: EffectDefinition, equation: sp.Expr) -> set[sp.Symbol
 def _difference(
     definition: EffectDefinition, equation: sp.Expr
 ) -> tuple[str, sp.Symbol, sp.Expr] | None:
-    """The same of a part that depends on the difference of two variables alone."""
+    """Return the argument of a part that depends on the difference of two variables alone."""
     effect, site = definition.effect, definition.site
     given = effect.variables[0] if effect.variables else own_variable(site)
     names = split_variable(given, definition.uses)
@@ -287,8 +294,8 @@ def _curve(
     y = part.shape(x, values)
     if not np.isfinite(y).any():
         return _none(definition, "it is not finite where the data were")
-    counts, edges = np.histogram(seen, BINS)
-    spread = NORMAL95 * spread_of(part.shape, x, values, covariance_of(result, own))
+    counts, edges = np.histogram(seen, ARGUMENT_BINS)
+    spread = BAND_QUANTILE * spread_of(part.shape, x, values, covariance_of(result, own))
     units = {name: variable.unit for name, variable in description.variables.items()}
     unit, at_rates = units.get(part.target, ""), definition.site.at_rates
     first = parts_of(part.argument)[0]

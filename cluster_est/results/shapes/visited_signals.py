@@ -9,7 +9,7 @@ import numpy as np
 from cluster_est.problem.search_space import SearchSpace
 from cluster_est.results.fit_tables import EffectCurve
 from cluster_est.results.result import Result
-from cluster_est.results.shapes.effect_shapes import NOTHING_KNOWN, effect_shapes
+from cluster_est.results.shapes.effect_shapes import UNKNOWN_ARGUMENT, effect_shapes
 from cluster_est.running.runner import Runner
 from workers.effects.site import EffectSite, split_variable
 from workers.grid import values_at
@@ -17,8 +17,8 @@ from workers.messages import Experiment, FloatArray, Outcome
 
 Signals = Mapping[str, FloatArray]
 
-MOST_ENTRIES = 20_000_000
-"""Of the matrices of all linearisations: 160 MB."""
+MOST_LINEARISATION_ENTRIES = 20_000_000
+"""Entries of the matrices of all linearisations: 160 MB."""
 
 PLAIN = "before effects: "
 """Stands before the name of an input or output as it is before effects act on it."""
@@ -35,7 +35,7 @@ def declared_shapes(runner: Runner, train: SearchSpace, result: Result) -> tuple
     outcomes = {s.experiment: s.outcome for s in result.simulations}
     chosen = [outcomes[e] for e in train.experiments]
     shapes = _shapes(train, chosen, result)
-    unknown = any(shape.why_not.startswith(NOTHING_KNOWN) for shape in shapes)
+    unknown = any(shape.why_not.startswith(UNKNOWN_ARGUMENT) for shape in shapes)
     if not unknown or problem.model.interface != "model_exchange" or not _fits(chosen, result):
         return shapes
     values = train.physical(result.solution.x)
@@ -47,7 +47,7 @@ def declared_shapes(runner: Runner, train: SearchSpace, result: Result) -> tuple
 def _fits(outcomes: Sequence[Outcome], result: Result) -> bool:
     """Return whether linearisations of all experiments are small enough."""
     times = sum(len(o.trajectory.times) for o in outcomes if o.trajectory is not None)
-    return times * len(result.problem.describe().states) ** 2 <= MOST_ENTRIES
+    return times * len(result.problem.describe().states) ** 2 <= MOST_LINEARISATION_ENTRIES
 
 
 def _shapes(

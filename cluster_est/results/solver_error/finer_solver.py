@@ -38,10 +38,12 @@ def fixed_step(model: Model) -> float:
     return model.solver.step or math.inf
 
 
-TIGHTER = 100.0
+RTOL_TIGHTENING = 100.0
+"""Factor by which a relative tolerance is tightened to see the error of a solver."""
 LEAST_RTOL = 1e-13
-WHOLE = 1e-6
-"""Of a step of the FMU's own: what another may be away from a multiple of it."""
+"""Relative tolerance below which rounding would decide."""
+WHOLE_STEP_TOLERANCE = 1e-6
+"""Part of a step of the FMU's own by which another may miss a multiple of it."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ class SolverScale:
             tight = _tightened(solver, self.rtol, self.rtol / self.ratio)
             return replace(tight, step=self.longest / 2.0)
         if solver.name == "fmu" and solver.rtol is not None:
-            solver = _tightened(solver, solver.rtol, max(solver.rtol / TIGHTER, LEAST_RTOL))
+            solver = _tightened(solver, solver.rtol, max(solver.rtol / RTOL_TIGHTENING, LEAST_RTOL))
         return replace(solver, step=self.step / self.ratio**times)
 
     def can_be_finer_twice(self) -> bool:
@@ -119,10 +121,10 @@ class SolverScale:
         halvings = max(int(np.ceil(np.log2(factor) / order)), 1)
         step = self.step / 2.0**halvings
         if self.own_step:
-            step = self.own_step * max(np.floor(step / self.own_step + WHOLE), 1.0)
+            step = self.own_step * max(np.floor(step / self.own_step + WHOLE_STEP_TOLERANCE), 1.0)
         said = f"model.step = {step:.4g}"
         if self.solver.name == "fmu" and self.solver.rtol is not None:
-            said += f" and rtol = {max(self.solver.rtol / TIGHTER, LEAST_RTOL):.1g}"
+            said += f" and rtol = {max(self.solver.rtol / RTOL_TIGHTENING, LEAST_RTOL):.1g}"
         return f'{said} (or model.interface = "model_exchange")' if self.exchange else said
 
 
@@ -140,7 +142,7 @@ def solver_scale(
         found = found or _fixed(model, description)
         return replace(found, exchange="model_exchange" in description.interfaces)
     rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
-    tight = max(rtol / TIGHTER, LEAST_RTOL)
+    tight = max(rtol / RTOL_TIGHTENING, LEAST_RTOL)
     why = "" if tight < rtol else "no tighter tolerance can be kept in 64 bits"
     name = f"the tolerance model.rtol = {rtol:.1g}"
     return SolverScale(solver, name, rtol=rtol, longest=step, ratio=rtol / tight, why_not=why)
@@ -155,7 +157,7 @@ def step_never_taken(
     if solver.step is None or fixed:
         return ""
     longest = max(float(np.diff(build_grid(run).times).max(initial=0.0)) for run in experiments)
-    if solver.step <= longest * (1.0 + WHOLE):
+    if solver.step <= longest * (1.0 + WHOLE_STEP_TOLERANCE):
         return ""
     return (
         f"model.step = {solver.step:.4g} is never taken: the times of inputs and measurements are "
@@ -189,7 +191,7 @@ def _fixed(model: Model, description: ModelDescription) -> SolverScale:
 
 
 def _is_whole(number: float) -> bool:
-    return round(number) >= 1 and abs(number - round(number)) <= WHOLE * number
+    return round(number) >= 1 and abs(number - round(number)) <= WHOLE_STEP_TOLERANCE * number
 
 
 def _tightened(solver: Solver, rtol: float, tight: float) -> Solver:

@@ -22,10 +22,10 @@ from cluster_est.running.runner import Runner
 from workers.messages import Experiment, FloatArray, Outcome, Output, ResetPolicy, Solver, Want
 
 MOST_EXPERIMENTS = 8
-"""That are simulated again; of more, every n-th."""
+"""Experiments that are simulated again; of more, every n-th."""
 NOTICED = 0.1
 """Share of what is left, or of the sigma, above which an error of the solver is said."""
-FAINT = 1e-3
+FAINT_SOLVER_ERROR = 1e-3
 """Share of a signal's spread below which nothing is said where no sigma is given."""
 
 
@@ -54,7 +54,7 @@ class OutputSolverError:
         """Whether it may have moved the estimates by more than noise does."""
         if np.isfinite(self.over_sigma):
             return self.over_sigma > NOTICED and self.over_residual > NOTICED
-        return self.over_residual > NOTICED and self.over_spread > FAINT
+        return self.over_residual > NOTICED and self.over_spread > FAINT_SOLVER_ERROR
 
 
 @dataclass(frozen=True)
@@ -194,7 +194,7 @@ def simulate_with_solver(
     """
     # what a simulation leaves behind must not look like an error of the solver
     reset: ResetPolicy = "instance" if problem.model.reset == "auto" else problem.model.reset
-    if resources.instances is not None:  # and instances are dear
+    if resources.instances is not None:  # and instances are expensive
         reset = beside.free_instances(1)
     model = replace(problem.model, solver=solver, reset=reset, seats=resources.seats)
     kind = executor_class("processes" if hasattr(os, "fork") else "local")

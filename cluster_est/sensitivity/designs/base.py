@@ -17,10 +17,10 @@ from scipy.special import ndtri
 from cluster_est.plug_in import check_class_attributes
 from workers.messages import FloatArray, IntArray
 
-ROUNDING = 1e-12
-"""Range of a quantity over its size that is none."""
+ROUNDING_OF_QUANTITY = 1e-12
+"""Range of a quantity over its size up to which it is constant."""
 RESAMPLES = 100
-"""Of the groups, for intervals."""
+"""Resamples of the groups, for intervals."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class SensitivityDesign(ABC):
         generator
             Of the resampling that their intervals come from.
         """
-        if float(np.ptp(values)) <= ROUNDING * float(np.abs(values).max(initial=0.0)):
+        if float(np.ptp(values)) <= ROUNDING_OF_QUANTITY * float(np.abs(values).max(initial=0.0)):
             nothing = np.full(points.shape[1], np.nan)
             return tuple(SensitivityIndex(name, nothing, nothing) for name in self.measures)
         return self.indices_of_moving(points, values, generator)

@@ -14,9 +14,9 @@ from cluster_est.sensitivity.designs.base import (
 )
 from workers.messages import FloatArray
 
-STEP = 2.0 / 3.0
-"""Of a grid of four levels: all of them are then visited equally often."""
-BASES = (0.0, 1.0 - STEP)
+STEP_ON_GRID = 2.0 / 3.0
+"""Step on a grid of four levels: all of them are then visited equally often."""
+LOWER_ENDS_OF_STEPS = (0.0, 1.0 - STEP_ON_GRID)
 """Lower ends of steps."""
 
 
@@ -49,8 +49,8 @@ class MorrisDesign(SensitivityDesign):
         for _ in range(groups):
             turn = own.permutation(size)  # when each unknown takes its step
             upwards = own.choice([-1, 1], size) > 0
-            base = own.choice(BASES, size)
-            found.append(base + STEP * ((place > turn) == upwards))
+            base = own.choice(LOWER_ENDS_OF_STEPS, size)
+            found.append(base + STEP_ON_GRID * ((place > turn) == upwards))
         return np.concatenate(found)
 
     def indices_of_moving(
@@ -60,7 +60,7 @@ class MorrisDesign(SensitivityDesign):
         trajectories = points.reshape(-1, size + 1, size)
         steps = np.sign(np.diff(trajectories, axis=1))
         changes = np.diff(values.reshape(-1, size + 1), axis=1)
-        effects = np.einsum("ts,tsu->tu", changes, steps) / STEP
+        effects = np.einsum("ts,tsu->tu", changes, steps) / STEP_ON_GRID
         half = half_widths(lambda t: np.abs(effects[t]).mean(axis=0), len(effects), generator)
         if len(np.unique(trajectories, axis=0)) < self.fewest:
             half = np.full(size, np.nan)  # the same few trajectories again and again tell nothing

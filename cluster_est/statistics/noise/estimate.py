@@ -11,14 +11,14 @@ import numpy.typing as npt
 from cluster_est.statistics.records import OutputRecord, StackedRecords
 from workers.messages import FloatArray
 
-WHOLE = 0.01
+WHOLE_NUMBER_TOLERANCE = 0.01
 """Distance from a whole number, in steps, that the rounding of a table's digits may leave."""
 
 AGREEING = 4
 """Gaps that must be whole steps where hardly a value repeats: those of values that were not rounded
 all come so close to whole numbers with a probability of (2 * 0.01)^4, about 2e-7."""
 
-REPEATED = 0.5
+SHARE_OF_REPEATED_VALUES = 0.5
 """Share of samples that repeat a value beyond which one gap is enough: noise in a double never
 repeats one."""
 
@@ -52,21 +52,21 @@ def quantisation_step(values: FloatArray) -> float:
     # the median of the smallest ones: each of them has the rounding of two values
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
     steps = gaps / step
-    whole = np.abs(steps - np.rint(steps)) <= WHOLE + 2.0 * rounding / step * steps
-    repeats = 1.0 - len(levels) / len(values) >= REPEATED
+    whole = np.abs(steps - np.rint(steps)) <= WHOLE_NUMBER_TOLERANCE + 2.0 * rounding / step * steps
+    repeats = 1.0 - len(levels) / len(values) >= SHARE_OF_REPEATED_VALUES
     if not np.all(whole) or not (repeats or len(gaps) > AGREEING):
         return 0.0
     return step
 
 
-SHORTEST = 10
+SHORTEST_NOISE_RECORD = 10
 """Samples that a record needs; fewer give too few differences for a median."""
 
 MEDIAN_OF_NORMAL = 0.6745
 """Median of |x| where x is normal with variance 1."""
 
-ORDER = 4
-"""Of the differences: what is cubic over five samples leaves nothing."""
+NOISE_DIFFERENCE_ORDER = 4
+"""Order of the differences: what is cubic over five samples leaves nothing."""
 
 HIGHER = (4, 6, 8)
 """Orders that are compared where the signal moves: white noise has the same size in all of them,
@@ -138,16 +138,28 @@ def _of_output(
     signals = [signal for signal in signals if len(signal)]
     if not signals:
         return float("nan")
-    long = [record for record in records if len(record.times) >= SHORTEST]
+    long = [record for record in records if len(record.times) >= SHORTEST_NOISE_RECORD]
     if not long:
         return float(np.sqrt(np.mean(np.concatenate(signals) ** 2)))
     signals = [residuals[record.rows] for record in long]
     if measured is None:
-        return _pooled([_variance(np.diff(signal, ORDER), ORDER) for signal in signals], signals)
+        return _pooled(
+            [
+                _variance(np.diff(signal, NOISE_DIFFERENCE_ORDER), NOISE_DIFFERENCE_ORDER)
+                for signal in signals
+            ],
+            signals,
+        )
     known = [measured[record.rows] for record in long]
     steps = [quantisation_step(values) for values in known]
     pairs = list(zip(signals, steps, strict=True))
-    whole = _pooled([_variance(np.diff(s, ORDER), ORDER, step) for s, step in pairs], signals)
+    whole = _pooled(
+        [
+            _variance(np.diff(s, NOISE_DIFFERENCE_ORDER), NOISE_DIFFERENCE_ORDER, step)
+            for s, step in pairs
+        ],
+        signals,
+    )
     floor = _pooled([step**2 / 12.0 for step in steps], signals)
     return max(whole, floor, _in_motion(pairs, known, max(whole, floor)))
 
@@ -168,7 +180,9 @@ def _in_motion(
             for (signal, step), mask in zip(pairs, moving, strict=True)
             if len(signal) > order
         ]
-        some = [(values, step) for values, step in differences if len(values) >= SHORTEST]
+        some = [
+            (values, step) for values, step in differences if len(values) >= SHORTEST_NOISE_RECORD
+        ]
         count = sum(len(values) for values, _ in some)
         if not count:
             return 0.0

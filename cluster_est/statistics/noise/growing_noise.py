@@ -10,8 +10,8 @@ import numpy as np
 from cluster_est.statistics.noise.estimate import MEDIAN_OF_NORMAL
 from workers.messages import FloatArray
 
-ORDER = 6
-"""Of the differences, from which the misfit of a wrong model has all but gone."""
+GROWTH_DIFFERENCE_ORDER = 6
+"""Order of the differences, from which the misfit of a wrong model has all but gone."""
 
 
 MEDIAN_OF_SQUARE = 1.0 / 0.4549
@@ -19,9 +19,9 @@ MEDIAN_OF_SQUARE = 1.0 / 0.4549
 CLIPPED, CLIPPED_MEAN = 4.0, 0.9205
 """Times its expectation that a squared difference counts at most, as an outlier's would, and the
 mean of the square of normal noise that is cut off there."""
-LEAST = 0.1
-"""Of the noise of the smallest samples: none is more exact than that, however close to 0."""
-ROUNDS = 20
+LEAST_NOISE_RATIO = 0.1
+"""Part of the noise of the smallest samples that any sample has at least, however close to 0."""
+MOST_GROWTH_ITERATIONS = 20
 
 
 @dataclass(frozen=True)
@@ -65,11 +65,13 @@ def noise_growth(residuals: FloatArray, measured: FloatArray) -> NoiseGrowth:
         With p = 1 and NaN where fewer than nine differences are left, or nothing varies.
     """
     nothing = NoiseGrowth(1.0, *[float("nan")] * 4)
-    if len(residuals) <= ORDER:
+    if len(residuals) <= GROWTH_DIFFERENCE_ORDER:
         return nothing
-    noise = np.abs(np.diff(residuals, ORDER))[:: ORDER + 1]
+    noise = np.abs(np.diff(residuals, GROWTH_DIFFERENCE_ORDER))[:: GROWTH_DIFFERENCE_ORDER + 1]
     size = _smoothed_size(measured)
-    centre = size[ORDER // 2 : len(size) - ORDER // 2][:: ORDER + 1]
+    centre = size[GROWTH_DIFFERENCE_ORDER // 2 : len(size) - GROWTH_DIFFERENCE_ORDER // 2][
+        :: GROWTH_DIFFERENCE_ORDER + 1
+    ]
     if len(noise) < 9 or not np.ptp(noise) > 0.0 or not np.ptp(centre) > 0.0:
         return nothing
     from scipy.stats import spearmanr  # slow to import, and no plain fit asks for it
@@ -77,16 +79,21 @@ def noise_growth(residuals: FloatArray, measured: FloatArray) -> NoiseGrowth:
     found = spearmanr(noise, centre, alternative="greater")
     order = np.argsort(centre, kind="stable")
     third = len(order) // 3
-    gain = MEDIAN_OF_NORMAL * np.sqrt(comb(2 * ORDER, ORDER))
+    gain = MEDIAN_OF_NORMAL * np.sqrt(comb(2 * GROWTH_DIFFERENCE_ORDER, GROWTH_DIFFERENCE_ORDER))
     ends = order[:third], order[-third:]
     quiet, loud = (float(np.median(noise[rows])) / gain for rows in ends)
     constant, part = _parts(residuals, size)
-    return NoiseGrowth(float(found.pvalue), quiet, loud, max(constant, LEAST * quiet), part)
+    return NoiseGrowth(
+        float(found.pvalue), quiet, loud, max(constant, LEAST_NOISE_RATIO * quiet), part
+    )
 
 
 def _smoothed_size(measured: FloatArray) -> FloatArray:
-    weights = np.array([comb(ORDER, k) for k in range(ORDER + 1)]) / 2.0**ORDER
-    padded = np.pad(measured, ORDER // 2, mode="edge")
+    weights = (
+        np.array([comb(GROWTH_DIFFERENCE_ORDER, k) for k in range(GROWTH_DIFFERENCE_ORDER + 1)])
+        / 2.0**GROWTH_DIFFERENCE_ORDER
+    )
+    padded = np.pad(measured, GROWTH_DIFFERENCE_ORDER // 2, mode="edge")
     return np.abs(np.convolve(padded, weights, "valid"))
 
 
@@ -100,15 +107,19 @@ def _parts(residuals: FloatArray, size: FloatArray) -> tuple[float, float]:
     """
     from scipy.optimize import nnls  # slow to import, and no plain fit asks for it
 
-    weights = np.array([comb(ORDER, k) ** 2 for k in range(ORDER + 1)]) / comb(2 * ORDER, ORDER)
-    squares = np.diff(residuals, ORDER) ** 2 / comb(2 * ORDER, ORDER)
+    weights = np.array(
+        [comb(GROWTH_DIFFERENCE_ORDER, k) ** 2 for k in range(GROWTH_DIFFERENCE_ORDER + 1)]
+    ) / comb(2 * GROWTH_DIFFERENCE_ORDER, GROWTH_DIFFERENCE_ORDER)
+    squares = np.diff(residuals, GROWTH_DIFFERENCE_ORDER) ** 2 / comb(
+        2 * GROWTH_DIFFERENCE_ORDER, GROWTH_DIFFERENCE_ORDER
+    )
     largest = float(size.max())
     terms = np.column_stack(
         [np.ones(len(squares)), np.convolve((size / largest) ** 2, weights, "valid")]
     )
     expected = np.full(len(squares), float(np.median(squares)) * MEDIAN_OF_SQUARE)
     found = np.zeros(2)
-    for _ in range(ROUNDS):
+    for _ in range(MOST_GROWTH_ITERATIONS):
         expected = np.maximum(expected, 1e-12 * float(squares.max()))
         clipped = np.minimum(squares, CLIPPED * expected) / CLIPPED_MEAN
         found, _ = nnls(terms / expected[:, None], clipped / expected)

@@ -10,22 +10,23 @@ import numpy.typing as npt
 from cluster_est.statistics.noise.estimate import MEDIAN_OF_NORMAL
 from workers.messages import FloatArray
 
-REACH = 5
+PREDICTING_NEIGHBOURS = 5
 """Samples on each side that predict one."""
 
 AROUND = 25
 """Samples on each side that its noise is estimated from, besides that of the whole record."""
 
-FAR = 4.5
+FIRST_OUTLIER_DISTANCE = 4.5
 """Distance, in standard deviations of a prediction, of the first outliers of a record. All three
 predictions must miss as far on the same side: white noise does that 3 times in 100 million."""
 
 FAR_AGAIN = 3.5
-"""The same in a record that has `PROVEN` already: what is common there needs less evidence, nor
-need the lines agree, which another outlier may have bent."""
+"""Distance, in standard deviations of a prediction, of further outliers in a record that has
+`PROVEN` already: what is common there needs less evidence, nor need the lines agree, which another
+outlier may have bent."""
 
 PROVEN = 2
-"""Outliers beyond `FAR` that say that a record has some."""
+"""Outliers beyond `FIRST_OUTLIER_DISTANCE` that say that a record has some."""
 
 AGREE = 1.0 / 3.0
 """Share of its distance by which what is before an outlier and what is after may disagree: after
@@ -88,11 +89,11 @@ def isolated_outliers(
     cleaned = np.array(signal, np.float64)
     mask = np.zeros(len(cleaned), bool)
     largest = 0.0
-    if len(cleaned) <= 2 * REACH or not noise > 0.0:
+    if len(cleaned) <= 2 * PREDICTING_NEIGHBOURS or not noise > 0.0:
         return IsolatedOutliers(mask, largest)
-    far = FAR
+    far = FIRST_OUTLIER_DISTANCE
     for _ in range(PASSES):
-        score, cubic, away = _scores(signal, cleaned, noise, agreeing=far == FAR)
+        score, cubic, away = _scores(signal, cleaned, noise, agreeing=far == FIRST_OUTLIER_DISTANCE)
         score[mask if excepted is None else mask | excepted] = 0.0
         chosen = _peaks(score, away, far)
         if not len(chosen):
@@ -155,10 +156,10 @@ def _line_before(signal: FloatArray) -> tuple[FloatArray, FloatArray]:
     The width is over the noise. The first two samples, which have none, predict themselves.
     """
     predicted, width = signal.copy(), np.ones(len(signal))
-    for count in range(2, REACH + 1):
+    for count in range(2, PREDICTING_NEIGHBOURS + 1):
         steps = np.arange(count) - 0.5 * (count - 1)
         weights = 1.0 / count + steps * (0.5 * (count + 1)) / np.add.reduce(steps**2)
-        stop = len(signal) if count == REACH else count + 1
+        stop = len(signal) if count == PREDICTING_NEIGHBOURS else count + 1
         windows = np.lib.stride_tricks.sliding_window_view(signal[: stop - 1], count)
         predicted[count:stop] = np.add.reduce(windows[: stop - count] * weights, axis=1)
         width[count:stop] = np.sqrt(1.0 + np.add.reduce(weights**2))

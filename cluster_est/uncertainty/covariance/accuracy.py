@@ -14,11 +14,11 @@ from cluster_est.methods.differences import difference_steps, relative_noise
 from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray, Output
 
-SAFETY = 30.0
+ERROR_SAFETY_FACTOR = 30.0
 """The noise of a solver and the curvature are known by their orders of magnitude only."""
-ROUNDING = 1e-13
+ROUNDING_OF_DERIVATIVES = 1e-13
 ABOUT_ZERO = 0.01
-"""Of the typical size."""
+"""Part of the typical size below which an unknown is about 0."""
 
 
 def relative_sizes(space: SearchSpace, x: FloatArray) -> FloatArray:
@@ -72,7 +72,11 @@ def measured_errors(
 def _errors(curvature: FloatArray, noise: FloatArray, sensitivity: FloatArray) -> FloatArray:
     """Return relative errors; a column that is not larger than its noise is nothing but error."""
     over = np.divide(noise, sensitivity, out=np.full(len(noise), np.inf), where=sensitivity > 0.0)
-    return np.asarray(np.maximum(SAFETY * (curvature + np.minimum(over, 1.0)), ROUNDING))
+    return np.asarray(
+        np.maximum(
+            ERROR_SAFETY_FACTOR * (curvature + np.minimum(over, 1.0)), ROUNDING_OF_DERIVATIVES
+        )
+    )
 
 
 def output_norm(space: SearchSpace, factor: FloatArray | None = None) -> float:

@@ -37,7 +37,7 @@ from cluster_est.uncertainty.covariance.noise_covariance import (
     most_honest,
 )
 from cluster_est.uncertainty.covariance.normal_equations import (
-    HELD,
+    DETERMINED_BY_CONSTRAINTS,
     ActiveBound,
     BlockCovariance,
     UnknownLayout,
@@ -177,7 +177,7 @@ def _diagonal(
     result = np.full(space.size, np.nan)
     shared, coordinates = system.layout.shared, system.coordinates
     inside = ((coordinates @ covariance.shared) * coordinates).sum(axis=1)
-    free = np.linalg.norm(coordinates, axis=1) > HELD
+    free = np.linalg.norm(coordinates, axis=1) > DETERMINED_BY_CONSTRAINTS
     result[shared] = np.where(free, inside, np.nan)
     for local, part in zip(system.layout.local, covariance.local, strict=True):
         result[local] = np.diag(part)

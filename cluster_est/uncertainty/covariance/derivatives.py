@@ -23,7 +23,7 @@ from cluster_est.uncertainty.covariance.normal_equations import (
     jacobian_blocks,
     with_jacobian,
 )
-from cluster_est.uncertainty.covariance.system import NEGLIGIBLE, ScaledJacobian, vectors
+from cluster_est.uncertainty.covariance.system import ROUNDING_OF_DIRECTION, ScaledJacobian, vectors
 from cluster_est.uncertainty.spaces import with_start
 from workers.messages import FloatArray
 
@@ -33,10 +33,10 @@ SUSPECT = 1e-2
 makes an adaptive solver's result jump by more than its tolerance; over the step of a difference
 that looks as if the data determined, badly, what they do not determine at all.
 """
-LENGTHS = (1.0, 0.9, 0.7)
-"""Of directional steps: simulations of one may fail."""
-ROUNDS = 3
-REPEATED = 0.1
+DIRECTIONAL_STEP_LENGTHS = (1.0, 0.9, 0.7)
+"""Lengths of directional steps that are tried in this order: simulations of one may fail."""
+MOST_DIRECTION_ROUNDS = 3
+REPEATED_RATIO = 0.1
 """Part of its old ratio below which a direction is measured once more."""
 
 
@@ -104,7 +104,7 @@ def sharpen(runner: Runner, space: SearchSpace, solution: Solution) -> tuple[Sol
         that move along a direction which could not be measured.
     """
     system, steps = scaled_jacobian(space, solution, weak=SUSPECT), np.zeros(space.size)
-    for _ in range(ROUNDS):
+    for _ in range(MOST_DIRECTION_ROUNDS):
         if system is None or not system.combinations:
             break
         found = _measured(runner, space, solution, system)
@@ -114,7 +114,7 @@ def sharpen(runner: Runner, space: SearchSpace, solution: Solution) -> tuple[Sol
         least = min(direction.ratio for direction in system.combinations)
         system = scaled_jacobian(space, solution, steps, SUSPECT)
         if system is None or not any(
-            not c.undetermined and c.ratio < REPEATED * least for c in system.combinations
+            not c.undetermined and c.ratio < REPEATED_RATIO * least for c in system.combinations
         ):
             break
     return solution, steps
@@ -155,7 +155,7 @@ def _measured(
     chosen = chosen[known]
     products = measured.jacobian[:, known] / lengths[chosen]
     others = np.delete(np.arange(len(directions)), chosen)
-    unsure = (np.abs(basis[:, others]) > NEGLIGIBLE).any(axis=1)
+    unsure = (np.abs(basis[:, others]) > ROUNDING_OF_DIRECTION).any(axis=1)
     steps = np.where(unsure, 0.0, float(np.min(relative[chosen])))
     corrected = _corrected(matrix, system, basis[:, chosen], products)
     return with_jacobian(solution, corrected), steps
@@ -174,7 +174,12 @@ def _lengths(
     largest = np.max(parts, axis=1)
     distance = np.minimum(space.upper - x, x - space.lower)
     far = np.full(directions.shape, np.inf)
-    np.divide(distance, np.abs(directions), out=far, where=parts > NEGLIGIBLE * largest[:, None])
+    np.divide(
+        distance,
+        np.abs(directions),
+        out=far,
+        where=parts > ROUNDING_OF_DIRECTION * largest[:, None],
+    )
     most = np.min(far, axis=1)
     lengths = np.minimum(step / largest, most)
     return lengths, lengths * largest
@@ -249,7 +254,7 @@ class _DirectionalDifferences(Method):
         x = space.start
         products: dict[int, FloatArray] = {}
         missing = np.arange(len(self.steps))
-        for length in LENGTHS:
+        for length in DIRECTIONAL_STEP_LENGTHS:
             steps = length * self.steps[missing]
             parts = [x + share * steps for share in (1.0, -1.0, 0.5, -0.5)]
             points = np.clip(np.vstack(parts), space.lower, space.upper)

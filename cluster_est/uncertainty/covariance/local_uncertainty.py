@@ -15,11 +15,11 @@ from workers.messages import FloatArray
 from workers.messages.types import by_content
 
 Kind = Literal["undetermined", "weak", "no effect"]
-SAME = 0.02
+RATIO_TOLERANCE = 0.02
 """Ratios within this of 1 count as 1 in a sentence."""
 NAMED = 1e-3
-"""Of the largest relative change: what moves less is not named."""
-MOST_NAMED = 6
+"""Part of the largest relative change: what moves less is not named."""
+MOST_NAMED_CHANGES = 6
 
 
 @dataclass(frozen=True)
@@ -33,12 +33,12 @@ class UndeterminedDirection:
     weights
         Change of each, in its own unit, for each 1 of the first.
     relative
-        The same as parts of the estimates, for each 1 of the first; NaN where one is about 0.
+        Change of each as a part of its estimate, for each 1 of the first; NaN where one is about 0.
     ratio
         Change of the residuals along it, over the changes by each unknown on its own. It contains
         an error of the derivatives, `limit`.
     limit
-        A smaller ratio cannot be told from 0.
+        A smaller ratio cannot be distinguished from 0.
     kind
         "undetermined", "weak" (not much above the limit) or "no effect" (of one unknown).
     sentence
@@ -129,15 +129,17 @@ def _how(
     labels: Sequence[str], weights: FloatArray, relative: FloatArray, grow: str, grows: str
 ) -> str:
     """Say how the unknowns move together, with the verb for several and for one of them."""
-    if np.all(np.abs(relative - 1.0) <= SAME):
+    if np.all(np.abs(relative - 1.0) <= RATIO_TOLERANCE):
         return f"{'both' if len(labels) == 2 else 'all of them'} {grow} by the same factor"
-    if len(labels) == 2 and abs(relative[1] + 1.0) <= SAME:
+    if len(labels) == 2 and abs(relative[1] + 1.0) <= RATIO_TOLERANCE:
         return f"{labels[0]} {grows} by the factor by which {labels[1]} falls"
     if len(labels) == 2 and weights[1] > 0.0:
         return f"{labels[0]} and {labels[1]} {grow} in the ratio 1 : {weights[1]:.3g}"
     others = [
         f"{label} {'grows' if weight > 0.0 else 'falls'} by {abs(weight):.3g}"
-        for label, weight in zip(labels[1:MOST_NAMED], weights[1:MOST_NAMED], strict=False)
+        for label, weight in zip(
+            labels[1:MOST_NAMED_CHANGES], weights[1:MOST_NAMED_CHANGES], strict=False
+        )
     ]
     return f"{labels[0]} {grows} by 1 while {joined(others)}"
 
@@ -145,8 +147,8 @@ def _how(
 def joined(words: Sequence[str]) -> str:
     """Return words as a sentence lists them, only so many of them."""
     words = list(words)
-    if len(words) > MOST_NAMED:
-        words = [*words[: MOST_NAMED - 1], f"{len(words) - MOST_NAMED + 1} others"]
+    if len(words) > MOST_NAMED_CHANGES:
+        words = [*words[: MOST_NAMED_CHANGES - 1], f"{len(words) - MOST_NAMED_CHANGES + 1} others"]
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
@@ -205,7 +207,8 @@ class Uncertainty:
     correlations : (shared, shared)
         NaN where the data do not determine one of the two.
     local_correlations : (local, shared)
-        Those of two local unknowns are left out: their number is the square of the experiments'.
+        Correlations of two local unknowns are left out: their number grows as the square of the
+        experiments'.
     directions
         That the data do not determine, or hardly.
     variance, degrees

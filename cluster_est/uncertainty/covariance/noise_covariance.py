@@ -42,17 +42,17 @@ from workers.messages import FloatArray, IntArray
 LONGEST_ORDER = 20
 SAMPLES_PER_ORDER = 10
 """Samples of the longest record for each order that is tried: over longer lags, what a fit has
-taken of the noise cannot be told from what the noise lacks."""
+taken of the noise cannot be distinguished from what the noise lacks."""
 PENALTY = 6.635
-"""For each further order, at least: the 1 % level of a chi-square of one degree."""
-ITERATIONS = 100
+"""Least gain for each further order: the 1 % level of a chi-square of one degree."""
+MOST_AUTOCOVARIANCE_ITERATIONS = 100
 SETTLED = 1e-3
 """Change of the autocovariances, over the variance, at which they have settled."""
-NEGLIGIBLE = 1e-6
+NEGLIGIBLE_AUTOCOVARIANCE = 1e-6
 """Autocovariances below this, over the variance, are 0 from there on."""
 MOST_LAGS = 100_000
 REFLECTION = 0.999
-"""Largest partial autocorrelation: beyond it a noise has no variance that could be told."""
+"""Largest partial autocorrelation: beyond it the variance of a noise is unknown."""
 MOST_PRODUCTS = 2e6
 """Rows times fitted directions, above which what the fit took is not corrected for: so many rows
 lose too little for it to matter."""
@@ -137,7 +137,7 @@ def fit_noise(records: Sequence[NoiseRecord], shared: int) -> dict[int, Autoregr
     found = {output: seen[output].noise(0.0) for output in outputs}
     if sum(record.fitted.size for record in records) > MOST_PRODUCTS:
         return found
-    for _ in range(ITERATIONS):
+    for _ in range(MOST_AUTOCOVARIANCE_ITERATIONS):
         lost = _lost_products(records, found, shared, {o: seen[o].lags for o in outputs})
         before, found = found, {o: seen[o].noise(lost[o]) for o in outputs}
         if all(_close(before[output], found[output]) for output in outputs):
@@ -209,7 +209,7 @@ def _extended(coefficients: FloatArray, covariances: FloatArray) -> FloatArray:
     small = 0
     while order and small <= order and len(found) < MOST_LAGS:
         found.append(float(coefficients @ found[: -order - 1 : -1]))
-        small = small + 1 if abs(found[-1]) < NEGLIGIBLE * found[0] else 0
+        small = small + 1 if abs(found[-1]) < NEGLIGIBLE_AUTOCOVARIANCE * found[0] else 0
     return np.array(found)
 
 
@@ -274,9 +274,9 @@ def _close(one: AutoregressiveNoise, other: AutoregressiveNoise) -> bool:
 
 FEW_EXPERIMENTS = 10
 """Below so many experiments their scatter is reported, but no interval rests on it."""
-KNOWN = AutoregressiveNoise(np.zeros(0), np.ones(1), 0.0)
-"""Of priors: a variance of 1, that nothing was estimated for."""
-CHANCE = 0.01
+NOISE_OF_PRIORS = AutoregressiveNoise(np.zeros(0), np.ones(1), 0.0)
+"""The noise of priors: a variance of 1, that nothing was estimated for."""
+SCATTER_SIGNIFICANCE = 0.01
 """Probability of as much scatter of the experiments, over that of the noise, by chance."""
 
 
@@ -341,7 +341,7 @@ def coloured_covariances(
     of_priors = set(residuals.outputs[residuals.priors].tolist())
     measured = [record for record in records if record.output not in of_priors]
     noise = fit_noise(measured, _basis(factors).shape[1])
-    noise |= dict.fromkeys(of_priors, KNOWN)
+    noise |= dict.fromkeys(of_priors, NOISE_OF_PRIORS)
     coloured = any(len(each.coefficients) for each in noise.values())
     found = [_autoregressive(white, factors, records, noise)] if coloured else []
     scatter = _scatter(found[0] if found else white, factors, residuals)
@@ -358,7 +358,7 @@ def most_honest(covariances: Sequence[EstimateCovariance]) -> EstimateCovariance
     known = theirs > 0.0
     ratios = ours[known] / theirs[known]
     p = chdtrc(last.degrees, last.degrees * ratios)
-    return last if np.min(p, initial=1.0) * len(ratios) < CHANCE else noise
+    return last if np.min(p, initial=1.0) * len(ratios) < SCATTER_SIGNIFICANCE else noise
 
 
 def _basis(factors: BlockFactors) -> FloatArray:

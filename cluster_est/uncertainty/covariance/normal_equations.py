@@ -24,8 +24,8 @@ from cluster_est.problem.search_space import SearchSpace
 from cluster_est.uncertainty.covariance import accuracy
 from workers.messages import FloatArray, IntArray
 
-MARGIN = 3.0
-"""Times its limit: a direction with a smaller ratio is reported."""
+REPORTED_RATIO_MARGIN = 3.0
+"""Factor of its limit: a direction whose ratio is below their product is reported."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class UndeterminedCombination:
 
     @property
     def undetermined(self) -> bool:
-        """True if the ratio cannot be told from 0."""
+        """True if the ratio cannot be distinguished from 0."""
         return self.ratio <= self.limit
 
 
@@ -165,7 +165,8 @@ def factorise(blocks: Sequence[JacobianBlock], limits: ErrorLimits, weak: float)
     limits
         A direction is undetermined if its ratio is not above them, and is left out then.
     weak
-        Directions up to this ratio, or up to `MARGIN` times their limit, are reported too.
+        Directions up to this ratio, or up to `REPORTED_RATIO_MARGIN` times their limit, are
+        reported too.
     """
     width = limits.embedding.shape[1]
     parts: list[_EliminatedBlock] = []
@@ -188,7 +189,7 @@ def factorise(blocks: Sequence[JacobianBlock], limits: ErrorLimits, weak: float)
     for value, row in zip(singular, rows, strict=True):
         combination = _complete(value, row, parts, limits)
         kept.append(not combination.undetermined)
-        if combination.ratio <= max(weak, MARGIN * combination.limit):
+        if combination.ratio <= max(weak, REPORTED_RATIO_MARGIN * combination.limit):
             found.append(combination)
     scaled = rows[kept] / singular[kept, None]
     rank = sum(part.rank for part in parts) + sum(kept)
@@ -244,7 +245,7 @@ def _eliminate(
         left = np.column_stack([left, np.zeros((len(left), count - left.shape[1]))])
     limits_of_rows = [float(np.linalg.norm(limits * row)) for row in rows]
     kept = singular > limits_of_rows
-    bad = singular <= np.maximum(weak, MARGIN * np.array(limits_of_rows))
+    bad = singular <= np.maximum(weak, REPORTED_RATIO_MARGIN * np.array(limits_of_rows))
     basis = left[:, kept]
     inverse = (rows[kept].T / singular[kept]) @ basis.T
     rest = block.shared
@@ -277,10 +278,11 @@ def _complete(
 
 
 AT_BOUND = 1e-6
-"""Of an unknown's scale: closer to a bound than this, it counts as held there."""
-MUCH_SMALLER = 1e-2
-"""Of the typical size: the scale that the Jacobian shows counts where it is below this part."""
-HELD = 1e-9
+"""Part of an unknown's scale: closer to a bound than this, it counts as held there."""
+MUCH_SMALLER_SCALE = 1e-2
+"""Part of the typical size: the scale that the Jacobian shows counts where it is below this
+part."""
+DETERMINED_BY_CONSTRAINTS = 1e-9
 """Part of an unknown's column below which active constraints determine it."""
 
 
@@ -329,7 +331,7 @@ def active_bounds(
     if jacobian is not None and outputs > 0.0:
         norms = jacobian.norms()
         reach = np.divide(outputs, norms, out=np.full(len(norms), np.inf), where=norms > 0.0)
-        scale = np.where(reach < MUCH_SMALLER * scale, reach, scale)
+        scale = np.where(reach < MUCH_SMALLER_SCALE * scale, reach, scale)
     tolerance = AT_BOUND * scale
     low, high = x - space.lower <= tolerance, space.upper - x <= tolerance
     return tuple("lower" if a else "upper" if b else "" for a, b in zip(low, high, strict=True))
@@ -389,7 +391,7 @@ def null_space(jacobian: FloatArray) -> FloatArray:
         return np.eye(count)
     lengths = np.linalg.norm(jacobian, axis=1, keepdims=True)
     _, singular, rows = np.linalg.svd(jacobian / lengths)
-    rank = int((singular > HELD * singular[0]).sum())
+    rank = int((singular > DETERMINED_BY_CONSTRAINTS * singular[0]).sum())
     return np.ascontiguousarray(rows[rank:].T)
 
 

@@ -25,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cluster_est.methods.block_matrix import BlockMatrix
+from cluster_est.methods.least_squares.linear_map import LARGEST_RESIDUAL_WEIGHT
 from cluster_est.methods.method import Solution
 from cluster_est.problem.costs import Cost
 from cluster_est.problem.search_space import SearchSpace
@@ -53,7 +54,7 @@ from workers.messages import FloatArray, IntArray
 
 EQUAL = 1e-9
 PSI_STEP = 1e-4
-"""Of the median residual, to differentiate psi."""
+"""Step to differentiate psi, as a part of the median residual."""
 
 
 @dataclass(frozen=True)
@@ -77,9 +78,7 @@ class ResidualScatter:
     spread: FloatArray | None
 
 
-LARGEST_WEIGHT = 1e200
-"""Weights above it stand for an infinite one."""
-EXACT = "nothing is left of the residuals of an output whose noise is taken from them"
+NO_RESIDUALS_LEFT = "nothing is left of the residuals of an output whose noise is taken from them"
 
 
 @dataclass(frozen=True)
@@ -160,8 +159,8 @@ def row_weighting(
     weights = cost.weights(residuals, outputs)
     if weights is None or not np.isfinite(weights).all():
         return RowWeighting(np.ones(count), problem=f"the cost {cost.name!r} has no weights")
-    if weights.max(initial=0.0) > LARGEST_WEIGHT:
-        return RowWeighting(np.ones(count), problem=EXACT)
+    if weights.max(initial=0.0) > LARGEST_RESIDUAL_WEIGHT:
+        return RowWeighting(np.ones(count), problem=NO_RESIDUALS_LEFT)
     groups = outputs if len(outputs) == count else np.zeros(count, np.int64)
     if _constant_in_groups(weights, groups, rows):
         factor = np.sqrt(weights)
@@ -205,8 +204,8 @@ def _psi_derivatives(cost: Cost, residuals: FloatArray, outputs: IntArray) -> Fl
 
 WEAK = 1e-6
 """Directions up to this ratio are named as hardly determined."""
-NEGLIGIBLE = 1e-6
-"""Less of an unknown than this in a direction is rounding."""
+ROUNDING_OF_DIRECTION = 1e-6
+"""Part of an unknown in a direction below which it is rounding."""
 ORDINAL = (
     "of an ordinal output the order of the values is known alone, and their distances to the bounds"
     " of categories say nothing of its noise"
@@ -230,7 +229,7 @@ class ScaledJacobian:
     covariance
         Of the estimates, for white noise.
     uniform
-        The same if priors scattered as the measurements do; None where there are none.
+        Covariance of the estimates if priors scattered as the measurements do; None without priors.
     residuals
         For what else the noise may be taken for.
     combinations
@@ -293,7 +292,7 @@ def factorised_jacobian(
     scatter = weighting.scatter(factors.rank + space.free_observations)
     spread = None if scatter.spread is None else [scatter.spread[row] for row in rows]
     chosen = [c for c in combinations if c.undetermined]
-    tolerance = max([NEGLIGIBLE, *(c.limit for c in chosen)])
+    tolerance = max([ROUNDING_OF_DIRECTION, *(c.limit for c in chosen)])
     return ScaledJacobian(
         layout=layout,
         unbounded_layout=unbounded,
@@ -326,7 +325,7 @@ def _scaled(
     scale = np.where(norms > 0.0, norms, 1.0)
     limits = _limits(space, solution, weighting, norms, measured_step)
     noise = limits >= 1.0  # such columns would mix with others that are determined
-    limits[noise] = accuracy.ROUNDING
+    limits[noise] = accuracy.ROUNDING_OF_DERIVATIVES
     return matrix.divided_columns(np.where(noise, np.inf, scale)), limits, scale
 
 

@@ -19,7 +19,7 @@ from cluster_est.cli import main
 from cluster_est.cli.parser import parse
 from cluster_est.config.choices import build_method
 from cluster_est.config.reader import parse_config
-from cluster_est.methods import METHODS
+from cluster_est.methods import SEARCH_METHODS
 from cluster_est.problem.costs import COSTS
 from workers.effects import forms
 
@@ -70,9 +70,9 @@ def module(tmp_path, monkeypatch):
 def extended(module, monkeypatch):
     """Registers the examples of a method, a cost and a form, each with its one line."""
     method = module(titled("methods/random_search.py"))
-    line = titled("in METHODS").text
+    line = titled("in SEARCH_METHODS").text
     for name, kind in eval("{" + line + "}", vars(method)).items():
-        monkeypatch.setitem(METHODS, name, kind)
+        monkeypatch.setitem(SEARCH_METHODS, name, kind)
     fair = module(titled("fair.py")).Fair
     monkeypatch.setitem(COSTS, fair.name, fair)
     entry = eval(titled("an entry of _RATES").text, vars(forms))

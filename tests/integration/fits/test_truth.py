@@ -8,9 +8,9 @@ from support.problems.springs import spring_problem
 from support.truth.exact_linear import position
 
 from cluster_est import LeastSquares, Solver, fit
-from cluster_est.methods import METHODS
+from cluster_est.methods import SEARCH_METHODS
 
-SCIPY = METHODS["scipy_least_squares"]
+SCIPY = SEARCH_METHODS["scipy_least_squares"]
 
 
 @pytest.mark.parametrize(

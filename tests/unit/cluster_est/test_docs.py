@@ -6,7 +6,7 @@ from support.problems.springs import ROOT
 
 from cluster_est import Resources
 from cluster_est.executors import EXECUTORS
-from cluster_est.methods import METHODS
+from cluster_est.methods import SEARCH_METHODS
 from cluster_est.problem.costs import COSTS
 from workers.effects.forms import FORMS
 
@@ -31,7 +31,7 @@ def test_every_test_and_every_file_that_a_page_names_exists(page):
 
 @pytest.mark.parametrize(
     ("names", "page", "cell"),
-    [(METHODS, "which_method.md", "`{}`"), (EXECUTORS, "long_runs.md", "| `{}` |")],
+    [(SEARCH_METHODS, "which_method.md", "`{}`"), (EXECUTORS, "long_runs.md", "| `{}` |")],
 )
 def test_every_plug_in_is_in_the_page_that_helps_to_choose(names, page, cell):
     text = (DOCS / page).read_text(encoding="utf-8")
@@ -44,7 +44,7 @@ def test_every_executor_is_in_the_docstring_of_resources():
 
 
 @pytest.mark.parametrize(
-    ("section", "names"), [("method", METHODS), ("cost", COSTS), ("executor", EXECUTORS)]
+    ("section", "names"), [("method", SEARCH_METHODS), ("cost", COSTS), ("executor", EXECUTORS)]
 )
 def test_every_plug_in_that_a_config_can_choose_is_in_the_reference(section, names):
     reference = (ROOT / "configs" / "reference.toml").read_text(encoding="utf-8")

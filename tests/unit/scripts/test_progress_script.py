@@ -5,7 +5,7 @@ import math
 import pytest
 from benches.progress import CASES, Case, run
 
-from cluster_est.methods import METHODS
+from cluster_est.methods import SEARCH_METHODS
 
 WITHIN = 1.5
 
@@ -13,9 +13,9 @@ WITHIN = 1.5
 @pytest.mark.parametrize(
     "case",
     [
-        Case(METHODS["pattern_search"](), budget=60),
-        pytest.param(Case(METHODS["de"](), budget=200, workers=20), marks=pytest.mark.slow),
-        pytest.param(Case(METHODS["least_squares"](), 3, 100), marks=pytest.mark.slow),
+        Case(SEARCH_METHODS["pattern_search"](), budget=60),
+        pytest.param(Case(SEARCH_METHODS["de"](), budget=200, workers=20), marks=pytest.mark.slow),
+        pytest.param(Case(SEARCH_METHODS["least_squares"](), 3, 100), marks=pytest.mark.slow),
     ],
     ids=lambda case: case.method.name,
 )
@@ -28,7 +28,9 @@ def test_the_time_until_a_budget_ends_is_right_after_a_tenth(case, spread):
 
 def test_the_pace_is_that_of_the_iterations():
     # one worker, every simulation a minute, three records: the time of so many of them
-    recorded = run(Case(METHODS["nelder_mead"](bounds="enforce"), budget=60, workers=1), 60.0, 0.0)
+    recorded = run(
+        Case(SEARCH_METHODS["nelder_mead"](bounds="enforce"), budget=60, workers=1), 60.0, 0.0
+    )
     known = [(t, n, pace) for t, n, pace in recorded.paces if n]
     assert known
     assert all(pace == pytest.approx(t / n) for t, n, pace in known)

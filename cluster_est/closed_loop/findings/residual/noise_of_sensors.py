@@ -10,7 +10,7 @@ from scipy.special import chdtri, ndtr
 
 from cluster_est.closed_loop.measured_noise import is_given, is_told
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
-from cluster_est.statistics.noise.estimate import SHORTEST, estimate_noise
+from cluster_est.statistics.noise.estimate import SHORTEST_NOISE_RECORD, estimate_noise
 from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.whitening import partial_autocorrelations
 from workers.messages import FloatArray
@@ -263,8 +263,8 @@ def suspected_sigma(outputs: Sequence[OutputNoise]) -> str:
     if short:
         said.append(
             f"what is left of {' and '.join(short)} is {_times(short.values())} the declared "
-            f"sigma, and with records of fewer than {SHORTEST} samples nobody can say whether "
-            "sigma is the error or something is missing"
+            f"sigma, and with records of fewer than {SHORTEST_NOISE_RECORD} samples nobody can say "
+            "whether sigma is the error or something is missing"
         )
     if small:
         said.append(

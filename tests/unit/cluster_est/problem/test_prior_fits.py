@@ -6,7 +6,7 @@ from support.problems.curves import Curves
 from support.problems.seen_springs import with_outputs
 
 from cluster_est.errors import ProblemError
-from cluster_est.methods import METHODS
+from cluster_est.methods import SEARCH_METHODS
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.problem.costs import COSTS
 from cluster_est.problem.parameter import Parameter
@@ -151,7 +151,7 @@ def test_the_jacobian_of_the_priors_is_that_of_their_residuals():
 def test_a_front_of_several_outputs_is_refused():
     space = Curves(line, PRIORS, TIMES, measured(2)).space()
     with pytest.raises(ProblemError, match="a prior belongs to none of them"):
-        METHODS["nsga2"]().check(space)
+        SEARCH_METHODS["nsga2"]().check(space)
 
 
 def test_what_a_prior_cannot_be_weighed_against_is_refused():

@@ -6,7 +6,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import minimize_scalar
 from scipy.stats import norm
 
-from cluster_est.problem.costs import ALIASES, COSTS
+from cluster_est.problem.costs import COST_ALIASES, COSTS
 
 # "rho(z)" as the documentation of scipy.optimize.least_squares writes them
 RHO = {
@@ -64,7 +64,7 @@ def test_sums(name, value):
 
 
 def test_the_names_of_other_tools():
-    assert ALIASES == {"SSE": "sse", "residuals": "sse", "SAE": "sae"}
+    assert COST_ALIASES == {"SSE": "sse", "residuals": "sse", "SAE": "sae"}
 
 
 def deviance(residuals, outputs):

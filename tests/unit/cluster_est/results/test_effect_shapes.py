@@ -7,7 +7,7 @@ from support.thinning import thinned
 
 from cluster_est.results.shapes.effect_shapes import part_shapes, spread_of
 from workers.effects.definition import define
-from workers.effects.expression import FUNCTIONS
+from workers.effects.expression import EQUATION_FUNCTIONS
 from workers.effects.forms import FORMS
 from workers.messages import Effect
 
@@ -48,7 +48,7 @@ SITES = {
 
 
 def test_every_function_of_an_equation_is_known_here():
-    assert set(NUMPY) == set(FUNCTIONS)
+    assert set(NUMPY) == set(EQUATION_FUNCTIONS)
 
 
 def defined(*effect, **equation):

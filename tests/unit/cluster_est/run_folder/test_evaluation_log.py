@@ -12,7 +12,7 @@ from cluster_est.html_report.activity import read_activity
 from cluster_est.run_folder.evaluation_log import ROWS_PER_WRITE, EvaluationLog, LogSettings
 from cluster_est.run_folder.log_segment import (
     END_OF_STREAM,
-    LARGE,
+    LARGE_LOG_COLUMNS,
     SCHEMA,
     SegmentReader,
     read_log,
@@ -248,7 +248,7 @@ def test_what_a_finished_run_leaves(tmp_path):
     assert [path.name for path in tmp_path.glob("*.slim")] == []
     for name in ("residuals", "trajectory", "times", "variables"):
         assert after[name].null_count == 80
-    for name in set(SCHEMA.names).difference(LARGE):
+    for name in set(SCHEMA.names).difference(LARGE_LOG_COLUMNS):
         assert str(after[name].to_pylist()) == str(before[name].to_pylist())  # costs may be NaN
     hashes = after["residuals_hash"].to_pylist()
     assert [h is None for h in hashes] == [outcome.residuals is None for _, outcome in recorded]

@@ -4,7 +4,7 @@ import pytest
 
 from cluster_est.errors import RunFolderError
 from cluster_est.methods.method import Progress
-from cluster_est.run_folder.run_progress import MOST_BYTES, ProgressFile, ProgressTail
+from cluster_est.run_folder.run_progress import MOST_PROGRESS_BYTES, ProgressFile, ProgressTail
 from cluster_est.running.resources import RunSnapshot, SearchIteration
 
 
@@ -50,10 +50,10 @@ def test_it_stays_small_and_begins_anew_with_the_last_lines(tmp_path):
     file, tail = ProgressFile(path), ProgressTail(path)
     file.iteration(line("first", 7, 0.5))
     seen = tail.new()
-    long = "of a long name " * (MOST_BYTES // 200)  # some ten lines fill the file
+    long = "of a long name " * (MOST_PROGRESS_BYTES // 200)  # some ten lines fill the file
     for number in range(40):
         file.iteration(line(long, number, 1.0))
-        assert path.stat().st_size < 1.5 * MOST_BYTES
+        assert path.stat().st_size < 1.5 * MOST_PROGRESS_BYTES
         seen += tail.new()
     assert max(each.iteration for each in seen if each.search == long) == 39
     assert [each.iteration for each in ProgressTail(path).new() if each.search == "first"] == [7]

@@ -60,8 +60,8 @@ def test_a_model_that_costs_more_is_chosen_less_and_equal_ones_not_at_all() -> N
     one = fitted(column, values)
     pair = [nothing, one]
     cheap = choice_shares(pair, PIECES, OUTPUTS, 200, np.random.default_rng(0))
-    dear = LinearFit(one.residuals, one.jacobian, 20.0)
-    priced = choice_shares([nothing, dear], PIECES, OUTPUTS, 200, np.random.default_rng(0))
+    expensive = LinearFit(one.residuals, one.jacobian, 20.0)
+    priced = choice_shares([nothing, expensive], PIECES, OUTPUTS, 200, np.random.default_rng(0))
     assert priced[1] < cheap[1]
     twice = choice_shares([one, one, nothing], PIECES, OUTPUTS, 200, np.random.default_rng(0))
     assert twice[1] == 0.0

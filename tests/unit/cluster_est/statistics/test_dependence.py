@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from support.truth.stacked_noise import coloured, late
 
-from cluster_est.statistics.dependence import NOTHING, dependence, periodic_share
+from cluster_est.statistics.dependence import NO_DEPENDENCE, dependence, periodic_share
 
 NULLS = {
     "oscillating": lambda rng, n: coloured(rng, n, 1.95, -0.97),
@@ -109,7 +109,7 @@ def test_the_size_of_a_column_changes_nothing():
     ids=["none", "no residual", "constant", "short"],
 )
 def test_too_little_says_nothing(records):
-    assert dependence(records) == NOTHING
+    assert dependence(records) == NO_DEPENDENCE
 
 
 def test_the_share_of_a_period():

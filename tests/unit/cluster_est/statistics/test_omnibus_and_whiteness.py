@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.stats import kstest
 from support.truth.stacked_noise import stack
 
-from cluster_est.statistics.omnibus import LENGTHS, omnibus
+from cluster_est.statistics.omnibus import OMNIBUS_LENGTHS, omnibus
 from cluster_est.statistics.projection import OrthogonalProjection
 from cluster_est.statistics.records import StackedRecords, make_records, thinned
 from cluster_est.statistics.whiteness import (
@@ -62,7 +62,7 @@ def test_the_statistic_is_that_of_the_kernel(records: StackedRecords) -> None:
     """The largest of all lengths and of each output alone; the longest takes draws in chunks."""
     signal = np.random.default_rng(24).standard_normal(records.size).cumsum()
     expected = []
-    for length in LENGTHS:
+    for length in OMNIBUS_LENGTHS:
         kernel = np.zeros((records.size, records.size))
         for item in records.items:
             lags = np.subtract.outer(item.times, item.times) * (len(item.times) - 1)

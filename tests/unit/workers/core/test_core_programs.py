@@ -15,9 +15,9 @@ from support.thinning import thinned
 
 from workers.core.assemble import OPERATIONS, Registers, assemble
 from workers.core.library import LoadedProgram, core
-from workers.effects.compiled import READ
-from workers.effects.definition import TIME
-from workers.effects.expression import FUNCTIONS, parse
+from workers.effects.compiled import READ_ARRAYS
+from workers.effects.definition import TIME_SYMBOL
+from workers.effects.expression import EQUATION_FUNCTIONS, parse
 from workers.effects.forms import FORMS
 from workers.effects.machine_code import CAssignment, EffectArray, compile_function
 from workers.errors import EffectError, ModelError
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.slow
 
 X, Y = (sp.Symbol(name, real=True) for name in "xy")
 LOCATIONS = {X: (EffectArray.STATES, 0), Y: (EffectArray.STATES, 1)}
-NAMES = {"x": X, "y": Y, "t": TIME}
+NAMES = {"x": X, "y": Y, "t": TIME_SYMBOL}
 
 
 def program_of(*texts, library=None):
@@ -35,7 +35,9 @@ def program_of(*texts, library=None):
         CAssignment(EffectArray.DERIVATIVES, 0, parse(text, NAMES, "here"), add=True)
         for text in texts
     ]
-    return LoadedProgram(assemble(Registers(2, 0, 0, 0), LOCATIONS, TIME, after=added), library)
+    return LoadedProgram(
+        assemble(Registers(2, 0, 0, 0), LOCATIONS, TIME_SYMBOL, after=added), library
+    )
 
 
 def value_of(text, x, y=0.0):
@@ -61,17 +63,17 @@ def compiled_values(form, given):
     inputs, parameters = np.zeros(registers.inputs), np.zeros(registers.parameters + 1)
     derivatives = np.zeros(registers.states)
     if laid_out.modify_inputs:
-        kinds = (*READ, EffectArray.EFFECTIVE_INPUTS, EffectArray.EFFECTIVE_PARAMETERS)
+        kinds = (*READ_ARRAYS, EffectArray.EFFECTIVE_INPUTS, EffectArray.EFFECTIVE_PARAMETERS)
         call(form, kinds, laid_out.modify_inputs, time, [*arrays, inputs, parameters])
     if laid_out.add_derivatives:
-        kinds = (*READ, EffectArray.DERIVATIVES)
+        kinds = (*READ_ARRAYS, EffectArray.DERIVATIVES)
         call(form, kinds, laid_out.add_derivatives, time, [*arrays, derivatives])
     effective = [*inputs, *parameters[:-1]] if laid_out.modify_inputs else []
     return [*effective, *(derivatives[a.index] for a in form.sites)]
 
 
 def call(form, kinds, assignments, time, arrays):
-    compiled = compile_function(kinds, form.equations.locations, assignments, TIME)
+    compiled = compile_function(kinds, form.equations.locations, assignments, TIME_SYMBOL)
     types = [ctypes.c_double, *[ctypes.c_void_p] * len(arrays)]
     function = ctypes.CFUNCTYPE(ctypes.c_int32, *types)(compiled.address)
     function(float(time[0]), *(array.ctypes.data for array in arrays))
@@ -106,7 +108,9 @@ def test_derivatives_are_those_of_the_equations(kind, name):
         assert found[:, 1] == pytest.approx(expected, rel=1e-5, abs=1e-5)
 
 
-@pytest.mark.parametrize("name", sorted(FUNCTIONS.keys() - {"where", "min", "max", "sign", "abs"}))
+@pytest.mark.parametrize(
+    "name", sorted(EQUATION_FUNCTIONS.keys() - {"where", "min", "max", "sign", "abs"})
+)
 def test_functions_are_elementary(name):
     for x in (0.3, 1.7, 25.0):
         assert value_of(f"{name}(x)", x) == pytest.approx(getattr(math, name)(x), rel=1e-15)
@@ -141,7 +145,7 @@ def test_a_division_by_zero_is_infinite_and_what_has_no_value_is_not_a_number():
 
 def test_equal_parts_are_computed_once():
     text = "tanh(x / 0.1) * y"
-    once, twice = (len(assemble(Registers(2, 0, 0, 0), LOCATIONS, TIME, after=[
+    once, twice = (len(assemble(Registers(2, 0, 0, 0), LOCATIONS, TIME_SYMBOL, after=[
         CAssignment(EffectArray.DERIVATIVES, i, parse(text, NAMES, "here"), add=True)
         for i in range(count)
     ])) for count in (1, 2))  # fmt: skip
@@ -151,7 +155,7 @@ def test_equal_parts_are_computed_once():
 def test_what_the_core_does_not_know_is_refused_with_a_sentence():
     unknown = CAssignment(EffectArray.DERIVATIVES, 0, sp.gamma(X), add=True)
     with pytest.raises(EffectError, match="gamma"):
-        assemble(Registers(2, 0, 0, 0), LOCATIONS, TIME, after=[unknown])
+        assemble(Registers(2, 0, 0, 0), LOCATIONS, TIME_SYMBOL, after=[unknown])
 
 
 def test_a_coefficient_that_is_not_given_is_missed():
@@ -159,7 +163,7 @@ def test_a_coefficient_that_is_not_given_is_missed():
     reading = CAssignment(EffectArray.DERIVATIVES, 0, own * X, add=True)
     located = LOCATIONS | {own: (EffectArray.COEFFICIENTS, 1)}
     with pytest.raises(EffectError, match="number 2 of coefficients"):
-        assemble(Registers(2, 0, 0, 1), located, TIME, after=[reading])
+        assemble(Registers(2, 0, 0, 1), located, TIME_SYMBOL, after=[reading])
 
 
 # ---- machines ------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from workers.effects.definition import coefficients
-from workers.effects.expression import FUNCTIONS
+from workers.effects.expression import EQUATION_FUNCTIONS
 from workers.effects.forms import FORMS, FormCondition, GridScale, positive
 from workers.effects.signal_memory import MEMORIES
 from workers.effects.site import split_variable
@@ -65,7 +65,7 @@ def test_only_known_names_tell_what_a_minus_is():
     assert split_variable("2 * x", known) == ()
 
 
-MATHEMATICS = {name: getattr(np, name) for name in FUNCTIONS} | {"max": max, "min": min}
+MATHEMATICS = {name: getattr(np, name) for name in EQUATION_FUNCTIONS} | {"max": max, "min": min}
 
 
 def size_of(unit, scales):

@@ -8,9 +8,9 @@ import pytest
 import sympy as sp
 from support.problems.springs import FMU
 
-from workers.effects.compiled import READ, equations
-from workers.effects.definition import TIME, define
-from workers.effects.expression import FUNCTIONS, parse
+from workers.effects.compiled import READ_ARRAYS, equations
+from workers.effects.definition import TIME_SYMBOL, define
+from workers.effects.expression import EQUATION_FUNCTIONS, parse
 from workers.effects.forms import FORMS
 from workers.effects.machine_code import (
     CAssignment,
@@ -44,15 +44,17 @@ def called(compiled, time, arrays):
 
 def value_of(text, x, y=0.0):
     result = np.full(2, 7.0)
-    assignment = CAssignment(EffectArray.RESULT, 1, parse(text, NAMES | {"t": TIME}, "here"))
-    compiled = compile_function(ARRAYS, LOCATIONS, [assignment], TIME)
+    assignment = CAssignment(EffectArray.RESULT, 1, parse(text, NAMES | {"t": TIME_SYMBOL}, "here"))
+    compiled = compile_function(ARRAYS, LOCATIONS, [assignment], TIME_SYMBOL)
     assert isinstance(compiled, MachineCode)
     called(compiled, 1.5, [np.array([x, -1.0, y]), result])
     assert result[0] == 7.0
     return float(result[1])
 
 
-@pytest.mark.parametrize("name", sorted(FUNCTIONS.keys() - {"where", "min", "max", "sign", "abs"}))
+@pytest.mark.parametrize(
+    "name", sorted(EQUATION_FUNCTIONS.keys() - {"where", "min", "max", "sign", "abs"})
+)
 def test_functions_are_those_of_the_c_library(name):
     for x in (0.3, 1.7, 25.0):
         assert value_of(f"{name}(x)", x) == getattr(math, name)(x)
@@ -86,7 +88,7 @@ def test_a_division_by_zero_is_infinite_and_what_has_no_value_is_not_a_number():
 
 def test_a_value_is_added_to_what_is_there():
     assignment = CAssignment(EffectArray.RESULT, 1, NAMES["x"] * NAMES["y"], add=True)
-    compiled = compile_function(ARRAYS, LOCATIONS, [assignment], TIME)
+    compiled = compile_function(ARRAYS, LOCATIONS, [assignment], TIME_SYMBOL)
     result = np.array([1.0, 2.0])
     called(compiled, 0.0, [np.array([3.0, 0.0, 5.0]), result])
     assert result.tolist() == [1.0, 17.0]
@@ -100,9 +102,9 @@ def functions_of(kind, name):
     found = equations((definition,), (0,), ("x", "v"), ("F",))
     changed = (EffectArray.EFFECTIVE_INPUTS, EffectArray.EFFECTIVE_PARAMETERS)
     functions = [
-        (READ, found.locations, found.start_states),
-        ((*READ, *changed), found.locations, found.modify_inputs),
-        ((*READ, EffectArray.DERIVATIVES), found.locations, found.add_derivatives),
+        (READ_ARRAYS, found.locations, found.start_states),
+        ((*READ_ARRAYS, *changed), found.locations, found.modify_inputs),
+        ((*READ_ARRAYS, EffectArray.DERIVATIVES), found.locations, found.add_derivatives),
     ]
     return [each for each in functions if each[2]]
 
@@ -114,9 +116,9 @@ def functions_of(kind, name):
 def test_every_form_is_what_python_computes(kind, name):
     generator = np.random.default_rng(1)
     for arrays, locations, assignments in functions_of(kind, name):
-        compiled = compile_function(arrays, locations, assignments, TIME)
+        compiled = compile_function(arrays, locations, assignments, TIME_SYMBOL)
         assert isinstance(compiled, MachineCode)
-        symbols = [TIME, *locations]
+        symbols = [TIME_SYMBOL, *locations]
         plain = [sp.lambdify(symbols, a.value, "numpy") for a in assignments]
         for trial in range(4):
             given = {a: generator.normal(size=40) for a in arrays}
@@ -135,7 +137,7 @@ def test_every_form_is_what_python_computes(kind, name):
 
 def test_what_is_not_known_is_left_to_numba():
     assignment = CAssignment(EffectArray.RESULT, 0, sp.cosh(NAMES["x"]))
-    compiled = compile_function(ARRAYS, LOCATIONS, [assignment], TIME)
+    compiled = compile_function(ARRAYS, LOCATIONS, [assignment], TIME_SYMBOL)
     assert not isinstance(compiled, MachineCode)
     result = np.zeros(1)
     called(compiled, 0.0, [np.array([0.5, 0.0, 0.0]), result])
@@ -145,7 +147,7 @@ def test_what_is_not_known_is_left_to_numba():
 def test_code_lives_as_long_as_its_object():
     kept = [
         compile_function(
-            ARRAYS, LOCATIONS, [CAssignment(EffectArray.RESULT, 0, NAMES["x"] + n)], TIME
+            ARRAYS, LOCATIONS, [CAssignment(EffectArray.RESULT, 0, NAMES["x"] + n)], TIME_SYMBOL
         )
         for n in range(5)
     ]

@@ -14,7 +14,7 @@ import pytest
 from workers.errors import ModelError
 from workers.fmu import instance
 from workers.fmu import seats as room
-from workers.fmu.process_environment import ROOM, kept_signal_handlers
+from workers.fmu.process_environment import SIGACTION_BYTES, kept_signal_handlers
 from workers.fmu.seats import Seat, has_lost
 from workers.messages import Seats
 
@@ -162,7 +162,7 @@ def handlers() -> list[bytes]:
     """Return what the C library has for both signals."""
     library, found = ctypes.CDLL(None), []
     for number in (signal.SIGINT, signal.SIGTERM):
-        room = ctypes.create_string_buffer(ROOM)
+        room = ctypes.create_string_buffer(SIGACTION_BYTES)
         library.sigaction(int(number), None, room)
         found.append(room.raw[:8])  # the handler; flags beside it are the library's own
     return found

@@ -82,7 +82,7 @@ def test_directions_are_measured_again_where_the_jacobian_is_in_blocks(monkeypat
     )
     measured = [twice(TIMES, [2.0, 0.5, 0.5 * e], e) + 0.01 * TIMES**2 for e in range(8)]
     monkeypatch.setattr("cluster_est.methods.block_matrix.LEAST_SIZE", 10)
-    monkeypatch.setattr("cluster_est.methods.differences.LARGE", 0)
+    monkeypatch.setattr("cluster_est.methods.differences.LARGE_JACOBIAN", 0)
     runner, space, blocks = Curves(twice, parameters, TIMES, measured).solve()
     found = examine(runner, space, blocks)
     assert blocks.jacobian is None

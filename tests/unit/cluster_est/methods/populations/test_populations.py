@@ -21,7 +21,7 @@ from support.thinning import thinned
 from cluster_est import Budget, Experiment, Model, Output, Parameter, Problem, Solver
 from cluster_est.errors import ProblemError
 from cluster_est.methods import (
-    METHODS,
+    SEARCH_METHODS,
     Cmaes,
     DifferentialEvolution,
     GeneticAlgorithm,
@@ -391,8 +391,8 @@ def solved(problem: FunctionProblem, method: Method) -> tuple[Solution, Runner, 
     ],
 )
 def test_the_result_is_the_same(name, options, problem):
-    whole, all_of_it, _ = solved(problem, METHODS[name](**options))
-    early, runner, ended = solved(problem, METHODS[name](**options, early_end=True))
+    whole, all_of_it, _ = solved(problem, SEARCH_METHODS[name](**options))
+    early, runner, ended = solved(problem, SEARCH_METHODS[name](**options, early_end=True))
     assert ended > 100
     assert early.x.tobytes() == whole.x.tobytes()
     assert (early.cost, early.ending, early.message) == (whole.cost, whole.ending, whole.message)
@@ -405,6 +405,6 @@ def test_the_result_is_the_same(name, options, problem):
 def test_no_bound_without_the_option_or_with_another_cost_or_constraints(name):
     robust = replace(BEALE, cost=SoftL1())
     held = replace(BEALE, constraints=lambda x: np.array([x[0] - 4.0]), equality=(False,))
-    on = METHODS[name](early_end=True)
-    for problem, method in ((BEALE, METHODS[name]()), (robust, on), (held, on)):
+    on = SEARCH_METHODS[name](early_end=True)
+    for problem, method in ((BEALE, SEARCH_METHODS[name]()), (robust, on), (held, on)):
         assert solved(problem, method)[2] == 0

@@ -1,4 +1,4 @@
-"""How many simulations of a dear model a fit of 20 parameters takes, beside SciPy and pymoo.
+"""How many simulations of an expensive model a fit of 20 parameters takes, beside SciPy and pymoo.
 
 The model is a chain of ten tanks, each with an outflow and a loss, 20 parameters in all, as an FMU
 that is built here; three levels are measured with 1 % of noise. What counts is the number of
@@ -144,7 +144,7 @@ def of_pymoo(problem: ce.Problem, most: int) -> list[float]:
     lower = np.array([p.lower for p in problem.parameters])
     upper = np.array([p.upper for p in problem.parameters])
 
-    class Scaled(ElementwiseProblem):  # type: ignore[misc]
+    class ScaledProblem(ElementwiseProblem):  # type: ignore[misc]
         def __init__(self) -> None:
             super().__init__(n_var=len(lower), n_obj=1, xl=0.0, xu=1.0)
 
@@ -153,7 +153,7 @@ def of_pymoo(problem: ce.Problem, most: int) -> list[float]:
 
     start = np.array([p.start for p in problem.parameters])
     first = np.log(start / lower) / np.log(upper / lower)
-    minimize(Scaled(), CMAES(x0=first, sigma=0.1), ("n_eval", most), seed=1)
+    minimize(ScaledProblem(), CMAES(x0=first, sigma=0.1), ("n_eval", most), seed=1)
     return counted.costs
 
 
