@@ -38,14 +38,16 @@ def check_problem(problem: object) -> None:
     check_kind(problem, Problem, "problem", ProblemError, advice)
 
 
-def check_resources(resources: Resources) -> None:
-    """Refuse an executor that there is not, and numbers out of their range, as a config does.
+def checked_resources(resources: Resources | None) -> Resources:
+    """Return what a user hands over, or the default, checked as a config is.
 
     Raises
     ------
     ProblemError
-        If there is one.
+        If there is no such executor, or a number is out of its range.
     """
+    if resources is None:
+        return Resources()
     advice = f"; write Resources({resources!r})" if isinstance(resources, str) else ""
     check_kind(resources, Resources, "resources", ProblemError, advice)
     if resources.executor not in EXECUTORS:
@@ -64,6 +66,7 @@ def check_resources(resources: Resources) -> None:
     for key, limit in asdict(resources.limits).items():
         if not (isinstance(limit, float) and limit == math.inf):
             check_number(limit, f"executor.limits.{key}", ProblemError, above=0.0)
+    return resources
 
 
 def method_of(method: Method | str) -> Method:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import Generic, TypeVar
 
-from cluster_est.running.arguments import check_resources
+from cluster_est.running.arguments import checked_resources
 from cluster_est.running.environment import Monitor, RunEnvironment, SharedPools
 from cluster_est.running.resources import Note, Record, Resources, Show
 
@@ -74,9 +74,8 @@ def run_study(
     ClusterEstError
         As `Study.check` and `Study.run`.
     """
-    resources = Resources() if resources is None else resources
     study.check()
-    check_resources(resources)
+    resources = checked_resources(resources)
     with SharedPools() as pools:  # a cluster is joined once
         environment = RunEnvironment(resources, Monitor(record, show, note), source=pools)
         return study.run(environment)

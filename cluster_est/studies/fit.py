@@ -27,8 +27,8 @@ from cluster_est.results.solver_error.measure import measure_solver_error
 from cluster_est.running.arguments import (
     check_method,
     check_problem,
-    check_resources,
     check_values,
+    checked_resources,
     method_of,
 )
 from cluster_est.running.environment import RunEnvironment, open_executor
@@ -135,7 +135,6 @@ class Fit(Study[Result]):
     @override
     def run(self, environment: RunEnvironment) -> Result:
         begin = time.monotonic()
-        self.problem.describe()
         train = self.space()
         with one_blas_thread():
             if self.shooting is None:
@@ -361,8 +360,7 @@ def simulate(
         If the FMU cannot be run in this way, or a label is unknown.
     """
     check_problem(problem)
-    resources = Resources() if resources is None else resources
-    check_resources(resources)
+    resources = checked_resources(resources)
     check_values(problem, values or {})
     problem.describe()
     with open_executor(problem, resources) as executor:

@@ -33,6 +33,7 @@ from cluster_est.run_folder.run_files import (
 from cluster_est.run_folder.run_folder import BEGUN
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind, versions
 from cluster_est.settings import ConfigSection, checked
+from cluster_est.studies.configured import STUDIES
 from cluster_est.toml import inline
 from cluster_est.whole_files import write_whole
 from workers.fmu.description import nearest
@@ -102,6 +103,9 @@ class SingleRunSection(ConfigSection):
     overrides: dict[str, Any] = Field(default_factory=dict, description='"KEY" = value')
 
 
+STUDY_NAMES = tuple(kind.value for kind in STUDIES)
+
+
 class SweepSections(ConfigSection):
     """A whole sweep file."""
 
@@ -109,7 +113,7 @@ class SweepSections(ConfigSection):
         min_length=1,
         description='paths of configs from the sweep\'s folder, or a table: { NAME = "path" }',
     )
-    study: Literal["fit", "sensitivity", "close-loop"] = Field(
+    study: Literal[STUDY_NAMES] = Field(  # type: ignore[valid-type]
         "fit", description="what is done with each config"
     )
     overrides: dict[str, Any] = Field(
