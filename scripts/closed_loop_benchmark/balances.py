@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from closed_loop_benchmark import waveforms as wave
-from closed_loop_benchmark.system import Array, Role, Run, System, Values, make_run, measured
+from closed_loop_benchmark.system import Array, Role, Run, Values, make_run
 
 
 def cell_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
@@ -37,24 +37,6 @@ def cell_runs(time: Array, random: np.random.Generator) -> list[Run]:
     ]
 
 
-BATTERY = System(
-    name="battery",
-    interface="co_simulation",
-    split="tune",
-    states=("soc", "v1"),
-    inputs=("current",),
-    outputs=("voltage",),
-    parameters={"Q": 6800.0, "R0": 0.055, "R1": 0.035, "C1": 2800.0},
-    rates=cell_rates,
-    readings=cell_readings,
-    interval=10.0,
-    samples=400,
-    excitation=cell_runs,
-    unknown_starts=("soc",),
-    start_error=0.05,
-)
-
-
 def circuit_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
     """Kirchhoff's laws for the loop and for the node."""
     (current, voltage), (source,), (resistance, inductance, capacitance, load) = x, u, p
@@ -75,22 +57,6 @@ def circuit_runs(time: Array, random: np.random.Generator) -> list[Run]:
         make_run("triangle", "test", [11.0 * wave.triangle(time, 0.023)], rest),
         make_run("chirp", "test", [7.0 * wave.chirp(time, 20.0, 250.0)], rest),
     ]
-
-
-RESONANT_CIRCUIT = System(
-    name="resonant_circuit",
-    split="report",
-    states=("i", "u"),
-    inputs=("e",),
-    outputs=("current", "voltage"),
-    parameters={"R": 0.8, "L": 2e-3, "C": 5e-4, "G": 0.15},
-    rates=circuit_rates,
-    readings=measured(0, 1),
-    interval=2e-4,
-    samples=500,
-    excitation=circuit_runs,
-    drives=(("e", "i"),),
-)
 
 
 def core_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
@@ -118,23 +84,6 @@ def core_runs(time: Array, random: np.random.Generator) -> list[Run]:
         run("triangle", "test", 7.0 + 6.0 * wave.triangle(time, 900.0), 5.0, 25.0),
         run("gentle steps", "test", 5.0 + 4.0 * wave.held(time, random, 200.0), 6.0, 28.0),
     ]
-
-
-THERMAL_TWO_NODE = System(
-    name="thermal_two_node",
-    interface="co_simulation",
-    split="report",
-    states=("T_core", "T_case"),
-    inputs=("P", "T_ambient"),
-    outputs=("y_core", "y_case"),
-    parameters={"C_core": 55.0, "C_case": 170.0, "R_core_case": 1.8, "R_case_ambient": 3.6},
-    rates=core_rates,
-    readings=measured(0, 1),
-    interval=10.0,
-    samples=400,
-    excitation=core_runs,
-    drives=(("P", "T_core"), ("T_ambient", "T_case")),
-)
 
 
 def room_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
@@ -166,24 +115,6 @@ def room_runs(time: Array, random: np.random.Generator) -> list[Run]:
     ]
 
 
-ROOM = System(
-    name="room",
-    split="tune",
-    states=("T_room", "T_wall"),
-    inputs=("P", "T_out"),
-    outputs=("y",),
-    parameters={"C_room": 4.5e6, "C_wall": 2.6e7, "R_room_wall": 4.4e-3, "R_wall_out": 7.2e-3},
-    rates=room_rates,
-    readings=measured(0),
-    interval=900.0,
-    samples=400,
-    excitation=room_runs,
-    unknown_starts=("T_wall",),
-    signals=("sun",),
-    drives=(("P", "T_room"), ("T_out", "T_wall")),
-)
-
-
 def kiln_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
     """Balances of heat of the plate and of the charge."""
     (plate, charge), (power, ambient) = x, u
@@ -212,28 +143,6 @@ def kiln_runs(time: Array, random: np.random.Generator) -> list[Run]:
     ]
 
 
-KILN = System(
-    name="kiln",
-    split="tune",
-    states=("T_plate", "T_charge"),
-    inputs=("power", "T_ambient"),
-    outputs=("plate", "charge"),
-    parameters={
-        "C_plate": 400.0,
-        "C_charge": 900.0,
-        "G_between": 6.0,
-        "G_plate": 2.5,
-        "G_charge": 1.2,
-    },
-    rates=kiln_rates,
-    readings=measured(0, 1),
-    interval=10.0,
-    samples=400,
-    excitation=kiln_runs,
-    drives=(("power", "T_plate"),),
-)
-
-
 def tank_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
     """Torricelli's law: an outflow goes with the root of its level."""
     (upper, lower), (pump,), (outlet_1, outlet_2, gain) = x, u, p
@@ -258,23 +167,6 @@ def tank_runs(time: Array, random: np.random.Generator) -> list[Run]:
         run("triangle", "test", 1.9, 1.5, wave.triangle(time, 300.0)),
         run("gentle steps", "test", 1.7, 1.0, wave.held(time, random, 100.0)),
     ]
-
-
-CASCADED_TANKS = System(
-    name="cascaded_tanks",
-    split="tune",
-    states=("h1", "h2"),
-    inputs=("u",),
-    outputs=("y",),
-    parameters={"k1": 0.055, "k2": 0.048, "kp": 0.052},
-    rates=tank_rates,
-    readings=measured(1),
-    interval=4.0,
-    samples=400,
-    excitation=tank_runs,
-    unknown_starts=("h1", "h2"),
-    drives=(("u", "h1"),),
-)
 
 
 def reactor_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
@@ -316,31 +208,6 @@ def reactor_runs(time: Array, random: np.random.Generator) -> list[Run]:
     ]
 
 
-STIRRED_TANK_REACTOR = System(
-    name="stirred_tank_reactor",
-    split="report",
-    states=("c", "T"),
-    inputs=("flow", "T_coolant"),
-    outputs=("concentration", "temperature"),
-    parameters={
-        "k_350": 0.0145,
-        "E_R": 8500.0,
-        "c_feed": 980.0,
-        "T_feed": 344.0,
-        "rise": 0.095,
-        "cooling": 0.032,
-    },
-    constants={"volume": 0.1},
-    spreads={"k_350": 0.1, "E_R": 0.05, "c_feed": 0.1, "T_feed": 0.01, "rise": 0.1},
-    rates=reactor_rates,
-    readings=measured(0, 1),
-    interval=5.0,
-    samples=400,
-    excitation=reactor_runs,
-    drives=(("T_coolant", "T"),),
-)
-
-
 def body_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
     """Balances of three compartments with linear exchange."""
     (gut, central, tissue), (oral, infusion) = x, u
@@ -379,29 +246,6 @@ def body_runs(time: Array, random: np.random.Generator) -> list[Run]:
     ]
 
 
-PHARMACOKINETICS = System(
-    name="pharmacokinetics",
-    split="tune",
-    states=("gut", "central", "tissue"),
-    inputs=("oral", "infusion"),
-    outputs=("plasma_level", "tissue_level"),
-    parameters={
-        "k_a": 3e-4,
-        "k_e": 8e-5,
-        "k_12": 1.4e-4,
-        "k_21": 7e-5,
-        "volume": 20.0,
-        "tissue_volume": 40.0,
-    },
-    rates=body_rates,
-    readings=body_readings,
-    interval=360.0,
-    samples=400,
-    excitation=body_runs,
-    drives=(("oral", "gut"), ("infusion", "central")),
-)
-
-
 def chemostat_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
     """Balances of biomass and substrate, growth by Monod."""
     (biomass, substrate), (dilution, feed) = x, u
@@ -431,18 +275,3 @@ def chemostat_runs(time: Array, random: np.random.Generator) -> list[Run]:
         run("triangle", "test", wave.triangle(time, 40000.0), 0.5 * steps(12000.0), 3.0),
         run("noise", "test", 0.6 * wave.noise(time, random, 5e-5), steps(15000.0), 2.0),
     ]
-
-
-CHEMOSTAT = System(
-    name="chemostat",
-    split="report",
-    states=("X", "S"),
-    inputs=("D", "S_in"),
-    outputs=("biomass", "substrate"),
-    parameters={"mu_max": 1.25e-4, "K_s": 0.4, "yield": 0.5},
-    rates=chemostat_rates,
-    readings=measured(0, 1),
-    interval=360.0,
-    samples=400,
-    excitation=chemostat_runs,
-)

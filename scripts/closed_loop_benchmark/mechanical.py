@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from closed_loop_benchmark import waveforms as wave
-from closed_loop_benchmark.system import Array, Role, Run, System, Values, make_run, measured
+from closed_loop_benchmark.system import Array, Role, Run, Values, make_run
 
 
 def spring_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
@@ -27,22 +27,6 @@ def spring_runs(time: Array, random: np.random.Generator) -> list[Run]:
     ]
 
 
-MASS_SPRING_DAMPER = System(
-    name="mass_spring_damper",
-    split="tune",
-    states=("x", "v"),
-    inputs=("F",),
-    outputs=("y",),
-    parameters={"m": 1.2, "k": 30.0, "c": 0.6},
-    rates=spring_rates,
-    readings=measured(0),
-    interval=0.02,
-    samples=500,
-    excitation=spring_runs,
-    drives=(("F", "v"),),
-)
-
-
 def pendulum_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
     """Angular momentum about the pivot."""
     (angle, speed), (torque,), (inertia, gravity, friction) = x, u, p
@@ -60,22 +44,6 @@ def pendulum_runs(time: Array, random: np.random.Generator) -> list[Run]:
         make_run("triangle", "test", [0.6 * wave.triangle(time, 2.9)], rest),
         make_run("noise", "test", [0.35 * wave.noise(time, random, 0.9)], swung),
     ]
-
-
-PENDULUM = System(
-    name="pendulum",
-    split="tune",
-    states=("angle", "speed"),
-    inputs=("torque",),
-    outputs=("y",),
-    parameters={"J": 0.11, "G": 2.1, "b": 0.05},
-    rates=pendulum_rates,
-    readings=measured(0),
-    interval=0.04,
-    samples=400,
-    excitation=pendulum_runs,
-    drives=(("torque", "speed"),),
-)
 
 
 def car_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
@@ -105,23 +73,6 @@ def car_runs(time: Array, random: np.random.Generator) -> list[Run]:
     ]
 
 
-QUARTER_CAR = System(
-    name="quarter_car",
-    split="report",
-    states=("z_body", "v_body", "z_wheel", "v_wheel"),
-    inputs=("road",),
-    outputs=("velocity", "travel"),
-    parameters={"m_wheel": 36.0, "k_spring": 1.8e4, "c_damper": 1.4e3, "k_tyre": 1.7e5},
-    constants={"m_body": 300.0},
-    rates=car_rates,
-    readings=car_readings,
-    interval=0.01,
-    samples=500,
-    excitation=car_runs,
-    drives=(("road", "v_wheel"),),
-)
-
-
 def motor_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
     """Kirchhoff's law for the armature, Newton's for the rotor."""
     (current, speed), (voltage,), (resistance, inductance, constant, inertia, friction) = x, u, p
@@ -143,22 +94,6 @@ def motor_runs(time: Array, random: np.random.Generator) -> list[Run]:
         make_run("triangle", "test", [8.0 * wave.triangle(time, 0.5)], rest),
         make_run("chirp", "test", [5.0 * wave.chirp(time, 0.5, 8.0)], rest),
     ]
-
-
-DC_MOTOR = System(
-    name="dc_motor",
-    split="tune",
-    states=("i", "w"),
-    inputs=("V",),
-    outputs=("current", "speed"),
-    parameters={"R": 1.1, "L": 0.012, "K": 0.055, "J": 4.5e-4, "b": 2.5e-4},
-    rates=motor_rates,
-    readings=measured(0, 1),
-    interval=4e-3,
-    samples=500,
-    excitation=motor_runs,
-    drives=(("V", "i"),),
-)
 
 
 def belt_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
@@ -192,32 +127,6 @@ def belt_runs(time: Array, random: np.random.Generator) -> list[Run]:
     ]
 
 
-DC_MOTOR_BELT = System(
-    name="dc_motor_belt",
-    split="tune",
-    states=("i", "w_motor", "twist", "w_load"),
-    inputs=("V", "T_load"),
-    outputs=("current", "speed", "load_speed"),
-    parameters={
-        "R": 1.1,
-        "L": 6e-3,
-        "K": 0.055,
-        "J_motor": 1.1e-4,
-        "b_motor": 1e-4,
-        "k_belt": 1.8,
-        "d_belt": 6e-3,
-        "J_load": 4.5e-4,
-        "b_load": 4e-4,
-    },
-    rates=belt_rates,
-    readings=measured(0, 1, 3),
-    interval=4e-3,
-    samples=500,
-    excitation=belt_runs,
-    drives=(("V", "i"), ("T_load", "w_load")),
-)
-
-
 def shaft_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
     """Two inertias that twist a shaft."""
     (twist, motor, load), (torque,) = x, u
@@ -242,29 +151,6 @@ def shaft_runs(time: Array, random: np.random.Generator) -> list[Run]:
         make_run("triangle", "test", [3.5 * wave.triangle(time, 0.9)], rest),
         make_run("chirp", "test", [2.0 * wave.chirp(time, 0.3, 6.0)], rest),
     ]
-
-
-TWO_MASS_DRIVE = System(
-    name="two_mass_drive",
-    split="report",
-    states=("twist", "w_motor", "w_load"),
-    inputs=("torque",),
-    outputs=("motor_speed", "load_speed"),
-    parameters={
-        "J_motor": 0.022,
-        "J_load": 0.045,
-        "k_shaft": 22.0,
-        "d_shaft": 0.06,
-        "b_motor": 0.015,
-        "b_load": 0.045,
-    },
-    rates=shaft_rates,
-    readings=measured(1, 2),
-    interval=0.01,
-    samples=500,
-    excitation=shaft_runs,
-    drives=(("torque", "w_motor"),),
-)
 
 
 GRAVITY = 9.81
@@ -306,27 +192,6 @@ def crane_runs(time: Array, random: np.random.Generator) -> list[Run]:
     ]
 
 
-GANTRY_CRANE = System(
-    name="gantry_crane",
-    split="tune",
-    states=("x", "v", "phi", "w"),
-    inputs=("F",),
-    outputs=("position", "angle"),
-    parameters={
-        "m_trolley": 6.0,
-        "m_load": 2.0,
-        "l_rope": 0.8,
-        "b_trolley": 8.0,
-        "d_pivot": 0.05,
-    },
-    rates=crane_rates,
-    readings=measured(0, 2),
-    interval=0.02,
-    samples=500,
-    excitation=crane_runs,
-)
-
-
 def cylinder_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
     """Newton's law for the mass, and the oil's compression; pressures in MPa."""
     (position, speed, pressure), (opening, load) = x, u
@@ -351,21 +216,3 @@ def cylinder_runs(time: Array, random: np.random.Generator) -> list[Run]:
         run("triangle", "test", 0.8 * wave.triangle(time, 0.45)),
         run("chirp", "test", 0.6 * wave.chirp(time, 0.5, 8.0)),
     ]
-
-
-HYDRAULIC_CYLINDER = System(
-    name="hydraulic_cylinder",
-    split="report",
-    states=("x", "v", "p"),
-    inputs=("u", "F_load"),
-    outputs=("position", "pressure"),
-    parameters={"mass": 50.0, "b": 800.0, "k": 2e4, "E": 1.25e5, "q": 1.4e-4},
-    constants={"area": 1.2e-3, "p_supply": 7.0},
-    rates=cylinder_rates,
-    readings=measured(0, 2),
-    interval=5e-3,
-    samples=500,
-    excitation=cylinder_runs,
-    drives=(("F_load", "v"),),
-    substeps=20,
-)
