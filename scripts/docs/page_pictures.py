@@ -1,4 +1,4 @@
-"""Draw the pictures of pages that need no run: costs, a cluster, a held input, segments, forms.
+"""Draw the pictures of pages that need no run: costs, a held input, segments, forms.
 
     python scripts/docs/page_pictures.py
 
@@ -13,14 +13,13 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from docs import cluster_picture, cost_picture, form_pictures, step_picture
+from docs import cost_picture, form_pictures, step_picture
 from docs.fit_pictures import noise_picture, shooting_picture
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "cluster_est" / "docs"
 PICTURES = {
     "costs_and_limits": cost_picture.picture,
-    "cluster_layout": cluster_picture.picture,
     "held_input": step_picture.picture,
     "multiple_shooting": shooting_picture,
     "process_noise": noise_picture,

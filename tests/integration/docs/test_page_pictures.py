@@ -10,6 +10,7 @@ from docs.page_pictures import DOCS, PICTURES
 from docs.step_picture import LARGE, SMALL, TRUE, experiment, held, reference
 from scipy.signal import lsim
 
+from cluster_est.executors.backlog import BATCH_SECONDS
 from cluster_est.problem.costs import COSTS
 from workers.effects.forms import FORMS
 from workers.residuals.comparison import SimulatedOutputs
@@ -45,7 +46,7 @@ def test_the_picture_is_that_of_the_library_today(name):
     assert numbers[0] == pytest.approx(numbers[1], abs=0.2)
 
 
-@pytest.mark.parametrize("name", PICTURES)
+@pytest.mark.parametrize("name", PAGES)
 def test_the_page_shows_the_picture_and_says_what_is_in_it(name):
     page = (DOCS / PAGES[name]).read_text(encoding="utf-8")
     (said,) = re.findall(rf"!\[(.+)\]\({name}\.svg\)", page)
@@ -54,6 +55,11 @@ def test_the_page_shows_the_picture_and_says_what_is_in_it(name):
     assert len(text) < 60_000
     assert "prefers-color-scheme: dark" in text
     assert ElementTree.fromstring(text)[0].text
+
+
+def test_the_picture_of_a_cluster_says_how_long_a_batch_takes():
+    text = (DOCS / "cluster_layout.svg").read_text(encoding="utf-8")
+    assert f"{BATCH_SECONDS:g} s, two for each actor" in text
 
 
 def test_a_cost_is_drawn_as_it_is():
