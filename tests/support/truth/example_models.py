@@ -1,6 +1,7 @@
-"""The example models' equations, written down again, and a solver that is slow but accurate.
+"""The example models' equations, apart from their FMUs, and a solver that is slow but accurate.
 
-Nothing of the project is used but its data classes, and the names in the models' descriptions.
+Most are those of the closed-loop benchmark (`scripts/closed_loop_benchmark`), the others stand here.
+Nothing of the packages is used but data classes, and the names in the models' descriptions.
 """
 
 import tomllib
@@ -8,8 +9,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from closed_loop_benchmark.systems import SYSTEMS
 from scipy.integrate import solve_ivp
 
 from workers.messages import Experiment, FloatArray, Input, Interpolation, Output
@@ -57,145 +60,115 @@ class Reference:
 REFERENCES: dict[str, Reference] = {}
 
 
-def example(
+def enter(
+    model: str,
+    rates: Rates,
     states: Values,
     inputs: Sequence[tuple[float, float]],
     outputs: Sequence[int | Reading],
     seconds: float,
     step: float | None = None,
-    name: str | None = None,
-) -> Callable[[Rates], Rates]:
-    """Enter equations for a model, by default that of their name.
+) -> None:
+    """Enter equations for a model, all names in its order.
 
-    All names are in the model's order; parameters are some percent larger than its own, or than 0.
+    Parameters are some percent larger than its own, or than 0.
     """
+    variables = variables_of(model)
+    names = names_in(variables)
+    more = np.random.default_rng(0).uniform(0.03, 0.12, len(variables)).tolist()
+    REFERENCES[model] = Reference(
+        rates,
+        {
+            v["name"]: v["start"] + (v["start"] or v["nominal"]) * part
+            for v, part in zip(variables, more, strict=True)
+            if v["causality"] == "parameter"
+        },
+        dict(zip(names["local"], states, strict=True)),
+        dict(zip(names["input"], inputs, strict=True)),
+        dict(zip(names["output"], outputs, strict=True)),
+        seconds,
+        step,
+    )
 
-    def enter(rates: Rates) -> Rates:
-        model = name or rates.__name__
-        text = (MODELS / model / "model.toml").read_text(encoding="utf-8")
-        variables = tomllib.loads(text)["variable"]
-        names: dict[str, list[str]] = {"parameter": [], "input": [], "local": [], "output": []}
-        for variable in variables:
-            names[variable["causality"]].append(variable["name"])
-        more = np.random.default_rng(0).uniform(0.03, 0.12, len(variables)).tolist()
-        REFERENCES[model] = Reference(
-            rates,
-            {
-                v["name"]: v["start"] + (v["start"] or v["nominal"]) * part
-                for v, part in zip(variables, more, strict=True)
-                if v["causality"] == "parameter"
-            },
-            dict(zip(names["local"], states, strict=True)),
-            dict(zip(names["input"], inputs, strict=True)),
-            dict(zip(names["output"], outputs, strict=True)),
-            seconds,
-            step,
-        )
+
+def variables_of(model: str) -> list[dict[str, Any]]:
+    text = (MODELS / model / "model.toml").read_text(encoding="utf-8")
+    return list(tomllib.loads(text)["variable"])
+
+
+def names_in(variables: list[dict[str, Any]]) -> dict[str, list[str]]:
+    """By causality."""
+    names: dict[str, list[str]] = {"parameter": [], "input": [], "local": [], "output": []}
+    for variable in variables:
+        names[variable["causality"]].append(variable["name"])
+    return names
+
+
+def example(
+    states: Values,
+    inputs: Sequence[tuple[float, float]],
+    outputs: Sequence[int | Reading],
+    seconds: float,
+) -> Callable[[Rates], Rates]:
+    """Enter the equations of a function for the model of its name."""
+
+    def entered(rates: Rates) -> Rates:
+        enter(rates.__name__, rates, states, inputs, outputs, seconds)
         return rates
 
-    return enter
+    return entered
 
 
-@example([0.1, -0.2], [(1.0, 4.0)], [0], 3.0, step=2e-3)
-def mass_spring_damper(x: FloatArray, u: Values, p: Values) -> list[float]:
-    mass, stiffness, damping = p
-    return [x[1], (u[0] - stiffness * x[0] - damping * x[1]) / mass]
+BENCHMARKED: dict[str, tuple[Values, list[tuple[float, float]], float, float | None]] = {
+    "mass_spring_damper": ([0.1, -0.2], [(1.0, 4.0)], 3.0, 2e-3),
+    "cascaded_tanks": ([3.0, 5.0], [(3.0, 2.0)], 300.0, 0.2),
+    "dc_motor_belt": ([0.5, 20.0, 0.01, 18.0], [(6.0, 6.0), (0.05, 0.02)], 0.2, 5e-5),
+    "thermal_two_node": ([40.0, 30.0], [(8.0, 5.0), (20.0, 5.0)], 600.0, 0.5),
+    "room": ([18.0, 12.0], [(1500.0, 1000.0), (3.0, 6.0)], 54000.0, None),
+    "pendulum": ([0.4, -1.0], [(0.2, 0.8)], 2.4, None),
+    "dc_motor": ([0.3, 20.0], [(2.0, 5.0)], 0.24, None),
+    "two_mass_drive": ([0.02, 5.0, 4.0], [(0.3, 2.0)], 0.6, None),
+    "quarter_car": ([0.02, -0.1, 0.01, 0.05], [(0.0, 0.04)], 1.2, None),
+    "battery": ([0.7, 0.01], [(0.5, 1.5)], 600.0, None),
+    "stirred_tank_reactor": ([480.0, 335.0], [(1.6e-3, 4e-4), (308.0, 5.0)], 300.0, None),
+    "gantry_crane": ([0.1, -0.2, 0.3, 0.5], [(2.0, 12.0)], 1.2, None),
+    "kiln": ([350.0, 320.0], [(900.0, 600.0), (295.0, 4.0)], 600.0, None),
+    "pharmacokinetics": ([40.0, 20.0, 10.0], [(0.02, 0.02), (0.01, 0.005)], 21600.0, None),
+    "hydraulic_cylinder": ([0.01, 0.05, 0.4], [(0.3, 0.2), (100.0, 200.0)], 0.3, None),
+    "chemostat": ([2.5, 0.8], [(6e-5, 3e-5), (8.0, 3.0)], 21600.0, None),
+    "resonant_circuit": ([1.0, 3.0], [(2.0, 8.0)], 0.012, None),
+}
+"""Models whose equations the closed-loop benchmark has: states, inputs, seconds and step."""
 
 
-@example([3.0, 5.0], [(3.0, 2.0)], [1], 300.0, step=0.2)
-def cascaded_tanks(x: FloatArray, u: Values, p: Values) -> list[float]:
-    (k1, k2, kp), root = p, np.sqrt(np.maximum(x, 0.0))
-    return [kp * u[0] - k1 * root[0], k1 * root[0] - k2 * root[1]]
+def enter_benchmarked(name: str) -> None:
+    system, names = SYSTEMS[name], names_in(variables_of(name))
+    assert (names["local"], names["input"]) == (list(system.states), list(system.inputs))
+    order = [names["parameter"].index(p) for p in (*system.parameters, *system.constants)]
+    count = len(system.inputs)
+
+    def rates(x: FloatArray, u: Values, p: Values) -> Values:
+        return [float(rate) for rate in system.rates(x, u[:count], [p[i] for i in order])]
+
+    def reading(place: int) -> Reading:
+        def read(x: FloatArray, u: Values, p: Values) -> float:
+            return float(system.readings(x, u[:count], [p[i] for i in order])[place])
+
+        return read
+
+    states, inputs, seconds, step = BENCHMARKED[name]
+    enter(
+        name, rates, states, inputs, list(map(reading, range(len(names["output"])))), seconds, step
+    )
 
 
-@example([0.5, 20.0, 0.01, 18.0], [(6.0, 6.0), (0.05, 0.02)], [0, 1, 3], 0.2, step=5e-5)
-def dc_motor_belt(x: FloatArray, u: Values, p: Values) -> list[float]:
-    (current, motor, twist, load), (voltage, load_torque, _) = x, u
-    r, ind, k, j_motor, b_motor, k_belt, d_belt, j_load, b_load = p
-    belt = k_belt * twist + d_belt * (motor - load)
-    return [
-        (voltage - r * current - k * motor) / ind,
-        (k * current - b_motor * motor - belt) / j_motor,
-        motor - load,
-        (belt - b_load * load - load_torque) / j_load,
-    ]
-
-
-@example([18.0, 12.0], [(1500.0, 1000.0), (3.0, 6.0)], [0], 54000.0, name="room")
-@example([40.0, 30.0], [(8.0, 5.0), (20.0, 5.0)], [0, 1], 600.0, step=0.5)
-def thermal_two_node(x: FloatArray, u: Values, p: Values) -> list[float]:
-    (core, case), (power, ambient, _) = x, u
-    c_core, c_case, r_inner, r_outer = p
-    inner, outer = (core - case) / r_inner, (case - ambient) / r_outer
-    return [(power - inner) / c_core, (inner - outer) / c_case]
-
-
-@example([0.4, -1.0], [(0.2, 0.8)], [0], 2.4)
-def pendulum(x: FloatArray, u: Values, p: Values) -> list[float]:
-    (angle, speed), (inertia, gravity, friction) = x, p
-    return [speed, (u[0] - gravity * np.sin(angle) - friction * speed) / inertia]
-
-
-@example([0.3, 20.0], [(2.0, 5.0)], [0, 1], 0.24)
-def dc_motor(x: FloatArray, u: Values, p: Values) -> list[float]:
-    (current, speed), (r, ind, k, inertia, friction) = x, p
-    return [(u[0] - r * current - k * speed) / ind, (k * current - friction * speed) / inertia]
-
-
-@example([0.02, 5.0, 4.0], [(0.3, 2.0)], [1, 2], 0.6)
-def two_mass_drive(x: FloatArray, u: Values, p: Values) -> list[float]:
-    (twist, motor, load), (j_motor, j_load, stiffness, damping, b_motor, b_load) = x, p
-    shaft = stiffness * twist + damping * (motor - load)
-    return [
-        motor - load,
-        (u[0] - shaft - b_motor * motor) / j_motor,
-        (shaft - b_load * load) / j_load,
-    ]
-
-
-@example([0.02, -0.1, 0.01, 0.05], [(0.0, 0.04)], [1, lambda x, u, p: x[0] - x[2]], 1.2)
-def quarter_car(x: FloatArray, u: Values, p: Values) -> list[float]:
-    (body, v_body, wheel, v_wheel), (m_body, m_wheel, spring, damper, tyre) = x, p
-    upward = spring * (wheel - body) + damper * (v_wheel - v_body)
-    return [v_body, upward / m_body, v_wheel, (tyre * (u[0] - wheel) - upward) / m_wheel]
-
-
-def terminal_voltage(x: FloatArray, u: Values, p: Values) -> float:
-    (soc, v1), r0 = x, p[1]
-    at_rest = 3.45 + 0.45 * soc + 0.25 * soc**3 - 0.35 * np.exp(-18.0 * soc)
-    return float(at_rest - r0 * u[0] - v1)
-
-
-@example([0.7, 0.01], [(0.5, 1.5)], [terminal_voltage], 600.0)
-def battery(x: FloatArray, u: Values, p: Values) -> list[float]:
-    capacity, _, r1, c1 = p
-    return [-u[0] / capacity, u[0] / c1 - x[1] / (r1 * c1)]
-
-
-@example([480.0, 335.0], [(1.6e-3, 4e-4), (308.0, 5.0)], [0, 1], 300.0)
-def stirred_tank_reactor(x: FloatArray, u: Values, p: Values) -> list[float]:
-    (c, temperature), (flow, coolant, _) = x, u
-    volume, k_350, activation, c_feed, t_feed, rise, cooling = p
-    rate = k_350 * c * np.exp(activation / 350.0 - activation / temperature)
-    exchange = cooling * (coolant - temperature)
-    return [
-        flow / volume * (c_feed - c) - rate,
-        flow / volume * (t_feed - temperature) + rise * rate + exchange,
-    ]
+for each in BENCHMARKED:
+    enter_benchmarked(each)
 
 
 def accelerations(one: float, mixed: float, other: float, forces: Values) -> Values:
     """Both at once, from Lagrange's equations."""
     return np.linalg.solve([[one, mixed], [mixed, other]], forces).tolist()
-
-
-@example([0.1, -0.2, 0.3, 0.5], [(2.0, 12.0)], [0, 2], 1.2)
-def gantry_crane(x: FloatArray, u: Values, p: Values) -> list[float]:
-    (_, v, phi, w), (trolley, load, rope, friction, damping) = x, p
-    mixed, pushed = load * rope * np.cos(phi), load * rope * np.sin(phi)
-    forces = [u[0] - friction * v + pushed * w**2, -damping * w - 9.81 * pushed]
-    first, second = accelerations(trolley + load, mixed, load * rope**2, forces)
-    return [v, first, w, second]
 
 
 @example([1.2, -0.8, 0.5, -1.0], [], [0, 1], 0.6)
@@ -227,56 +200,10 @@ def cart_pendulum(x: FloatArray, u: Values, p: Values) -> list[float]:
     return [velocity, speed, *accelerations(cart + rod, mixed, rod * length**2, forces)]
 
 
-@example([350.0, 320.0], [(900.0, 600.0), (295.0, 4.0)], [0, 1], 600.0)
-def kiln(x: FloatArray, u: Values, p: Values) -> list[float]:
-    (plate, charge), (power, ambient, _) = x, u
-    c_plate, c_charge, between, to_plate, to_charge = p
-    heat = power - to_plate * (plate - ambient), to_charge * (ambient - charge)
-    passed = between * (plate - charge)
-    return [(heat[0] - passed) / c_plate, (heat[1] + passed) / c_charge]
-
-
-@example(
-    [40.0, 20.0, 10.0],
-    [(0.02, 0.02), (0.01, 0.005)],
-    [lambda x, u, p: x[1] / p[4], lambda x, u, p: x[2] / p[5]],
-    21600.0,
-)
-def pharmacokinetics(x: FloatArray, u: Values, p: Values) -> list[float]:
-    k_a, k_e, k_12, k_21, _, _ = p
-    exchange = np.array([[-k_a, 0.0, 0.0], [k_a, -k_e - k_12, k_21], [0.0, k_12, -k_21]])
-    return (exchange @ x + np.array([u[0], u[1], 0.0])).tolist()
-
-
-@example([0.01, 0.05, 0.4], [(0.3, 0.2), (100.0, 200.0)], [0, 2], 0.3)
-def hydraulic_cylinder(x: FloatArray, u: Values, p: Values) -> list[float]:
-    (position, v, pressure), (opening, load, _) = x, u
-    mass, friction, spring, oil, gain, area, supply = p
-    drop = supply - pressure if opening > 0.0 else supply + pressure
-    return [
-        v,
-        (area * pressure * 1e6 - friction * v - spring * position - load) / mass,
-        oil * (gain * opening * np.sqrt(drop) - area * v),
-    ]
-
-
-@example([2.5, 0.8], [(6e-5, 3e-5), (8.0, 3.0)], [0, 1], 21600.0)
-def chemostat(x: FloatArray, u: Values, p: Values) -> list[float]:
-    (biomass, substrate), (dilution, feed, _), (fastest, half, gained) = x, u, p
-    rate = fastest / (half / substrate + 1.0)
-    return [biomass * (rate - dilution), dilution * (feed - substrate) - biomass * rate / gained]
-
-
-@example([1.0, 3.0], [(2.0, 8.0)], [0, 1], 0.012)
-def resonant_circuit(x: FloatArray, u: Values, p: Values) -> list[float]:
-    (current, voltage), (r, inductance, c, g) = x, p
-    return [(u[0] - r * current - voltage) / inductance, (current - g * voltage) / c]
-
-
 @example([0.05, 10.0], [(0.01, 0.1)], [0], 0.098304)
 def silverbox(x: FloatArray, u: Values, p: Values) -> list[float]:
     mass, damping, stiffness = p
-    return mass_spring_damper(x, u, [mass, stiffness, damping])
+    return REFERENCES["mass_spring_damper"].rates(x, u, [mass, stiffness, damping])
 
 
 def controller_force(x: FloatArray, u: Values, p: Values) -> float:
