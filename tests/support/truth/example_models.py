@@ -1,6 +1,6 @@
 """The example models' equations, apart from their FMUs, and a solver that is slow but accurate.
 
-Most are those of the closed-loop benchmark (`scripts/closed_loop_benchmark`), the others stand here.
+Most are those of the closed-loop benchmark (`scripts/closed_loop_benchmark`), others stand here.
 Nothing of the packages is used but data classes, and the names in the models' descriptions.
 """
 
