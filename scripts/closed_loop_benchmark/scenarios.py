@@ -227,28 +227,6 @@ def all_scenarios() -> list[Scenario]:
     ]
 
 
-SUBSET = (
-    "mass_spring_damper/single/coulomb x0.25",
-    "cascaded_tanks/single/overflow x0.25",
-    "pendulum/single/sensor_lag x1.0",
-    "pendulum/single/sensor_square x1.0",
-    "dc_motor/single/dead_zone x1.0",
-    "room/single/damp_wall x1.0",
-    "mass_spring_damper/single/fatigue x1.0",
-    "battery/single/voltage_drift x1.0",
-    "pendulum/clean/0.01 0.0 0",
-    "pendulum/clean/0.01 0.8 0",
-    "dc_motor/clean/0.01 0.8 0",
-)
-"""Effects at rates, outputs, an input and parameters, one of them in co-simulation; none."""
-
-
-def subset() -> list[Scenario]:
-    """Return a few cases of many sorts, for a test that must not take long."""
-    known = {case.name: case for case in all_scenarios()}
-    return [known[name] for name in SUBSET]
-
-
 @dataclass(frozen=True)
 class Disturbance:
     """A random push on the rate of a state, another one in every run.
