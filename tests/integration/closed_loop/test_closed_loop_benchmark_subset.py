@@ -28,7 +28,6 @@ NAMES = (
     "pendulum/clean/0.01 0.0 0",
     "pendulum/clean/0.01 0.8 0",
     "dc_motor/clean/0.01 0.8 0",
-    """Return a few cases of many sorts, for a test that must not take long.""",
 )
 """Effects at rates, outputs, an input and parameters, one of them in co-simulation; none."""
 EVERY = {case.name: case for case in all_scenarios()}
