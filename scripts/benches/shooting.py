@@ -2,8 +2,8 @@
 
 A double pendulum and Chua's circuit are chaotic; an inverted pendulum on a cart is unstable, and
 what is known is the force that its controller has put out. The data are SciPy's solutions of the
-same physics, written down in another way, with noise of 1 % of each output's spread. Each of the
-`starts` has every parameter at half or at one and a half times its true value, drawn at random;
+equations that the tests compare the FMUs with, with noise of 1 % of each output's spread. Each of
+the `starts` has every parameter at half or at one and a half times its true value, drawn at random;
 `only` chooses systems, and with `single` whole records are fitted, too. Recovered: every parameter
 within four of its standard errors, none of which is above 5 %.
 """
@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_continuous_are
+from support.truth.example_models import REFERENCES
 
 import cluster_est as ce
 from benches import Row
@@ -51,33 +52,16 @@ class System:
 
 
 def double_pendulum(generator: np.random.Generator) -> Record:
-    """Lagrange's equations: M(q) q'' = -gradient of the potential - velocity terms."""
-    m1, m2, l1, l2, g = 1.0, 0.7, 1.0, 0.8, 9.81
-
-    def rate(_: float, z: Array) -> Array:
-        q1, q2, v1, v2 = z
-        coupling = m2 * l1 * l2 * np.cos(q1 - q2)
-        mass = np.array([[(m1 + m2) * l1**2, coupling], [coupling, m2 * l2**2]])
-        turning = m2 * l1 * l2 * np.sin(q1 - q2)
-        first = -turning * v2**2 - (m1 + m2) * g * l1 * np.sin(q1)
-        second = turning * v1**2 - m2 * g * l2 * np.sin(q2)
-        return np.concatenate([[v1, v2], np.linalg.solve(mass, np.array([first, second]))])
-
+    """Two rods that swing freely, far from hanging."""
     times = np.arange(0.0, 10.001, 0.01)
     begin = np.array([2.0, 2.5, 0.0, 0.0]) + generator.uniform(-0.3, 0.3, 4)
-    path = _solve(rate, times, begin)
+    path = _solve(_rates("double_pendulum", 1.0, 0.7, 1.0, 0.8, 9.81), times, begin)
     return Record(times, {}, {"y1": path[0], "y2": path[1]})
 
 
 def chua_circuit(generator: np.random.Generator) -> Record:
-    """Chua's resistor, branch by branch."""
-    alpha, beta, inner, outer = 15.6, 28.0, -1.143, -0.714
-
-    def rate(_: float, z: Array) -> Array:
-        x, y, current = z
-        resistor = inner * x if abs(x) <= 1.0 else outer * x + (inner - outer) * np.sign(x)
-        return np.array([alpha * (y - x - resistor), x - y + current, -beta * y])
-
+    """On its attractor."""
+    rate = _rates("chua_circuit", 15.6, 28.0, -1.143, -0.714)
     times = np.arange(0.0, 50.001, 0.05)
     begin = np.array([0.5, 0.0, 0.0]) + generator.uniform(-0.1, 0.1, 3)
     settled = solve_ivp(rate, (0.0, 20.0), begin, rtol=1e-9, atol=1e-11).y[:, -1]
@@ -87,18 +71,9 @@ def chua_circuit(generator: np.random.Generator) -> Record:
 
 def cart_pendulum(generator: np.random.Generator) -> Record:
     """Under linear feedback of all states, sampled and held; a reference keeps it moving."""
-    cart, rod, length, b, d, g = 1.0, 0.3, 0.5, 0.5, 0.01, 9.81
-    inertia = np.array([[cart + rod, rod * length], [rod * length, rod * length**2]])
-
-    def accelerations(z: Array, force: float) -> Array:
-        p_rate, q, q_rate = z[2], z[1], z[3]
-        mass = inertia * np.array([[1.0, np.cos(q)], [np.cos(q), 1.0]])
-        pull = force - b * p_rate + rod * length * q_rate**2 * np.sin(q)
-        turn = rod * g * length * np.sin(q) - d * q_rate
-        return np.asarray(np.linalg.solve(mass, np.array([pull, turn])))
 
     def rate(z: Array, force: float) -> Array:
-        return np.concatenate([z[2:], accelerations(z, force)])
+        return _rates("cart_pendulum", 1.0, 0.3, 0.5, 0.5, 0.01, 9.81, force=force)(0.0, z)
 
     step, small = 0.01, 1e-6
     linear = np.column_stack(
@@ -122,6 +97,11 @@ def cart_pendulum(generator: np.random.Generator) -> Record:
         path.append(z)
     seen = np.array(path).T
     return Record(times, {"F": np.array([*forces, forces[-1]])}, {"y1": seen[0], "y2": seen[1]})
+
+
+def _rates(model: str, *parameters: float, force: float = 0.0) -> Callable[[float, Array], Array]:
+    rates = REFERENCES[model].rates
+    return lambda _, z: np.array(rates(z, [force], [*parameters]))
 
 
 def _solve(rate: Callable[[float, Array], Array], times: Array, begin: Array) -> Array:

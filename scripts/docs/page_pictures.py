@@ -11,6 +11,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))  # equations of the FMUs
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from docs import cost_picture, form_pictures, step_picture

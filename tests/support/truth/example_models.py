@@ -187,8 +187,8 @@ def double_pendulum(x: FloatArray, u: Values, p: Values) -> list[float]:
 @example([0.3, -0.1, 0.3], [], [0, 1], 0.3)
 def chua_circuit(x: FloatArray, u: Values, p: Values) -> list[float]:
     (voltage, second, current), (alpha, beta, inner, outer) = x, p
-    bent = np.clip(voltage, -1.0, 1.0)
-    resistor = inner * bent + outer * (voltage - bent)
+    bent = outer * voltage + (inner - outer) * np.sign(voltage)
+    resistor = inner * voltage if abs(voltage) <= 1.0 else bent
     return [alpha * (second - voltage - resistor), voltage - second + current, -beta * second]
 
 
