@@ -1,0 +1,38 @@
+"""Codes of simulations that do not reach their end, in the order of core.h, and their sentences."""
+
+from __future__ import annotations
+
+(
+    FINISHED, INITIALISATION, STEP, OUTPUT, STEP_TOO_SMALL, TOO_MANY_STEPS, NOT_FINITE, EVENT,
+    TERMINATED, LINEARISATION, CHATTERING, DISCARDED, PENDING, SENSITIVITIES, HAS_EVENTS,
+    ENDED_EARLY, NO_MEMORY, WRONG_SIZES,
+) = range(18)  # fmt: skip
+FATAL = 100
+"""Added to a code after status fatal: this instance must not be called any more."""
+DISCARD_STATUS, FATAL_STATUS = 2, 4
+"""Of a call of the FMU: from the first on it brought no result."""
+
+MESSAGES = {
+    INITIALISATION: "the FMU could not be initialised",
+    STEP: "the FMU could not go on",
+    OUTPUT: "the FMU could not compute its outputs",
+    STEP_TOO_SMALL: "no step was short enough for the tolerance",
+    TOO_MANY_STEPS: "the limit on the steps between two times in the data, model.max_steps, "
+    "was reached",
+    NOT_FINITE: "an output became infinite or not a number",
+    EVENT: "the FMU could not handle an event",
+    TERMINATED: "the FMU ended the simulation by itself",
+    LINEARISATION: "the FMU could not answer close to its trajectory",
+    CHATTERING: "events followed each other without end",
+    DISCARDED: "the FMU could not go on",
+    PENDING: "the FMU computes in the background, which is not supported",
+    SENSITIVITIES: "the FMU could not give its directional derivatives",
+    HAS_EVENTS: "an event was met, across which sensitivities cannot be carried",
+    ENDED_EARLY: "its sum of squares was above the bound already",
+    NO_MEMORY: "there was not enough memory",
+    WRONG_SIZES: "the FMU, its effects and the experiment do not have the same numbers of states "
+    "and inputs, which is a fault of cluster-est",
+}
+
+SUGGEST_STIFFNESS = (STEP_TOO_SMALL, TOO_MANY_STEPS)
+"""Codes that an explicit solver returns for a stiff model."""
