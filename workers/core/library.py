@@ -271,20 +271,15 @@ def load(path: str) -> Any:
 
 
 @cache
-def core(*, own_functions: bool = True) -> Any:
+def core() -> Any:
     """Return the core of this machine, which is built at the first call where that is necessary.
-
-    Parameters
-    ----------
-    own_functions
-        With the core's own elementary functions; else with the C library's, to compare with.
 
     Raises
     ------
     ModelError
         If it cannot be built.
     """
-    return load(str(built(own_functions=own_functions)))
+    return load(str(built()))
 
 
 @final

@@ -23,7 +23,7 @@ from workers.messages import Model
 
 READ_AT_START = (
     *("LD_", "DYLD_", "MALLOC_", "GLIBC_", "PYTHON"),
-    *("NUMBA_", "OPENBLAS_", "OMP_", "MKL_"),
+    *("OPENBLAS_", "OMP_", "MKL_"),
 )
 """How environment variables begin that a process, or a library, reads only when it starts."""
 
