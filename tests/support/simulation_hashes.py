@@ -4,7 +4,7 @@ python tests/support/simulation_hashes.py > tests/integration/core/simulation_ha
 """
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from support.problems.springs import FMU
@@ -12,7 +12,7 @@ from support.problems.springs import FMU
 from workers.effects.forms import FORMS
 from workers.fmu.description import describe
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver
-from workers.messages.types import FloatArray, Interface, SolverName
+from workers.messages.types import Interface, SolverName
 from workers.simulation.simulator import Simulator
 
 TIMES = np.asarray(np.arange(501) * 0.01, np.float64)
@@ -32,17 +32,17 @@ SITES = {
 }  # fmt: skip
 
 
-def of_every_form() -> Iterator[tuple[str, Effect, FloatArray]]:
+def of_every_form() -> Iterator[tuple[str, Effect, Sequence[float]]]:
     """An effect of each form, with a name and coefficients that let it act."""
     for (kind, name), form in FORMS.items():
-        variables = {"output": ("F", "x"), "pair": ("x", "v")}.get(kind, ("x", "F"))
-        variables = variables[: form.variables]
+        known = {"output": ("F", "x"), "pair": ("x", "v")}.get(kind, ("x", "F"))
+        variables: tuple[str, ...] = known[: form.variables]
         if kind == "pair" and form.variables == 1:
             variables = ("x - v",)
         values = 0.005 + np.arange(1, 1 + len(form.coefficients)) * 0.037 % 0.03
         for i, coefficient in enumerate(form.coefficients):
             values[i] = {"low": -0.01, "high": 0.01}.get(coefficient.name, values[i])
-        yield f"{kind}_{name}", Effect("e", SITES[kind], name, variables), values
+        yield f"{kind}_{name}", Effect("e", SITES[kind], name, variables), values.tolist()
 
 
 def simulated(solver: SolverName) -> Simulator:
@@ -56,9 +56,7 @@ def simulated(solver: SolverName) -> Simulator:
     return simulator
 
 
-def hash_of(
-    simulator: Simulator, effects: tuple[Effect, ...], values: tuple[float, ...] | FloatArray
-) -> str:
+def hash_of(simulator: Simulator, effects: tuple[Effect, ...], values: Sequence[float]) -> str:
     batch = simulator.run(0, np.array([[1.0, 25.0, 0.8, *values]]), effects)
     return hashlib.sha256(batch.outputs.tobytes()).hexdigest()[:16]
 
@@ -66,9 +64,9 @@ def hash_of(
 def main() -> None:
     for solver in SOLVERS:
         simulator = simulated(solver)
-        for name, (effects, values) in EFFECTS.items():
+        for name, (effects, coefficients) in EFFECTS.items():
             if solver != "fmu" or not any(e.site.startswith("der") for e in effects):
-                print(solver, name, hash_of(simulator, effects, values))
+                print(solver, name, hash_of(simulator, effects, coefficients))
         for name, effect, values in of_every_form():
             if solver == "rk4" or (solver == "fmu" and effect.site.startswith("output")):
                 print(solver, name, hash_of(simulator, (effect,), values))

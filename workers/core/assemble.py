@@ -8,7 +8,7 @@ in the order in which SymPy sorts them, so that the same equations always give t
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import reduce
@@ -76,7 +76,7 @@ class Assignment:
     add: bool = False
 
 
-Locations = Mapping[sp.Symbol, tuple[str, int]]
+Locations = dict[sp.Symbol, tuple[str, int]]
 """(array, index) of each symbol."""
 
 

@@ -146,7 +146,7 @@ def _locate_symbols(
     parameters: Sequence[str],
 ) -> Locations:
     """Return the array and index of each symbol."""
-    locations: dict[sp.Symbol, tuple[str, int]] = {
+    locations: Locations = {
         variable_symbol(n): (EffectArray.STATES, i) for i, n in enumerate(states)
     }
     locations |= {variable_symbol(n): (EffectArray.INPUTS, i) for i, n in enumerate(inputs)}

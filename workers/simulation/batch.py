@@ -116,31 +116,35 @@ class BatchRun:
         effects: Effects,
         bounds: FloatArray | None = None,
     ) -> None:
-        self.bound, self.effects = bound, effects
+        self.bound, self.effects, self.values = bound, effects, values
         count, given = values.shape
-        self._rows = np.empty((count, given + len(bound.known_values)))
-        self._rows[:, :given], self._rows[:, given:] = values, bound.known_values
-        self.values = values
+        rows = np.empty((count, given + len(bound.known_values)))
+        rows[:, :given], rows[:, given:] = values, bound.known_values
         outputs = np.empty((count, bound.structure.n_times, len(bound.outputs)))
         outputs.fill(np.nan)
-        self._numbers = np.zeros((4, count), np.int64)
-        codes, _, steps, stopped_at = self._numbers
+        numbers = np.zeros((4, count), np.int64)
+        codes, _, steps, stopped_at = numbers
         self.result = SimulationBatch(outputs, [""] * count, codes, steps)
         self.stopped_at: FloatArray = stopped_at.view(np.float64)
-        self._bounds = None if bounds is None else np.array(bounds, np.float64)
+        self._rows, self._bounds = rows, None if bounds is None else np.array(bounds, np.float64)
+        self._rows_at, self._outputs_at = address_of(rows) or 0, address_of(outputs) or 0
+        self._numbers_at = address_of(numbers) or 0
+        self._bounds_at = address_of(self._bounds) if self._bounds is not None else None
 
     def batch(self, first: int, count: int, fmu: Fmu, settings: Settings, method: int) -> Batch:
         """Return what is asked of the core for some of the points; progress is still missing.
 
         It may be used as long as this, the FMU and the settings are kept.
         """
-        effects = self.effects.from_point(first)
-        self._effects_now = effects
-        rows, bounds = self._rows[first:], self._bounds
+        self._chosen_effects = effects = self.effects.from_point(first)
+        _, times, width = self.result.outputs.shape
+        points, n_values = self._rows.shape
+        row = self._numbers_at + 8 * first
+        bounds = None if self._bounds_at is None else self._bounds_at + 8 * first
         return Batch(
             addressof(fmu), addressof(self.bound.structure), addressof(settings),
-            addressof(effects), method, count, rows.shape[1], fmu.n_states + effects.n_states, 0,
-            address_of(rows), None if bounds is None else address_of(bounds[first:]), None,
-            address_of(self.result.outputs[first:]),
-            *(address_of(row[first:]) for row in self._numbers),
+            addressof(effects), method, count, n_values, fmu.n_states + effects.n_states, 0,
+            self._rows_at + 8 * first * n_values, bounds, None,
+            self._outputs_at + 8 * first * times * width,
+            row, row + 8 * points, row + 16 * points, row + 24 * points,
         )  # fmt: skip
