@@ -38,7 +38,7 @@ from workers.fmu.description import nearest
 from workers.messages.checks import shown
 
 LARGEST_INTEGER = 2**63 - 1
-"""Largest integer that compiled code counts with."""
+"""Largest integer that the simulation core counts with."""
 MOST_TIMES = 10_000_000
 """Times at which a signal may be looked at in one experiment: 80 MB of numbers."""
 

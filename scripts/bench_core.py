@@ -22,10 +22,9 @@ from pathlib import Path
 import sympy as sp
 
 from workers.core import build
-from workers.core.assemble import Registers, assemble
+from workers.core.assemble import Assignment, EffectArray, Locations, Registers, assemble
 from workers.core.library import LoadedProgram
 from workers.core.sundials import libraries
-from workers.effects.machine_code import CAssignment, EffectArray
 
 HERE = Path(__file__).parent
 FMU = HERE.parent / "configs" / "models" / "mass_spring_damper.fmu"
@@ -85,9 +84,11 @@ def term() -> bytes:
     """The effect: 20 operations of which one is tanh."""
     names = ("k0", "k1", "k2", "k3", "k4", "k5", "width")
     symbols = {name: sp.Symbol(name, real=True) for name in (*names, "x", "v", "t")}
-    locations = {symbols[name]: (EffectArray.COEFFICIENTS, i) for i, name in enumerate(names)}
+    locations: Locations = {
+        symbols[name]: (EffectArray.COEFFICIENTS, i) for i, name in enumerate(names)
+    }
     locations |= {symbols["x"]: (EffectArray.STATES, 0), symbols["v"]: (EffectArray.STATES, 1)}
-    added = CAssignment(EffectArray.DERIVATIVES, 1, sp.sympify(TERM, symbols), add=True)
+    added = Assignment(EffectArray.DERIVATIVES, 1, sp.sympify(TERM, symbols), add=True)
     registers = Registers(states=2, own=0, inputs=1, coefficients=len(names))
     code = assemble(registers, locations, symbols["t"], after=[added])
     LoadedProgram(code)

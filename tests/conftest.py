@@ -21,7 +21,8 @@ from hypothesis import settings
 
 from cluster_est.running import reset_policy
 from cluster_est.running.resources import one_blas_thread
-from workers.kernels.fmi import compiling
+from workers.caches import cache_folder as kept_for_good
+from workers.core import build
 
 settings.register_profile("project", deadline=None, derandomize=True)
 settings.load_profile("project")
@@ -72,25 +73,19 @@ def interrupts_arrive() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Unpack FMUs into a folder of this session, not into the user's cache, which keeps the loops.
+    """Unpack FMUs into a folder of this session, not into the user's cache; the core is in both.
 
     They are looked for there by all processes that tests start.
     """
-    folder = tmp_path_factory.mktemp("cache")
-    os.environ["NUMBA_CACHE_DIR"] = str(Path(compiling.cache_folder()).parents[1])
+    core, folder = build.built(), tmp_path_factory.mktemp("cache")
     before = os.environ.get("CLUSTER_EST_CACHE")
     os.environ["CLUSTER_EST_CACHE"] = str(folder)
+    shutil.copy(core, kept_for_good("core") / core.name)
     yield folder
     if before is None:
         del os.environ["CLUSTER_EST_CACHE"]
     else:
         os.environ["CLUSTER_EST_CACHE"] = before
-
-
-@pytest.fixture(scope="session", autouse=True)
-def loops_count_as_compiled() -> None:
-    """On a machine where these are the first to use them too: what is printed is the same."""
-    compiling.cache_folder().mkdir(parents=True, exist_ok=True)
 
 
 @pytest.fixture(scope="session")

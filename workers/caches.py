@@ -1,4 +1,4 @@
-"""Folders for what is kept between runs: unpacked FMUs and machine code.
+"""Folders for what is kept between runs: unpacked FMUs and the simulation core.
 
 What is read from them is executed, so that they must belong to this user, and nobody else may write
 into them. Where there is no such folder, a temporary one takes its place.
@@ -63,7 +63,7 @@ def notice() -> str:
         else ("this user has no home")
     )
     return (
-        f"unpacked FMUs and compiled loops are kept in {base}, because {why}; "
+        f"unpacked FMUs and the simulation core are kept in {base}, because {why}; "
         f"{KEY} names another folder"
     )
 

@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from workers.core import failure
+from workers.core.library import core
 from workers.fmu.description import describe_model
 from workers.fmu.seats import has_lost
-from workers.kernels.fmi import failure
 from workers.messages import (
     REDUCTIONS,
     Experiment,
@@ -37,8 +38,8 @@ from workers.residuals.experiment_residuals import (
     ExperimentComparison,
     reduce_residuals,
 )
+from workers.simulation.batch import SimulationBatch
 from workers.simulation.bind_experiment import BoundExperiment
-from workers.simulation.integrator import SimulationBatch
 from workers.simulation.simulator import Simulator
 from workers.wire import TaskBatch
 
@@ -89,7 +90,7 @@ class Evaluator:
             for i, e in enumerate(experiments)
         ]
         self._name = name
-        self._simulator.warm_up()  # also so that no simulation seems to take as long as compiling
+        core()  # so that no simulation seems to take as long as building it
         if load:
             self.load()
 

@@ -14,7 +14,7 @@ from workers.messages import Experiment, FloatArray, Input, IntArray
 
 
 class SignalGrid(NamedTuple):
-    """An experiment as the kernels see it.
+    """An experiment's signals at its times.
 
     Attributes
     ----------

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from cluster_est.cli.parent_process import ExitCode
 from cluster_est.cli.printing import number, print_table, say
-from cluster_est.cli.terminal import complain, say_if_compiled_first
+from cluster_est.cli.terminal import build_core, complain
 from cluster_est.config.choices import build_resources
 from cluster_est.errors import ModelError
 from cluster_est.preflight.all_checks import SECONDS, run_checks
@@ -104,7 +104,7 @@ def check(options: Namespace) -> int:
     if path.suffix.lower() == ".fmu":
         bare = bare_problem(path)
         print_model(console, bare, "its own start values")
-        say_if_compiled_first()
+        build_core()
         page = run_checks(bare, Resources(), seconds, declared=False)
         print_page(console, page)
         return _verdict(page)
@@ -114,7 +114,7 @@ def check(options: Namespace) -> int:
     for sentence in resources.notes():
         complain(sentence)
     print_model(console, problem, f"method {config.method.name}")
-    say_if_compiled_first()
+    build_core()
     page = run_checks(problem, resources, seconds)
     declared = [
         *sigma_findings(config, problem.describe()),

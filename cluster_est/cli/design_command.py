@@ -13,7 +13,7 @@ from rich.console import Console
 
 from cluster_est.cli.printed_runs import print_any_run
 from cluster_est.cli.printing import say
-from cluster_est.cli.terminal import EXIT_CODES, run_as_told, say_if_compiled_first, say_report
+from cluster_est.cli.terminal import EXIT_CODES, build_core, run_as_told, say_report
 from cluster_est.errors import RunFolderError
 from cluster_est.experiment_design.design_sentences import STEM, TABLE
 from cluster_est.run_folder.run_files import read_facts, read_run_columns
@@ -34,7 +34,7 @@ def design(options: Namespace) -> int:
         options.predict,
         allow_code=options.allow_code,
     )
-    say_if_compiled_first()
+    build_core()
     end = run_as_told(run, folder, options)
     if end.stopped:
         return EXIT_CODES[end.status]

@@ -19,10 +19,9 @@ from cluster_est.cli.printed_runs import print_any_run
 from cluster_est.cli.printing import Cell, number, print_rows, say
 from cluster_est.cli.terminal import (
     EXIT_CODES,
+    build_core,
     complain,
     run_as_told,
-    say_if_compiled_first,
-    say_if_filter_compiled_first,
     say_report,
     terminal_listener,
 )
@@ -109,8 +108,7 @@ def sensitivity(options: Namespace) -> int:
 
 def _run(options: Namespace, kind: RunKind) -> int:
     run = read_study(options.config, options.overrides, kind, allow_code=options.allow_code)
-    say_if_compiled_first()
-    say_if_filter_compiled_first(run.identity.problem)
+    build_core()
     end = run_as_told(run, options.out, options)
     if not end.stopped:
         print_any_run(Console(), options.out)
@@ -120,7 +118,7 @@ def _run(options: Namespace, kind: RunKind) -> int:
 
 def sweep(options: Namespace) -> int:
     """Do what a sweep still lacks, and print a line for each of its runs."""
-    say_if_compiled_first()
+    build_core()
     swept = run_sweep(
         options.sweep,
         options.out,

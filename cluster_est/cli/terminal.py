@@ -17,24 +17,18 @@ from rich.text import Text
 
 from cluster_est.cli.parent_process import ExitCode
 from cluster_est.cli.printing import say
-from cluster_est.problem.problem import Problem
-from cluster_est.problem.process_noise import noise_names
 from cluster_est.run_folder.context import ExistingRun
 from cluster_est.run_folder.run_files import RunStatus
 from cluster_est.run_folder.run_progress import left_of_step, pace_of, what_is_done
 from cluster_est.running.resources import Budget, Resources, RunSnapshot, Show
 from cluster_est.studies.configured import ConfiguredStudy, Destination, Listener, RunEnd, do_run
-from workers.kernels.fmi.compiling import compiled_before
+from workers.core.build import built, is_built
 
 SECONDS_BETWEEN_REDRAWS = 0.1
 SECONDS_OF_LINES, SHARE_OF_LINES = 30.0, 0.05
 """Least time between two printed lines: seconds, and share of the time that the run has taken."""
 HINT_SECONDS = 20.0
 """Seconds in which all workers were busy and as many simulations again were waiting."""
-COMPILED_FIRST = (
-    "the loops that call the FMU are compiled for this machine first, which takes about half a "
-    "minute of one core; later runs find them ready"
-)
 
 EXIT_CODES = {
     RunStatus.DONE: ExitCode.DONE,
@@ -186,19 +180,17 @@ def complain(text: str) -> None:
     say(Console(stderr=True), f"cluster-est: {text}")
 
 
-def say_if_compiled_first() -> None:
-    """Say what there is to wait for, where the loops have never been compiled."""
-    if not compiled_before():
-        complain(COMPILED_FIRST)
+def build_core() -> None:
+    """Build the simulation core where this machine has none yet, once for all workers.
 
-
-def say_if_filter_compiled_first(problem: Problem) -> None:
-    """Say that the filter which process noise needs is compiled, where it never has been."""
-    if noise_names(problem) and not compiled_before("kalman"):
-        complain(
-            "process noise: its filter is compiled with the first simulation, once on a machine; "
-            "that takes a quarter of a minute to a minute"
-        )
+    Raises
+    ------
+    ModelError
+        If it cannot be built.
+    """
+    if not is_built():
+        complain("building the simulation core, once on this machine")
+        built()
 
 
 def run_as_told(run: ConfiguredStudy, out: Path, options: Namespace) -> RunEnd:

@@ -1,6 +1,6 @@
 """Simulations on this machine without Ray: in threads of this process, or each in one of its own.
 
-Threads simulate at the same time because the compiled loops release the interpreter's lock.
+Threads simulate at the same time because the core runs without the interpreter's lock.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ import sympy as sp
 from sympy.printing.c import C99CodePrinter
 
 from cluster_est.model_export.wrapper_layout import WrapperLayout
+from workers.core.assemble import Assignment, EffectArray, Locations
 from workers.effects.definition import (
     SIGNAL_SYMBOL,
     TIME_SYMBOL,
@@ -19,7 +20,6 @@ from workers.effects.definition import (
     variable_symbol,
 )
 from workers.effects.expression import Max
-from workers.effects.machine_code import CAssignment, EffectArray, SymbolLocations
 from workers.messages import Value
 
 
@@ -64,7 +64,7 @@ def effects_source(layout: WrapperLayout) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _function(header: str, locations: SymbolLocations, assignments: Sequence[CAssignment]) -> str:
+def _function(header: str, locations: Locations, assignments: Sequence[Assignment]) -> str:
     return f"{header} {{\n{_unused(header)}{_body(locations, assignments)}}}"
 
 
@@ -73,9 +73,7 @@ def _unused(header: str) -> str:
     return "".join(f"    (void){name};\n" for name in re.findall(r"(\w+)[,)]", header))
 
 
-def _body(
-    locations: SymbolLocations, assignments: Sequence[CAssignment], indent: str = "    "
-) -> str:
+def _body(locations: Locations, assignments: Sequence[Assignment], indent: str = "    ") -> str:
     """Statements: the symbols that are used, common parts, and what is assigned in the end."""
     used = set().union(*(a.value.free_symbols for a in assignments)) if assignments else set()
     meaning: dict[sp.Symbol, sp.Symbol] = {TIME_SYMBOL: sp.Symbol("t", real=True)}
@@ -110,7 +108,7 @@ def _inline(value: sp.Expr) -> str:
 def _inner_rate(layout: WrapperLayout) -> str:
     """The fastest rate of own states, as far as it depends on coefficients alone."""
     rates = [abs(rate) for i in layout.inner for rate in known_rates(layout.effect(i), ())]
-    fastest = CAssignment(EffectArray.FASTEST, -1, Max(sp.Integer(0), *rates))
+    fastest = Assignment("fastest", -1, Max(sp.Integer(0), *rates))
     head = "double effects_rate(const double *coefficients)"
     body = _body(layout.equations.locations, [fastest])
     return f"{head} {{\n    double fastest;\n{_unused(head)}{body}    return fastest;\n}}"
@@ -124,7 +122,7 @@ class _OutputFunction:
     """
 
     head: str
-    assign: Callable[[EffectDefinition, int], list[CAssignment]]
+    assign: Callable[[EffectDefinition, int], list[Assignment]]
     returns: bool
 
 
@@ -133,31 +131,31 @@ _OUTPUT_FUNCTIONS = (
     _OutputFunction(
         f"void output_begin(int e, double t, double *states, {_ROW})",
         lambda effect, first: [
-            CAssignment(EffectArray.STATES, first + i, e) for i, e in enumerate(effect.starts)
+            Assignment(EffectArray.STATES, first + i, e) for i, e in enumerate(effect.starts)
         ],
         returns=False,
     ),
     _OutputFunction(
         f"void output_inside(int e, double t, const double *states, {_ROW}, double *slopes)",
         lambda effect, first: [
-            CAssignment(EffectArray.DERIVATIVES, first + i, e)
+            Assignment(EffectArray.DERIVATIVES, first + i, e)
             for i, e in enumerate(effect.derivatives)
         ],
         returns=False,
     ),
     _OutputFunction(
         f"double output_after(int e, double t, const double *states, {_ROW})",
-        lambda effect, _: [CAssignment(EffectArray.RESULT, -1, effect.equations[0][1])],
+        lambda effect, _: [Assignment(EffectArray.RESULT, -1, effect.equations[0][1])],
         returns=True,
     ),
     _OutputFunction(
         f"double output_rate(int e, {_ROW})",
-        lambda effect, _: [CAssignment(EffectArray.RESULT, -1, _fastest(effect))],
+        lambda effect, _: [Assignment(EffectArray.RESULT, -1, _fastest(effect))],
         returns=True,
     ),
     _OutputFunction(
         f"double output_decay(int e, {_ROW})",
-        lambda effect, _: [CAssignment(EffectArray.RESULT, -1, known_decay(effect))],
+        lambda effect, _: [Assignment(EffectArray.RESULT, -1, known_decay(effect))],
         returns=True,
     ),
 )
@@ -186,8 +184,8 @@ def _output(layout: WrapperLayout, function: _OutputFunction) -> str:
 
 def _output_locations(
     layout: WrapperLayout, definition: EffectDefinition, position: int
-) -> SymbolLocations:
-    locations: SymbolLocations = {
+) -> Locations:
+    locations: Locations = {
         variable_symbol(name): (EffectArray.INPUTS, i) for i, name in enumerate(layout.columns)
     }
     locations |= {

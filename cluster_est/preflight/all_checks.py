@@ -46,9 +46,9 @@ from cluster_est.results.initial_errors import (
 )
 from cluster_est.results.output_errors import Simulation
 from cluster_est.running.resources import Resources
-from workers.kernels.fmi.failure import MESSAGES, TERMINATED
+from workers.core.failure import MESSAGES, TERMINATED
 from workers.messages import Experiment, FloatArray, Model, Outcome, Status, Task
-from workers.probes.probes import CompileProbe, CostProbe, SimulationCost, SimulationProbe
+from workers.probes.probes import CostProbe, SimulationCost, SimulationProbe
 from workers.process.forked import CAN_FORK
 from workers.process.trial import NoAnswer, ProbeBench
 
@@ -220,8 +220,6 @@ def _memory(subject: CheckSubject, found: SimulationCost) -> CheckFinding:
 
 SECONDS = 4.0
 """Time for all checks, once there is a process for them."""
-COMPILE_SECONDS = 120.0
-"""Seconds for compiling a loop that only checks need; it is read from disk ever after."""
 LEAST_MOVEMENT = 0.01
 """Share of its largest range by which an output must move to tell something of the parameters."""
 LOADING, FIRST_SIMULATION = 0.6, 0.6
@@ -278,8 +276,6 @@ def run_checks(
         loaded = bench.ask(None, 1e4 if seconds == np.inf else max(seconds, 1.0) * LOADING)
         if isinstance(loaded, NoAnswer):
             return CheckPage((_not_loaded(loaded),), (), loads=False)
-        if problem.model.interface == "model_exchange":
-            bench.ask(CompileProbe(), COMPILE_SECONDS)
         subject = CheckSubject(
             problem,
             description,

@@ -18,7 +18,7 @@ from cluster_est.running.resources import LogSettings
 from cluster_est.toml import to_toml
 from workers.messages import content_hash
 
-DECISIVE = ("cluster-est", "cma", "numba", "numpy", "piqp", "pymoo", "scipy", "sympy")
+DECISIVE = ("cluster-est", "cma", "numpy", "piqp", "pymoo", "scipy", "sympy")
 """Libraries on whose versions bits depend."""
 LIBRARIES = (*DECISIVE, "fmpy", "pyarrow", "ray")
 FORMAT = "2"

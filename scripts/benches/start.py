@@ -2,7 +2,7 @@
 
 CPU seconds (user and system, of the command and its children), wall seconds and those until
 anything is printed, each the median of the `rounds`: of the help, of `show`, of `init`, of the
-import from Python, and of a fit and `check` of the embedded example, warm, with the compiled loops
+import from Python, and of a fit and `check` of the embedded example, warm, with the simulation core
 in a cache, and cold, with an empty one. The last row has the size of the report. All is done on
 copies in a temporary folder.
 """
@@ -59,11 +59,11 @@ def measured(
 ) -> tuple[float, float, float]:
     """CPU and wall seconds of a command, and until its first output.
 
-    With `cold`, with an empty cache of what has been compiled.
+    With `cold`, with an empty cache: the core is built, and the FMU unpacked.
     """
     environment = dict(os.environ, PYTHONPATH=str(ROOT))
     if cold:
-        environment["NUMBA_CACHE_DIR"] = tempfile.mkdtemp(dir=folder)
+        environment["CLUSTER_EST_CACHE"] = tempfile.mkdtemp(dir=folder)
     before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
     with subprocess.Popen(
         command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT

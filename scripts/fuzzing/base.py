@@ -161,7 +161,7 @@ def _strays() -> str:
     """What an archive wrote outside its own folder, which is named by a hash, as its mark is."""
     home = Path(os.environ["CLUSTER_EST_CACHE"])
     found = [p for p in (*home.glob("*"), *home.glob("fmus/*")) if len(p.stem) != 64]
-    strays = [str(p) for p in found if p.parent != home or p.name not in ("fmus", "kernels")]
+    strays = [str(p) for p in found if p.parent != home or p.name not in ("fmus", "core")]
     return f"written outside of an FMU's folder: {', '.join(strays)}" if strays else ""
 
 

@@ -1,15 +1,15 @@
-"""Hashes of whole simulations by the core with its own elementary functions, a line each.
+"""Hashes of whole simulations, a line each: of every form of an effect, by several solvers.
 
-python tests/support/simulation_hashes.py
+python tests/support/simulation_hashes.py > tests/integration/core/simulation_hashes.txt
 """
 
 import hashlib
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-from support import core_batches, core_in_place
 from support.problems.springs import FMU
 
-from workers.core.library import core
+from workers.effects.forms import FORMS
 from workers.fmu.description import describe
 from workers.messages import Effect, Experiment, Input, Model, Output, Solver
 from workers.messages.types import Interface, SolverName
@@ -25,10 +25,27 @@ EFFECTS: dict[str, tuple[tuple[Effect, ...], tuple[float, ...]]] = {
     "lag": ((Effect("e", "input F", "lag", ()),), (0.05,)),
     "sine": ((Effect("e", "parameter k", "sine", ()),), (0.1, 0.2, 3.0)),
 }
+SOLVERS: tuple[SolverName, ...] = ("fmu", "rk4", "dormand_prince")
+SITES = {
+    "derivative": "der(v)", "input": "input F", "parameter": "parameter c", "pair": "pair x,v",
+    "output": "output y",
+}  # fmt: skip
 
 
-def hash_of(solver: SolverName, name: str) -> str:
-    effects, coefficients = EFFECTS[name]
+def of_every_form() -> Iterator[tuple[str, Effect, Sequence[float]]]:
+    """An effect of each form, with a name and coefficients that let it act."""
+    for (kind, name), form in FORMS.items():
+        known = {"output": ("F", "x"), "pair": ("x", "v")}.get(kind, ("x", "F"))
+        variables: tuple[str, ...] = known[: form.variables]
+        if kind == "pair" and form.variables == 1:
+            variables = ("x - v",)
+        values = 0.005 + np.arange(1, 1 + len(form.coefficients)) * 0.037 % 0.03
+        for i, coefficient in enumerate(form.coefficients):
+            values[i] = {"low": -0.01, "high": 0.01}.get(coefficient.name, values[i])
+        yield f"{kind}_{name}", Effect("e", SITES[kind], name, variables), values.tolist()
+
+
+def simulated(solver: SolverName) -> Simulator:
     interface: Interface = "co_simulation" if solver == "fmu" else "model_exchange"
     how = Solver(solver, rtol=1e-6)
     model = Model(FMU.name, FMU.read_bytes(), interface, how, ("m", "k", "c"))
@@ -36,21 +53,24 @@ def hash_of(solver: SolverName, name: str) -> str:
     experiment = Experiment("a", 0.0, float(TIMES[-1]), (driven,), (recorded,))
     simulator = Simulator(model, describe(FMU.name, model.archive), (experiment,))
     simulator.load()
-    batch = simulator.run(0, np.array([[1.0, 25.0, 0.8, *coefficients]]), effects)
-    assert batch.codes[0] == 0
-    simulator.close()
+    return simulator
+
+
+def hash_of(simulator: Simulator, effects: tuple[Effect, ...], values: Sequence[float]) -> str:
+    batch = simulator.run(0, np.array([[1.0, 25.0, 0.8, *values]]), effects)
     return hashlib.sha256(batch.outputs.tobytes()).hexdigest()[:16]
 
 
-def main():
-    for module in (core_batches, core_in_place):
-        setattr(module, "with_c_library", core)  # noqa: B010
-    core_in_place.install()
-    solvers: tuple[SolverName, ...] = ("fmu", "rk4", "dormand_prince")
-    for solver in solvers:
-        for name, (effects, _) in EFFECTS.items():
+def main() -> None:
+    for solver in SOLVERS:
+        simulator = simulated(solver)
+        for name, (effects, coefficients) in EFFECTS.items():
             if solver != "fmu" or not any(e.site.startswith("der") for e in effects):
-                print(solver, name, hash_of(solver, name))
+                print(solver, name, hash_of(simulator, effects, coefficients))
+        for name, effect, values in of_every_form():
+            if solver == "rk4" or (solver == "fmu" and effect.site.startswith("output")):
+                print(solver, name, hash_of(simulator, (effect,), values))
+        simulator.close()
 
 
 if __name__ == "__main__":

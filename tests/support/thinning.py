@@ -5,9 +5,6 @@ from typing import Any
 
 import pytest
 
-COMPILED = {("dormand_prince", 2), ("dormand_prince", 3), ("rk4", 2), ("cvode", 2), ("fmu", 2)}
-"""The solvers and versions of FMI of the default run: a pair takes up to 15 seconds to compile."""
-
 
 def thinned(cases: Sequence[Any], *factors: Callable[..., Hashable]) -> list[Any]:
     """Mark cases as slow, except for a few in which each value of each factor occurs.

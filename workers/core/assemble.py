@@ -8,10 +8,11 @@ in the order in which SymPy sorts them, so that the same equations always give t
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from functools import reduce
-from typing import Any, Protocol
+from typing import Any
 
 import sympy as sp
 
@@ -51,20 +52,31 @@ _MOST_MULTIPLICATIONS = 64
 _TIME = sp.Symbol("t", real=True)
 
 
-class Assignment(Protocol):
+class EffectArray(StrEnum):
+    """Arrays that equations of effects read and write."""
+
+    STATES = "states"
+    INPUTS = "raw"
+    COEFFICIENTS = "coefficients"
+    BASE = "base"
+    EFFECTIVE_INPUTS = "edited"
+    EFFECTIVE_PARAMETERS = "varied"
+    DERIVATIVES = "slopes"
+    OUTPUTS = "row"
+    RESULT = "result"
+
+
+@dataclass(frozen=True)
+class Assignment:
     """`target[index] = value`, or `+=`."""
 
-    @property
-    def target(self) -> str: ...
-    @property
-    def index(self) -> int: ...
-    @property
-    def value(self) -> sp.Expr: ...
-    @property
-    def add(self) -> bool: ...
+    target: str
+    index: int
+    value: sp.Expr
+    add: bool = False
 
 
-Locations = Mapping[sp.Symbol, tuple[str, int]]
+Locations = dict[sp.Symbol, tuple[str, int]]
 """(array, index) of each symbol."""
 
 
@@ -110,12 +122,10 @@ def assemble(
     registers
         How many there are.
     locations, time
-        Of the symbols of the equations, in the arrays "states", "raw" (inputs), "coefficients",
-        "base" and "row" (outputs); the symbol of the time.
+        Of the symbols of the equations; the symbol of the time.
     start, before, after
-        Assignments to "states" at the start; to "edited" and "varied", effective inputs and
-        parameters, or to "result"; and to "slopes", derivatives. All values of one of them are
-        read before anything is written.
+        Assignments to states at the start; to effective inputs and parameters, or to the result;
+        and to derivatives. All values of one of them are read before anything is written.
 
     Raises
     ------

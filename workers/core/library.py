@@ -1,15 +1,15 @@
-"""The core by ctypes: the structures of core.h, and its functions.
-
-Arrays go in by their addresses: whoever makes a structure keeps the arrays as long as it is used.
-"""
+"""The core by ctypes: the structures of core.h, and its functions."""
 
 from __future__ import annotations
 
 import ctypes
 from ctypes import (
     POINTER,
+    Array,
     Structure,
+    addressof,
     byref,
+    c_char,
     c_char_p,
     c_double,
     c_int,
@@ -20,7 +20,10 @@ from ctypes import (
     c_void_p,
 )
 from functools import cache
-from typing import Any, final
+from typing import Any, Self, final
+
+import numpy as np
+import numpy.typing as npt
 
 from workers.core.build import built
 from workers.errors import ModelError
@@ -32,9 +35,11 @@ METHODS = {
     "dormand_prince": DORMAND_PRINCE,
     "cvode": CVODE,
 }
-NO_MEMORY, WRONG_SIZES = 16, 17
-"""Codes beside those of a simulation."""
-N_TYPES = 11
+TYPES = (
+    "Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64",
+    "Boolean",
+)  # fmt: skip
+"""Types of variables that are numbers, in their order in `Fmu.get` and `Fmu.set`."""
 FUNCTIONS = (
     "reset", "setup_experiment", "enter_configuration_mode", "exit_configuration_mode",
     "enter_initialization_mode", "exit_initialization_mode", "set_string", "set_time",
@@ -50,7 +55,32 @@ def _fields(kind: Any, *names: str) -> list[tuple[str, Any]]:
     return [(name, kind) for name in names]
 
 
-class Variables(Structure):
+class _HoldingStructure(Structure):
+    """A structure that keeps the arrays whose addresses are in it."""
+
+    def hold(self, kind: npt.DTypeLike | None = None, **fields: Any) -> Self:
+        """Set fields to structures, or to the addresses of arrays, and keep those.
+
+        NumPy's arrays are copied where they are of another kind, or do not lie in C order.
+        """
+        for name, value in fields.items():
+            if isinstance(value, Structure):
+                setattr(self, name, value)
+            elif isinstance(value, Array):
+                setattr(self, name, addressof(value))
+            else:
+                value = np.ascontiguousarray(value, kind)
+                setattr(self, name, value.ctypes.data)
+            self.held[name] = value
+        return self
+
+    @property
+    def held(self) -> dict[str, Any]:
+        """What it keeps, by the names of the fields."""
+        return self.__dict__.setdefault("_held", {})  # type: ignore[no-any-return]
+
+
+class Variables(_HoldingStructure):
     """Variables that the columns of a row belong to; see core.h for these structures."""
 
     _fields_ = [
@@ -64,14 +94,14 @@ class Fmu(Structure):
 
     _fields_ = [
         *_fields(c_void_p, "handle", *FUNCTIONS),
-        *_fields(c_void_p * N_TYPES, "get", "set"),
+        *_fields(c_void_p * len(TYPES), "get", "set"),
         ("stop_unit", c_double),
         *_fields(c_size_t, "n_states", "n_indicators"),
         *_fields(c_int32, "version", "interpolates_inputs", "completes_steps", "eventful"),
     ]
 
 
-class Experiment(Structure):
+class Experiment(_HoldingStructure):
     """Times, inputs, and what is set and recorded."""
 
     _fields_ = [
@@ -86,7 +116,7 @@ class Experiment(Structure):
     ]
 
 
-class Settings(Structure):
+class Settings(_HoldingStructure):
     """Of the solver."""
 
     _fields_ = [
@@ -97,10 +127,29 @@ class Settings(Structure):
     ]
 
 
-class Effects(Structure):
-    """Effects, and their coefficients at each point."""
+class Effects(_HoldingStructure):
+    """Effects, and their coefficients at each point; without arguments none.
+
+    Attributes
+    ----------
+    n_states
+        Of the effects' own.
+    """
 
     _fields_ = _fields(c_void_p, "program", "parameters", "fastest_rates", "coefficients", "base")
+    n_states = 0
+
+    def from_point(self, first: int) -> Effects:
+        """Return the same for the points from one of them on."""
+        if not self.program or first == 0:
+            return self
+        rows = {name: self.held[name][first:] for name in ("fastest_rates", "coefficients", "base")}
+        moved = Effects.from_buffer_copy(self).hold(**rows)
+        moved.n_states = self.n_states
+        return moved
+
+
+NO_EFFECTS = Effects()
 
 
 class Batch(Structure):
@@ -128,13 +177,13 @@ class Cvode(Structure):
     )  # fmt: skip
 
 
-class Range(Structure):
+class Range(_HoldingStructure):
     """Nominal values and bounds of perturbed variables."""
 
     _fields_ = [*_fields(c_void_p, "nominals", "lows", "highs"), ("n", c_size_t)]
 
 
-class Linearisation(Structure):
+class Linearisation(_HoldingStructure):
     """What is perturbed, and the derivatives."""
 
     _fields_ = [
@@ -147,7 +196,7 @@ class Linearisation(Structure):
     ]
 
 
-class Kalman(Structure):
+class Kalman(_HoldingStructure):
     """Noise, measurements, innovations."""
 
     _fields_ = _fields(
@@ -155,7 +204,7 @@ class Kalman(Structure):
     )
 
 
-class Sensitivities(Structure):
+class Sensitivities(_HoldingStructure):
     """Parameters, their perturbed instances, and the outputs' derivatives by them."""
 
     _fields_ = [
@@ -169,7 +218,7 @@ class Sensitivities(Structure):
     ]  # fmt: skip
 
 
-class Record(Structure):
+class Record(_HoldingStructure):
     """A recorded simulation, and an effect at one of its outputs."""
 
     _fields_ = [
@@ -179,6 +228,14 @@ class Record(Structure):
         *_fields(c_double, "rate", "decay"),
         ("outputs", c_void_p),
     ]
+
+
+def address_of(array: Any) -> int | None:
+    """Return the address of an array that may be written; None of an empty one.
+
+    NumPy's own way takes five times as long, which tiny simulations would show.
+    """
+    return addressof(c_char.from_buffer(array)) if array.size else None
 
 
 _P = c_void_p
@@ -214,20 +271,15 @@ def load(path: str) -> Any:
 
 
 @cache
-def core(*, own_functions: bool = True) -> Any:
+def core() -> Any:
     """Return the core of this machine, which is built at the first call where that is necessary.
-
-    Parameters
-    ----------
-    own_functions
-        With the core's own elementary functions; else with the C library's, to compare with.
 
     Raises
     ------
     ModelError
         If it cannot be built.
     """
-    return load(str(built(own_functions=own_functions)))
+    return load(str(built()))
 
 
 @final

@@ -1,9 +1,9 @@
-"""Effects of one experiment, compiled for the simulation loops.
+"""Effects of one experiment as byte code for the core.
 
 An effect at a state derivative, an input or a parameter acts while the simulation runs, through
-three functions: `start_states` sets its own states at the start, `modify_inputs` changes inputs and
-parameters before the FMU sees them, `add_derivatives` adds to the derivatives. An effect at an
-output is applied to the recorded outputs afterwards.
+three pieces of code: `start_states` sets its own states at the start, `modify_inputs` changes
+inputs and parameters before the FMU sees them, `add_derivatives` adds to the derivatives. An effect
+at an output is applied to the recorded outputs afterwards.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import sympy as sp
 
+from workers.core.assemble import Assignment, EffectArray, Locations, Registers, assemble
+from workers.core.library import LoadedProgram
 from workers.effects.definition import SIGNAL_SYMBOL, TIME_SYMBOL, EffectDefinition, variable_symbol
-from workers.effects.machine_code import CAssignment, EffectArray, SymbolLocations, compile_function
 
 
 @dataclass(frozen=True)
@@ -29,20 +29,18 @@ class InnerEffects:
         FMU parameters that effects change, in the order of their arrays.
     n_effect_states
         Number of own states of the effects.
-    start_states, modify_inputs, add_derivatives
-        Compiled functions, None where there is nothing to do.
+    program
+        Their byte code in the core.
     """
 
     parameters: tuple[str, ...]
     n_effect_states: int
-    start_states: Any
-    modify_inputs: Any
-    add_derivatives: Any
+    program: LoadedProgram
 
 
 @dataclass(frozen=True)
 class CompiledEquations:
-    """Equations that `InnerEffects` is compiled from, and an exported FMU has as C.
+    """Equations that `InnerEffects` is compiled from.
 
     Attributes
     ----------
@@ -55,10 +53,10 @@ class CompiledEquations:
     """
 
     parameters: tuple[str, ...]
-    locations: SymbolLocations
-    start_states: tuple[CAssignment, ...]
-    modify_inputs: tuple[CAssignment, ...]
-    add_derivatives: tuple[CAssignment, ...]
+    locations: Locations
+    start_states: tuple[Assignment, ...]
+    modify_inputs: tuple[Assignment, ...]
+    add_derivatives: tuple[Assignment, ...]
 
 
 @lru_cache(maxsize=512)
@@ -67,22 +65,23 @@ def compile_inner(
     positions: tuple[int, ...],
     states: tuple[str, ...],
     inputs: tuple[str, ...],
+    n_coefficients: int,
 ) -> InnerEffects:
-    """Compile the effects at derivatives, inputs and parameters; arguments as of `equations`."""
+    """Compile the effects at derivatives, inputs and parameters.
+
+    The first arguments are those of `equations`; `n_coefficients` are in a row of the task's.
+    """
     laid_out = equations(definitions, positions, states, inputs)
-    return InnerEffects(
-        parameters=laid_out.parameters,
-        n_effect_states=len(laid_out.start_states),
-        start_states=_compile(READ_ARRAYS, laid_out.locations, laid_out.start_states),
-        modify_inputs=_compile(
-            (*READ_ARRAYS, EffectArray.EFFECTIVE_INPUTS, EffectArray.EFFECTIVE_PARAMETERS),
-            laid_out.locations,
-            laid_out.modify_inputs,
-        ),
-        add_derivatives=_compile(
-            (*READ_ARRAYS, EffectArray.DERIVATIVES), laid_out.locations, laid_out.add_derivatives
-        ),
+    own, changed = len(laid_out.start_states), len(laid_out.parameters)
+    code = assemble(
+        Registers(len(states) + own, own, len(inputs), n_coefficients, changed, changed),
+        laid_out.locations,
+        TIME_SYMBOL,
+        laid_out.start_states,
+        laid_out.modify_inputs,
+        laid_out.add_derivatives,
     )
+    return InnerEffects(laid_out.parameters, own, LoadedProgram(code))
 
 
 def equations(
@@ -108,8 +107,8 @@ def equations(
     )
     locations = _locate_symbols(definitions, positions, states, inputs, parameters)
     chain = _EffectChain(inputs, parameters)
-    start_states: list[CAssignment] = []
-    add_derivatives: list[CAssignment] = []
+    start_states: list[Assignment] = []
+    add_derivatives: list[Assignment] = []
     for definition in sorted(definitions, key=lambda d: d.site.at_rates):
         starts, derivatives = _own_states(definition, locations, chain.substitutions(definition))
         start_states += starts
@@ -123,30 +122,20 @@ def equations(
 
 def _own_states(
     definition: EffectDefinition,
-    locations: SymbolLocations,
+    locations: Locations,
     substitutions: dict[sp.Symbol, sp.Expr],
-) -> tuple[list[CAssignment], list[CAssignment]]:
+) -> tuple[list[Assignment], list[Assignment]]:
     """Return the start values and the derivatives of an effect's own states."""
     indices = [locations[symbol][1] for symbol in definition.states]
     starts = [
-        CAssignment(EffectArray.STATES, i, start.xreplace(substitutions))
+        Assignment(EffectArray.STATES, i, start.xreplace(substitutions))
         for i, start in zip(indices, definition.starts, strict=True)
     ]
     derivatives = [
-        CAssignment(EffectArray.DERIVATIVES, i, derivative.xreplace(substitutions))
+        Assignment(EffectArray.DERIVATIVES, i, derivative.xreplace(substitutions))
         for i, derivative in zip(indices, definition.derivatives, strict=True)
     ]
     return starts, derivatives
-
-
-READ_ARRAYS = (EffectArray.STATES, EffectArray.INPUTS, EffectArray.COEFFICIENTS, EffectArray.BASE)
-"""Arrays that every function reads: states, inputs as measured, coefficients, parameters."""
-
-
-def _compile(
-    arrays: tuple[EffectArray, ...], locations: SymbolLocations, assignments: Sequence[CAssignment]
-) -> Any:
-    return compile_function(arrays, locations, assignments, TIME_SYMBOL) if assignments else None
 
 
 def _locate_symbols(
@@ -155,9 +144,9 @@ def _locate_symbols(
     states: Sequence[str],
     inputs: Sequence[str],
     parameters: Sequence[str],
-) -> SymbolLocations:
+) -> Locations:
     """Return the array and index of each symbol."""
-    locations: SymbolLocations = {
+    locations: Locations = {
         variable_symbol(n): (EffectArray.STATES, i) for i, n in enumerate(states)
     }
     locations |= {variable_symbol(n): (EffectArray.INPUTS, i) for i, n in enumerate(inputs)}
@@ -186,7 +175,7 @@ class _EffectChain:
             return {variable_symbol(name): value for name, value in self.inputs.items()}
         return {SIGNAL_SYMBOL: self._of(definition)[definition.site.target]}
 
-    def apply(self, definition: EffectDefinition, states: Sequence[str]) -> list[CAssignment]:
+    def apply(self, definition: EffectDefinition, states: Sequence[str]) -> list[Assignment]:
         """Apply an effect: to its signal for those that follow, or to derivatives, returned."""
         substitutions = self.substitutions(definition)
         added = []
@@ -194,18 +183,18 @@ class _EffectChain:
             expression = equation.xreplace(substitutions)
             if definition.site.at_rates:
                 index = states.index(target)
-                added.append(CAssignment(EffectArray.DERIVATIVES, index, expression, add=True))
+                added.append(Assignment(EffectArray.DERIVATIVES, index, expression, add=True))
             else:
                 self._of(definition)[definition.site.target] = expression
         return added
 
-    def assignments(self) -> tuple[CAssignment, ...]:
+    def assignments(self) -> tuple[Assignment, ...]:
         """Assign the effective inputs and parameters."""
         inputs = enumerate(self.inputs[name] for name in self._input_names)
         parameters = enumerate(self.parameters.values())
         return (
-            *(CAssignment(EffectArray.EFFECTIVE_INPUTS, i, value) for i, value in inputs),
-            *(CAssignment(EffectArray.EFFECTIVE_PARAMETERS, i, value) for i, value in parameters),
+            *(Assignment(EffectArray.EFFECTIVE_INPUTS, i, value) for i, value in inputs),
+            *(Assignment(EffectArray.EFFECTIVE_PARAMETERS, i, value) for i, value in parameters),
         )
 
     def _of(self, definition: EffectDefinition) -> dict[str, sp.Expr]:

@@ -1,4 +1,4 @@
-"""Effects at outputs, compiled and applied to recorded outputs.
+"""Effects at outputs, applied to recorded outputs.
 
 A lag or a delay of a sensor sees an output at all times, and a record has some: between them the
 output is interpolated. Of a wave with w h radians between two records a straight line misses
@@ -9,18 +9,20 @@ section 3.1).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from ctypes import addressof
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import sympy as sp
 
+from workers.core.assemble import Assignment, EffectArray, Locations, Registers, assemble
+from workers.core.failure import FINISHED
+from workers.core.library import LoadedProgram, Record, core
 from workers.effects.definition import SIGNAL_SYMBOL, TIME_SYMBOL, EffectDefinition, variable_symbol
-from workers.effects.machine_code import CAssignment, EffectArray, SymbolLocations, compile_function
 from workers.effects.signal_memory import MEMORIES, SampledSignal
 from workers.grid import SignalGrid
-from workers.kernels.record import OutputHooks, OutputWorkspace, OwnStateMotion, apply_to_outputs
 from workers.messages import FloatArray, IntArray
 
 PIECES = 8
@@ -105,32 +107,6 @@ def _stencils(grid: SignalGrid) -> tuple[IntArray, npt.NDArray[np.bool_]]:
     return first, enough & (lengths.max(axis=1) <= UNEVEN_INTERVALS * lengths.min(axis=1))
 
 
-READ_AT_OUTPUTS = (
-    EffectArray.STATES,
-    EffectArray.OUTPUTS,
-    EffectArray.INPUTS,
-    EffectArray.COEFFICIENTS,
-)
-
-
-@dataclass(frozen=True)
-class CompiledOutputEffect:
-    """The functions of an effect at an output; they must be kept as long as they are called."""
-
-    start_states: Any
-    state_derivatives: Any
-    output: Any
-    states: int
-
-    def hooks(self) -> OutputHooks:
-        """Return their addresses."""
-        return OutputHooks(
-            self.start_states.address if self.start_states else 0,
-            self.state_derivatives.address if self.state_derivatives else 0,
-            self.output.address,
-        )
-
-
 def apply_output_effect(
     definition: EffectDefinition,
     coefficients: FloatArray,
@@ -158,55 +134,54 @@ def apply_output_effect(
         outputs[:, column] = np.interp(grid.times, changed.times, changed.values)
         return
     fine, seen = refine(grid, outputs) if definition.states else (grid, outputs)
-    compiled = _compile(definition, recorded, inputs)
-    work = OutputWorkspace(
-        states=np.zeros(compiled.states),
-        trial=np.zeros(compiled.states),
-        stages=np.zeros((5, max(1, compiled.states))),
-        outputs=np.zeros(len(recorded)),
-        inputs=np.zeros(len(inputs)),
-        result=np.zeros(1),
-    )
+    program = _compile(definition, recorded, inputs)
     signals = dict(zip((*recorded, *inputs), (*seen.T, *fine.inputs.T), strict=True))
-    motion = OwnStateMotion(
-        definition.fastest_rate(coefficients, signals), definition.decay_rate(coefficients)
-    )
-    own_coefficients = np.ascontiguousarray(coefficients)
-    apply_to_outputs(compiled.hooks(), fine, seen, column, own_coefficients, motion, work)
-    if seen is not outputs:
-        outputs[:, column] = seen[::PIECES, column]
+    seen = np.ascontiguousarray(seen)
+    record = Record(
+        n_times=len(fine.times),
+        n_inputs=len(inputs),
+        n_outputs=len(recorded),
+        column=column,
+        program=program.address,
+        rate=definition.fastest_rate(coefficients, signals),
+        decay=definition.decay_rate(coefficients),
+    ).hold(
+        np.float64, times=fine.times, values=fine.inputs, slopes=fine.slopes,
+        coefficients=coefficients, outputs=seen,
+    )  # fmt: skip
+    if core().core_apply_to_outputs(addressof(record)) != FINISHED:
+        raise MemoryError(f"effect at output {definition.site.target!r}")
+    outputs[:, column] = seen[:: PIECES if definition.states else 1, column]
 
 
 @lru_cache(maxsize=512)
 def _compile(
     definition: EffectDefinition, recorded: tuple[str, ...], inputs: tuple[str, ...]
-) -> CompiledOutputEffect:
-    locations: SymbolLocations = {
+) -> LoadedProgram:
+    """Its inputs are those of the grid, and the outputs behind them; its result the output."""
+    locations: Locations = {
         variable_symbol(name): (EffectArray.INPUTS, i) for i, name in enumerate(inputs)
+    } | {
+        **{variable_symbol(name): (EffectArray.OUTPUTS, i) for i, name in enumerate(recorded)},
+        SIGNAL_SYMBOL: (EffectArray.OUTPUTS, recorded.index(definition.site.target)),
+        **{s: (EffectArray.COEFFICIENTS, i) for i, s in enumerate(definition.coefficients)},
+        **{s: (EffectArray.STATES, i) for i, s in enumerate(definition.states)},
     }
-    locations |= {
-        variable_symbol(name): (EffectArray.OUTPUTS, i) for i, name in enumerate(recorded)
-    }
-    locations[SIGNAL_SYMBOL] = (EffectArray.OUTPUTS, recorded.index(definition.site.target))
-    locations |= {s: (EffectArray.COEFFICIENTS, i) for i, s in enumerate(definition.coefficients)}
-    locations |= {s: (EffectArray.STATES, i) for i, s in enumerate(definition.states)}
-    start_states = [CAssignment(EffectArray.STATES, i, e) for i, e in enumerate(definition.starts)]
-    state_derivatives = [
-        CAssignment(EffectArray.DERIVATIVES, i, e) for i, e in enumerate(definition.derivatives)
-    ]
-    output = [CAssignment(EffectArray.RESULT, 0, equation) for _, equation in definition.equations]
-    own_coefficients = bool(definition.states)
-    return CompiledOutputEffect(
-        start_states=compile_function(READ_AT_OUTPUTS, locations, start_states, TIME_SYMBOL)
-        if own_coefficients
-        else None,
-        state_derivatives=compile_function(
-            (*READ_AT_OUTPUTS, EffectArray.DERIVATIVES), locations, state_derivatives, TIME_SYMBOL
-        )
-        if own_coefficients
-        else None,
-        output=compile_function(
-            (*READ_AT_OUTPUTS, EffectArray.RESULT), locations, output, TIME_SYMBOL
-        ),
-        states=len(definition.states),
+    own = len(definition.states)
+    registers = Registers(
+        own, own, len(inputs) + len(recorded), len(definition.coefficients), parameters=1,
+        outputs=len(recorded),
+    )  # fmt: skip
+    code = assemble(
+        registers,
+        locations,
+        TIME_SYMBOL,
+        _assigned(EffectArray.STATES, definition.starts),
+        _assigned(EffectArray.RESULT, [equation for _, equation in definition.equations]),
+        _assigned(EffectArray.DERIVATIVES, definition.derivatives),
     )
+    return LoadedProgram(code)
+
+
+def _assigned(array: EffectArray, values: Sequence[sp.Expr]) -> list[Assignment]:
+    return [Assignment(array, i, value) for i, value in enumerate(values)]

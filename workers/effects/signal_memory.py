@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
+from workers.core.library import core
 from workers.messages import FloatArray, Interpolation
 
 
@@ -31,11 +31,8 @@ def delay(signal: SampledSignal, seconds: float) -> SampledSignal:
     Of samples so close that they fall on one time when it is moved, as behind a backlash, the last
     one is kept.
     """
-    times = signal.times + seconds
-    kept = np.append(times[1:] > times[:-1], True)
-    if kept.all():
-        return signal._replace(times=times)
-    return signal._replace(times=times[kept], values=signal.values[kept])
+    times, values = _changed("core_delay", signal, seconds)
+    return SampledSignal(times, values, signal.interpolation)
 
 
 def backlash(signal: SampledSignal, half_width: float) -> SampledSignal:
@@ -45,22 +42,8 @@ def backlash(signal: SampledSignal, half_width: float) -> SampledSignal:
     that are linear between their samples: there is a further sample wherever the play is crossed,
     before which nothing has moved yet.
     """
-    times, values = signal.times, signal.values
-    at, followed = [float(times[0])], [float(values[0])]
-    before, out = at[0], float(values[0])
-    last = out
-    for time, value in zip(times[1:].tolist(), values[1:].tolist(), strict=True):
-        new = min(max(out, value - half_width), value + half_width)
-        if new != out:
-            contact = out + math.copysign(half_width, value - last)
-            crossed = before + (time - before) * (contact - last) / (value - last)
-            if before < crossed < time:
-                at.append(crossed)
-                followed.append(out)
-        at.append(time)
-        followed.append(new)
-        before, last, out = time, value, new
-    return signal._replace(times=np.array(at), values=np.array(followed))
+    times, values = _changed("core_backlash", signal, half_width)
+    return SampledSignal(times, values, signal.interpolation)
 
 
 def rate_limit(signal: SampledSignal, fastest: float) -> SampledSignal:
@@ -78,44 +61,21 @@ def rate_limit_from_rest(signal: SampledSignal, fastest: float) -> SampledSignal
     return _followed(signal, fastest, 0.0)
 
 
-def _followed(signal: SampledSignal, fastest: float, out: float) -> SampledSignal:
+def _followed(signal: SampledSignal, fastest: float, start: float) -> SampledSignal:
     """Follow a signal at a limited rate, from a value on."""
     if not math.isfinite(fastest):
         return signal
-    times, starts = signal.times.tolist(), signal.values.tolist()
-    ends = starts[:-1] if signal.interpolation == "hold" else starts[1:]
-    at, followed = [times[0]], [out]
-    for (begin, end), start, stop in zip(pairwise(times), starts, ends, strict=False):
-        for time, reached in _limited(out, begin, start, end, stop, fastest):
-            at.append(time)
-            followed.append(reached)
-        out = followed[-1]
-    behind = abs(starts[-1] - out)
-    if fastest > 0.0 and times[-1] + behind / fastest > times[-1]:
-        at.append(times[-1] + behind / fastest)
-        followed.append(starts[-1])
-    return SampledSignal(np.array(at), np.array(followed), "linear")
+    held = signal.interpolation == "hold"
+    return SampledSignal(*_changed("core_rate_limit", signal, held, start, fastest))
 
 
-def _limited(
-    out: float, begin: float, start: float, end: float, stop: float, fastest: float
-) -> list[tuple[float, float]]:
-    """Follow one straight line from a value: what is reached, where it is caught up with too."""
-    gap, slope = start - out, (stop - start) / (end - begin)
-    found: list[tuple[float, float]] = []
-    if gap != 0.0:
-        way = math.copysign(1.0, gap)
-        closing = fastest - way * slope
-        if closing * (end - begin) <= abs(gap):
-            return [(end, out + way * fastest * (end - begin))]
-        caught = begin + abs(gap) / closing
-        start += slope * (caught - begin)
-        if begin < caught < end:
-            found.append((caught, start))
-        begin, out = caught, start
-    if abs(slope) <= fastest:
-        return [*found, (end, stop)]
-    return [*found, (end, out + math.copysign(fastest, slope) * (end - begin))]
+def _changed(function: str, signal: SampledSignal, *how: float) -> tuple[FloatArray, FloatArray]:
+    """Call a function of the core, and return the times and values that it has written."""
+    given = [np.ascontiguousarray(each, np.float64) for each in (signal.times, signal.values)]
+    made = np.zeros((2, 2 * len(signal.times) + 1))
+    from_, to = ([each.ctypes.data for each in arrays] for arrays in (given, made))
+    count = getattr(core(), function)(*from_, len(signal.times), *how, *to)
+    return made[0, :count].copy(), made[1, :count].copy()
 
 
 MEMORIES: dict[str, Callable[[SampledSignal, float], SampledSignal]] = {

@@ -1,4 +1,4 @@
-"""One loaded, instantiated FMU: fmpy loads it, compiled loops call it by address.
+"""One loaded, instantiated FMU: fmpy loads it, the core calls it by address.
 
 Its messages are collected.
 """
@@ -18,10 +18,10 @@ from collections.abc import Callable
 from ctypes import c_void_p
 from typing import Any
 
-import numpy as np
 from fmpy.fmi2 import FMU2Model, FMU2Slave
 from fmpy.fmi3 import FMU3Model, FMU3Slave
 
+from workers.core.library import TYPES, Fmu
 from workers.errors import ModelError
 from workers.fmu.archive import unpack
 from workers.fmu.binary_dependencies import is_about_licence, load_failure
@@ -29,8 +29,6 @@ from workers.fmu.description import ModelDescription
 from workers.fmu.platforms import binary_path
 from workers.fmu.process_environment import kept_signal_handlers, tell_of_first_instance
 from workers.fmu.seats import Seat
-from workers.kernels.fmi.component import FmiComponent, nothing_loaded
-from workers.kernels.fmi.values import TYPES
 from workers.messages import Model
 
 _logs: weakref.WeakValueDictionary[str, deque[str]] = weakref.WeakValueDictionary()
@@ -155,7 +153,7 @@ class FunctionTable:
     def __init__(self, fmu: Any, model: Model, description: ModelDescription) -> None:
         self._fmu, self._model, self._description = fmu, model, description
 
-    def component(self) -> FmiComponent:
+    def component(self) -> Fmu:
         """Return the instance with the addresses of its functions.
 
         Raises
@@ -179,24 +177,23 @@ class FunctionTable:
             )
         if exchange and version == 3 and not self._model.structure:
             self._check_counts()
-        types = [_TYPES_IN_2.get(t, "") if version == 2 else t for t in TYPES]
-        accessors = np.array(
-            [[self._address(verb + t) if t else 0 for t in types] for verb in ("Get", "Set")]
-        )
-        component = nothing_loaded(description.version)._replace(
+        component = Fmu(
             handle=int(self._fmu.component),
-            get_real=int(accessors[0, 0]),
-            set_real=int(accessors[1, 0]),
-            accessors=accessors,
+            stop_unit=-1.0,
+            n_states=len(description.states) if exchange else 0,
+            n_indicators=description.event_indicators if exchange else 0,
+            version=version,
             interpolates_inputs=description.interpolates_inputs,
             completes_steps=description.completes_steps,
             # an input that jumps may be an event for it
             eventful=description.event_indicators > 0
             or any(v.variability == "discrete" for v in description.variables.values()),
-            n_states=len(description.states) if exchange else 0,
-            n_indicators=description.event_indicators if exchange else 0,
+            **found,
         )
-        return component._replace(**found)  # type: ignore[arg-type]
+        types = [_TYPES_IN_2.get(t, "") if version == 2 else t for t in TYPES]
+        component.get[:] = [self._address(f"Get{t}") if t else 0 for t in types]
+        component.set[:] = [self._address(f"Set{t}") if t else 0 for t in types]
+        return component
 
     def _check_counts(self) -> None:
         """Refuse an FMU of FMI 3.0 that is not what its description says: events would be lost."""
@@ -280,7 +277,7 @@ class FmuInstance:
         """True until a simulation begins with it; of one that was freed, the next will be."""
         return self._is_freed or not self._is_used
 
-    def begin(self) -> FmiComponent:
+    def begin(self) -> Fmu:
         """Return the instance for a simulation, the first of which needs no reset.
 
         The standard allows a reset of an instance that was never initialised, but hardly any tool
@@ -293,11 +290,14 @@ class FmuInstance:
         """
         if self._is_freed or self._is_spent:
             self.replace()
-        component = self.component._replace(reset=_NO_RESET_AT) if self.is_new else self.component
+        component = self.component
+        if self.is_new:
+            component = Fmu.from_buffer_copy(component)
+            component.reset = _NO_RESET_AT
         self._is_used = True
         return component
 
-    def begin_anew(self) -> FmiComponent:
+    def begin_anew(self) -> Fmu:
         """Return an instance with which nothing was simulated.
 
         Raises

@@ -23,7 +23,7 @@ from workers.messages import Model
 
 READ_AT_START = (
     *("LD_", "DYLD_", "MALLOC_", "GLIBC_", "PYTHON"),
-    *("NUMBA_", "OPENBLAS_", "OMP_", "MKL_"),
+    *("OPENBLAS_", "OMP_", "MKL_"),
 )
 """How environment variables begin that a process, or a library, reads only when it starts."""
 
@@ -105,8 +105,8 @@ KEPT_SIGNALS = tuple(
 )
 SIGACTION_BYTES = 512
 """Bytes: more than a struct sigaction has on any system."""
-ADDRESS = ctypes.sizeof(ctypes.c_void_p)
-"""Bytes of a struct sigaction, its first, that are the handler; its flags are the library's own."""
+_ADDRESS = ctypes.c_size_t
+"""Of a struct sigaction what is first, the handler; its flags are the library's own."""
 PAUSE = 0.05
 """Seconds for which an FMU's handlers may stay."""
 _C_LIBRARY = ctypes.CDLL(None) if sys.platform != "win32" else None
@@ -122,8 +122,11 @@ class _SignalHandlers:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._inside = 0
-        self._handlers = _rooms()
-        self._found = _rooms()
+        self._handlers, self._found = _rooms(), _rooms()
+        self._places = [
+            (number, ctypes.addressof(room), ctypes.addressof(self._found[number]))
+            for number, room in self._handlers.items()
+        ]
         self._entered = threading.Event()
         self._guard: threading.Thread | None = None
 
@@ -131,28 +134,31 @@ class _SignalHandlers:
         """Remember the handlers, if no other thread is inside."""
         with self._lock:
             if self._inside == 0:
-                _read(self._handlers)
+                for number, room, _ in self._places:
+                    _sigaction(number, None, room)
             self._inside += 1
-            self._entered.set()
+            if self._guard is not None:
+                self._entered.set()
 
     def __exit__(self, *_: object) -> None:
         """Put the handlers back, and see to it that they are guarded if they were others."""
         with self._lock:
             self._inside -= 1
             replaced = self._put_back()
-            if self._inside == 0:
+            if self._inside == 0 and self._guard is not None:
                 self._entered.clear()
             if replaced and self._guard is None:
+                if self._inside > 0:
+                    self._entered.set()
                 self._guard = threading.Thread(target=self._stay, name="signals", daemon=True)
                 self._guard.start()
 
     def _put_back(self) -> bool:
         """Put the handlers back; return whether there were others."""
         replaced = False
-        for number, room in self._handlers.items():
-            found = self._found[number]
+        for number, room, found in self._places:
             _sigaction(number, room, found)
-            replaced |= found[:ADDRESS] != room[:ADDRESS]
+            replaced |= _ADDRESS.from_address(room).value != _ADDRESS.from_address(found).value
         return replaced
 
     def _stay(self) -> None:
@@ -164,19 +170,13 @@ class _SignalHandlers:
             time.sleep(PAUSE)
 
 
-def _sigaction(number: int, given: Any, found: Any) -> None:
-    if _C_LIBRARY is not None:
-        _C_LIBRARY.sigaction(number, given, found)
+if _C_LIBRARY is not None:
+    _sigaction = _C_LIBRARY.sigaction
+    _sigaction.argtypes = [ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p]
 
 
 def _rooms() -> dict[int, Any]:
     return {number: ctypes.create_string_buffer(SIGACTION_BYTES) for number in KEPT_SIGNALS}
-
-
-def _read(rooms: dict[int, Any]) -> None:
-    """Read the handlers of now."""
-    for number, room in rooms.items():
-        _sigaction(number, None, room)
 
 
 _BEFORE = _SignalHandlers()

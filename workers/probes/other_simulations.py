@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from workers.core import failure
 from workers.errors import ModelError
 from workers.evaluate import Evaluator, FmuProbe
 from workers.fmu.instance import FmuInstance
-from workers.kernels.fmi import failure
 from workers.messages import Experiment, FloatArray, Model, ResetPolicy
 from workers.simulation.simulator import Simulator
 
@@ -269,5 +269,5 @@ def _hook(instance: FmuInstance, then: Callable[[], None]) -> object:
 
     hooked = _EXIT_INITIALISATION(called)
     at = ctypes.cast(hooked, ctypes.c_void_p).value or address
-    instance.component = instance.component._replace(exit_initialization_mode=at)
+    instance.component.exit_initialization_mode = at
     return hooked

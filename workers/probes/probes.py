@@ -7,13 +7,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from workers.core import failure
 from workers.errors import ModelError
 from workers.evaluate import Evaluator, FmuProbe
 from workers.fmu.instance import FmuInstance
 from workers.fmu.process_environment import resident_bytes
-from workers.kernels.fmi import failure
 from workers.messages import Experiment, FloatArray, Model, Outcome, ResetPolicy, Solver, Task
-from workers.simulation.integrator import SimulationBatch
+from workers.simulation.batch import SimulationBatch
 from workers.simulation.jacobian import (
     StateJacobian,
     compare_with_differences,
@@ -263,15 +263,6 @@ class SolverProbe(FmuProbe):
         usual = _simulator_with_reset(evaluator, self.experiment, self.reset)
         base = _outputs(usual.run(0, self.point[None]))
         return differences(base, _outputs(other.run(0, self.point[None])))
-
-
-@dataclass(frozen=True)
-class CompileProbe(FmuProbe):
-    """Asks for what other probes need to be compiled and on disk, which takes long once."""
-
-    def answer(self, evaluator: Evaluator) -> None:
-        evaluator.simulator.compile_stiffness()
-        evaluator.simulator.compile_sensitivities()
 
 
 @dataclass(frozen=True)

@@ -208,7 +208,7 @@ def _served(client: Connection, inherited: Sequence[Connection | socket.socket])
 
 
 def _prepare(installation: Installation, progress: IntArray) -> Evaluator | ModelError:
-    """All but the FMU; kernels that are read for it stay in this process, for all that follow."""
+    """All but the FMU; what is imported for it stays in this process, for all that follow."""
     try:
         return Evaluator(*installation, load=False, progress=progress)
     except ModelError as error:

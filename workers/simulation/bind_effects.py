@@ -1,4 +1,4 @@
-"""Effects bound to an experiment: compiled functions, and the signals that they depend on."""
+"""Effects bound to an experiment: their byte code, and the signals that they depend on."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from workers.core.library import Effects
 from workers.effects.compiled import InnerEffects, compile_inner
 from workers.effects.definition import EffectDefinition, define
 from workers.effects.outputs import apply_output_effect
@@ -14,7 +15,6 @@ from workers.effects.signal_memory import MEMORIES, SampledSignal
 from workers.errors import EffectError
 from workers.fmu.description import ModelDescription, nearest
 from workers.grid import SignalGrid
-from workers.kernels.fmi.hooks import EffectHooks, no_hooks
 from workers.messages import Effect, Experiment, FloatArray, Input, IntArray, Model
 
 
@@ -32,7 +32,7 @@ class BoundEffects:
     recorded
         The experiment's outputs, and what else effects at outputs depend on.
     inner
-        The compiled effects at derivatives, inputs and parameters; None without such effects.
+        The effects at derivatives, inputs and parameters; None without such effects.
     """
 
     definitions: tuple[EffectDefinition, ...]
@@ -50,31 +50,27 @@ class BoundEffects:
         """Names of the grid's columns: the FMU's inputs, then signals."""
         return _columns(self.experiment)
 
-    def hooks(
+    def at_points(
         self,
         points: FloatArray,
         coefficients: FloatArray,
         model: Model,
         description: ModelDescription,
-    ) -> EffectHooks:
-        """Return the functions that the loops call, for a batch of points."""
+    ) -> Effects:
+        """Return the effects that act while a simulation runs, for a batch of points."""
         if self.inner is None:
-            return no_hooks(len(points))
-        base_parameters = [
-            self._base_values(name, points, model, description) for name in self.inner.parameters
-        ]
+            return Effects()
+        base = np.empty((len(points), len(self.inner.parameters)))
+        for column, name in enumerate(self.inner.parameters):
+            base[:, column] = self._base_values(name, points, model, description)
         references = [description.variables[name].reference for name in self.inner.parameters]
-        return EffectHooks(
-            start_states=self.inner.start_states.address if self.inner.start_states else 0,
-            modify_inputs=self.inner.modify_inputs.address if self.inner.modify_inputs else 0,
-            add_derivatives=self.inner.add_derivatives.address if self.inner.add_derivatives else 0,
-            parameters=np.array(references, np.uint32),
-            fastest_rates=self._fastest_rates(coefficients),
-            coefficients=np.ascontiguousarray(coefficients),
-            base_parameters=np.ascontiguousarray(np.column_stack(base_parameters))
-            if base_parameters
-            else np.zeros((len(points), 0)),
-        )
+        effects = Effects(program=self.inner.program.address).hold(np.uint32, parameters=references)
+        effects.n_states = self.inner.n_effect_states
+        effects.held["program"] = self.inner.program
+        return effects.hold(
+            np.float64, fastest_rates=self._fastest_rates(coefficients), coefficients=coefficients,
+            base=base,
+        )  # fmt: skip
 
     def with_memory_effects(self, coefficients: FloatArray) -> Experiment:
         """Return the experiment with the inputs that effects change as a whole, for one point."""
@@ -126,6 +122,7 @@ def bind_effects(
     definitions: Sequence[tuple[EffectDefinition, int]],
     experiment: Experiment,
     description: ModelDescription,
+    n_coefficients: int,
     *,
     model_exchange: bool,
 ) -> BoundEffects:
@@ -137,6 +134,8 @@ def bind_effects(
         Each effect with the position of its first coefficient.
     experiment, description
         What they act on.
+    n_coefficients
+        Of all effects of a task.
     model_exchange
         Whether the FMU's own states are in the array of states (model exchange).
     """
@@ -153,7 +152,7 @@ def bind_effects(
         states = description.states if model_exchange else ()
         inner_definitions, positions = zip(*inner_effects, strict=True)
         inner = compile_inner(
-            inner_definitions, positions, states, _columns(experiment_with_signals)
+            inner_definitions, positions, states, _columns(experiment_with_signals), n_coefficients
         )
     return BoundEffects(
         definitions=tuple(all_definitions),

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from ctypes import c_char_p
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
+from workers.core import library
+from workers.core.library import TYPES, Variables
 from workers.fmu.description import ModelDescription
 from workers.fmu.variable import ModelVariable
 from workers.grid import SignalGrid, build_grid
-from workers.kernels.fmi.component import StartValues, VariableReferences
-from workers.kernels.fmi.values import TYPES, VariableAccess
-from workers.messages import Experiment, FloatArray, IntArray, Model
+from workers.messages import Experiment, FloatArray, Model
 from workers.simulation.fixed_step import CommunicationPoints, communication_points, step_lengths
 
 _TYPES_READ_AS = {"Enumeration": "Int64"}
@@ -23,7 +24,7 @@ _TYPES_READ_AS = {"Enumeration": "Int64"}
 def variable_access(
     variables: Sequence[ModelVariable | None],
     array_starts: Callable[[ModelVariable], Sequence[float]],
-) -> VariableAccess:
+) -> Variables:
     """Assign the columns of a row of numbers to variables of the FMU.
 
     Parameters
@@ -51,9 +52,11 @@ def variable_access(
             strict=True,
         )
     ]
-    return VariableAccess(
-        reals=np.array([v.reference for v in variables[:n_reals] if v is not None], np.uint32),
-        elements=np.array(elements, np.int64).reshape(-1, 5),
+    references = [v.reference for v in variables[:n_reals] if v is not None]
+    return (
+        Variables(n_reals=n_reals, n_elements=len(elements))
+        .hold(np.uint32, reals=references)
+        .hold(np.int64, elements=elements)
     )
 
 
@@ -89,22 +92,27 @@ class BoundExperiment:
         The FMU's communication points, if it cannot communicate at all times of the grid.
     known_values
         Known start values, after those of the parameters.
-    string_memory
-        The memory that holds the texts of `starts`.
+    structure
+        The experiment as the core sees it.
     """
 
     grid: SignalGrid
     communication: CommunicationPoints | None
     outputs: tuple[str, ...]
-    starts: StartValues
-    references: VariableReferences
     known_values: FloatArray
-    string_memory: IntArray
+    structure: library.Experiment
 
     @property
     def integration_grid(self) -> SignalGrid:
         """The times that the FMU is stepped to, and the inputs there."""
         return self.grid if self.communication is None else self.communication.grid
+
+    def start_alone(self) -> BoundExperiment:
+        """Return the same up to its start, which is simulated only as long as this is kept."""
+        structure = library.Experiment.from_buffer_copy(self.structure)
+        structure.n_times = 1
+        start = self.grid._replace(times=self.grid.times[:1])
+        return replace(self, grid=start, communication=None, structure=structure)
 
 
 def bind_experiment(
@@ -137,52 +145,53 @@ def bind_experiment(
         own_step = description.fixed_internal_step or description.default_step
         grid = grid._replace(intervals=step_lengths(grid.times, own_step))
     communication = communication_points(model, description, experiment, outputs, grid.times)
-    stop = float((grid if communication is None else communication.grid).times[-1])
-    starts, known_values, string_memory = _start_values(model, description, experiment, stop)
+    structure, known_values = _start_values(model, description, experiment)
     array_starts = partial(_array_starts, description)
     inputs = [description.variable(each.variable, where) for each in experiment.inputs]
-    continuous_inputs = [v if v.is_continuous else None for v in inputs]
-    return BoundExperiment(
-        grid=grid,
-        communication=communication,
-        outputs=outputs,
-        starts=starts,
-        references=VariableReferences(
-            inputs=variable_access(inputs, array_starts),
-            continuous_inputs=variable_access(continuous_inputs, array_starts),
-            outputs=variable_access(
-                [description.variable(n, where) for n in outputs], array_starts
-            ),
+    structure.hold(
+        inputs=variable_access(inputs, array_starts),
+        continuous_inputs=variable_access(
+            [v if v.is_continuous else None for v in inputs], array_starts
         ),
-        known_values=known_values,
-        string_memory=string_memory,
+        outputs=variable_access([description.variable(n, where) for n in outputs], array_starts),
     )
+    structure.n_outputs = len(outputs)
+    _set_grid(structure, grid if communication is None else communication.grid)
+    return BoundExperiment(grid, communication, outputs, known_values, structure)
+
+
+def _set_grid(structure: library.Experiment, grid: SignalGrid) -> None:
+    """Set the times that the FMU is stepped to, the inputs there, and what was measured."""
+    structure.stop = float(grid.times[-1])
+    structure.n_times, structure.n_inputs = grid.inputs.shape
+    structure.hold(
+        np.float64, times=grid.times, intervals=grid.intervals, values=grid.inputs,
+        slopes=grid.slopes, measured=grid.measured, sigmas=grid.sigmas,
+    )  # fmt: skip
+    structure.hold(np.int64, gather=grid.gather, by_time=grid.by_time, row_ends=grid.row_ends)
+    structure.hold(np.uint8, jumps=grid.jumps)
 
 
 def _start_values(
-    model: Model, description: ModelDescription, experiment: Experiment, stop: float
-) -> tuple[StartValues, FloatArray, IntArray]:
-    """Return what is set before a simulation, known values, and the memory of strings."""
+    model: Model, description: ModelDescription, experiment: Experiment
+) -> tuple[library.Experiment, FloatArray]:
+    """Return a structure with what is set before a simulation, and known values."""
     where = f"experiment {experiment.id!r}"
     given = {n: v for n, v in experiment.values if n not in model.parameters}
     variables = {n: description.variable(n, where) for n in given}
-    texts = {n: str(given[n]) for n, v in variables.items() if v.kind == "string"}
+    texts = {n: str(given[n]).encode() for n, v in variables.items() if v.kind == "string"}
     structure = [v for v in variables.values() if v.causality == "structuralParameter"]
     numbers = [v for n, v in variables.items() if n not in texts and v not in structure]
     parameters = [description.variable(n, where) for n in model.parameters]
     array_starts = partial(_array_starts, description)
-    addresses, memory = _texts(list(texts.values()))
-    starts = StartValues(
-        stop=stop,
-        structure=variable_access(
-            [*[None] * (len(parameters) + len(numbers)), *structure], array_starts
-        ),
+    behind: list[None] = [None] * (len(parameters) + len(numbers))
+    made = library.Experiment(n_strings=len(texts)).hold(
+        structure=variable_access([*behind, *structure], array_starts),
         numbers=variable_access([*parameters, *numbers], array_starts),
-        strings=np.array([variables[n].reference for n in texts], np.uint32),
-        texts=addresses,
+        texts=(c_char_p * len(texts))(*texts.values()),
     )
-    values = [float(given[v.name]) for v in [*numbers, *structure]]
-    return starts, np.array(values, np.float64), memory
+    made.hold(np.uint32, strings=[variables[n].reference for n in texts])
+    return made, np.array([float(given[v.name]) for v in [*numbers, *structure]], np.float64)
 
 
 def _array_starts(description: ModelDescription, variable: ModelVariable) -> list[float]:
@@ -193,11 +202,3 @@ def _array_starts(description: ModelDescription, variable: ModelVariable) -> lis
     found = [v for v in description.variables.values() if (v.reference, v.type) == own]
     starts = {v.element: v.start or 0.0 for v in found}
     return [starts.get(e, 0.0) for e in range(variable.size)]
-
-
-def _texts(texts: Sequence[str]) -> tuple[IntArray, IntArray]:
-    """Return addresses of strings that end with a zero byte, and the memory that holds them."""
-    encoded = [text.encode() + b"\0" for text in texts]
-    memory = np.frombuffer(bytearray(b"".join(encoded)) or bytearray(1), np.uint8)
-    begins = np.cumsum([0, *(len(each) for each in encoded)], dtype=np.int64)[:-1]
-    return begins + memory.ctypes.data, memory

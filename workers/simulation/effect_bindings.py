@@ -39,7 +39,7 @@ class EffectBindings:
         self._experiments, self._signals = experiments, signals
         self._effects: dict[tuple[Effect, ...], EffectBatch] = {}
         self._bound: dict[
-            tuple[int, tuple[tuple[EffectDefinition, int], ...]],
+            tuple[int, tuple[tuple[EffectDefinition, int], ...], int],
             tuple[BoundEffects, BoundExperiment],
         ] = {}
         self._prepared: dict[
@@ -59,10 +59,10 @@ class EffectBindings:
         return self._effects[effects].groups(coefficients)
 
     def bind(
-        self, experiment: int, active: list[tuple[EffectDefinition, int]]
+        self, experiment: int, active: list[tuple[EffectDefinition, int]], n_coefficients: int
     ) -> tuple[BoundEffects, BoundExperiment]:
-        """Bind an experiment and the effects that act on it."""
-        key = (experiment, tuple(active))
+        """Bind an experiment and the effects that act on it, of a task with some coefficients."""
+        key = (experiment, tuple(active), n_coefficients)
         if key not in self._bound:
             from workers.simulation.bind_effects import bind_effects
 
@@ -70,6 +70,7 @@ class EffectBindings:
                 active,
                 self._experiments[experiment],
                 self._description,
+                n_coefficients,
                 model_exchange=self._model.interface == "model_exchange",
             )
             bound = bind_experiment(

@@ -7,19 +7,25 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from workers.errors import ModelError
 from workers.fmu.description import ModelDescription
-from workers.kernels.solvers.sundials import DirectionalJacobian
 from workers.messages import FloatArray
 
 STATE_DIFFERENCE_STEP = float(np.cbrt(np.finfo(np.float64).eps))
 """Step of a central difference, over the size of a state."""
 MAX_JACOBIAN_ERROR = 1e-4
 """Largest error of directional derivatives, over the largest derivative in their row."""
+
+
+class DirectionalJacobian(NamedTuple):
+    """Value references of states and their derivatives; none where there are no such functions."""
+
+    states: tuple[int, ...] = ()
+    derivatives: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -43,12 +49,12 @@ def directional_jacobian(description: ModelDescription) -> DirectionalJacobian:
     variables = description.variables
     derivatives = {v.derivative_of: v for v in variables.values() if v.derivative_of}
     if any(name not in derivatives for name in description.states):
-        return DirectionalJacobian.of()
+        return DirectionalJacobian()
     pairs = [(variables[name], derivatives[name]) for name in description.states]
     if any(v.type != "Float64" or v.size > 1 for pair in pairs for v in pair):
-        return DirectionalJacobian.of()
-    return DirectionalJacobian.of(
-        [x.reference for x, _ in pairs], [dx.reference for _, dx in pairs]
+        return DirectionalJacobian()
+    return DirectionalJacobian(
+        tuple(x.reference for x, _ in pairs), tuple(dx.reference for _, dx in pairs)
     )
 
 
@@ -72,7 +78,7 @@ def compare_with_differences(
         If the FMU fails.
     """
     try:
-        return _compare(fmu, version, jacobian.derivatives.tolist(), jacobian.states.tolist())
+        return _compare(fmu, version, list(jacobian.derivatives), list(jacobian.states))
     except Exception as error:  # fmpy raises bare exceptions
         raise ModelError(f"asked for one, it failed ({error})") from error
 

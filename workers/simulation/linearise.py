@@ -1,35 +1,24 @@
 """Linearisation of a model along one simulation, and the extended Kalman filter that rests on it.
 
-Arguments and results of the compiled loops are prepared here.
+What the core is asked, and what it answers, is prepared here.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from ctypes import addressof, c_int64
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from workers.core import library
+from workers.core.failure import FINISHED, INITIALISATION
+from workers.core.library import METHODS, Batch, Effects, Fmu, Kalman, Range, core
 from workers.effects.definition import EffectDefinition, define
 from workers.errors import ModelError
 from workers.fmu.description import ModelDescription
 from workers.fmu.variable import ModelVariable
 from workers.grid import SignalGrid
-from workers.kernels.fmi.arguments import KernelArguments
-from workers.kernels.fmi.component import FmiComponent
-from workers.kernels.fmi.failure import FINISHED, INITIALISATION
-from workers.kernels.fmi.hooks import EffectHooks
-from workers.kernels.kalman import KalmanArrays, filter_states
-from workers.kernels.linearise import (
-    ADAPTIVE,
-    FIXED,
-    PRECOMPUTED,
-    LinearisationArrays,
-    PerturbationRange,
-    PerturbedVariables,
-    linearise,
-)
-from workers.kernels.solvers.cvode import CvodeBatch
 from workers.messages import (
     Effect,
     Experiment,
@@ -39,6 +28,7 @@ from workers.messages import (
     MatrixSeries,
     Model,
 )
+from workers.simulation.batch import CvodeLoop
 from workers.simulation.bind_effects import BoundEffects, bind_effects
 from workers.simulation.bind_experiment import BoundExperiment, bind_experiment
 
@@ -66,8 +56,8 @@ class PreparedExperiment:
     def at(
         self,
         point: FloatArray,
-        component: Callable[[], FmiComponent],
-        cvode: CvodeBatch | None = None,
+        component: Callable[[], Fmu],
+        cvode: CvodeLoop | None = None,
     ) -> LinearisationPass:
         """Prepare the linearisation at one point: values of parameters, then coefficients.
 
@@ -82,27 +72,18 @@ class PreparedExperiment:
             else effects.experiment
         )
         bound = bind_experiment(self.model, self.description, experiment, effects.recorded)
-        offsets = np.zeros((1, len(self.inputs) if self.with_offsets else 0))
-        with_zero_offsets = np.hstack([coefficients, offsets])
-        hooks = effects.hooks(values, with_zero_offsets, self.model, self.description)
-        with_offsets = hooks
+        acting = effects.at_points(values, coefficients, self.model, self.description)
+        offsets = acting
         if self.with_offsets is not None:
-            with_offsets = self.with_offsets.hooks(
-                values, with_zero_offsets, self.model, self.description
+            zeros = np.zeros((1, len(self.inputs)))
+            offsets = self.with_offsets.at_points(
+                values, np.hstack([coefficients, zeros]), self.model, self.description
             )
-        perturbed = self._perturbed_variables(values[0])
-        arrays = allocate(perturbed, len(bound.grid.times), len(bound.outputs))
+        asked = self._structure(values[0], len(bound.grid.times), len(bound.outputs))
+        asked.offsets, asked.first_offset = addressof(offsets), self.n_coefficients
+        asked.held["offsets"] = offsets
         return LinearisationPass(
-            self,
-            bound,
-            values,
-            coefficients[0],
-            hooks,
-            with_offsets,
-            perturbed,
-            arrays,
-            component,
-            cvode,
+            self, bound, values, coefficients[0], acting, asked, component, cvode
         )
 
     @property
@@ -121,59 +102,63 @@ class PreparedExperiment:
         """The parameters that may change while a simulation runs."""
         return tuple(n for n in self.model.parameters if self.description.variables[n].tunable)
 
-    def _perturbed_variables(self, values: FloatArray) -> PerturbedVariables:
+    def _structure(self, values: FloatArray, n: int, outputs: int) -> library.Linearisation:
+        """Ask for the derivatives by all variables, at n times."""
         known, inner = self.description.variables, self.effects.inner
-        states: list[ModelVariable | None] = [known[name] for name in self.description.states]
-        states += [None] * len(self.effect_states)
-        effect_positions = inner.parameters if inner is not None else ()
-        return PerturbedVariables(
-            states=perturbation_range(states),
-            inputs=perturbation_range([known[name] for name in self.inputs]),
-            parameters=perturbation_range([known[name] for name in self.tunable]),
-            references=np.array([known[name].reference for name in self.tunable], np.uint32),
-            values=np.array([values[self.model.parameters.index(n)] for n in self.tunable]),
-            effect_positions=np.array(
-                [effect_positions.index(n) if n in effect_positions else -1 for n in self.tunable],
-                np.int64,
-            ),
-            input_offsets=self.n_coefficients,
+        changed = inner.parameters if inner is not None else ()
+        tunable = [known[name] for name in self.tunable]
+        asked = linearisation(
+            self.model,
+            [*(known[name] for name in self.description.states), *[None] * len(self.effect_states)],
+            [known[name] for name in self.inputs],
+            tunable,
+            (n, outputs),
         )
+        asked.hold(np.uint32, references=[v.reference for v in tunable])
+        asked.hold(
+            np.float64, values=[values[self.model.parameters.index(n)] for n in self.tunable]
+        )
+        positions = [changed.index(n) if n in changed else -1 for n in self.tunable]
+        return asked.hold(np.int64, effect_positions=positions)
 
 
 @dataclass(frozen=True)
 class LinearisationPass:
-    """One point of a prepared experiment. Takes the place of a solver's batch function."""
+    """One point of a prepared experiment, simulated in place of the solver's loop.
+
+    Attributes
+    ----------
+    effects
+        Those that act.
+    asked
+        What is perturbed, and the derivatives.
+    """
 
     prepared: PreparedExperiment
     bound: BoundExperiment
     values: FloatArray
     coefficients: FloatArray
-    hooks: EffectHooks
-    with_offsets: EffectHooks
-    perturbed: PerturbedVariables
-    arrays: LinearisationArrays
-    component: Callable[[], FmiComponent]
-    cvode: CvodeBatch | None
+    effects: Effects
+    asked: library.Linearisation
+    component: Callable[[], Fmu]
+    cvode: CvodeLoop | None
 
-    def __call__(self, arguments: KernelArguments) -> int:
+    def __call__(self, batch: Batch) -> int:
         """Simulate one point. Always returns 1."""
-        stepping = ADAPTIVE if self.prepared.model.solver.name == "dormand_prince" else FIXED
-        if (
-            self.cvode is not None
-        ):  # it simulates first: nothing else may call the FMU during its steps
-            stepping = PRECOMPUTED
-            self.cvode(arguments, self.arrays.states)
-            if arguments.codes[0] != FINISHED:
+        fmu = None
+        if self.cvode is not None:  # first: nothing else may call the FMU during its steps
+            batch.states_out = self.asked.x
+            self.cvode(batch)
+            code = c_int64.from_address(batch.codes)
+            if code.value != FINISHED:
                 return 1
             try:
-                arguments = arguments._replace(c=self.component())
+                fmu = self.component()
             except ModelError:
-                arguments.codes[0] = INITIALISATION
+                code.value = INITIALISATION
                 return 1
-        arguments.codes[0], arguments.stopped_at[0] = linearise(
-            stepping, *arguments[:5], self.with_offsets, arguments.grid, arguments.points[0],
-            arguments.work, self.perturbed, self.arrays, arguments.outputs[0],
-        )  # fmt: skip
+            batch.fmu = addressof(fmu)
+        core().core_linearise(addressof(batch), addressof(self.asked))
         return 1
 
     def result(self, outputs: FloatArray, without_effects: BoundExperiment) -> Linearisation:
@@ -181,25 +166,25 @@ class LinearisationPass:
 
         `outputs` are as recorded.
         """
-        arrays, effects = self.arrays, self.prepared.effects
+        found, effects = self.asked.held, self.prepared.effects
         kept = np.searchsorted(self.bound.grid.times, without_effects.grid.times)
         own = slice(len(without_effects.outputs))
         with_output_effects = outputs.copy()
         effects.apply_to_outputs(self.bound.grid, with_output_effects, self.coefficients)
         return Linearisation(
             times=without_effects.grid.times,
-            states=arrays.states[kept],
-            derivatives=arrays.derivatives[kept],
+            states=found["x"][kept],
+            derivatives=found["dx"][kept],
             inputs=self.bound.grid.inputs[kept, : len(self.prepared.inputs)],
-            effective_inputs=arrays.effective_inputs[kept],
+            effective_inputs=found["effective"][kept],
             outputs=with_output_effects[kept, own],
             plain_outputs=outputs[kept, own],
-            A=MatrixSeries.of(arrays.A if len(kept) == len(arrays.A) else arrays.A[kept]),
-            B=arrays.B[kept],
-            C=arrays.C[kept, own],
-            D=arrays.D[kept, own],
-            P=arrays.P[kept],
-            Q=arrays.Q[kept, own],
+            A=MatrixSeries.of(found["A"] if len(kept) == len(found["A"]) else found["A"][kept]),
+            B=found["B"][kept],
+            C=found["C"][kept, own],
+            D=found["D"][kept, own],
+            P=found["P"][kept],
+            Q=found["Q"][kept, own],
             state_names=(*self.prepared.description.states, *self.prepared.effect_states),
             input_names=self.prepared.inputs,
             output_names=without_effects.outputs,
@@ -224,7 +209,7 @@ def prepare(
         Number of coefficients of the task.
     """
     experiment = _with_all_inputs_driven(model, description, experiment)
-    effects = bind_effects(active, experiment, description, model_exchange=True)
+    effects = bind_effects(active, experiment, description, n_coefficients, model_exchange=True)
     with_offsets = None
     if effects.inner is not None:
         added = [
@@ -233,7 +218,10 @@ def prepare(
                 (given.variable for given in effects.experiment.inputs), n_coefficients
             )
         ]
-        with_offsets = bind_effects([*active, *added], experiment, description, model_exchange=True)
+        with_offsets = bind_effects(
+            [*active, *added], experiment, description, n_coefficients + len(added),
+            model_exchange=True,
+        )  # fmt: skip
     return PreparedExperiment(model, description, effects, with_offsets, n_coefficients)
 
 
@@ -255,34 +243,35 @@ def _with_all_inputs_driven(
     return replace(experiment, inputs=(*experiment.inputs, *added))
 
 
-def perturbation_range(variables: Sequence[ModelVariable | None]) -> PerturbationRange:
-    """Nominal values and bounds; None stands for a state of an effect, which has neither."""
-    return PerturbationRange(
-        nominals=np.array([1.0 if v is None else v.nominal for v in variables]),
-        lows=np.array([-np.inf if v is None or v.low is None else v.low for v in variables]),
-        highs=np.array([np.inf if v is None or v.high is None else v.high for v in variables]),
+def linearisation(
+    model: Model,
+    states: Sequence[ModelVariable | None],
+    inputs: Sequence[ModelVariable],
+    parameters: Sequence[ModelVariable],
+    shape: tuple[int, int],
+) -> library.Linearisation:
+    """Ask for derivatives by some variables, at as many times and of as many outputs as `shape`.
+
+    None stands for a state of an effect. With solver "cvode" the states must be there already.
+    """
+    n, y = shape
+    x, u, p = len(states), len(inputs), len(parameters)
+    stepping = METHODS[model.solver.name]
+    asked = library.Linearisation(stepping=stepping, n_inputs=u).hold(
+        states=_range(states), inputs=_range(inputs), parameters=_range(parameters)
     )
+    sizes = {"x": (x,), "dx": (x,), "effective": (u,), "A": (x, x), "B": (x, u), "P": (x, p)}
+    sizes |= {"C": (y, x), "D": (y, u), "Q": (y, p)}
+    return asked.hold(np.float64, **{name: np.zeros((n, *size)) for name, size in sizes.items()})
 
 
-def allocate(perturbed: PerturbedVariables, n: int, outputs: int) -> LinearisationArrays:
-    """Return arrays for the derivatives at n times."""
-    states, inputs = len(perturbed.states.nominals), len(perturbed.inputs.nominals)
-    parameters = len(perturbed.references)
-    return LinearisationArrays(
-        states=np.zeros((n, states)),
-        derivatives=np.zeros((n, states)),
-        effective_inputs=np.zeros((n, inputs)),
-        A=np.zeros((n, states, states)),
-        B=np.zeros((n, states, inputs)),
-        P=np.zeros((n, states, parameters)),
-        C=np.zeros((n, outputs, states)),
-        D=np.zeros((n, outputs, inputs)),
-        Q=np.zeros((n, outputs, parameters)),
-        upper_derivatives=np.zeros(states),
-        lower_derivatives=np.zeros(states),
-        upper_outputs=np.zeros(outputs),
-        lower_outputs=np.zeros(outputs),
-        value=np.zeros(1),
+def _range(variables: Sequence[ModelVariable | None]) -> Range:
+    """Nominal values and bounds of variables."""
+    return Range(n=len(variables)).hold(
+        np.float64,
+        nominals=[1.0 if v is None else v.nominal for v in variables],
+        lows=[-np.inf if v is None or v.low is None else v.low for v in variables],
+        highs=[np.inf if v is None or v.high is None else v.high for v in variables],
     )
 
 
@@ -292,35 +281,32 @@ LEAST_SPREAD_FACTOR = 1e-6
 
 @dataclass(frozen=True)
 class FilterPass:
-    """One point of an experiment. Takes the place of a solver's batch function.
+    """One point of an experiment, simulated in place of the solver's loop.
 
     Attributes
     ----------
-    offsets
-        The effects with an offset at each input, where inputs are perturbed.
+    asked
+        What is perturbed, and the derivatives; its offsets are the effects that act if it has none.
+    kalman
+        Noise, measurements, innovations.
     log_spread
         See `Experiment`.
     """
 
-    stepping: int
-    perturbed: PerturbedVariables
-    arrays: LinearisationArrays
-    kalman: KalmanArrays
-    offsets: EffectHooks | None = None
-    log_spread: float = 0.0
+    asked: library.Linearisation
+    kalman: Kalman
+    log_spread: float
 
-    def __call__(self, arguments: KernelArguments) -> int:
+    def __call__(self, batch: Batch) -> int:
         """Simulate one point. Always returns 1."""
-        offsets = arguments.hooks if self.offsets is None else self.offsets
-        arguments.codes[0], arguments.stopped_at[0] = filter_states(
-            self.stepping, *arguments[:5], offsets, arguments.grid, arguments.points[0],
-            arguments.work, self.perturbed, self.arrays, self.kalman, arguments.outputs[0],
-        )  # fmt: skip
+        if not self.asked.offsets:
+            self.asked.offsets = batch.effects
+        core().core_filter(addressof(batch), addressof(self.asked), addressof(self.kalman))
         return 1
 
     def total_log_spread(self, grid: SignalGrid) -> float:
         """Return the sum of log(S / sigma^2) over all measured values."""
-        spreads = self.kalman.spreads.ravel()[grid.gather]
+        spreads = self.kalman.held["spreads"].ravel()[grid.gather]
         return float(np.add.reduce(np.log(spreads / grid.sigmas**2)))
 
     def standardised(self, grid: SignalGrid) -> FloatArray:
@@ -336,8 +322,8 @@ class FilterPass:
         that is taken off the sum: near the model that it is of, the residuals are r itself, white
         and of variance 1.
         """
-        spreads = self.kalman.spreads.ravel()[grid.gather]
-        plain = self.kalman.innovations.ravel()[grid.gather] / np.sqrt(spreads)
+        spreads = self.kalman.held["spreads"].ravel()[grid.gather]
+        plain = self.kalman.held["innovations"].ravel()[grid.gather] / np.sqrt(spreads)
         squares = float(np.add.reduce(plain * plain))
         if squares == 0.0:
             return np.asarray(plain)
@@ -408,42 +394,18 @@ def prepare_filter(
     measured, variances = np.full(n * y, np.nan), np.ones(n * y)
     measured[grid.gather] = grid.measured
     variances[grid.gather] = grid.sigmas**2
-    square = (count, count)
-    kalman = KalmanArrays(
+    kalman = Kalman().hold(
+        np.float64,
         diffusion=diffusion,
         measured=measured.reshape(n, y),
         variances=variances.reshape(n, y),
         innovations=np.zeros((n, y)),
         spreads=np.ones((n, y)),
         covariance=covariance,
-        transition=np.zeros(square),
-        noise=np.zeros(square),
-        product=np.zeros(square),
-        other=np.zeros(square),
-        change=np.zeros(count),
-        gain=np.zeros(count),
     )
-    stepping = ADAPTIVE if model.solver.name == "dormand_prince" else FIXED
     if linearised is not None:
-        return FilterPass(
-            stepping, linearised.perturbed, linearised.arrays, kalman, linearised.with_offsets,
-            log_spread,
-        )  # fmt: skip
-    perturbed = _states_alone(description, count - len(description.states))
-    arrays = allocate(perturbed, n, y)
-    return FilterPass(stepping, perturbed, arrays, kalman, log_spread=log_spread)
-
-
-def _states_alone(description: ModelDescription, n_effect_states: int) -> PerturbedVariables:
-    """Return what is perturbed for the derivatives by the states, those of effects behind."""
+        return FilterPass(linearised.asked, kalman, log_spread)
     known = [description.variables[name] for name in description.states]
-    nothing = perturbation_range([])
-    return PerturbedVariables(
-        states=perturbation_range([*known, *[None] * n_effect_states]),
-        inputs=nothing,
-        parameters=nothing,
-        references=np.zeros(0, np.uint32),
-        values=np.zeros(0),
-        effect_positions=np.zeros(0, np.int64),
-        input_offsets=0,
-    )
+    own: list[None] = [None] * (count - len(known))
+    asked = linearisation(model, [*known, *own], (), (), (n, y))
+    return FilterPass(asked, kalman, log_spread)

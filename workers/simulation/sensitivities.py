@@ -2,65 +2,41 @@
 
 from __future__ import annotations
 
+from ctypes import addressof
 from dataclasses import dataclass
-from typing import Any, Literal
 
 import numpy as np
-from numba import typeof
 
+from workers.core.failure import DISCARD_STATUS, FATAL_STATUS, FINISHED
+from workers.core.library import Batch, Sensitivities, address_of, core
 from workers.errors import ModelError
 from workers.fmu.description import ModelDescription
 from workers.fmu.instance import FmuInstance
 from workers.fmu.variable import ModelVariable
-from workers.kernels.fmi.arguments import KernelArguments
-from workers.kernels.fmi.component import KernelWorkspace
-from workers.kernels.fmi.failure import FATAL, FINISHED
-from workers.kernels.fmi.hooks import EffectHooks
-from workers.kernels.fmi.initialise import SolverSettings
-from workers.kernels.fmi.values import DISCARD
-from workers.kernels.model_exchange.forward_sensitivities import (
-    DIFFERENCES,
-    INITIAL_STATES,
-    KNOWN,
-    ForwardSensitivities,
-)
-from workers.kernels.sensitivities import is_known, simulate_forward
-from workers.kernels.solvers.dormand_prince import NODES, WEIGHTS
 from workers.messages import FloatArray, IntArray, Model
 from workers.simulation.bind_experiment import BoundExperiment
+from workers.simulation.integrator import FmuIntegrator
 
-TABLEAUS = {
-    "dormand_prince": (NODES[:6].copy(), WEIGHTS[:6].copy(), WEIGHTS[6].copy()),
-    "rk4": (
-        np.array([0.0, 0.5, 0.5, 1.0]),
-        np.array([[0.0, 0, 0, 0], [0.5, 0, 0, 0], [0, 0.5, 0, 0], [0, 0, 1.0, 0]]),
-        np.array([1.0, 2.0, 2.0, 1.0]) / 6.0,
-    ),
-}
+SOLVERS = ("dormand_prince", "rk4")
+"""Those that carry sensitivities along."""
 PARAMETER_DIFFERENCE_STEP = 6e-6
 """The cube root of the rounding unit: of a parameter, for differences of instances and initial
 states; they are no simulations, so rounding is all their noise."""
+INITIAL_STATES, KNOWN, DIFFERENCES = range(3)
+"""How a parameter acts: on initial states alone; as a known of the directional derivatives; or it
+is none of them, and there are differences of instances."""
 NOT_AVAILABLE = -1
-"""A kind beside those of `forward_sensitivities`: no sensitivity can be computed."""
+"""A kind beside those: no sensitivity can be computed."""
 
 
 @dataclass(frozen=True)
 class SensitivityPass:
-    """One point of an experiment. Takes the place of a solver's batch function."""
+    """One point of an experiment, simulated with sensitivities in place of the solver's loop."""
 
-    fixed: Literal[True] | None
-    forward: ForwardSensitivities
+    structure: Sensitivities
 
-    def __call__(self, arguments: KernelArguments) -> int:
-        """Simulate one point. Always returns 1."""
-        arguments.codes[0], arguments.stopped_at[0] = simulate_forward(
-            self.fixed,
-            *arguments[:6],
-            arguments.points[0],
-            arguments.work,
-            self.forward,
-            arguments.outputs[0],
-        )
+    def __call__(self, batch: Batch) -> int:
+        core().core_sensitivities(addressof(batch), addressof(self.structure))
         return 1
 
 
@@ -90,7 +66,7 @@ class SensitivitySource:
             return "sensitivities need the states, which an FMU gives in model exchange only"
         if not self._description.offer("model_exchange").provides_directional_derivatives:
             return "the FMU provides no directional derivatives"
-        if solver not in TABLEAUS:
+        if solver not in SOLVERS:
             return f"solver {solver!r} carries no sensitivities along"
         jumps = any(v.variability == "discrete" for v in known.values()) and bound.grid.jumps.any()
         if self._description.event_indicators > 0 or jumps:
@@ -117,37 +93,30 @@ class SensitivitySource:
         states = self._references(self._description.states)
         outputs = self._references(bound.outputs)
         parameters = self._references(self._model.parameters)
-        n, y = len(states), len(outputs)
         is_state = [int(np.flatnonzero(states == r)[0]) if r in states else -1 for r in outputs]
         output_positions = np.array([i for i, state in enumerate(is_state) if state < 0], np.int64)
-        nodes, weights, finals = TABLEAUS[self._model.solver.name]
-        widest = max(n, len(output_positions))
-        forward = ForwardSensitivities(
+        structure = Sensitivities(n=len(chosen), n_outputs=len(output_positions)).hold(
+            np.float64,
+            values=self._perturbed_values(point)[chosen],
+            sensitivities=np.zeros((len(bound.grid.times), len(chosen), len(outputs))),
+        )
+        structure.hold(
+            np.int64,
             kinds=kinds[chosen],
-            references=parameters[chosen],
             positions=chosen,
             handles=self._handles(kinds[chosen], handle),
-            values=self._perturbed_values(point)[chosen],
-            derivative_references=self._references(
-                tuple(self._derivatives()[s].name for s in self._description.states)
-            ),
-            output_references=outputs[output_positions],
             output_positions=output_positions,
-            output_states=np.array(is_state, np.int64),
-            knowns=np.append(states, np.uint32(0)),
-            seed=np.zeros(n + 1),
-            nodes=nodes,
-            weights=weights,
-            finals=finals,
-            current=np.zeros((len(chosen), n)),
-            stages=np.zeros((len(nodes), len(chosen), n)),
-            stage_states=np.zeros(n),
-            result=np.zeros(widest),
-            perturbed_results=np.zeros((2, widest)),
-            point=np.zeros(len(point) + len(bound.known_values)),
-            sensitivities=np.zeros((len(bound.grid.times), len(chosen), y)),
+            output_states=is_state,
         )
-        return SensitivityPass(True if self._model.solver.name == "rk4" else None, forward)
+        derivatives = tuple(self._derivatives()[s].name for s in self._description.states)
+        structure.hold(
+            np.uint32,
+            references=parameters[chosen],
+            states=states,
+            derivatives=self._references(derivatives),
+            outputs=outputs[output_positions],
+        )
+        return SensitivityPass(structure)
 
     def _handles(self, kinds: IntArray, handle: int) -> IntArray:
         """Return (parameters, 2) handles of instances, above and below each value."""
@@ -157,32 +126,13 @@ class SensitivitySource:
             handles[row] = [next(instances).component.handle for _ in range(2)]
         return handles
 
-    def compile(
-        self, bound: BoundExperiment, point: FloatArray, arguments: tuple[Any, ...]
-    ) -> None:
-        """Compile the loops for one point; `arguments` are the first of `is_known`."""
-        prepared = self.prepare_pass(bound, point, np.full(len(point), KNOWN), 0)
-        outputs = np.empty((len(bound.grid.times), len(bound.outputs)))
-        given = (prepared.fixed, *arguments, prepared.forward, outputs)
-        simulate_forward.compile(tuple(typeof(each) for each in given))
-        references, found = np.zeros(1, np.uint32), np.zeros(1)
-        given = (*arguments, references, references, found)
-        is_known.compile(tuple(typeof(each) for each in given))
-
     def parameter_kinds(
-        self,
-        instance: FmuInstance,
-        bound: BoundExperiment,
-        settings: SolverSettings,
-        hooks: EffectHooks,
-        values: FloatArray,
-        work: KernelWorkspace,
+        self, integrator: FmuIntegrator, bound: BoundExperiment, point: FloatArray
     ) -> IntArray | str:
         """Return the kind of each of the model's parameters; a message if it does not start."""
         if self._kinds is not None:
             return self._kinds
         kinds = np.full(len(self._model.parameters), NOT_AVAILABLE, np.int64)
-        unknowns = np.array([v.reference for v in self._derivatives().values()], np.uint32)
         for p, name in enumerate(self._model.parameters):
             variable = self._description.variables[name]
             if not _is_plain(variable):
@@ -190,19 +140,33 @@ class SensitivitySource:
             if variable.causality not in ("parameter", "input"):
                 kinds[p] = INITIAL_STATES
                 continue
-            result = np.zeros(len(unknowns) + 1)
-            known = np.array([variable.reference], np.uint32)
-            code, status = is_known(
-                instance.begin(), bound.references, bound.starts, settings, hooks, bound.grid,
-                values, work, unknowns, known, result,
-            )  # fmt: skip
-            if max(status, 4 if code >= FATAL else 0) >= 4:
-                instance.replace()
-            if code != FINISHED:
+            status = self._status_of_derivatives(integrator, bound, point, variable.reference)
+            if status is None:
                 return "the FMU could not be started to be asked for its directional derivatives"
-            kinds[p] = KNOWN if status < DISCARD else self._add_perturbed_instances()
+            kinds[p] = KNOWN if status < DISCARD_STATUS else self._add_perturbed_instances()
         self._kinds = kinds
         return kinds
+
+    def _status_of_derivatives(
+        self, integrator: FmuIntegrator, bound: BoundExperiment, point: FloatArray, known: int
+    ) -> int | None:
+        """Ask for the directional derivatives by a variable; None where it does not start."""
+        unknowns = np.array([v.reference for v in self._derivatives().values()], np.uint32)
+        found = np.zeros(len(unknowns) + 1)
+        statuses: list[int] = []
+
+        def ask(batch: Batch) -> int:
+            at, size = address_of(unknowns), len(unknowns)
+            status = core().core_is_known(addressof(batch), at, size, known, address_of(found))
+            statuses.append(status)
+            return 1
+
+        run = integrator.run(bound, point[None], loop=ask)
+        if run.codes[0] != FINISHED:
+            return None
+        if statuses[-1] >= FATAL_STATUS:
+            integrator.instance.replace()
+        return statuses[-1]
 
     def close(self) -> None:
         for instance in self.perturbed:

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
+from ctypes import addressof
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import typeof
 
+from workers.core import failure
+from workers.core.library import Batch, Settings, core
 from workers.errors import ModelError
 from workers.fmu.description import ModelDescription
 from workers.fmu.instance import FmuInstance
-from workers.kernels.fmi import failure
-from workers.kernels.fmi.hooks import no_hooks
-from workers.kernels.solvers.cvode import CvodeBatch
-from workers.kernels.solvers.stiffness import stiffness
 from workers.messages import Effect, Experiment, FloatArray, IntArray, Model
+from workers.simulation.batch import CvodeLoop, SimulationBatch
 from workers.simulation.bind_experiment import BoundExperiment, bind_experiment
 from workers.simulation.effect_bindings import EffectBindings
-from workers.simulation.integrator import FmuIntegrator, SimulationBatch
+from workers.simulation.integrator import FmuIntegrator
 from workers.simulation.sensitivities import SensitivitySource
 
 if TYPE_CHECKING:
@@ -90,10 +89,6 @@ class Simulator:
         """True once CVODE takes its Jacobian from the FMU; decided at the first simulation."""
         return self._integrator.gives_jacobian
 
-    def warm_up(self) -> None:
-        """Compile the loop, or read it from disk, before there is an FMU to run it on."""
-        self._integrator.warm_up(self._bound[0])
-
     def bound_experiment(self, experiment: int) -> BoundExperiment:
         return self._bound[experiment]
 
@@ -128,7 +123,7 @@ class Simulator:
         count = len(self._model.parameters)
         values, coefficients = points[:, :count], points[:, count:]
         if not effects:
-            return self._integrator.run(bound, values, no_hooks(len(points)), bounds=bounds)
+            return self._integrator.run(bound, values, bounds=bounds)
         batch = SimulationBatch.empty(len(points), len(bound.grid.times), len(bound.outputs))
         for rows, active in self._bindings.groups(effects, coefficients):
             run = self._run_with_effects(experiment, values[rows], coefficients[rows], active)
@@ -158,7 +153,7 @@ class Simulator:
                 "which an FMU gives in model exchange only; set model.interface to "
                 '"model_exchange", but it is "co_simulation"'
             )
-        cvode = self._integrator.batch if isinstance(self._integrator.batch, CvodeBatch) else None
+        cvode = self._integrator.loop if isinstance(self._integrator.loop, CvodeLoop) else None
         if cvode is not None and self._description.event_indicators > 0:
             raise ModelError(
                 f"{self._model.name}: has events, across which solver cvode cannot be linearised; "
@@ -172,10 +167,9 @@ class Simulator:
         for p, point in enumerate(points):
             prepared = self._bindings.prepare(experiment, point, effects)
             one = prepared.at(point, self._integrator.component, cvode)
-            n_effect_states = len(prepared.effect_states)
             filtered = self._filter_along(experiment, one, point, effects)
-            solver = one if filtered is None else filtered
-            run = self._integrator.run(one.bound, one.values, one.hooks, n_effect_states, solver)
+            loop = one if filtered is None else filtered
+            run = self._integrator.run(one.bound, one.values, one.effects, loop)
             batch.codes[p], batch.messages[p] = run.codes[0], run.messages[0]
             if run.codes[0] != failure.FINISHED:
                 continue
@@ -199,6 +193,7 @@ class Simulator:
         noise = [each for each in active if each[0].form.is_noise]
         if not noise:
             return None
+        self._check_filter()
         from workers.simulation.linearise import StateNoise, prepare_filter
 
         states = (*self._description.states, *one.prepared.effect_states)
@@ -243,11 +238,7 @@ class Simulator:
         reason = self._sensitivity_source.unavailable_reason(bound)
         if reason:
             return None, reason
-        row = np.concatenate([point, bound.known_values])
-        kinds = self._sensitivity_source.parameter_kinds(
-            self.instance, bound, self._integrator.settings(), no_hooks(1), row,
-            self._integrator.workspace(bound, no_hooks(1)),
-        )  # fmt: skip
+        kinds = self._sensitivity_source.parameter_kinds(self._integrator, bound, point)
         if isinstance(kinds, str):
             return None, kinds
         for instance in (self.instance, *self._sensitivity_source.perturbed):
@@ -256,15 +247,15 @@ class Simulator:
         sensitivity_pass = self._sensitivity_source.prepare_pass(
             bound, point, kinds, self.instance.component.handle
         )
-        run = self._integrator.run(bound, point[None], no_hooks(1), 0, sensitivity_pass)
+        run = self._integrator.run(bound, point[None], loop=sensitivity_pass)
         if run.codes[0] != failure.FINISHED:
             if run.codes[0] >= failure.FATAL:
                 for instance in self._sensitivity_source.perturbed:
                     instance.replace()
             return None, run.messages[0]
         sensitivities = np.full((len(point), *run.outputs.shape[1:]), np.nan)
-        forward = sensitivity_pass.forward
-        sensitivities[forward.positions] = forward.sensitivities.transpose(1, 0, 2)
+        found = sensitivity_pass.structure.held
+        sensitivities[found["positions"]] = found["sensitivities"].transpose(1, 0, 2)
         run.sensitivities[0] = sensitivities
         return run, ""
 
@@ -278,38 +269,18 @@ class Simulator:
         Solver "cvode" suits it then. It is found within `max_steps` steps of the
         Dormand-Prince method, and False if the simulation fails within them.
         """
-        found, code = stiffness(*self._stiffness_arguments(experiment, point, max_steps))
-        if code >= failure.FATAL:
-            self.instance.replace()
-        return bool(found)
+        found = [False]
 
-    def compile_stiffness(self) -> None:
-        """Compile what `is_stiff` needs, or read it from disk."""
-        point = np.zeros(len(self._model.parameters))
-        stiffness.compile(tuple(typeof(each) for each in self._stiffness_arguments(0, point, 1)))
+        def look(batch: Batch) -> int:
+            settings = Settings.from_address(batch.settings)
+            limited = Settings.from_buffer_copy(settings)
+            limited.max_steps = max_steps
+            batch.settings = addressof(limited)
+            found.append(bool(core().core_is_stiff(addressof(batch))))
+            return 1
 
-    def compile_sensitivities(self) -> None:
-        """Compile what `sensitivities` needs, or read it from disk, if the FMU may have them."""
-        bound, point = self._bound[0], np.zeros(len(self._model.parameters))
-        if self._sensitivity_source.unavailable_reason(bound):
-            return
-        arguments = self._stiffness_arguments(0, point, 1)
-        self._sensitivity_source.compile(bound, point, arguments)
-
-    def _stiffness_arguments(
-        self, experiment: int, point: FloatArray, max_steps: int
-    ) -> tuple[Any, ...]:
-        bound, hooks = self._bound[experiment], no_hooks(1)
-        return (
-            self._integrator.component(),
-            bound.references,
-            bound.starts,
-            self._integrator.settings()._replace(max_steps=max_steps),
-            hooks,
-            bound.grid,
-            np.concatenate([point, bound.known_values]),
-            self._integrator.workspace(bound, hooks),
-        )
+        self._integrator.run(self._bound[experiment], point[None], loop=look)
+        return found[-1]
 
     def close(self) -> None:
         self._sensitivity_source.close()
@@ -328,11 +299,8 @@ class Simulator:
         if noise:
             return self._run_filtered(experiment, values, coefficients, active, noise)
         if not active:
-            return self._integrator.run(without_effects, values, no_hooks(len(values)))
-        bound_effects, bound = self._bindings.bind(experiment, active)
-        n_effect_states = (
-            bound_effects.inner.n_effect_states if bound_effects.inner is not None else 0
-        )
+            return self._integrator.run(without_effects, values)
+        bound_effects, bound = self._bindings.bind(experiment, active, coefficients.shape[1])
         batch = SimulationBatch.empty(
             len(values), len(without_effects.grid.times), len(without_effects.outputs)
         )
@@ -343,10 +311,10 @@ class Simulator:
                 bound = bind_experiment(
                     self._model, self._description, with_memory, bound_effects.recorded
                 )
-            hooks = bound_effects.hooks(
+            effects = bound_effects.at_points(
                 values[chunk], coefficients[chunk], self._model, self._description
             )
-            run = self._integrator.run(bound, values[chunk], hooks, n_effect_states)
+            run = self._integrator.run(bound, values[chunk], effects)
             for p, outputs in enumerate(run.outputs):
                 bound_effects.apply_to_outputs(bound.grid, outputs, coefficients[chunk][p])
             kept = np.searchsorted(bound.grid.times, without_effects.grid.times)
@@ -364,20 +332,12 @@ class Simulator:
         noise: list[tuple[EffectDefinition, int]],
     ) -> SimulationBatch:
         """Simulate points behind a Kalman filter, with the noise of some of the effects."""
-        solver = self._model.solver.name
-        if self._model.interface != "model_exchange" or solver == "cvode":
-            raise ModelError(
-                f"{self._model.name}: process noise needs model.interface model_exchange and the "
-                f"solver dormand_prince or rk4, but they are {self._model.interface} and {solver}"
-            )
-        from workers.simulation.linearise import (  # compiles a loop of its own
-            StateNoise,
-            prepare_filter,
-        )
+        self._check_filter()
+        from workers.simulation.linearise import StateNoise, prepare_filter
 
         without_effects = self._bound[experiment]
         acting = [each for each in active if not each[0].form.is_noise or each[0].states]
-        effects, bound = self._bindings.bind(experiment, acting)
+        effects, bound = self._bindings.bind(experiment, acting, coefficients.shape[1])
         own = [str(z) for d in effects.definitions if d.site.kind != "output" for z in d.states]
         states = (*self._description.states, *own)
         batch = SimulationBatch.empty(
@@ -386,15 +346,32 @@ class Simulator:
         kept = np.searchsorted(bound.grid.times, without_effects.grid.times)
         for p in range(len(values)):
             one = slice(p, p + 1)
-            hooks = effects.hooks(values[one], coefficients[one], self._model, self._description)
+            acting_here = effects.at_points(
+                values[one], coefficients[one], self._model, self._description
+            )
             found = [StateNoise.of(d, coefficients[p, first:]) for d, first in noise]
             chosen = prepare_filter(
                 self._model, self._description, bound, states, found,
                 log_spread=self._experiments[experiment].log_spread,
             )  # fmt: skip
-            run = self._integrator.run(bound, values[one], hooks, len(own), chosen)
+            run = self._integrator.run(bound, values[one], acting_here, chosen)
             batch.outputs[p] = run.outputs[0, kept, : len(without_effects.outputs)]
             batch.codes[p], batch.messages[p] = run.codes[0], run.messages[0]
             if run.codes[0] == failure.FINISHED:
                 batch.innovations[p] = chosen.standardised(bound.grid)
         return batch
+
+    def _check_filter(self) -> None:
+        """Refuse process noise where the filter cannot see the states.
+
+        Raises
+        ------
+        ModelError
+            In co-simulation, or of CVODE.
+        """
+        solver = self._model.solver.name
+        if self._model.interface != "model_exchange" or solver == "cvode":
+            raise ModelError(
+                f"{self._model.name}: process noise needs model.interface model_exchange and the "
+                f"solver dormand_prince or rk4, but they are {self._model.interface} and {solver}"
+            )

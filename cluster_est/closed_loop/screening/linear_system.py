@@ -17,7 +17,7 @@ import numpy as np
 
 from cluster_est.closed_loop.candidates.step_matrices import StepMatrices
 from cluster_est.closed_loop.screening.discrete_time import discretise, streamed_steps
-from cluster_est.closed_loop.screening.linear_kernel import run_adjoint, run_linear
+from workers.core.library import core
 from workers.messages import FloatArray, IntArray, Linearisation
 
 LARGE = 24
@@ -81,7 +81,7 @@ def linear_system(linear: Linearisation) -> LinearSystem:
 
 @final
 class SmallSystem(LinearSystem):
-    """A system of few states: the matrices of all steps at once, and compiled loops."""
+    """A system of few states: the matrices of all steps at once, and loops of the core."""
 
     def __init__(self, linear: Linearisation) -> None:
         n, outputs, states = linear.C.shape
@@ -102,10 +102,7 @@ class SmallSystem(LinearSystem):
         return np.asarray(np.matmul(self._linear.C, propagate(self._steps, forced)))
 
     def weigh(self, source: FloatArray) -> FloatArray:
-        steps = self._steps
-        now, after = np.zeros_like(source[0]), np.zeros_like(source[0])
-        run_adjoint(steps.keep, steps.from_first, steps.from_last, source, now, after)
-        return source
+        return _run("core_run_adjoint", self._steps, source)
 
 
 @final
@@ -175,6 +172,14 @@ def propagate(steps: StepMatrices, forcing: FloatArray) -> FloatArray:
     -------
     (n, x, m)
     """
-    now, after = np.zeros_like(forcing[0]), np.zeros_like(forcing[0])
-    run_linear(steps.keep, steps.from_first, steps.from_last, forcing, now, after)
-    return forcing
+    return _run("core_run_linear", steps, forcing)
+
+
+def _run(recursion: str, steps: StepMatrices, values: FloatArray) -> FloatArray:
+    """Run a recursion of the core over (n, x, m) values, which its results take the place of."""
+    values = np.ascontiguousarray(values)
+    matrices = [np.ascontiguousarray(m) for m in (steps.keep, steps.from_first, steps.from_last)]
+    n, x, m = values.shape
+    scratch = np.empty((2, x, m))
+    getattr(core(), recursion)(*(a.ctypes.data for a in (*matrices, values, scratch)), n, x, m)
+    return values

@@ -13,7 +13,6 @@ from support.truth.kalman_filter import runge_kutta
 import cluster_est as ce
 from cluster_est.errors import BudgetError, ProblemError
 
-pytestmark = pytest.mark.slow  # the filter takes 20 seconds to compile
 TRUE = {"m": 1.2, "k": 30.0, "c": 0.6}
 DRY, PUSH, LASTING = 1.0, 0.5, 0.4
 STEP, FINE, SIGMA = 0.02, 10, 0.01

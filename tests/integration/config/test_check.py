@@ -226,7 +226,7 @@ def test_an_experiment_at_rest_tells_nothing(capsys):
 
 
 def test_an_effect_does_not_make_a_check_reset_the_instance(own_fmu):
-    """It simulates twice, because an effect is compiled at first: the second time in a new one."""
+    """It simulates twice, because SymPy is imported at first: the second time in a new one."""
     problem = bare_problem(own_fmu("reset_crashes", 2))
     gain = Effect("gain", "output y", "gain")
     strength = Parameter("gain.k", 0.1, -1.0, 1.0)

@@ -13,19 +13,20 @@ from workers.errors import ModelError
 
 ROOT = Path(__file__).parents[3]
 TESTS = (
-    ("tests/unit/workers/core", True),
-    ("tests/unit/workers/core", False),
-    ("tests/integration/core/test_core_loops.py", False),
-    ("tests/integration/core/test_core_effects.py", False),
-    ("tests/integration/core/test_core_failures.py", True),
+    "tests/unit/workers/core",
+    "tests/integration/core/test_core_loops.py",
+    "tests/integration/core/test_core_failures.py",
+    "tests/integration/fmus/test_linearisation.py",
+    "tests/integration/fmus/test_sensitivities.py",
+    "tests/integration/effects/test_effects.py",
+    "tests/integration/fits/test_process_noise.py",
 )
-"""With the core's own elementary functions, or those of the C library as the compiled loops."""
 
 
-def sanitised(folder, own_functions):
+def sanitised(folder):
     target = folder / "core.so"
     try:
-        build.compile_to(target, build.sources(own_functions=own_functions), SANITISED)
+        build.compile_to(target, build.sources(), SANITISED)
     except ModelError as error:
         if "sanitize" in str(error):
             pytest.skip("this compiler has no sanitizers")
@@ -40,16 +41,15 @@ def preloaded():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("tests", "own_functions"), TESTS)
-def test_nothing_is_found(tmp_path, tests, own_functions):
+@pytest.mark.parametrize("tests", TESTS)
+def test_nothing_is_found(tmp_path, tests):
     surroundings = os.environ | {
-        "CORE_UNDER_TEST": str(sanitised(tmp_path, own_functions)),
+        "CORE_UNDER_TEST": str(sanitised(tmp_path)),
         "LD_PRELOAD": preloaded(),
         "ASAN_OPTIONS": "detect_leaks=0",
         "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")]),
     }
     command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "support.sanitised_core"]
-    command += ["-k", "not bits_of_its_compiled"] if own_functions else []
     done = subprocess.run(
         [*command, tests], capture_output=True, text=True, cwd=ROOT, env=surroundings, check=False
     )

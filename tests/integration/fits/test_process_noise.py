@@ -20,7 +20,6 @@ from cluster_est.running.environment import RunEnvironment
 from workers.effects.forms import PROCESS_NOISE
 from workers.messages import Effect
 
-pytestmark = pytest.mark.slow  # the filter takes 20 seconds to compile
 MODELS = ROOT / "configs" / "models"
 STEP, SIGMA = 0.02, 0.02
 

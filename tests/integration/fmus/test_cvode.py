@@ -140,7 +140,7 @@ TIMES = np.linspace(0.0, 4.0, 101)
 EFFECTS = {
     "friction": (Effect("e", "der(v)", "dahl"), (0.5, 0.02)),
     "input": (Effect("e", "input F", "square"), (0.1,)),
-    "parameter": (Effect("e", "parameter k", "drift"), (0.3,)),
+    "parameter": (Effect("e", "parameter k", "drift"), (0.3, 1.0)),
     "lag": (Effect("e", "output y", "lag"), (0.05,)),
 }
 

@@ -1,4 +1,4 @@
-"""Events, both versions of FMI and every type, in the compiled loops, against closed forms."""
+"""Events, both versions of FMI and every type, in all loops, against closed forms."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.simulated import answers
-from support.thinning import COMPILED
 from support.truth.own_fmus import (
     bouncing_ball,
     dahlquist,
@@ -28,14 +27,13 @@ SOLVERS = {
 
 
 def pairs(*solvers: str, versions: Sequence[int] = (2, 3)) -> pytest.MarkDecorator:
-    """Each version and each solver, and by default not every pair of them."""
+    """Each version with each solver."""
     every = [(fmi, name) for name in solvers for fmi in versions]
     cases = [
         pytest.param(
             fmi,
             "co_simulation" if name == "co_simulation" else "model_exchange",
             SOLVERS[name],
-            marks=() if (SOLVERS[name].name, fmi) in COMPILED else pytest.mark.slow,
             id=f"{name}-{fmi}",
         )
         for fmi, name in every

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from support.problems.driven_spring import model_of
 from support.simulated import answers
-from support.thinning import COMPILED, thinned
+from support.thinning import thinned
 
 from workers.messages import Experiment, Outcome, Output, Solver, Status, Task
 
@@ -76,17 +76,13 @@ def ended_at(outcome: Outcome, why: str) -> float:
     return float(re.search(r"at t = (\S+) s", outcome.message)[1])
 
 
-def usual(solver: str, fmi: int) -> tuple[pytest.MarkDecorator, ...]:
-    return () if (solver, fmi) in COMPILED else (pytest.mark.slow,)
-
-
 HOW = (lambda solver, *_: solver, lambda _, function, how, fmi: (function, fmi), lambda *a: a[2])
 
 
 NEVER = {("SetupExperiment", 3)}
 """There is none in FMI 3."""
 FAILING = [
-    pytest.param(solver, function, status, fmi, marks=usual(solver, fmi))
+    (solver, function, status, fmi)
     for solver in SOLVERS
     for function in [*INITIAL, "GetReal"]
     for status in (DISCARD, ERROR, FATAL)
@@ -114,7 +110,7 @@ CALLED += [(solver, name) for solver in EXCHANGE for name in ADVANCING]
 @pytest.mark.parametrize(
     ("solver", "function", "nth", "fmi"),
     thinned(
-        [pytest.param(*called, nth, fmi, marks=usual(called[0], fmi))
+        [(*called, nth, fmi)
          for nth in (1, 2, 9) for fmi in (2, 3)
          for called in [*CALLED, ("fmu", "DoStep")] if (called[1], fmi) not in NEVER],
         *HOW, lambda solver, function, *_: (solver == "fmu", function),

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from support.changed_fmus import with_description
 from support.simulated import answer, answers
-from support.thinning import COMPILED
 
 from workers.errors import ModelError
 from workers.evaluate import Evaluator
@@ -106,13 +105,7 @@ def found(outcome: Outcome) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("solver", "fmi"),
-    [
-        pytest.param(
-            *(solver, fmi), marks=() if (solver.name, fmi) in COMPILED else pytest.mark.slow
-        )
-        for solver in SOLVERS
-        for fmi in (2, 3)
-    ],
+    [(solver, fmi) for solver in SOLVERS for fmi in (2, 3)],
     ids=lambda value: getattr(value, "name", value),
 )
 def test_event_indicators_that_are_computed_only_when_a_variable_is_got(own_fmu, fmi, solver):

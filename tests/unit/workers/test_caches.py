@@ -40,8 +40,8 @@ def mode(folder: Path) -> int:
 def test_the_users_cache_or_the_folder_of_the_key(tmp_path, monkeypatch):
     assert cache_folder("fmus").is_relative_to(tmp_path / "home")
     monkeypatch.setenv("CLUSTER_EST_CACHE", str(tmp_path / "chosen"))
-    folder = cache_folder("kernels")
-    assert folder == tmp_path / "chosen" / "kernels"
+    folder = cache_folder("core")
+    assert folder == tmp_path / "chosen" / "core"
     assert mode(folder) == 0o700
     assert notice() == ""
 
@@ -144,5 +144,5 @@ def test_a_user_without_a_home_is_served(tmp_path, command, home):
     )
     assert ended.returncode == 0, ended.stderr
     assert "Traceback" not in ended.stderr
-    said = re.findall("unpacked FMUs and compiled loops are kept in", ended.stderr)
+    said = re.findall("unpacked FMUs and the simulation core are kept in", ended.stderr)
     assert len(said) == (0 if home == "key" else 1)

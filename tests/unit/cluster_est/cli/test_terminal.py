@@ -7,45 +7,23 @@ from dataclasses import replace
 
 import pytest
 from rich.console import Console
-from support.problems.springs import ROOT, spring_problem
+from support.problems.springs import ROOT
 
-from cluster_est import Effect, Parameter
 from cluster_est.cli import main, terminal
 from cluster_est.cli.terminal import ProgressLine, WorkerHint, line
 from cluster_est.methods.method import Progress
 from cluster_est.running.resources import Budget, RunSnapshot
-from workers.kernels.fmi import compiling
 
 
-@pytest.fixture
-def loops(tmp_path, monkeypatch):
-    """Where compiled loops are kept: nowhere yet."""
-    monkeypatch.setattr(compiling, "_CACHE_FOLDER", str(tmp_path / "kernels"))
-    return tmp_path / "kernels" / "kernels_0"
-
-
-def test_compiling_is_announced_only_where_there_is_something_to_compile(loops, capsys):
-    for announced in (True, False):
-        terminal.say_if_compiled_first()
-        said = " ".join(capsys.readouterr().err.split())
-        assert ("are compiled for this machine first" in said) is announced
-        loops.mkdir(parents=True, exist_ok=True)
-
-
-@pytest.mark.parametrize(
-    ("noisy", "kept", "announced"),
-    [(True, "rk4.rk4_batch", True), (True, "kalman.filter", False), (False, "rk4.rk4", False)],
-)
-def test_the_filter_of_process_noise_is_said_to_be_compiled(loops, capsys, noisy, kept, announced):
-    loops.mkdir(parents=True)
-    (loops / f"{kept}-1.nbi").touch()
-    problem = spring_problem(1, 20).problem
-    if noisy:
-        effect = Effect("n", "der(v)", "diffusion")
-        parameters = (*problem.parameters, Parameter("n.q", 0.1))
-        problem = replace(problem, effects=(effect,), parameters=parameters)
-    terminal.say_if_filter_compiled_first(problem)
-    assert ("its filter is compiled" in capsys.readouterr().err) is announced
+@pytest.mark.parametrize("there", [True, False])
+def test_building_the_core_is_announced_where_it_is_not_there(monkeypatch, capsys, there):
+    built = []
+    monkeypatch.setattr(terminal, "is_built", lambda: there)
+    monkeypatch.setattr(terminal, "built", lambda: built.append(capsys.readouterr().err))
+    terminal.build_core()
+    expected = [] if there else ["cluster-est: building the simulation core, once on this machine"]
+    assert [said.strip() for said in built] == expected
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("installed", [True, False])

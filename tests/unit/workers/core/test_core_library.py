@@ -53,7 +53,7 @@ def test_structures_are_those_of_the_header():
     """Their fields, in their order, and so their sizes."""
     text = re.sub(r"/\*.*?\*/", "", (build.HERE / "core.h").read_text(), flags=re.DOTALL)
     structures = [c for c in vars(library).values() if isinstance(c, type(ctypes.Structure))]
-    structures = [c for c in structures if c is not ctypes.Structure]
+    structures = [c for c in structures if hasattr(c, "_fields_")]
     assert len(structures) == 12
     for structure in structures:
         body = re.search(r"typedef struct \{([^{}]*)\} " + structure.__name__ + ";", text)

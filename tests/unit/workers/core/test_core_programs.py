@@ -1,6 +1,5 @@
 """Byte code of effects: the same values as the equations, and nothing that could do harm."""
 
-import ctypes
 import math
 import random
 
@@ -9,20 +8,15 @@ import pytest
 import sympy as sp
 from hypothesis import given
 from hypothesis import strategies as st
-from support.core_batches import with_c_library
 from support.core_programs import CODES, SIMULATED, evaluated, form_program, written
 from support.thinning import thinned
 
-from workers.core.assemble import OPERATIONS, Registers, assemble
+from workers.core.assemble import OPERATIONS, Assignment, EffectArray, Registers, assemble
 from workers.core.library import LoadedProgram, core
-from workers.effects.compiled import READ_ARRAYS
 from workers.effects.definition import TIME_SYMBOL
 from workers.effects.expression import EQUATION_FUNCTIONS, parse
 from workers.effects.forms import FORMS
-from workers.effects.machine_code import CAssignment, EffectArray, compile_function
 from workers.errors import EffectError, ModelError
-
-pytestmark = pytest.mark.slow
 
 X, Y = (sp.Symbol(name, real=True) for name in "xy")
 LOCATIONS = {X: (EffectArray.STATES, 0), Y: (EffectArray.STATES, 1)}
@@ -32,7 +26,7 @@ NAMES = {"x": X, "y": Y, "t": TIME_SYMBOL}
 def program_of(*texts, library=None):
     """Of equations of two states that are added to the first of them."""
     added = [
-        CAssignment(EffectArray.DERIVATIVES, 0, parse(text, NAMES, "here"), add=True)
+        Assignment(EffectArray.DERIVATIVES, 0, parse(text, NAMES, "here"), add=True)
         for text in texts
     ]
     return LoadedProgram(
@@ -54,41 +48,31 @@ def random_registers(form, trial):
     return given
 
 
-def compiled_values(form, given):
-    """The same by equations that LLVM compiles: effective values, then derivatives."""
-    registers, laid_out = form.registers, form.equations
-    ends = np.cumsum([1, registers.states, registers.inputs, registers.coefficients])
-    time, *arrays = np.split(given, ends)
-    arrays = [np.append(a, 0.0) for a in arrays]
-    inputs, parameters = np.zeros(registers.inputs), np.zeros(registers.parameters + 1)
-    derivatives = np.zeros(registers.states)
-    if laid_out.modify_inputs:
-        kinds = (*READ_ARRAYS, EffectArray.EFFECTIVE_INPUTS, EffectArray.EFFECTIVE_PARAMETERS)
-        call(form, kinds, laid_out.modify_inputs, time, [*arrays, inputs, parameters])
-    if laid_out.add_derivatives:
-        kinds = (*READ_ARRAYS, EffectArray.DERIVATIVES)
-        call(form, kinds, laid_out.add_derivatives, time, [*arrays, derivatives])
-    effective = [*inputs, *parameters[:-1]] if laid_out.modify_inputs else []
-    return [*effective, *(derivatives[a.index] for a in form.sites)]
-
-
-def call(form, kinds, assignments, time, arrays):
-    compiled = compile_function(kinds, form.equations.locations, assignments, TIME_SYMBOL)
-    types = [ctypes.c_double, *[ctypes.c_void_p] * len(arrays)]
-    function = ctypes.CFUNCTYPE(ctypes.c_int32, *types)(compiled.address)
-    function(float(time[0]), *(array.ctypes.data for array in arrays))
+def values_in_python(form, given):
+    """The same by NumPy: effective inputs and parameters, then what derivatives are changed by."""
+    laid_out, r = form.equations, form.registers
+    sizes = {"states": r.states, "raw": r.inputs, "coefficients": r.coefficients, "base": r.base}
+    first = dict(zip(sizes, np.cumsum([1, *sizes.values()]), strict=False))
+    known = [given[first[array] + index] for array, index in laid_out.locations.values()]
+    symbols = [TIME_SYMBOL, *laid_out.locations]
+    with np.errstate(all="ignore"):
+        return [
+            float(sp.lambdify(symbols, assignment.value, "numpy")(given[0], *known))
+            for assignment in (*laid_out.modify_inputs, *form.sites)
+        ]
 
 
 @pytest.mark.parametrize(
     ("kind", "name"), thinned(SIMULATED, lambda kind, name: (kind, FORMS[kind, name].family))
 )
-def test_every_form_has_the_bits_of_its_compiled_equations(kind, name):
-    form, library = form_program(kind, name), with_c_library()
-    program = LoadedProgram(form.code, library)
+def test_every_form_is_what_python_computes(kind, name):
+    form = form_program(kind, name)
+    program = LoadedProgram(form.code)
     for trial in range(4):
         given = random_registers(form, trial)
-        found = evaluated(library, program, given, form.n_before + len(form.sites))
-        np.testing.assert_array_equal(found, compiled_values(form, given))
+        found = evaluated(core(), program, given, form.n_before + len(form.sites))
+        expected = values_in_python(form, given)
+        np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-13)
 
 
 @pytest.mark.parametrize(("kind", "name"), thinned(SIMULATED, lambda kind, _: kind))
@@ -146,21 +130,21 @@ def test_a_division_by_zero_is_infinite_and_what_has_no_value_is_not_a_number():
 def test_equal_parts_are_computed_once():
     text = "tanh(x / 0.1) * y"
     once, twice = (len(assemble(Registers(2, 0, 0, 0), LOCATIONS, TIME_SYMBOL, after=[
-        CAssignment(EffectArray.DERIVATIVES, i, parse(text, NAMES, "here"), add=True)
+        Assignment(EffectArray.DERIVATIVES, i, parse(text, NAMES, "here"), add=True)
         for i in range(count)
     ])) for count in (1, 2))  # fmt: skip
     assert twice - once == 4  # bytes of a site
 
 
 def test_what_the_core_does_not_know_is_refused_with_a_sentence():
-    unknown = CAssignment(EffectArray.DERIVATIVES, 0, sp.gamma(X), add=True)
+    unknown = Assignment(EffectArray.DERIVATIVES, 0, sp.gamma(X), add=True)
     with pytest.raises(EffectError, match="gamma"):
         assemble(Registers(2, 0, 0, 0), LOCATIONS, TIME_SYMBOL, after=[unknown])
 
 
 def test_a_coefficient_that_is_not_given_is_missed():
     own = sp.Symbol("e.at", real=True)
-    reading = CAssignment(EffectArray.DERIVATIVES, 0, own * X, add=True)
+    reading = Assignment(EffectArray.DERIVATIVES, 0, own * X, add=True)
     located = LOCATIONS | {own: (EffectArray.COEFFICIENTS, 1)}
     with pytest.raises(EffectError, match="number 2 of coefficients"):
         assemble(Registers(2, 0, 0, 1), located, TIME_SYMBOL, after=[reading])

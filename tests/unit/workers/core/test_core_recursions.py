@@ -1,19 +1,13 @@
-"""Memories and recursions of the core, against the same in Python."""
+"""Memories and recursions of the core, against what defines them."""
 
+import math
 from ctypes import c_void_p
 
 import numpy as np
 import pytest
-from support.core_in_place import memory
 
 from workers.core.library import core
-from workers.effects.signal_memory import (
-    SampledSignal,
-    backlash,
-    delay,
-    rate_limit,
-    rate_limit_from_rest,
-)
+from workers.effects.signal_memory import MEMORIES, SampledSignal
 
 
 def signals():
@@ -26,17 +20,66 @@ def signals():
             yield SampledSignal(np.arange(n) * 0.1, np.sin(np.arange(n)), kind)
 
 
-@pytest.mark.parametrize("form", [delay, backlash, rate_limit, rate_limit_from_rest])
-@pytest.mark.parametrize("coefficient", [0.0, 1e-17, 0.3, 2.0, np.inf])
-def test_a_memory_changes_a_signal_as_in_python(form, coefficient):
-    if coefficient == np.inf and form in (delay, backlash):
-        coefficient = 50.0
+def sampled(signal, times):
+    """A signal at any times."""
+    if signal.interpolation == "linear":
+        return np.interp(times, signal.times, signal.values)
+    latest = np.searchsorted(signal.times, times, side="right") - 1
+    return signal.values[np.maximum(latest, 0)]
+
+
+def backlash_in_python(values, half_width):
+    out = [values[0]]
+    for value in values[1:]:
+        out.append(min(max(out[-1], value - half_width), value + half_width))
+    return out
+
+
+@pytest.mark.parametrize("seconds", [0.0, 1e-17, 0.3, 50.0])
+def test_a_delay_is_the_signal_of_some_time_ago(seconds):
     for signal in signals():
-        expected = form(signal, coefficient)
-        found = memory(form.__name__, signal, coefficient)
-        np.testing.assert_array_equal(found.times, expected.times)
-        np.testing.assert_array_equal(found.values, expected.values)
-        assert found.interpolation == expected.interpolation
+        found = MEMORIES["delay"](signal, seconds)
+        assert found.interpolation == signal.interpolation
+        assert (np.diff(found.times) > 0.0).all()
+        between = np.linspace(signal.times[0], signal.times[-1], 57)[1:-1] + 1e-9
+        expected = sampled(signal, between)
+        assert sampled(found, between + seconds) == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("half_width", [0.0, 1e-17, 0.3, 2.0])
+def test_a_backlash_is_the_play_operator(half_width):
+    for signal in signals():
+        found = MEMORIES["backlash"](signal, half_width)
+        assert found.interpolation == signal.interpolation
+        assert (np.diff(found.times) > 0.0).all()
+        kept = np.searchsorted(found.times, signal.times)
+        np.testing.assert_array_equal(found.times[kept], signal.times)
+        expected = backlash_in_python(signal.values, half_width)
+        np.testing.assert_array_equal(found.values[kept], expected)
+        fine = np.linspace(signal.times[0], signal.times[-1], 4001)
+        if signal.interpolation == "linear":
+            dense = backlash_in_python(np.interp(fine, *signal[:2]), half_width)
+            np.testing.assert_allclose(np.interp(fine, *found[:2]), dense, atol=2e-2)
+
+
+@pytest.mark.parametrize("fastest", [0.0, 1e-17, 0.3, 2.0, np.inf])
+@pytest.mark.parametrize("name", ["rate_limit", "rate_limit_from_rest"])
+def test_a_limited_rate_is_that_of_small_steps(name, fastest):
+    """Against out' = clip(s', -r, r) where out = s, else r sign(s - out), in small steps."""
+    for signal in signals():
+        found = MEMORIES[name](signal, fastest)
+        if math.isinf(fastest):
+            assert found is signal
+            continue
+        assert found.interpolation == "linear"
+        assert (np.diff(found.times) > 0.0).all()
+        fine = np.linspace(signal.times[0], signal.times[-1], 4001)
+        most = fastest * (fine[1] - fine[0])
+        out = [signal.values[0] if name == "rate_limit" else 0.0]
+        for value in sampled(signal, fine)[1:]:
+            out.append(out[-1] + min(max(value - out[-1], -most), most))
+        found_there = np.interp(fine, found.times, found.values)
+        np.testing.assert_allclose(found_there, out, atol=5e-3)
 
 
 def matrices(n, x, seed):

@@ -1,15 +1,12 @@
-"""Speed of the simulation kernels, as ratios of medians of interleaved runs in one process.
+"""Speed of simulations, as ratios of medians of interleaved runs in one process.
 
-The compiled loops beside the same loops in C (built here with the system's compiler), and beside
-`fmpy.simulate_fmu` on a reused instance; `rounds` of each.
+The core beside `fmpy.simulate_fmu` on a reused instance, `rounds` of each, and what Python adds to
+a batch of tiny simulations. `scripts/bench_core.py` counts instructions against loops by hand.
 """
 
 from __future__ import annotations
 
 import argparse
-import ctypes
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -23,9 +20,11 @@ from fmus.build import build
 
 from benches import Row
 from benches.common import MODELS, by_turns
+from workers.core.library import Batch
 from workers.fmu.archive import unpack
 from workers.fmu.description import describe
 from workers.messages import Experiment, Input, Model, Output, Solver
+from workers.simulation.batch import simulate
 from workers.simulation.simulator import Simulator
 
 OPTIONS = {"rounds": 60}
@@ -40,28 +39,17 @@ DRIVEN = Experiment(
 VALUES = {"m": 1.0, "k": 25.0, "c": 0.8}
 POINTS = np.tile(list(VALUES.values()), (BATCH, 1))
 
-FUNCTIONS = (
-    "handle", "reset", "setup_experiment", "enter_initialization_mode", "exit_initialization_mode",
-    "set_real", "get_real", "set_time", "set_continuous_states", "get_continuous_states",
-    "get_derivatives", "update_discrete_states", "enter_continuous_time_mode",
-    "completed_integrator_step", "do_step", "set_real_input_derivatives",
-)  # fmt: skip
-
-
-class CFmu(ctypes.Structure):
-    """An instance and its functions as the C loops see them."""
-
-    _fields_ = [(name, ctypes.c_void_p) for name in FUNCTIONS]
-
 
 def rows(options: argparse.Namespace) -> Iterator[Row]:
     """A row for each solver and reference."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        loops = compiled_loops(folder)
-        yield beside_c("co_simulation", "fmu", loops.co_simulate, options.rounds)
-        yield beside_c("model_exchange", "rk4", loops.rk4, options.rounds)
-        yield beside_c("model_exchange", "dormand_prince", None, options.rounds)
+        for interface, method in (
+            ("co_simulation", "fmu"), ("model_exchange", "rk4"),
+            ("model_exchange", "dormand_prince"),
+        ):  # fmt: skip
+            yield alone(interface, method, options.rounds)
+        yield tiny(options.rounds)
         yield driven_beside_fmpy(max(3, options.rounds // 10))
         few = max(3, options.rounds // 3)
         ball, oscillator = (build(n, 2, folder) for n in ("bouncing_ball", "van_der_pol"))
@@ -70,14 +58,6 @@ def rows(options: argparse.Namespace) -> Iterator[Row]:
             yield from free_beside_fmpy("events", ball, how, {"h": 1.0}, ("height", 3.0), few)
         stiff = Solver("cvode", rtol=1e-6)
         yield from free_beside_fmpy("stiff", oscillator, stiff, {"mu": 1e3}, ("y", 2000.0), few)
-
-
-def compiled_loops(folder: Path) -> ctypes.CDLL:
-    library = folder / "loops.so"
-    source = Path(__file__).with_name("loops.c")
-    command = ["gcc", "-O2", "-shared", "-fPIC", str(source), "-o", str(library)]
-    subprocess.run(command, check=True)
-    return ctypes.CDLL(str(library))
 
 
 def simulator(fmu: Path, model: Model, run: Experiment) -> Simulator:
@@ -90,51 +70,39 @@ def driven_model(interface: str, solver: str) -> Model:
     return Model(FMU.name, FMU.read_bytes(), interface, Solver(solver), tuple(VALUES))  # type: ignore[arg-type]
 
 
-def beside_c(interface: str, solver: str, c_loop: Callable[..., int] | None, rounds: int) -> Row:
-    """The kernel, and where given the same loop in C on an instance of its own."""
-    model = driven_model(interface, solver)
-    ours, theirs = simulator(FMU, model, DRIVEN), simulator(FMU, model, DRIVEN)
-    runs: dict[str, Callable[[], object]] = {"kernel": lambda: ours.run(0, POINTS)}
-    outputs = np.zeros(COUNT)
-    if c_loop is not None:
-        runs["C"] = in_c(theirs, c_loop, outputs)
-    medians = by_turns(runs, rounds)
-    row: Row = {"what": f"{interface}, {solver}", "kernel us": medians["kernel"] * 1e6 / BATCH}
-    if c_loop is not None:
-        difference = np.abs(ours.run(0, POINTS).outputs[0, :, 0] - outputs).max()
-        row |= {"C us": medians["C"] * 1e6 / BATCH, "kernel / C": medians["kernel"] / medians["C"],
-                "largest difference": float(difference)}  # fmt: skip
-    return row
+def alone(interface: str, solver: str, rounds: int) -> Row:
+    """A solver by itself."""
+    made = simulator(FMU, driven_model(interface, solver), DRIVEN)
+    medians = by_turns({"core": partial(made.run, 0, POINTS)}, rounds)
+    return {"what": f"{interface}, {solver}", "core us": medians["core"] * 1e6 / BATCH}
 
 
-def in_c(made: Simulator, c_loop: Callable[..., int], outputs: np.ndarray) -> Callable[[], None]:
-    """A batch of simulations by a loop in C, which writes the outputs."""
-    addresses = made.instance.component._asdict()
-    fmu = CFmu(*[addresses[name] for name in FUNCTIONS])
-    ready, states, values = made.bound_experiment(0), 2, POINTS[0].copy()
+def tiny(rounds: int) -> Row:
+    """Five simulations of two times: the core alone, and all that Python adds."""
+    times = TIMES[:2]
+    short = Experiment(
+        "tiny", 0.0, STEP, (Input("F", times, FORCE[:2]),), (Output("y", times, 0 * times),)
+    )
+    made = simulator(FMU, driven_model("co_simulation", "fmu"), short)
+    integrator, bound = made._integrator, made.bound_experiment(0)
+    made.run(0, POINTS[:5])
 
-    def pointer(array: np.ndarray) -> ctypes.c_void_p:
-        return ctypes.c_void_p(array.ctypes.data)
+    def again(batch: Batch) -> int:
+        for _ in range(1000):
+            tried = simulate(batch)
+        return tried
 
-    def run() -> None:
-        for _ in range(BATCH):
-            status = c_loop(
-                ctypes.byref(fmu),
-                pointer(ready.starts.numbers.reals),
-                ctypes.c_size_t(len(values)),
-                pointer(values),
-                ctypes.c_uint32(int(ready.references.inputs.reals[0])),
-                ctypes.c_uint32(int(ready.references.outputs.reals[0])),
-                pointer(TIMES),
-                pointer(FORCE),
-                ctypes.c_size_t(COUNT),
-                pointer(outputs),
-                ctypes.c_size_t(states),
-            )
-            if status >= 2:
-                sys.exit(f"the loop in C failed with status {status}")
+    def by_the_core() -> None:
+        integrator.run(bound, POINTS[:5], loop=again)
 
-    return run
+    def by_python() -> None:
+        for _ in range(1000):
+            made.run(0, POINTS[:5])
+
+    medians = by_turns({"core": by_the_core, "Python": by_python}, rounds)
+    core, whole = medians["core"] * 1e3, medians["Python"] * 1e3
+    return {"what": "a batch of 5 tiny ones", "core us": core, "all us": whole,
+            "Python us": whole - core}  # fmt: skip
 
 
 def fmpy_run(model: Model, kind: str, **options: Any) -> Callable[[], None]:
@@ -203,8 +171,8 @@ def free_beside_fmpy(
 def beside(
     label: str, ours: Simulator, points: np.ndarray, theirs: Callable[[], None], rounds: int
 ) -> Row:
-    """A kernel and fmpy by turns."""
-    medians = by_turns({"kernel": partial(ours.run, 0, points), "fmpy": theirs}, rounds)
-    kernel = medians["kernel"] / BATCH
-    return {"what": label, "kernel us": kernel * 1e6, "fmpy ms": medians["fmpy"] * 1e3,
-            "fmpy / kernel": medians["fmpy"] / kernel}  # fmt: skip
+    """The core and fmpy by turns."""
+    medians = by_turns({"core": partial(ours.run, 0, points), "fmpy": theirs}, rounds)
+    core = medians["core"] / BATCH
+    return {"what": label, "core us": core * 1e6, "fmpy ms": medians["fmpy"] * 1e3,
+            "fmpy / core": medians["fmpy"] / core}  # fmt: skip

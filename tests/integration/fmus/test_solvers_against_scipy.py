@@ -1,4 +1,4 @@
-"""The compiled loops against the models' equations, solved by SciPy to a thousandth of the bar."""
+"""All loops against the models' equations, solved by SciPy to a thousandth of the bar."""
 
 from dataclasses import replace
 from functools import cache

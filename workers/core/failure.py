@@ -1,24 +1,16 @@
-"""Codes and messages of simulations that do not reach their end."""
+"""Codes of simulations that do not reach their end, in the order of core.h, and their sentences."""
 
 from __future__ import annotations
 
-from workers.kernels.fmi.compiling import inlined
-
-FINISHED = 0
-INITIALISATION = 1
-STEP = 2
-OUTPUT = 3
-STEP_TOO_SMALL = 4
-TOO_MANY_STEPS = 5
-NOT_FINITE = 6
-EVENT = 7
-TERMINATED = 8
-CHATTERING = 10
-DISCARDED = 11
-PENDING = 12
-SENSITIVITIES = 13
-HAS_EVENTS = 14
-ENDED_EARLY = 15
+(
+    FINISHED, INITIALISATION, STEP, OUTPUT, STEP_TOO_SMALL, TOO_MANY_STEPS, NOT_FINITE, EVENT,
+    TERMINATED, LINEARISATION, CHATTERING, DISCARDED, PENDING, SENSITIVITIES, HAS_EVENTS,
+    ENDED_EARLY, NO_MEMORY, WRONG_SIZES,
+) = range(18)  # fmt: skip
+FATAL = 100
+"""Added to a code after status fatal: this instance must not be called any more."""
+DISCARD_STATUS, FATAL_STATUS = 2, 4
+"""Of a call of the FMU: from the first on it brought no result."""
 
 MESSAGES = {
     INITIALISATION: "the FMU could not be initialised",
@@ -29,31 +21,18 @@ MESSAGES = {
     "was reached",
     NOT_FINITE: "an output became infinite or not a number",
     EVENT: "the FMU could not handle an event",
+    TERMINATED: "the FMU ended the simulation by itself",
+    LINEARISATION: "the FMU could not answer close to its trajectory",
     CHATTERING: "events followed each other without end",
     DISCARDED: "the FMU could not go on",
     PENDING: "the FMU computes in the background, which is not supported",
     SENSITIVITIES: "the FMU could not give its directional derivatives",
     HAS_EVENTS: "an event was met, across which sensitivities cannot be carried",
-    TERMINATED: "the FMU ended the simulation by itself",
     ENDED_EARLY: "its sum of squares was above the bound already",
+    NO_MEMORY: "there was not enough memory",
+    WRONG_SIZES: "the FMU, its effects and the experiment do not have the same numbers of states "
+    "and inputs, which is a fault of cluster-est",
 }
 
 SUGGEST_STIFFNESS = (STEP_TOO_SMALL, TOO_MANY_STEPS)
 """Codes that an explicit solver returns for a stiff model."""
-
-FATAL = 100
-"""Added to a code after status fatal: this instance must not be called any more."""
-
-
-@inlined
-def failed(code, status):  # type: ignore[no-untyped-def]
-    """Return the code of a call that brought no result."""
-    return code + FATAL if status >= 4 else code
-
-
-@inlined
-def failed_step(status):  # type: ignore[no-untyped-def]
-    """Return the code of a failed communication step: the FMU may discard it, or be pending."""
-    if status == 2:
-        return DISCARDED
-    return PENDING + FATAL if status == 5 else failed(STEP, status)

@@ -1,1 +1,0 @@
-"""Functions shared by model exchange solvers: evaluation, events, forward sensitivities."""

@@ -1,0 +1,150 @@
+"""A batch of simulations on its way through the core, and the loops that may simulate it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from ctypes import addressof
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from workers.core.library import Batch, Effects, Fmu, Settings, address_of, core
+from workers.core.sundials import CvodeIntegrator, libraries
+from workers.messages import FloatArray, IntArray, Linearisation
+from workers.simulation.bind_experiment import BoundExperiment
+from workers.simulation.jacobian import DirectionalJacobian
+
+
+@dataclass(frozen=True)
+class SimulationBatch:
+    """Results of a batch of simulations.
+
+    Attributes
+    ----------
+    outputs : (points, times, outputs)
+    messages : (points,)
+        Empty where a simulation reached its end, else a sentence.
+    codes : (points,)
+        See `workers.core.failure`.
+    steps : (points,)
+        Steps of the solver; 0 where that is not known.
+    linearisations
+        By point, where that was asked for and the simulation reached its end.
+    sensitivities
+        (parameters, times, outputs) by point, where sensitivities were asked for and to be had;
+        NaN for parameters by which there are none.
+    innovations
+        (residuals,) by point, where there is process noise: they take the place of the residuals,
+        and `outputs` are predictions from one measured time to the next.
+    """
+
+    outputs: FloatArray
+    messages: list[str]
+    codes: IntArray
+    steps: IntArray
+    linearisations: dict[int, Linearisation] = field(default_factory=dict)
+    sensitivities: dict[int, FloatArray] = field(default_factory=dict)
+    innovations: dict[int, FloatArray] = field(default_factory=dict)
+
+    @classmethod
+    def empty(cls, points: int, times: int, outputs: int) -> SimulationBatch:
+        """Make one of which nothing is simulated yet."""
+        codes, steps = np.zeros((2, points), np.int64)
+        return cls(np.full((points, times, outputs), np.nan), [""] * points, codes, steps)
+
+
+Loop = Callable[[Batch], int]
+"""Simulates many points and returns how many of them: up to the first that failed."""
+
+
+def simulate(batch: Batch) -> int:
+    """Simulate by the method of the batch."""
+    return int(core().core_simulate(addressof(batch)))
+
+
+class CvodeLoop:
+    """Simulates by CVODE, with an integrator for each number of states, made once and reused.
+
+    It must not be called by two threads at a time. `jacobian` may be set before each call: it is
+    used where no effects act.
+
+    Raises
+    ------
+    ModelError
+        If there is no CVODE for this platform.
+    """
+
+    def __init__(self) -> None:
+        libraries()
+        self._integrators: dict[int, CvodeIntegrator] = {}
+        self.jacobian = DirectionalJacobian()
+
+    def __call__(self, batch: Batch) -> int:
+        count = batch.n_states
+        if count > 0:
+            if count not in self._integrators:
+                self._integrators[count] = CvodeIntegrator(count)
+            self._integrators[count].use_jacobian(*self.jacobian)
+            batch.cvode = self._integrators[count].address
+        return simulate(batch)
+
+
+class BatchRun:
+    """A batch of points on their way through a loop.
+
+    Parameters
+    ----------
+    bound, effects
+        The experiment, and the effects that act.
+    values : (points, k)
+        Values of the parameters.
+    bounds : (points,)
+        Sums of squares above which simulations end early; none if None.
+
+    Attributes
+    ----------
+    result
+        What is filled.
+    stopped_at : (points,)
+        Times of failures.
+    """
+
+    def __init__(
+        self,
+        bound: BoundExperiment,
+        values: FloatArray,
+        effects: Effects,
+        bounds: FloatArray | None = None,
+    ) -> None:
+        self.bound, self.effects, self.values = bound, effects, values
+        count, given = values.shape
+        rows = np.empty((count, given + len(bound.known_values)))
+        rows[:, :given], rows[:, given:] = values, bound.known_values
+        outputs = np.empty((count, bound.structure.n_times, len(bound.outputs)))
+        outputs.fill(np.nan)
+        numbers = np.zeros((4, count), np.int64)
+        codes, _, steps, stopped_at = numbers
+        self.result = SimulationBatch(outputs, [""] * count, codes, steps)
+        self.stopped_at: FloatArray = stopped_at.view(np.float64)
+        self._rows, self._bounds = rows, None if bounds is None else np.array(bounds, np.float64)
+        self._rows_at, self._outputs_at = address_of(rows) or 0, address_of(outputs) or 0
+        self._numbers_at = address_of(numbers) or 0
+        self._bounds_at = address_of(self._bounds) if self._bounds is not None else None
+
+    def batch(self, first: int, count: int, fmu: Fmu, settings: Settings, method: int) -> Batch:
+        """Return what is asked of the core for some of the points; progress is still missing.
+
+        It may be used as long as this, the FMU and the settings are kept.
+        """
+        self._chosen_effects = effects = self.effects.from_point(first)
+        _, times, width = self.result.outputs.shape
+        points, n_values = self._rows.shape
+        row = self._numbers_at + 8 * first
+        bounds = None if self._bounds_at is None else self._bounds_at + 8 * first
+        return Batch(
+            addressof(fmu), addressof(self.bound.structure), addressof(settings),
+            addressof(effects), method, count, n_values, fmu.n_states + effects.n_states, 0,
+            self._rows_at + 8 * first * n_values, bounds, None,
+            self._outputs_at + 8 * first * times * width,
+            row, row + 8 * points, row + 16 * points, row + 24 * points,
+        )  # fmt: skip
