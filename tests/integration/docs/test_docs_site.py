@@ -123,13 +123,16 @@ def run(tmp_path_factory) -> Callable[[str], Path]:
     limits |= {"inputs": {"F": {"lower": -1.0, "upper": 1.0}}}
     axis = {"name": "start", "key": "parameters.m.start", "values": [1.0]}
     files = {name: BASE | extra for name, extra in KINDS.items()}
-    files |= {"limits": limits, "sweep": {"configs": ["close-loop.toml"], "axes": [axis]}}
+    files["limits"] = limits
+    for study in ("close-loop", "sensitivity"):
+        files[f"sweep {study}"] = {"study": study, "configs": [f"{study}.toml"], "axes": [axis]}
     for name, tree in files.items():
         (folder / f"{name}.toml").write_text(to_toml(tree))
 
     @cache
     def made(name: str) -> Path:
-        command = name if name in ("close-loop", "sensitivity", "sweep") else "fit"
+        first = name.partition(" ")[0]
+        command = first if first in ("close-loop", "sensitivity", "sweep") else "fit"
         given, out = [command, str(folder / f"{name}.toml")], folder / name
         if name == "design":
             given = ["design", str(made("fit")), "--limits", str(folder / "limits.toml")]
@@ -194,7 +197,8 @@ def test_every_column_that_a_run_writes_is_described(run, name):
 
 @pytest.mark.slow
 def test_every_column_of_a_sweeps_summary_is_described(run):
-    found = columns(run("sweep"))["summary"]
+    found = columns(run("sweep close-loop"))["summary"]
+    found |= columns(run("sweep sensitivity"))["summary"]
     known = {k: v for k, v in found.items() if k != "start" and not k.startswith("parameter ")}
     said, _ = DESCRIBED["summary"]
     assert set(known) == set(said)
@@ -203,7 +207,7 @@ def test_every_column_of_a_sweeps_summary_is_described(run):
 
 @pytest.mark.slow
 def test_every_table_that_is_described_is_written_by_some_run(run):
-    written = {table for name in (*KINDS, "design", "sweep") for table in columns(run(name))}
+    written = {table for name in (*KINDS, "design", "sweep close-loop") for table in columns(run(name))}
     assert set(DESCRIBED) - written <= {"directions"}  # where something is not determined
 
 
