@@ -210,7 +210,7 @@ def compile_for(
         If zig is not installed, or fails.
     """
     options = [o.format(name=kind) for o in _known(platform).options]
-    command = [*_zig_for(platform), *FLAGS, *options, "-Wl,-s"]  # a signature is made last
+    command = [*_zig_for(platform), *FLAGS, *options]
     _run(command, target, files or sources(kind))
 
 
@@ -259,7 +259,8 @@ def _zig_for(platform: str) -> tuple[str, ...]:
     command = zig()
     if command is None:
         raise ModelError(missing("core", platform))
-    return (*command, "-target", _known(platform).target, "-fno-sanitize=undefined")
+    target = _known(platform).target
+    return (*command, "-target", target, "-fno-sanitize=undefined", "-Wl,-s")
 
 
 def _known(platform: str) -> Platform:
