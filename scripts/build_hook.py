@@ -16,7 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import hatchling.build
-from hatchling.build import *  # noqa: F403: the backend's functions, which depend on the front end
+
+# All of them: which functions a backend has depends on the front end.
+from hatchling.build import *  # noqa: F403
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
