@@ -4,7 +4,6 @@ from support.exported import (
     Exported,
     co_simulated,
     finely_co_simulated,
-    needs_compiler,
     repair_of,
     unpacked,
 )
@@ -81,7 +80,6 @@ def effects_of(kind, group="function"):
     return effects, values
 
 
-@needs_compiler
 @pytest.mark.parametrize(("kind", "group", "name"), CASES)
 def test_every_form_is_the_same_in_c(kind, group, name, tmp_path):
     """All forms of a kind at one site, one after the other."""

@@ -12,7 +12,7 @@ import pytest
 from fmpy import extract, read_model_description, simulate_fmu
 from fmpy.validation import validate_fmu
 from lxml import etree
-from support.exported import needs_compiler, output_of
+from support.exported import output_of
 from support.run_folders import rows
 
 from cluster_est import read_config, read_problem
@@ -62,7 +62,6 @@ def measured(run, experiment):
     return np.genfromtxt(path, delimiter=",", names=True)
 
 
-@needs_compiler
 def test_the_exported_fmu_does_what_the_run_did(run, tmp_path, export):
     fmu = tmp_path / "repaired.fmu"
     export("--fmu", fmu, "--experiment", "exp5", "--no-step")
@@ -79,7 +78,6 @@ def test_the_exported_fmu_does_what_the_run_did(run, tmp_path, export):
     assert "It was not measured." in (folder / "documentation" / "README.md").read_text()
 
 
-@needs_compiler
 @pytest.mark.slow
 def test_the_fmu_says_which_step_reproduces_the_error_and_another_tool_finds_it(
     run, tmp_path, export
@@ -122,7 +120,6 @@ def test_the_fmu_says_which_step_reproduces_the_error_and_another_tool_finds_it(
     assert error(0.02) > 1.2 * error(step)
 
 
-@needs_compiler
 def test_libraries_for_other_platforms(tmp_path, export):
     pytest.importorskip("ziglang")
     fmu = tmp_path / "everywhere.fmu"
@@ -142,7 +139,6 @@ def test_libraries_for_other_platforms(tmp_path, export):
         assert b"_fmi2DoStep\0" in mac[offset : offset + size]
 
 
-@needs_compiler
 def test_without_zig_there_is_a_sentence(tmp_path, monkeypatch, export):
     monkeypatch.setitem(sys.modules, "ziglang", None)
     _, said = export("--fmu", tmp_path / "a.fmu", "--platforms", "win64", code=2)
