@@ -57,15 +57,15 @@ def built(*, own_functions: bool = True) -> Path:
     if own_functions and CARRIED.is_file():
         return CARRIED
     files = sources(own_functions=own_functions)
-    library = place(files)
+    library = _place(files)
     if not library.is_file():
-        build_into(library, files)
+        _build_into(library, files)
     return library
 
 
 def is_built() -> bool:
     """Return whether the core is there already, so that nobody has to wait some seconds for it."""
-    return CARRIED.is_file() or place(sources()).is_file()
+    return CARRIED.is_file() or _place(sources()).is_file()
 
 
 def compile_to(target: Path, files: Sequence[Path], flags: Sequence[str] = FLAGS) -> None:
@@ -102,16 +102,15 @@ def compiler() -> str:
     )
 
 
-def place(files: Sequence[Path], headers: Sequence[Path] = (), name: str = "core") -> Path:
-    """Return where in the cache a library of these sources is, or will be."""
-    return cache_folder("core") / f"{name}-{_version([*files, *headers])}{SUFFIX}"
+def _place(files: Sequence[Path]) -> Path:
+    return cache_folder("core") / f"core-{_version(files)}{SUFFIX}"
 
 
-def build_into(library: Path, files: Sequence[Path], flags: Sequence[str] = FLAGS) -> None:
+def _build_into(library: Path, files: Sequence[Path]) -> None:
     """Build in a folder beside the cache's, and put it there in one go."""
     with tempfile.TemporaryDirectory(prefix=".building-", dir=library.parent) as folder:
         target = Path(folder) / library.name
-        compile_to(target, files, flags)
+        compile_to(target, files)
         os.replace(target, library)
 
 
