@@ -1,122 +1,305 @@
-"""Building the core on this machine, once for each version of its sources.
+"""The libraries in C: what each is made of, for which platforms, and where a built one is.
 
-A wheel carries built libraries; a tree that is installed in place has sources alone, and builds
-them with the system's compiler into a cache of this user.
+A wheel carries them for all of `PLATFORMS`, built by `scripts/build_hook.py`; an installation in
+place has those of its own machine in the same folder. What is not there, because a source has been
+changed or the platform is another one, is built at its first use with a C compiler of this machine
+into a cache of this user. The name of a file has a digest of its sources: one that was built from
+others is never taken.
 """
 
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import os
 import platform
 import shutil
 import subprocess
 import sys
+import sysconfig
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from workers.caches import cache_folder
 from workers.errors import ModelError
 
 HERE = Path(__file__).parent
+BINARIES = HERE / "binaries"
+"""Of a wheel, and of an installation in place; git ignores it."""
 FLAGS = (
     "-std=c11", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden",
     "-fno-math-errno", "-fomit-frame-pointer",
 )  # fmt: skip
 """No contraction of products and sums: it would give other bits on processors that have it."""
 COMPILERS = ("gcc", "cc", "clang")
-SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
-CARRIED = HERE / "binaries" / f"core-{sys.platform}-{platform.machine().lower()}{SUFFIX}"
-"""Of a wheel."""
+
+KINDS: dict[str, tuple[str, ...]] = {
+    "core": (),
+}
+"""Kinds of libraries: the patterns of the sources that each has beside those of the core."""
 
 
-def sources(*, own_functions: bool = True) -> list[Path]:
+@dataclass(frozen=True)
+class Platform:
+    """A platform that zig compiles for.
+
+    Attributes
+    ----------
+    target
+        Zig's name for it, with the oldest system that a library must run on. Without a target, zig
+        would build for the very processor that it runs on.
+    suffix
+        Of a shared library.
+    options
+        For the compiler; `{name}` is the library's kind.
+    """
+
+    target: str
+    suffix: str = ".so"
+    options: tuple[str, ...] = ()
+
+
+# Else the install name of a library for macOS would be the path that it was built at.
+_MACOS = (".dylib", ("-Wl,-install_name,@rpath/{name}.dylib",))
+PLATFORMS = {
+    "x86_64-linux": Platform("x86_64-linux-gnu.2.17"),
+    "aarch64-linux": Platform("aarch64-linux-gnu.2.17"),
+    "x86_64-windows": Platform("x86_64-windows-gnu", ".dll"),
+    "x86_64-darwin": Platform("x86_64-macos.11.0", *_MACOS),
+    "aarch64-darwin": Platform("aarch64-macos.11.0", *_MACOS),
+}
+"""What a wheel is for, in FMI 3.0's names."""
+
+
+def this_platform() -> str:
+    """Return the platform of this Python in FMI 3.0's names, or one like them where it is another.
+
+    A Linux whose C library is not glibc, such as Alpine, is one of its own: `x86_64-linux-musl`.
+    """
+    machine = platform.machine().lower()
+    if sys.platform == "win32":  # Python may be for another processor, which Windows emulates
+        machine = sysconfig.get_platform().removeprefix("win-")
+    architecture = {"amd64": "x86_64", "arm64": "aarch64"}.get(machine, machine)
+    system = {"win32": "windows"}.get(sys.platform, sys.platform)
+    return f"{architecture}-{system}" + ("-musl" if system == "linux" and not _is_glibc() else "")
+
+
+def sources(kind: str = "core", *, own_functions: bool = True) -> list[Path]:
     """Return the files to compile.
 
     Parameters
     ----------
+    kind
+        One of `KINDS`.
     own_functions
-        With the core's own elementary functions, as far as they are there; else with those of the C
-        library, to compare with.
+        With the core's own elementary functions; else with those of the C library, to compare with.
     """
-    files = {path.name: path for path in sorted(HERE.glob("*.c"))}
-    own = own_functions and "elementary.c" in files
-    unused = "elementary_libm.c" if own else "elementary.c"
-    return [path for name, path in files.items() if name != unused]
+    others = {path for k, patterns in KINDS.items() if k != kind for path in _found(patterns)}
+    unused = "elementary_libm.c" if own_functions else "elementary.c"
+    wanted = {*HERE.glob("*.c"), *_found(KINDS[kind])} - others
+    return sorted(path for path in wanted if path.name != unused)
 
 
 def built(*, own_functions: bool = True) -> Path:
-    """Return the library of this version, which is built if it is not there yet.
+    """Return the core's library of this version for this machine; it is built if it is not there.
 
     Raises
     ------
     ModelError
-        If there is no compiler, or it fails.
+        If it must be built but there is no compiler, or it fails.
     """
-    if own_functions and CARRIED.is_file():
-        return CARRIED
-    files = sources(own_functions=own_functions)
-    library = _place(files)
-    if not library.is_file():
-        _build_into(library, files)
-    return library
+    return library("core", this_platform(), own_functions=own_functions)
+
+
+def library(kind: str, platform: str, *, own_functions: bool = True) -> Path:
+    """Return a library for a platform.
+
+    One that is not carried along is built: for this machine with any compiler, for others of
+    `PLATFORMS` where the package ziglang is installed.
+
+    Parameters
+    ----------
+    kind
+        One of `KINDS`.
+    platform
+        In FMI 3.0's names; `this_platform()` is this machine's.
+    own_functions
+        As for `sources`.
+
+    Raises
+    ------
+    ModelError
+        If it is not there and cannot be built.
+    """
+    files = sources(kind, own_functions=own_functions)
+    carried = BINARIES / _name(kind, platform, files)
+    if carried.is_file():
+        return carried
+    cached = _cached(kind, platform, files)
+    if cached.is_file():
+        return cached
+    if platform == this_platform():
+        build_into(cached, lambda target: compile_to(target, files))
+    elif platform in PLATFORMS and zig() is not None:
+        build_into(cached, lambda target: compile_for(platform, target, kind, files))
+    else:
+        raise ModelError(missing(kind, platform))
+    return cached
 
 
 def is_built() -> bool:
     """Return whether the core is there already, so that nobody has to wait some seconds for it."""
-    return CARRIED.is_file() or _place(sources()).is_file()
+    here = this_platform()
+    return carried_path("core", here).is_file() or _cached("core", here, sources()).is_file()
+
+
+def carried_path(kind: str, platform: str) -> Path:
+    """Return where a wheel, or an installation in place, has a library of this version."""
+    return BINARIES / _name(kind, platform, sources(kind))
+
+
+def missing(kind: str, platform: str) -> str:
+    """Say in a sentence that a library is not there, and what to do."""
+    there = sorted({p for p in PLATFORMS if carried_path(kind, p).is_file()})
+    start = (
+        f"{BINARIES}: must have the library {kind} of this version for {platform} but has it for "
+        f"{', '.join(there) or 'no platform'}"
+    )
+    if platform == this_platform():
+        return (
+            f"{start}, and there is no C compiler to build it with: install gcc (Debian: apt "
+            "install gcc; Alpine: apk add gcc musl-dev) or the package ziglang, or name a compiler "
+            f"in CC; wheels of cluster-est carry it for {', '.join(PLATFORMS)}"
+        )
+    if platform in PLATFORMS:
+        return f"{start}; install a wheel of cluster-est, or the package ziglang to build it with"
+    return f"{start}; wheels of cluster-est carry it for {', '.join(PLATFORMS)} alone"
 
 
 def compile_to(target: Path, files: Sequence[Path], flags: Sequence[str] = FLAGS) -> None:
-    """Compile sources to a library or a program.
+    """Compile sources to a library or a program for this machine.
 
     Raises
     ------
     ModelError
         If there is no compiler, or it fails.
     """
-    command = [compiler(), *flags, *map(str, files), "-I", str(HERE), "-o", str(target), "-lm"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        raise ModelError(
-            f"the simulation core cannot be built: {command[0]} must compile {HERE} but says "
-            f"{done.stderr.strip()[-500:]!r}; install another C compiler, or a wheel of cluster-est"
-        )
+    _run([*_for_this_machine(), *flags], target, files)
+
+
+def compile_for(
+    platform: str, target: Path, kind: str = "core", files: Sequence[Path] | None = None
+) -> None:
+    """Compile a library for any platform, with zig.
+
+    Parameters
+    ----------
+    platform
+        One of `PLATFORMS`, or another one that zig knows.
+    target
+        The file; on Windows an import library falls out beside it.
+    kind
+        One of `KINDS`.
+    files
+        Other sources than its own.
+
+    Raises
+    ------
+    ModelError
+        If zig is not installed, or fails.
+    """
+    options = [o.format(name=kind) for o in _known(platform).options]
+    command = [*_zig_for(platform), *FLAGS, *options]
+    _run(command, target, files or sources(kind))
+
+
+def build_into(place: Path, compiled: Callable[[Path], None]) -> None:
+    """Have a library compiled to a folder beside its place, and put it there in one go."""
+    with tempfile.TemporaryDirectory(prefix=".building-", dir=place.parent) as folder:
+        target = Path(folder) / place.name
+        compiled(target)
+        os.replace(target, place)
 
 
 def compiler() -> str:
-    """Return the C compiler of this machine; `CC` names another one.
+    """Return the C compiler of this machine's system; `CC` names another one.
 
     Raises
     ------
     ModelError
         If there is none.
     """
-    for name in (os.environ.get("CC", ""), *COMPILERS):
-        if name and (found := shutil.which(name)):
-            return found
-    raise ModelError(
-        "the simulation core must be built on this machine, but there is no C compiler: install "
-        "gcc (Debian: apt install gcc), or a wheel of cluster-est, which carries it"
-    )
+    found = system_compiler()
+    if found is None:
+        raise ModelError(missing("core", this_platform()))
+    return found
 
 
-def _place(files: Sequence[Path]) -> Path:
-    return cache_folder("core") / f"core-{_version(files)}{SUFFIX}"
+def system_compiler() -> str | None:
+    """Return the same, or None."""
+    names = (os.environ.get("CC", ""), *COMPILERS)
+    return next((found for name in names if name and (found := shutil.which(name))), None)
 
 
-def _build_into(library: Path, files: Sequence[Path]) -> None:
-    """Build in a folder beside the cache's, and put it there in one go."""
-    with tempfile.TemporaryDirectory(prefix=".building-", dir=library.parent) as folder:
-        target = Path(folder) / library.name
-        compile_to(target, files)
-        os.replace(target, library)
+def zig() -> tuple[str, ...] | None:
+    """Return the command of the package ziglang, or None where it is not installed."""
+    if importlib.util.find_spec("ziglang") is None:
+        return None
+    return (sys.executable, "-m", "ziglang", "cc")
 
 
-def _version(files: Sequence[Path]) -> str:
-    digest = hashlib.sha256()
+def _for_this_machine() -> tuple[str, ...]:
+    if system_compiler() is None and zig() is not None:
+        return _zig_for(this_platform())
+    return (compiler(),)
+
+
+def _zig_for(platform: str) -> tuple[str, ...]:
+    command = zig()
+    if command is None:
+        raise ModelError(missing("core", platform))
+    target = _known(platform).target
+    return (*command, "-target", target, "-fno-sanitize=undefined", "-Wl,-s")
+
+
+def _known(platform: str) -> Platform:
+    """Return a platform of the table, or one whose name is zig's own, as with musl."""
+    suffix = {"windows": ".dll", "darwin": ".dylib"}.get(platform.split("-")[1], ".so")
+    return PLATFORMS.get(platform, Platform(platform, suffix))
+
+
+def _run(command: Sequence[str], target: Path, files: Sequence[Path]) -> None:
+    call = [*command, *map(str, files), "-I", str(HERE), "-o", str(target), "-lm"]
+    done = subprocess.run(call, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise ModelError(
+            f"{HERE}: its C cannot be built: {command[0]} must compile it but says "
+            f"{done.stderr.strip()[-500:]!r}; name another C compiler in CC, or install a wheel of "
+            "cluster-est"
+        )
+
+
+def _cached(kind: str, platform: str, files: Sequence[Path]) -> Path:
+    """Return where this user's cache has a library, or will have it."""
+    from workers.caches import cache_folder  # the hook, which needs no cache, lacks platformdirs
+
+    return cache_folder("core") / _name(kind, platform, files, os.environ.get("CC", ""))
+
+
+def _name(kind: str, platform: str, files: Sequence[Path], chosen: str = "") -> str:
+    digest = hashlib.sha256(" ".join((chosen, *FLAGS)).encode())
     for path in [*files, *sorted(HERE.glob("*.h"))]:
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
-    digest.update(" ".join((compiler(), *FLAGS)).encode())
-    return digest.hexdigest()[:16]
+    return f"{kind}-{platform}-{digest.hexdigest()[:16]}{_known(platform).suffix}"
+
+
+def _found(patterns: Sequence[str]) -> set[Path]:
+    return {path for pattern in patterns for path in HERE.glob(pattern)}
+
+
+def _is_glibc() -> bool:
+    try:
+        return (os.confstr("CS_GNU_LIBC_VERSION") or "").startswith("glibc")
+    except (AttributeError, ValueError, OSError):
+        return False
