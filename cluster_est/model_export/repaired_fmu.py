@@ -10,11 +10,11 @@ from pathlib import Path
 from cluster_est.model_export.fmi2_description import identifier, model_description, with_step
 from cluster_est.model_export.repaired_model import RepairedModel, describe_repair
 from cluster_est.model_export.step_error import StepErrors, measure_step
+from cluster_est.model_export.wrapper_binaries import PLATFORMS, wrapper_binary, wrapper_platforms
 from cluster_est.model_export.wrapper_layout import WrapperLayout, lay_out
 from cluster_est.model_export.wrapper_table import wrapper_table
 from cluster_est.run_folder.run_identity import versions
 from cluster_est.whole_files import ELSEWHERE, write_whole, writing
-from workers.core.build_wrapper import PLATFORMS, wrappers
 from workers.fmu.archive import open_archive
 from workers.fmu.platforms import PLATFORM, PLATFORM_TUPLE, platforms_in, shared_library
 from workers.fmu.xml import XML
@@ -207,10 +207,10 @@ def archive_files(layout: WrapperLayout) -> dict[str, bytes]:
     found = {TABLE: wrapper_table(layout, guid), XML: model_description(layout, guid, tool)}
     found |= _about(layout, None)
     platforms = _original_platforms(layout)
-    for platform, library in wrappers().items():
+    for platform in wrapper_platforms():
         if platform in platforms:
             path = f"binaries/{platform}/{shared_library(name, platform)}"
-            found[path] = library.read_bytes()
+            found[path] = wrapper_binary(platform)
     with open_archive(model.name, model.archive) as opened:
         for entry in opened.infolist():  # empty folders too: some originals look for theirs
             found[f"resources/original/{entry.filename}"] = opened.read(entry)
@@ -235,11 +235,12 @@ def _notes(layout: WrapperLayout) -> tuple[str, ...]:
             "cvode, which is slow if the model is stiff; in model exchange the importer's solver "
             "integrates"
         )
-    absent = [p for p in _original_platforms(layout) if p in PLATFORMS and p not in wrappers()]
+    there = wrapper_platforms()
+    absent = [p for p in _original_platforms(layout) if p in PLATFORMS and p not in there]
     if absent:
         notes.append(
             f"the exported FMU does not run on {' and '.join(absent)}, as its original does: this "
-            "installation of cluster-est was built for this machine alone; export it with a wheel"
+            "installation of cluster-est has no library for it; a wheel has those of all platforms"
         )
     if layout.signals:
         one = len(layout.signals) == 1
