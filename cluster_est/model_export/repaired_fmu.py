@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 from cluster_est.model_export.fmi2_description import identifier, model_description, with_step
@@ -44,7 +45,8 @@ The original FMU lies unpacked in resources/original; the library in binaries/ l
 {simulation}
 
 The effects are byte code in resources/repaired.bin, with what else that library must know of them.
-The library is the same in every FMU that this version of cluster-est exports.
+The library is the same in every FMU that this version of cluster-est exports; its licence is in
+documentation/licenses, and must go with it.
 """
 _EXCHANGE = """In co-simulation the wrapper integrates the repaired model with {solver}. In model
 exchange the tool integrates: the run had a relative tolerance of {tolerance:g}, which is the FMU's
@@ -223,8 +225,14 @@ def _tool() -> str:
 
 def _about(layout: WrapperLayout, step: StepErrors | None) -> dict[str, bytes]:
     """What a person reads, by its name in the archive."""
-    text = readme(layout, identifier(layout), _tool(), step)
-    return {"documentation/README.md": text.encode()}
+    found = {"documentation/README.md": readme(layout, identifier(layout), _tool(), step).encode()}
+    try:
+        licence = distribution("cluster-est").read_text("licenses/LICENSE")
+    except PackageNotFoundError:  # a tree that is not installed
+        licence = None
+    if licence:
+        found["documentation/licenses/cluster-est.txt"] = licence.encode()
+    return found
 
 
 def _notes(layout: WrapperLayout) -> tuple[str, ...]:

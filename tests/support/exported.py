@@ -65,7 +65,7 @@ def _callbacks(said: list[str]) -> fmi2CallbackFunctions:
     Not through fmpy's proxy, of which there is one for all FMUs of a process.
     """
     callbacks = fmi2CallbackFunctions()
-    logger = _LOGGER(lambda *arguments: said.append(arguments[-1].decode()))
+    logger = _LOGGER(lambda *arguments: said.append(arguments[-1].decode(errors="replace")))
     callbacks.logger = cast(logger, fmi2CallbackLoggerTYPE)
     callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
     callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(free)

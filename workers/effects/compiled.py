@@ -42,7 +42,7 @@ class InnerEffects:
 
 @dataclass(frozen=True)
 class CompiledEquations:
-    """Equations that `InnerEffects` is compiled from, and an exported FMU has as C.
+    """Equations that `InnerEffects` is compiled from, and an exported FMU has as byte code.
 
     Attributes
     ----------

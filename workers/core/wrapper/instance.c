@@ -4,6 +4,7 @@
 
 #include "wrapper.h"
 
+enum { LARGEST_DIRECT = 1 << 16 }; /* some tools give references of hundreds of millions */
 static const char *const no_memory = "there is no memory left";
 static const char *const other = "its parts do not fit each other";
 
@@ -55,6 +56,12 @@ static const char *make_output(Instance *c, size_t number, double *row, double *
 static int allocate(Instance *c) {
     const Table *t = &c->table;
     size_t largest = 1;
+    const uint32_t last = t->n_answered > 0 ? t->answered[t->n_answered - 1].reference : 0;
+    c->n_direct = last < LARGEST_DIRECT ? (size_t)last + 1 : 0;
+    c->direct = calloc(c->n_direct + 1, sizeof *c->direct);
+    if (c->direct == NULL) return -1;
+    for (size_t i = 0; i < t->n_answered && c->n_direct > 0; i++)
+        c->direct[t->answered[i].reference] = (uint32_t)i + 1;
     for (size_t i = 0; i < t->n_output_effects; i++)
         c->n_outer += (size_t)t->output_effects[i].n_states;
     for (size_t i = 0; i < t->n_places; i++)
@@ -71,6 +78,7 @@ static int allocate(Instance *c) {
     if (at == NULL) return -1;
 #define PLACE(name, n) c->name = at, at += n;
     MOVING(PLACE, t)
+    if (t->n_memories == 0) c->seen = c->raw, c->seen_slopes = c->slopes;
     c->n_histories = t->n_memories + t->n_output_effects;
     c->histories = calloc(c->n_histories + 1, sizeof *c->histories);
     c->outputs = calloc(t->n_output_effects + 1, sizeof *c->outputs);
@@ -149,7 +157,7 @@ void free_instance(Instance *c) {
     core_program_free((Program *)c->effects.program);
     end_work(&c->work);
     void *const owned[] = {c->histories, c->outputs, c->memory, c->last, c->found, c->numbers,
-                           c->cells, c->name};
+                           c->cells, c->name, c->direct};
     for (size_t i = 0; i < sizeof owned / sizeof *owned; i++) free(owned[i]);
     table_free(&c->table);
     free(c);

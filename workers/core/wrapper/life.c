@@ -73,8 +73,9 @@ FMI2_EXPORT fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2St
             && original_load(c, resources, visible, logging, why, sizeof why) == 0) {
             c->work.model.f = c->original.f;
             if (begin_life(c) < DISCARD) return c;
+            snprintf(why, sizeof why, "the original FMU does not take its start values");
         }
-        if (why[0] != '\0') say(c, ERROR, "logStatusError", why);
+        say(c, ERROR, "logStatusError", why);
     }
     original_free(&c->original);
     free_instance(c);

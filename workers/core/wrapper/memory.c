@@ -157,6 +157,7 @@ double see_inputs(Instance *c, double time, double end) {
     const Table *t = &c->table;
     double next = end;
     c->times[0] = time;
+    if (LIKELY(t->n_memories == 0)) return end;
     FOR(j, t->n_raw) c->seen[j] = c->raw[j], c->seen_slopes[j] = c->slopes[j];
     for (size_t j = 0; j < t->n_memories; j++) {
         const Memory *m = t->memories + j;
@@ -177,10 +178,10 @@ double see_inputs(Instance *c, double time, double end) {
 /* The inputs go along their lines from one time to another. */
 void pass_inputs(Instance *c, double begin, double end) {
     const Table *t = &c->table;
-    FOR(j, t->n_raw) {
-        c->raw[j] += c->slopes[j] * (end - begin);
-        c->was[j] = c->seen[j] + (end - c->times[0]) * c->seen_slopes[j];
-    }
+    if (c->facts->eventful)
+        FOR(j, t->n_raw) c->was[j] = c->seen[j] + (end - c->times[0]) * c->seen_slopes[j];
+    FOR(j, t->n_raw) c->raw[j] += c->slopes[j] * (end - begin);
+    if (LIKELY(t->n_memories == 0)) c->times[0] = end; /* what is seen has moved along */
     for (size_t j = 0; j < t->n_memories; j++)
         if (t->memories[j].kind != DELAY) c->play[j] += c->moves[j] * (end - begin);
 }
@@ -189,6 +190,7 @@ void pass_inputs(Instance *c, double begin, double end) {
 void sample_inputs(Instance *c) {
     const Table *t = &c->table;
     c->times[0] = c->now.time;
+    if (t->n_memories == 0) return;
     FOR(j, t->n_raw) c->seen[j] = c->raw[j], c->seen_slopes[j] = 0.0;
     for (size_t j = 0; j < t->n_memories; j++) {
         double *value = &c->seen[t->memories[j].column];

@@ -16,6 +16,8 @@ int write_inputs(Instance *c, int all) {
     Work *w = &c->work;
     const Model *m = &w->model;
     const Variables *inputs = all ? &m->inputs : &m->continuous;
+    if (LIKELY(m->program == NULL && c->times[0] == c->now.time))
+        return set_values(&m->f, m->f.version, inputs, c->seen, w->buffer);
     set_registers(c);
     TRY(set_values(&m->f, m->f.version, inputs, w->effective, w->buffer));
     if (m->n_parameters == 0 || c->now.phase == INITIALISING) return OK;

@@ -95,7 +95,6 @@ static double motion(const Instance *c, const Evaluated *e, const double *row, i
 int advance_outputs(Instance *c) {
     const Table *t = &c->table;
     const double end = c->now.time;
-    if (c->n_outer == 0) return OK;
     refresh(c);
     c->times[1] = end;
     TRY(get_row(c, c->last));

@@ -55,6 +55,7 @@ static int are_answered(const Table *t, size_t n_states) {
     for (size_t i = 0; i < t->n_answered; i++) {
         const Answered *a = t->answered + i;
         if (!is_below(a->kind, sizeof limits / sizeof *limits)) return 0;
+        if (i > 0 && a->reference <= a[-1].reference) return 0;
         if (!is_below(a->index, limits[a->kind]) || a->start >= (int32_t)t->n_starts) return 0;
     }
     return 1;

@@ -180,9 +180,15 @@ static int open_for_discrete(Instance *c) {
     return enter_event(c);
 }
 
-static const Answered *find_answered(const Table *t, uint32_t reference) {
-    const Answered *low = t->answered;
-    for (size_t n = t->n_answered; n > 0;) {
+/* NULL for what is simply the original's. */
+static inline const Answered *find_answered(const Instance *c, uint32_t reference) {
+    if (LIKELY(c->n_direct > 0)) {
+        if (reference >= c->n_direct) return NULL;
+        const uint32_t place = c->direct[reference];
+        return place > 0 ? &c->table.answered[place - 1] : NULL;
+    }
+    const Answered *low = c->table.answered;
+    for (size_t n = c->table.n_answered; n > 0;) {
         const size_t half = n / 2;
         if (low[half].reference == reference) return low + half;
         if (low[half].reference < reference)
@@ -226,7 +232,7 @@ static int set_answered(Instance *c, const Answered *a, double value) {
 FMI2(SetReal)(VALUES(const fmi2Real)) {
     Instance *c = component;
     for (size_t i = 0; i < n; i++) {
-        const Answered *a = find_answered(&c->table, vr[i]);
+        const Answered *a = find_answered(c, vr[i]);
         if (a != NULL) {
             TRY(set_answered(c, a, value[i]));
         } else {
@@ -265,13 +271,18 @@ static int get_answered(Instance *c, const Answered *a, double *value) {
 
 FMI2(GetReal)(VALUES(fmi2Real)) {
     Instance *c = component;
-    const Table *t = &c->table;
-    TRY(sync(c));
+    const Fmu *f = &c->original.f;
+    if (UNLIKELY(c->now.dirty != 0)) TRY(sync(c));
     for (size_t i = 0, plain; i < n; i += plain) {
-        const Answered *a = find_answered(t, vr[i]);
+        const Answered *a = find_answered(c, vr[i]);
         for (plain = 1; a == NULL && i + plain < n; plain++)
-            if (find_answered(t, vr[i + plain]) != NULL) break;
-        TRY(a != NULL ? get_answered(c, a, value + i) : get_of(c, REAL, vr + i, plain, value + i));
+            if (find_answered(c, vr[i + plain]) != NULL) break;
+        if (a != NULL)
+            TRY(get_answered(c, a, value + i));
+        else if (LIKELY(f->version == 2))
+            TRY(get_reals(f, 2, vr + i, plain, value + i));
+        else
+            TRY(get_of(c, REAL, vr + i, plain, value + i));
     }
     return OK;
 }

@@ -49,7 +49,7 @@ typedef struct {
 } Moment;
 
 /* Arrays that change: raw inputs and signals as they were set, with slopes in co-simulation; the
- * same behind what has a memory, from times[0] on; what they were when the last step ended; what
+ * same behind what has a memory, from times[0] on (the same arrays, if nothing has); what they were when the last step ended; what
  * backlashes and limited rates have given last, when, and how fast they move; the rows that each
  * effect at an output saw, when a step began and when it ended; their own states. */
 #define MOVING(X, t)                                                                            \
@@ -89,6 +89,8 @@ typedef struct {
     History *histories; /* of the memories, then of the effects at outputs */
     Output *outputs;
     Evaluated rate;
+    uint32_t *direct; /* by reference, if they are small: the place among `answered`, from 1 */
+    size_t n_direct;
     double *last, *found, *numbers; /* a row; derivatives of all states; elements of a variable */
     void *cells;                    /* the same in its own type */
     Work work;
