@@ -23,6 +23,7 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from workers.core import build
+from workers.errors import ModelError
 
 ZIG = "ziglang>=0.17,<0.18"
 ZIG_CACHE = "ZIG_GLOBAL_CACHE_DIR"
@@ -50,7 +51,7 @@ def has_working_compiler() -> bool:
         )
         try:
             build.compile_to(Path(folder, "trial"), [source])
-        except build.ModelError:
+        except ModelError:
             return False
     return True
 

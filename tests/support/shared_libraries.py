@@ -10,6 +10,7 @@ import hashlib
 import io
 import struct
 from dataclasses import dataclass
+from typing import Any
 
 from elftools.elf.elffile import ELFFile
 
@@ -38,7 +39,7 @@ def read_library(content: bytes) -> SharedLibrary:
 
 
 def _elf(content):
-    elf = ELFFile(io.BytesIO(content))
+    elf: Any = ELFFile(io.BytesIO(content))
     machine = {"EM_X86_64": "x86_64", "EM_AARCH64": "aarch64"}[elf["e_machine"]]
     versions, exports = set(), set()
     for _, auxiliaries in elf.get_section_by_name(".gnu.version_r").iter_versions():
@@ -90,7 +91,8 @@ def _pe(content):
 def _mach_o(content):
     magic, machine, _, _, n_commands, _ = struct.unpack_from("<6I", content)
     assert magic == 0xFEEDFACF
-    needs, exports, system, own, is_signed = set(), set(), (), "", False
+    needs, exports, own, is_signed = set(), set(), "", False
+    system: tuple[int, ...] = ()
     place = 32
     for _ in range(n_commands):
         command, size, first, second = struct.unpack_from("<4I", content, place)

@@ -1,8 +1,12 @@
-"""The wheel, built as a user builds it: one for all platforms, with the libraries of each."""
+"""The wheel, built as a user builds it: one for all platforms, with the libraries of each; and an
+installation in place, with that of this machine."""
 
+import ctypes
 import os
+import shutil
 import subprocess
 import sys
+import venv
 import zipfile
 from pathlib import Path
 
@@ -30,19 +34,25 @@ NEEDS = {
 def wheel(tmp_path_factory, pytestconfig):
     """zig's own libraries, which take it minutes, are kept from one session to the next."""
     folder = tmp_path_factory.mktemp("wheel")
-    kept = {"ZIG_GLOBAL_CACHE_DIR": str(pytestconfig.cache.mkdir("zig"))}
-    command = [sys.executable, "-m", "pip", "wheel", str(ROOT), "--no-deps", "-w", str(folder)]
     before = files_of_the_tree()
-    done = subprocess.run(
-        command, capture_output=True, text=True, check=False, env=os.environ | kept
-    )
-    for package in ("ziglang", "hatchling"):
-        if f"No matching distribution found for {package}" in done.stderr:
-            pytest.skip(f"building a wheel needs the package {package}, which cannot be had here")
-    assert done.returncode == 0, done.stdout + done.stderr
+    pip(pytestconfig, sys.executable, "wheel", ROOT, "--no-deps", "-w", folder)
     assert files_of_the_tree() == before, "it leaves nothing there"
     (path,) = folder.iterdir()
     return path
+
+
+def pip(pytestconfig, python, *arguments, **surroundings):
+    kept = {"ZIG_GLOBAL_CACHE_DIR": str(pytestconfig.cache.mkdir("zig"))}
+    command = [str(python), "-m", "pip", *map(str, arguments)]
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=False, env=os.environ | kept | surroundings
+    )
+    for package in ("ziglang", "hatchling"):
+        if f"No matching distribution found for {package}" in done.stderr:
+            pytest.skip(f"this needs the package {package}, which cannot be had here")
+    said = done.stdout + done.stderr
+    assert done.returncode == 0, said
+    return said
 
 
 def files_of_the_tree():
@@ -104,3 +114,25 @@ def hashes(packages, cache, **surroundings):
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="a C compiler, to do with and without it")
+@pytest.mark.parametrize("with_compiler", [True, False])
+def test_an_installation_in_place_has_the_library_of_its_machine(
+    tmp_path, pytestconfig, with_compiler
+):
+    tree = tmp_path / "tree"
+    for name in ("cluster_est", "workers", "scripts"):
+        ignored = shutil.ignore_patterns("__pycache__", "binaries")
+        shutil.copytree(ROOT / name, tree / name, ignore=ignored)
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, tree)
+    venv.create(tmp_path / "venv", with_pip=True)
+    (python,) = (tmp_path / "venv").glob("*/python")
+    path = {} if with_compiler else {"PATH": str(python.parent), "CC": ""}
+    said = pip(pytestconfig, python, "install", "-v", "--no-deps", "-e", tree, **path)
+    (made,) = (tree / "workers" / "core" / "binaries").iterdir()
+    assert made.name == build.carried_path("core", build.this_platform()).name
+    assert hasattr(ctypes.CDLL(str(made)), "core_simulate")
+    assert f"building {made.name} with " in said
+    assert ("ziglang" in said) is not with_compiler
