@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import re
-import struct
 import subprocess
 import sys
 import tempfile
@@ -25,6 +24,8 @@ from pathlib import Path
 from typing import Any
 
 import fmpy
+
+from cluster_est.model_export.wrapper_binaries import universal_binary
 
 MODELS = Path(__file__).resolve().parent.parent / "configs" / "models"
 SCAFFOLD = MODELS / "common"
@@ -39,9 +40,6 @@ ZIG_TARGETS = {
     "win64": ["x86_64-windows-gnu"],
     "darwin64": ["x86_64-macos.11.0", "aarch64-macos.11.0"],
 }
-# Processor type, subtype and page size (as a power of two) of the parts of a universal binary.
-MACH_O_PARTS = [(0x01000007, 3, 12), (0x0100000C, 0, 14)]
-
 ROLES = ["independent", "parameter", "input", "state", "derivative", "output"]
 
 
@@ -278,18 +276,6 @@ def compile_library(command: Sequence[str], folder: Path, library: str) -> bytes
     # Relative names only: the folder is temporary and must leave no trace in the library.
     subprocess.run([*command, *CFLAGS, f"-I{FMI_HEADERS}", *link], cwd=folder, check=True)
     return (folder / library).read_bytes()
-
-
-def universal_binary(parts: Sequence[bytes]) -> bytes:
-    """Join the libraries for Intel and Arm Macs, in this order, into one."""
-    header = struct.pack(">II", 0xCAFEBABE, len(parts))
-    body = bytearray(4096)
-    for (processor, subtype, alignment), part in zip(MACH_O_PARTS, parts, strict=True):
-        body.extend(bytes(-len(body) % 2**alignment))
-        header += struct.pack(">5I", processor, subtype, len(body), len(part), alignment)
-        body.extend(part)
-    body[: len(header)] = header
-    return bytes(body)
 
 
 def binary(folder: Path, name: str, compiler: str, platform: str) -> bytes:

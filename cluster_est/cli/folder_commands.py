@@ -38,16 +38,11 @@ def report(options: Namespace) -> int:
 
 def export(options: Namespace) -> int:
     """Write what a run has found, in the forms that are asked for."""
-    from cluster_est.model_export.repaired_fmu import FmuOptions
     from cluster_est.model_export.write import ExportRequest
     from cluster_est.model_export.write import export as run_export  # SymPy takes long to import
 
-    if options.fmu is not None and options.platforms:
-        wait = "compiling for other platforms; the first time, zig compiles their libraries too, "
-        say(Console(stderr=True), f"cluster-est: {wait}which takes a minute or more")
-    of_fmu = FmuOptions(tuple(options.platforms), measure=not options.no_step)
     wanted = ExportRequest(
-        options.fmu, options.ssv, options.csv, options.modelica, options.text, of_fmu
+        options.fmu, options.ssv, options.csv, options.modelica, options.text, not options.no_step
     )
     written = run_export(
         options.run_folder,

@@ -237,13 +237,6 @@ def _add_export(commands: Commands) -> None:
         "--fmu", type=Path, help="write the FMU with the estimates and effects in it (.fmu)"
     )
     export.add_argument(
-        "--platforms",
-        nargs="+",
-        default=[],
-        metavar="NAME",
-        help="compile that FMU for these too: linux64, win64, darwin64; needs the package ziglang",
-    )
-    export.add_argument(
         "--no-step",
         action="store_true",
         help="do not measure the communication step that reproduces the run's error, which takes "

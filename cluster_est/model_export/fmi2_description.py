@@ -272,9 +272,7 @@ def identifier(layout: WrapperLayout) -> str:
     return f"{layout.repair.description.offer(interface).identifier}_repaired"
 
 
-def model_description(
-    layout: WrapperLayout, guid: str, sources: tuple[str, ...], tool: str
-) -> bytes:
+def model_description(layout: WrapperLayout, guid: str, tool: str) -> bytes:
     """The document.
 
     Parameters
@@ -283,8 +281,6 @@ def model_description(
         The exported FMU.
     guid, tool
         Of the exported FMU, and what made it.
-    sources
-        Names of its C files.
     """
     model = layout.repair.problem.model
     with open_archive(model.name, model.archive) as opened:
@@ -304,7 +300,7 @@ def model_description(
     for element in old.values():
         if element is not None:
             root.remove(element)
-    for place, section in enumerate(_interfaces(layout, chosen, sources)):
+    for place, section in enumerate(_interfaces(layout, chosen)):
         root.insert(place, section)
     _add_units(root, layout)
     if layout.exchange:
@@ -333,7 +329,7 @@ def _default_experiment(root: Element) -> Element:
     return _child(root, "DefaultExperiment", ("ModelExchange", "CoSimulation", *definitions))
 
 
-def _interfaces(layout: WrapperLayout, old: Element, sources: tuple[str, ...]) -> list[Element]:
+def _interfaces(layout: WrapperLayout, old: Element) -> list[Element]:
     kept = {"modelIdentifier": identifier(layout)}
     kept |= {name: text for name in _FLAGS if (text := old.get(name)) in ("true", "1")}
     if not layout.repair.effects and flag(old.get("providesDirectionalDerivative")):
@@ -349,10 +345,6 @@ def _interfaces(layout: WrapperLayout, old: Element, sources: tuple[str, ...]) -
         unneeded = flag(old.get("completedIntegratorStepNotNeeded")) and not delays
         exchange.set("completedIntegratorStepNotNeeded", str(unneeded).lower())
         made.insert(0, exchange)
-    for element in made:
-        files = SubElement(element, "SourceFiles")
-        for name in sources:
-            SubElement(files, "File", name=name)
     return made
 
 

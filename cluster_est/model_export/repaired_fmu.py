@@ -4,31 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import io
-import os
-import tempfile
 import zipfile
-from collections.abc import Sequence
-from dataclasses import dataclass
-from importlib.resources import files
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
-from cluster_est.errors import ModelError
-from cluster_est.model_export.c_code import effects_source, header
-from cluster_est.model_export.compiler import (
-    PLATFORMS,
-    check_cross_compiler,
-    compile_for,
-    compile_library,
-    find_compiler,
-)
 from cluster_est.model_export.fmi2_description import identifier, model_description, with_step
 from cluster_est.model_export.repaired_model import RepairedModel, describe_repair
 from cluster_est.model_export.step_error import StepErrors, measure_step
+from cluster_est.model_export.wrapper_binaries import PLATFORMS, wrapper_binary, wrapper_platforms
 from cluster_est.model_export.wrapper_layout import WrapperLayout, lay_out
+from cluster_est.model_export.wrapper_table import wrapper_table
 from cluster_est.run_folder.run_identity import versions
 from cluster_est.whole_files import ELSEWHERE, write_whole, writing
 from workers.fmu.archive import open_archive
-from workers.fmu.platforms import PLATFORM, binary_path, platforms_in
+from workers.fmu.platforms import PLATFORM, PLATFORM_TUPLE, platforms_in, shared_library
 from workers.fmu.xml import XML
 
 _README = """# {name}
@@ -55,9 +44,9 @@ _README = """# {name}
 The original FMU lies unpacked in resources/original; the library in binaries/ loads it from there.
 {simulation}
 
-The wrapper's C sources are in sources/. They need no further header and are compiled with
-
-    cc -std=c99 -O2 -ffp-contract=off -fPIC -shared -o {name}.so *.c -lm -ldl
+The effects are byte code in resources/repaired.bin, with what else that library must know of them.
+The library is the same in every FMU that this version of cluster-est exports; its licence is in
+documentation/licenses, and must go with it.
 """
 _EXCHANGE = """In co-simulation the wrapper integrates the repaired model with {solver}. In model
 exchange the tool integrates: the run had a relative tolerance of {tolerance:g}, which is the FMU's
@@ -155,53 +144,40 @@ def _cell(text: str) -> str:
 
 
 _MOST_NAMED = 8
+TABLE = "resources/repaired.bin"
+"""Where the wrapper finds what it must know."""
 
 
-@dataclass(frozen=True)
-class FmuOptions:
-    """What goes into an exported FMU.
+def write_fmu(repair: RepairedModel, path: Path, *, measure: bool = True) -> tuple[str, ...]:
+    """Write the repaired FMU and return sentences on what a user should know of it.
 
-    Attributes
+    Parameters
     ----------
-    platforms
-        Platforms that it is compiled for besides this machine's, by FMI 2.0's names.
+    repair, path
+        What is written, and where.
     measure
         Whether the communication step is measured that reproduces the error of the run.
-    """
-
-    platforms: tuple[str, ...] = ()
-    measure: bool = True
-
-
-def write_fmu(
-    repair: RepairedModel, path: Path, options: FmuOptions | None = None
-) -> tuple[str, ...]:
-    """Write the repaired FMU and return sentences on what a user should know of it.
 
     Raises
     ------
     ModelError
-        If the original cannot be wrapped, or no compiler is there or it fails.
+        If the original cannot be wrapped, or there is no wrapper for this machine.
     RunFolderError
         If the file cannot be written.
     """
-    options = options or FmuOptions()
-    others = tuple(p for p in dict.fromkeys(options.platforms) if p != PLATFORM)
     layout = lay_out(repair)
-    command = find_compiler()
-    check_cross_compiler(others)
     repair.description.check_platform(repair.problem.model.interface)
-    _check_platforms(repair, others)
-    content = archive_files(layout, command, others)
+    content = archive_files(layout)
     _write(path, content)
-    if not options.measure or not repair.errors:
-        return _notes(layout)
+    notes = _notes(layout)
+    if not measure or not repair.errors:
+        return notes
     step = measure_step(repair, _archive(content))  # a crash of the FMU would leave what is written
     content |= _about(layout, step)
     if step.reproduces is not None:
         content[XML] = with_step(content[XML], step.reproduces)
     _write(path, content)
-    return (*_notes(layout), step.sentence)
+    return (*notes, step.sentence)
 
 
 def _write(path: Path, content: dict[str, bytes]) -> None:
@@ -212,47 +188,31 @@ def _write(path: Path, content: dict[str, bytes]) -> None:
     write_whole(path, _archive(content), advice, shared=True)
 
 
-def _check_platforms(repair: RepairedModel, platforms: Sequence[str]) -> None:
-    """Refuse platforms that the original has no binary for: the wrapper loads that."""
-    model = repair.problem.model
+def _original_platforms(layout: WrapperLayout) -> tuple[str, ...]:
+    """Return the platforms that the original has a binary for, by FMI 2.0's names."""
+    model = layout.repair.problem.model
     with open_archive(model.name, model.archive) as opened:
-        there = platforms_in(opened.namelist())
-    for platform in platforms:
-        names = (platform,) if repair.description.version == "2.0" else PLATFORMS[platform].tuples
-        if not set(names) & set(there):
-            raise ModelError(
-                f"--platforms: {model.name} must have a binary for {platform}, which the exported "
-                f"FMU loads, but has one for {', '.join(there)}; export it for {platform} too, or "
-                "leave that out"
-            )
+        there = set(platforms_in(opened.namelist()))
+    if layout.repair.description.version == "2.0":
+        return tuple(sorted(there))
+    named = {PLATFORM: (PLATFORM_TUPLE,), **PLATFORMS}
+    return tuple(platform for platform, tuples in named.items() if there & set(tuples))
 
 
-def archive_files(
-    layout: WrapperLayout, command: tuple[str, ...], platforms: Sequence[str] = ()
-) -> dict[str, bytes]:
-    """Everything in the archive by its name; the same for the same run, sources and compiler."""
+def archive_files(layout: WrapperLayout) -> dict[str, bytes]:
+    """Everything in the archive by its name; the same for the same run and wrapper."""
     name, model = identifier(layout), layout.repair.problem.model
-    sources = wrapper_sources() | {"effects.c": effects_source(layout).encode()}
     tool = _tool()
-    names = tuple(sorted(source for source in sources if source.endswith(".c")))
     digest = hashlib.sha256(model.archive_hash.encode())
-    unnamed = {**sources, "model.h": header(layout, "").encode()}
-    unnamed["xml"] = model_description(layout, "", names, tool)
-    for file, text in sorted(unnamed.items()):
-        digest.update(file.encode() + b"\0" + text)
+    digest.update(wrapper_table(layout, "") + model_description(layout, "", tool))
     guid = "{" + digest.hexdigest()[:32] + "}"
-    sources["model.h"] = header(layout, guid).encode()
-    found = {f"sources/{file}": text for file, text in sources.items()}
-    found["modelDescription.xml"] = model_description(layout, guid, names, tool)
+    found = {TABLE: wrapper_table(layout, guid), XML: model_description(layout, guid, tool)}
     found |= _about(layout, None)
-    library = binary_path("2.0", name)
-    with tempfile.TemporaryDirectory() as folder:
-        for file, text in sources.items():
-            Path(folder, file).write_bytes(text)
-        found[library] = compile_library(command, Path(folder), os.path.basename(library))
-        for platform in platforms:
-            path = f"binaries/{platform}/{name}{PLATFORMS[platform].suffix}"
-            found[path] = compile_for(platform, Path(folder), name)
+    platforms = _original_platforms(layout)
+    for platform in wrapper_platforms():
+        if platform in platforms:
+            path = f"binaries/{platform}/{shared_library(name, platform)}"
+            found[path] = wrapper_binary(platform)
     with open_archive(model.name, model.archive) as opened:
         for entry in opened.infolist():  # empty folders too: some originals look for theirs
             found[f"resources/original/{entry.filename}"] = opened.read(entry)
@@ -265,15 +225,14 @@ def _tool() -> str:
 
 def _about(layout: WrapperLayout, step: StepErrors | None) -> dict[str, bytes]:
     """What a person reads, by its name in the archive."""
-    text = readme(layout, identifier(layout), _tool(), step)
-    return {"documentation/README.md": text.encode()}
-
-
-def wrapper_sources() -> dict[str, bytes]:
-    """The C files that are the same for every model."""
-    folder = files("cluster_est.model_export") / "c"
-    found = {file.name: file.read_bytes() for file in folder.iterdir()}
-    return {name: text for name, text in sorted(found.items()) if name.endswith((".c", ".h"))}
+    found = {"documentation/README.md": readme(layout, identifier(layout), _tool(), step).encode()}
+    try:
+        licence = distribution("cluster-est").read_text("licenses/LICENSE")
+    except PackageNotFoundError:  # a tree that is not installed
+        licence = None
+    if licence:
+        found["documentation/licenses/cluster-est.txt"] = licence.encode()
+    return found
 
 
 def _notes(layout: WrapperLayout) -> tuple[str, ...]:
@@ -283,6 +242,13 @@ def _notes(layout: WrapperLayout) -> tuple[str, ...]:
             "in co-simulation the exported FMU integrates with dormand_prince where the run used "
             "cvode, which is slow if the model is stiff; in model exchange the importer's solver "
             "integrates"
+        )
+    there = wrapper_platforms()
+    absent = [p for p in _original_platforms(layout) if p in PLATFORMS and p not in there]
+    if absent:
+        notes.append(
+            f"the exported FMU does not run on {' and '.join(absent)}, as its original does: this "
+            "installation of cluster-est has no library for it; a wheel has those of all platforms"
         )
     if layout.signals:
         one = len(layout.signals) == 1

@@ -150,9 +150,8 @@ class WrapperLayout:
     exchange
         Whether the original is integrated from outside (model exchange).
     inputs
-        The original's real inputs, those that may move between events first.
-    n_continuous
-        How many of them these are.
+        The original's real inputs: float64 scalars first, and those that may move between events
+        first among them.
     signals
         Measured signals that effects need: further inputs.
     memories, inner, outputs
@@ -177,7 +176,6 @@ class WrapperLayout:
     repair: RepairedModel
     exchange: bool
     inputs: tuple[ModelVariable, ...]
-    n_continuous: int
     signals: tuple[str, ...]
     memories: tuple[int, ...]
     inner: tuple[int, ...]
@@ -195,6 +193,15 @@ class WrapperLayout:
     def states(self) -> tuple[str, ...]:
         """The original's states, which stand first among all."""
         return self.repair.description.states if self.exchange else ()
+
+    @property
+    def n_inner_states(self) -> int:
+        """How many states there are but those of effects at outputs."""
+        return len(self.states) + len(self.equations.start_states)
+
+    def is_plain(self, variable: ModelVariable) -> bool:
+        """Return whether a variable keeps its type and its reference."""
+        return _is_plain(variable, self.translated)
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -238,7 +245,11 @@ def lay_out(repair: RepairedModel) -> WrapperLayout:
     memories = [i for i, e in enumerate(effects) if e.form.memory and e.site.kind == "input"]
     outputs = [i for i, e in enumerate(effects) if e.site.kind == "output"]
     inner = [i for i in range(len(effects)) if i not in (*memories, *outputs)]
-    inputs = _inputs(description)
+    inputs = tuple(
+        sorted(
+            _inputs(description), key=lambda v: (not _is_plain(v, translated), not v.is_continuous)
+        )
+    )
     signals = _signals(effects, description)
     columns = (*(v.name for v in inputs), *signals)
     _check_inputs(effects, description, columns)
@@ -254,9 +265,8 @@ def lay_out(repair: RepairedModel) -> WrapperLayout:
     needed = [n for i in outputs for n in (*effects[i].uses, effects[i].site.target)]
     row = tuple(dict.fromkeys(n for n in needed if n not in columns))
     layout = WrapperLayout(
-        repair, exchange, inputs, sum(v.is_continuous for v in inputs), signals, tuple(memories),
-        tuple(inner), tuple(outputs), compiled, row, tuple(known), added, (), (), translated,
-        left_out,
+        repair, exchange, inputs, signals, tuple(memories), tuple(inner), tuple(outputs), compiled,
+        row, tuple(known), added, (), (), translated, left_out,
     )  # fmt: skip
     answered, affected = _answered(layout)
     return replace(layout, answered=answered, affected=affected)
@@ -293,8 +303,11 @@ def _check_needed(repair: RepairedModel, left_out: tuple[str, ...]) -> None:
 
 def _inputs(description: ModelDescription) -> tuple[ModelVariable, ...]:
     real = {v.reference: v for v in reversed(description.inputs()) if v.kind == "real"}
-    chosen = [v for v in description.inputs() if real.get(v.reference) is v]
-    return tuple(sorted(chosen, key=lambda v: not v.is_continuous))
+    return tuple(v for v in description.inputs() if real.get(v.reference) is v)
+
+
+def _is_plain(variable: ModelVariable, translated: tuple[TranslatedVariable, ...]) -> bool:
+    return not any(0 <= variable.reference - each.first < each.size for each in translated)
 
 
 def _check_inputs(

@@ -9,7 +9,7 @@ import math
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
@@ -18,9 +18,8 @@ from sympy.printing.precedence import precedence
 from sympy.printing.str import StrPrinter
 
 from cluster_est.errors import ConfigError
-from cluster_est.model_export.compiler import PLATFORMS
 from cluster_est.model_export.fmi2_description import as_document
-from cluster_est.model_export.repaired_fmu import FmuOptions, write_fmu
+from cluster_est.model_export.repaired_fmu import write_fmu
 from cluster_est.model_export.repaired_model import (
     EstimatedValue,
     RepairedModel,
@@ -29,7 +28,6 @@ from cluster_est.model_export.repaired_model import (
 )
 from cluster_est.whole_files import ELSEWHERE, write_whole
 from workers.effects.definition import SIGNAL_SYMBOL, TIME_SYMBOL, EffectDefinition, variable_symbol
-from workers.fmu.description import nearest
 from workers.messages import Value
 
 _NO_FUNCTION = {
@@ -227,7 +225,7 @@ def _interval(value: EstimatedValue) -> tuple[str, str]:
 class ExportRequest:
     """Forms of export that are asked for: files to write, and texts to print.
 
-    `options` are those of the FMU.
+    `measure` says whether the communication step of the FMU is measured.
     """
 
     fmu: Path | None = None
@@ -235,7 +233,7 @@ class ExportRequest:
     csv: Path | None = None
     modelica: bool = False
     text: bool = False
-    options: FmuOptions = field(default_factory=FmuOptions)
+    measure: bool = True
 
 
 @dataclass(frozen=True)
@@ -285,12 +283,6 @@ def check_request(wanted: ExportRequest) -> None:
         raise ConfigError(
             "export: must be told what to write; add --fmu, --ssv, --csv, --modelica or --text"
         )
-    for platform in wanted.options.platforms:
-        if platform not in PLATFORMS:
-            raise ConfigError(
-                f"--platforms: must be of {', '.join(PLATFORMS)} but is {platform!r}"
-                f"{nearest(platform, PLATFORMS)}"
-            )
     _check_name(wanted.fmu, "--fmu", ".fmu")
     _check_name(wanted.ssv, "--ssv", ".ssv")
     _check_name(wanted.csv, "--csv", ".csv")
@@ -307,7 +299,7 @@ def write_forms(repair: RepairedModel, wanted: ExportRequest) -> ExportResult:
     _check_not_original(wanted.fmu, repair.problem.model.archive_hash)
     notes, files, printed = list(repair.notes), [], []
     if wanted.fmu is not None:
-        notes += write_fmu(repair, wanted.fmu, wanted.options)
+        notes += write_fmu(repair, wanted.fmu, measure=wanted.measure)
         files.append(wanted.fmu)
     for path, option, document in (
         (wanted.ssv, "--ssv", parameter_set),

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.errors import ProblemError
 from cluster_est.html_report.page import write_report
-from cluster_est.model_export.repaired_fmu import FmuOptions
 from cluster_est.model_export.repaired_model import repaired
 from cluster_est.model_export.write import ExportRequest, ExportResult, check_request, write_forms
 from cluster_est.results.result import Result
 from cluster_est.run_folder.run_folder import RunFolder
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
-from workers.messages.checks import as_path, as_tuple, check_name
+from workers.messages.checks import as_path, check_name
 
 NO_CONFIG = "# saved from Python: there is no config\n"
 
@@ -72,7 +70,6 @@ def export(
     modelica: bool = False,
     text: bool = False,
     experiment: str | None = None,
-    platforms: Sequence[str] = (),
     measure: bool = True,
 ) -> ExportResult:
     """Write the model with its estimates and effects, as `cluster-est export` does.
@@ -88,10 +85,6 @@ def export(
         Whether a Modelica class and a description are wanted, in `printed` of what comes back.
     experiment
         Whose values are taken, where parameters have one for each; None for shared ones alone.
-    platforms
-        What the FMU is compiled for besides this machine's platform: "linux64", "win64",
-        "darwin64".
-        Needs the package ziglang.
     measure
         Whether the communication step is measured that reproduces the error.
 
@@ -107,7 +100,7 @@ def export(
         None if csv is None else as_path(csv, "csv", ProblemError),
         modelica,
         text,
-        FmuOptions(as_tuple(platforms, str, "platforms", ProblemError), measure),
+        measure,
     )
     check_request(wanted)
     if experiment is not None:

@@ -1,10 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.exported import (
     Exported,
     co_simulated,
     finely_co_simulated,
-    needs_compiler,
+    output_of,
     repair_of,
     unpacked,
 )
@@ -14,7 +16,7 @@ from support.thinning import thinned
 from support.truth.springs_with_effects import FORCE, SITES, TIMES, C, K, M
 
 from workers.effects.forms import FORMS, FormCondition
-from workers.messages import Effect, Solver
+from workers.messages import Effect, Input, Output, Solver
 
 SOLVERS = {
     "dormand_prince": Solver("dormand_prince"),
@@ -81,7 +83,6 @@ def effects_of(kind, group="function"):
     return effects, values
 
 
-@needs_compiler
 @pytest.mark.parametrize(("kind", "group", "name"), CASES)
 def test_every_form_is_the_same_in_c(kind, group, name, tmp_path):
     """All forms of a kind at one site, one after the other."""
@@ -95,3 +96,37 @@ def test_every_form_is_the_same_in_c(kind, group, name, tmp_path):
     exported.close()
     expected = simulated(model_of(solver), driven(), (M, K, C, *values), effects)
     np.testing.assert_allclose(found, expected[:, 0], rtol=0.0, atol=bar)
+
+
+ALONE = {
+    "none": ((), ()),
+    "derivative": ((Effect("drag", "der(v)", "quadratic"),), (0.5,)),
+    "input": ((Effect("more", "input F", "gain"), Effect("late", "input F", "lag")), (0.2, 0.05)),
+    "output": ((Effect("bent", "output y", "cubic"),), (0.3,)),
+}
+"""Effects whose bits depend on nothing that a step does not know: no delays, no own states at
+outputs, which are linear within a step."""
+SIXTY_FOURTHS = np.arange(129) / 64.0
+"""Times whose differences are exact, as an importer adds them up."""
+
+
+@pytest.mark.parametrize("hold", [False, True])
+@pytest.mark.parametrize("name", [*SOLVERS, "halves"])
+@pytest.mark.parametrize("where", ALONE)
+def test_its_bits_are_those_of_a_simulation(where, name, hold, tmp_path):
+    solver = Solver("rk4", step=1.0 / 128.0) if name == "halves" else Solver(name)
+    if name == "fmu" and where == "derivative":
+        pytest.skip("there are none in co-simulation")
+    force = 2.0 * np.sin(3.0 * SIXTY_FOURTHS) + np.cos(7.0 * SIXTY_FOURTHS)
+    measured = replace(
+        driven(),
+        start=0.0,
+        stop=float(SIXTY_FOURTHS[-1]),
+        inputs=(Input("F", SIXTY_FOURTHS, force, "hold" if hold else "linear"),),
+        outputs=(Output("y", SIXTY_FOURTHS, np.zeros(len(force))),),
+    )
+    effects, values = ALONE[where]
+    folder = unpacked(repair_of(model_of(solver), measured, (M, K, C), effects, values), tmp_path)
+    found = output_of(folder, SIXTY_FOURTHS, {"F": force}, "y", hold=hold)
+    expected = simulated(model_of(solver), measured, (M, K, C, *values), effects)[:, 0]
+    assert found.tobytes() == expected.tobytes()

@@ -1,6 +1,5 @@
 """Exported FMUs as another tool sees them: through fmpy, call by call."""
 
-import shutil
 import zipfile
 from collections.abc import Callable, Sequence
 from ctypes import CFUNCTYPE, c_char_p, c_int, c_void_p, cast
@@ -8,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from fmpy import calloc, free, read_model_description
 from fmpy.fmi2 import (
     FMU2Slave,
@@ -24,8 +22,6 @@ from cluster_est.model_export.write import ExportRequest, write_forms
 from workers.effects.definition import define_all
 from workers.fmu.description import describe_model
 from workers.messages import Effect, Experiment, FloatArray, Model
-
-needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no compiler cc")
 
 
 def repair_of(
@@ -46,10 +42,9 @@ def repair_of(
 
 
 def written(repair, path: Path) -> tuple[str, ...]:
-    """Write an exported FMU, whose C gives no warning, and return the notes."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CC", "cc -Werror")
-        return write_forms(repair, ExportRequest(fmu=path)).notes
+    """Write an exported FMU and return the notes, but for that of other platforms."""
+    notes = write_forms(repair, ExportRequest(fmu=path)).notes
+    return tuple(note for note in notes if "does not run on" not in note)
 
 
 def unpacked(repair, folder: Path) -> Path:
@@ -70,7 +65,7 @@ def _callbacks(said: list[str]) -> fmi2CallbackFunctions:
     Not through fmpy's proxy, of which there is one for all FMUs of a process.
     """
     callbacks = fmi2CallbackFunctions()
-    logger = _LOGGER(lambda *arguments: said.append(arguments[-1].decode()))
+    logger = _LOGGER(lambda *arguments: said.append(arguments[-1].decode(errors="replace")))
     callbacks.logger = cast(logger, fmi2CallbackLoggerTYPE)
     callbacks.allocateMemory = fmi2CallbackAllocateMemoryTYPE(calloc)
     callbacks.freeMemory = fmi2CallbackFreeMemoryTYPE(free)

@@ -1,14 +1,20 @@
-"""The core of a file in the place of the one that is built, such as one with sanitizers.
+"""The libraries of files in the place of those that are built, such as ones with sanitizers.
 
 CORE_UNDER_TEST=FILE LD_PRELOAD=libasan.so python -m pytest -p support.sanitised_core tests/...
+
+or WRAPPER_UNDER_TEST for that of exported FMUs.
 """
 
 from __future__ import annotations
 
 import os
+import subprocess
 from pathlib import Path
 
-from workers.core import library
+import pytest
+
+from workers.core import build, library
+from workers.errors import ModelError
 
 SANITISED = (
     "-std=c11", "-O1", "-g", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden",
@@ -18,9 +24,37 @@ SANITISED = (
 """Flags of such a build."""
 
 
+def sanitised(folder: Path, kind: str, *, own_functions: bool) -> Path:
+    """Build a library so, or skip the test where there is no such compiler."""
+    target = folder / f"{kind}.so"
+    try:
+        build.compile_to(target, build.sources(kind, own_functions=own_functions), SANITISED)
+    except ModelError as error:
+        if "sanitize" in str(error):
+            pytest.skip("this compiler has no sanitizers")
+        raise
+    return target
+
+
+def preloaded() -> str:
+    """The sanitizer's library, which must be there before Python is."""
+    asked = [build.compiler(), "-print-file-name=libasan.so"]
+    return subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
+
+
 def chosen(*, own_functions: bool = True) -> Path:
     return Path(os.environ["CORE_UNDER_TEST"])
 
 
 def pytest_configure(config):
-    setattr(library, "built", chosen)  # noqa: B010
+    if "CORE_UNDER_TEST" in os.environ:
+        setattr(library, "built", chosen)  # noqa: B010
+    if wrapper := os.environ.get("WRAPPER_UNDER_TEST"):
+        found = build.library
+
+        def replaced(kind: str, platform: str, *, own_functions: bool = True) -> Path:
+            if kind == "wrapper":
+                return Path(wrapper)
+            return found(kind, platform, own_functions=own_functions)
+
+        setattr(build, "library", replaced)  # noqa: B010

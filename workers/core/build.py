@@ -36,6 +36,7 @@ COMPILERS = ("gcc", "cc", "clang")
 
 KINDS: dict[str, tuple[str, ...]] = {
     "core": (),
+    "wrapper": ("wrapper/*.c",),
 }
 """Kinds of libraries: the patterns of the sources that each has beside those of the core."""
 
@@ -270,7 +271,8 @@ def _known(platform: str) -> Platform:
 
 
 def _run(command: Sequence[str], target: Path, files: Sequence[Path]) -> None:
-    call = [*command, *map(str, files), "-I", str(HERE), "-o", str(target), "-lm"]
+    linked = ("-lm", "-ldl") if target.suffix == ".so" else ("-lm",)
+    call = [*command, *map(str, files), "-I", str(HERE), "-o", str(target), *linked]
     done = subprocess.run(call, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise ModelError(
@@ -289,7 +291,7 @@ def _cached(kind: str, platform: str, files: Sequence[Path]) -> Path:
 
 def _name(kind: str, platform: str, files: Sequence[Path], chosen: str = "") -> str:
     digest = hashlib.sha256(" ".join((chosen, *FLAGS)).encode())
-    for path in [*files, *sorted(HERE.glob("*.h"))]:
+    for path in [*files, *sorted(HERE.rglob("*.h"))]:
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return f"{kind}-{platform}-{digest.hexdigest()[:16]}{_known(platform).suffix}"
 

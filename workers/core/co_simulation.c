@@ -16,7 +16,7 @@ static inline void effective_at(Work *w, const Interval *a, double time) {
     run_fast(c->program->fast[BEFORE], w->r);
 }
 
-static int set_effective(Work *w, const Interval *a, double time) {
+int set_effective(Work *w, const Interval *a, double time) {
     const Model *c = &w->model;
     effective_at(w, a, time);
     if (c->n_inputs > 0)
@@ -61,7 +61,7 @@ static void slopes_over_step(Work *w, const Interval *a, double time, double h) 
 
 /* From grid time i to the next in equal steps, or with effects; the last of several ends at the
  * next time itself. */
-RARELY static int several_steps(Work *w, size_t i, int64_t steps) {
+RARELY int several_steps(Work *w, size_t i, int64_t steps) {
     const Model *c = &w->model;
     const Interval a = interval(c, ANY, i);
     const double fixed = w->batch->settings->fixed;

@@ -12,8 +12,10 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#ifdef _WIN32
+#if defined(_WIN32)
 #define EXPORT __declspec(dllexport)
+#elif defined(__ELF__) /* each library of a process calls its own */
+#define EXPORT __attribute__((visibility("protected")))
 #else
 #define EXPORT __attribute__((visibility("default")))
 #endif

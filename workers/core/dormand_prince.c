@@ -155,12 +155,19 @@ ALWAYS int adaptive_steps_of(Work *w, const Shape s, size_t i, Stepping *now, Fo
     }
 }
 
-int adaptive_steps(Work *w, size_t i, Stepping *now, Forward *forward) {
-    return adaptive_steps_of(w, ANY, i, now, forward);
+static int adaptive_steps_2(Work *w, size_t i, Stepping *now) {
+    return adaptive_steps_of(w, (Shape){2, 0, 1, -1, -1}, i, now, NULL);
 }
 
-RARELY static int adaptive_steps_2(Work *w, size_t i, Stepping *now) {
-    return adaptive_steps_of(w, (Shape){2, 0, 1, -1, -1}, i, now, NULL);
+static int adaptive_steps_2_effects(Work *w, size_t i, Stepping *now) {
+    return adaptive_steps_of(w, (Shape){2, 1, 1, -1, -1}, i, now, NULL);
+}
+
+int adaptive_steps(Work *w, size_t i, Stepping *now, Forward *forward) {
+    const Model *c = &w->model;
+    if (forward != NULL || c->f.version == 3 || !has_reals(c))
+        return adaptive_steps_of(w, ANY, i, now, forward);
+    return c->program ? adaptive_steps_2_effects(w, i, now) : adaptive_steps_2(w, i, now);
 }
 
 ALWAYS End simulate(Work *w, const double *point, double *y, const Shape s) {
@@ -190,8 +197,7 @@ ALWAYS End simulate(Work *w, const double *point, double *y, const Shape s) {
             code = to_next_event(c, s, w, i, &a, t[i + 1], &now, 1, NULL);
         } else {
             hand_over(c, s, w);
-            code = s.fmi == 2 && s.reals && !s.effects ? adaptive_steps_2(w, i, &now)
-                                                       : adaptive_steps(w, i, &now, NULL);
+            code = adaptive_steps(w, i, &now, NULL);
             take_back(c, s, w);
             if (quiet) quiet_end = quiet_until(w);
         }

@@ -13,14 +13,8 @@
 #include "elementary.h"
 #include "work.h"
 
-typedef struct {
-    const Record *record;
-    const Program *p;
-    double *r, *x, *stages[4]; /* registers; own states, and their derivatives */
-} Run;
-
 /* Inputs and outputs at a part of the interval after grid time i, and the time. */
-static void set_signals(Run *run, size_t i, double part) {
+void set_signals(OutputRun *run, size_t i, double part) {
     const Record *a = run->record;
     const size_t next = i + 1 < a->n_times ? i + 1 : i;
     const double length = a->times[next] - a->times[i];
@@ -33,7 +27,7 @@ static void set_signals(Run *run, size_t i, double part) {
 }
 
 /* Derivatives of the own states x, with the signals that are set. */
-static void slopes(Run *run, const double *x, double *dx) {
+static void slopes(OutputRun *run, const double *x, double *dx) {
     const Program *p = run->p;
     memmove(run->r + 1, x, p->n_own * sizeof *x);
     run_fast(p->fast[AFTER], run->r);
@@ -41,7 +35,7 @@ static void slopes(Run *run, const double *x, double *dx) {
 }
 
 /* Over the interval after grid time i, where the one own state follows linearly. */
-static void follow(Run *run, size_t i) {
+static void follow(OutputRun *run, size_t i) {
     const Record *a = run->record;
     const double length = a->times[i + 1] - a->times[i], z = -a->decay * length;
     double first, last, once, twice;
@@ -61,7 +55,7 @@ static void follow(Run *run, size_t i) {
 }
 
 /* Runge-Kutta substep n of those after grid time i. */
-static void substep(Run *run, size_t i, int64_t n, int64_t substeps) {
+static void substep(OutputRun *run, size_t i, int64_t n, int64_t substeps) {
     const size_t count = run->p->n_own;
     const Record *a = run->record;
     const double h = (a->times[i + 1] - a->times[i]) / (double)substeps;
@@ -78,7 +72,7 @@ static void substep(Run *run, size_t i, int64_t n, int64_t substeps) {
         x[j] += h / 6.0 * (k[0][j] + 2.0 * k[1][j] + 2.0 * k[2][j] + k[3][j]);
 }
 
-static void advance(Run *run, size_t i) {
+void advance_output_states(OutputRun *run, size_t i) {
     const Record *a = run->record;
     if (a->decay > 0.0) {
         follow(run, i);
@@ -89,12 +83,12 @@ static void advance(Run *run, size_t i) {
 }
 
 /* The output at grid time i is changed only when nothing before asks for it any more. */
-static void apply(Run *run) {
+static void apply(OutputRun *run) {
     const Record *a = run->record;
     const Program *p = run->p;
     double before = 0.0;
     for (size_t i = 0; i < a->n_times; i++) {
-        if (i > 0) advance(run, i - 1);
+        if (i > 0) advance_output_states(run, i - 1);
         set_signals(run, i, 0.0);
         memcpy(run->r + 1, run->x, p->n_own * sizeof *run->x);
         if (i == 0) {
@@ -148,7 +142,7 @@ int core_apply_to_outputs(const Record *a) {
     const size_t own = p->n_own;
     double *m = calloc(p->n_registers + 5 * own, sizeof *m);
     if (m == NULL) return NO_MEMORY;
-    Run run = {a, p, m, m + p->n_registers, {0}};
+    OutputRun run = {a, p, m, m + p->n_registers, {0}};
     for (size_t stage = 0; stage < 4; stage++) run.stages[stage] = run.x + (1 + stage) * own;
     memcpy(m + p->first_constant, p->constants, p->n_constants * sizeof *m);
     memcpy(m + p->first_coefficient, a->coefficients, p->n_coefficients * sizeof *m);

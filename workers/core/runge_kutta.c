@@ -94,12 +94,19 @@ ALWAYS int equal_steps_of(Work *w, const Shape s, size_t i, Stepping *now, Forwa
     }
 }
 
-int equal_steps(Work *w, size_t i, Stepping *now, Forward *forward) {
-    return equal_steps_of(w, ANY, i, now, forward);
+static int equal_steps_2(Work *w, size_t i, Stepping *now) {
+    return equal_steps_of(w, (Shape){2, 0, 1, -1, -1}, i, now, NULL);
 }
 
-RARELY static int equal_steps_2(Work *w, size_t i, Stepping *now) {
-    return equal_steps_of(w, (Shape){2, 0, 1, -1, -1}, i, now, NULL);
+static int equal_steps_2_effects(Work *w, size_t i, Stepping *now) {
+    return equal_steps_of(w, (Shape){2, 1, 1, -1, -1}, i, now, NULL);
+}
+
+int equal_steps(Work *w, size_t i, Stepping *now, Forward *forward) {
+    const Model *c = &w->model;
+    if (forward != NULL || c->f.version == 3 || !has_reals(c))
+        return equal_steps_of(w, ANY, i, now, forward);
+    return c->program ? equal_steps_2_effects(w, i, now) : equal_steps_2(w, i, now);
 }
 
 /* From *time to the end of an interval where nothing is asked in between. Returns the status. */
@@ -155,8 +162,7 @@ ALWAYS End simulate(Work *w, const double *point, double *y, const Shape s) {
         } else {
             now.left = most;
             hand_over(c, s, w);
-            code = s.fmi == 2 && s.reals && !s.effects ? equal_steps_2(w, i, &now)
-                                                       : equal_steps(w, i, &now, NULL);
+            code = equal_steps(w, i, &now, NULL);
             if (code != FINISHED) return (End){code, now.time, i};
             all_steps += most - now.left;
             take_back(c, s, w);

@@ -109,12 +109,31 @@ size_t core_runge_kutta(const Batch *batch);
 size_t core_dormand_prince(const Batch *batch);
 size_t core_cvode(const Batch *batch);
 
+/* ---- step by step, for the wrapper of exported FMUs ---------------------------------------- */
+
+/* In co-simulation: set inputs and parameters, as effects make them, at a time of an interval; and
+ * step from grid time i, where that was done, to the next. Returns the status. */
+struct Interval;
+int set_effective(Work *w, const struct Interval *a, double time);
+int several_steps(Work *w, size_t i, int64_t steps);
+
+/* An effect at an output under way: registers; own states, and their derivatives. */
+typedef struct {
+    const Record *record;
+    const Program *p;
+    double *r, *x, *stages[4];
+} OutputRun;
+
+/* Own states from grid time i to the next; inputs and outputs at a part of that interval. */
+void advance_output_states(OutputRun *run, size_t i);
+void set_signals(OutputRun *run, size_t i, double part);
+
 static inline int failed(int code, int status) { return status >= FATAL ? code + IS_FATAL : code; }
 static inline double smaller(double a, double b) { return b < a ? b : a; }
 static inline double larger(double a, double b) { return b > a ? b : a; }
 
 /* The inputs between two times of the grid. Those of a shape are in arrays of its own. */
-typedef struct {
+typedef struct Interval {
     double begin, own[2][MOST_INPUTS];
     const double *values, *slopes;
 } Interval;

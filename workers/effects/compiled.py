@@ -40,7 +40,7 @@ class InnerEffects:
 
 @dataclass(frozen=True)
 class CompiledEquations:
-    """Equations that `InnerEffects` is compiled from.
+    """Equations that `InnerEffects` is compiled from, and an exported FMU has as byte code.
 
     Attributes
     ----------
@@ -58,6 +58,18 @@ class CompiledEquations:
     modify_inputs: tuple[Assignment, ...]
     add_derivatives: tuple[Assignment, ...]
 
+    def code(self, n_states: int, n_inputs: int, n_coefficients: int) -> bytes:
+        """Return their byte code; the effects' own states come after those of the FMU."""
+        own, changed = len(self.start_states), len(self.parameters)
+        return assemble(
+            Registers(n_states + own, own, n_inputs, n_coefficients, changed, changed),
+            self.locations,
+            TIME_SYMBOL,
+            self.start_states,
+            self.modify_inputs,
+            self.add_derivatives,
+        )
+
 
 @lru_cache(maxsize=512)
 def compile_inner(
@@ -72,16 +84,8 @@ def compile_inner(
     The first arguments are those of `equations`; `n_coefficients` are in a row of the task's.
     """
     laid_out = equations(definitions, positions, states, inputs)
-    own, changed = len(laid_out.start_states), len(laid_out.parameters)
-    code = assemble(
-        Registers(len(states) + own, own, len(inputs), n_coefficients, changed, changed),
-        laid_out.locations,
-        TIME_SYMBOL,
-        laid_out.start_states,
-        laid_out.modify_inputs,
-        laid_out.add_derivatives,
-    )
-    return InnerEffects(laid_out.parameters, own, LoadedProgram(code))
+    code = laid_out.code(len(states), len(inputs), n_coefficients)
+    return InnerEffects(laid_out.parameters, len(laid_out.start_states), LoadedProgram(code))
 
 
 def equations(

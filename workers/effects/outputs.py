@@ -158,30 +158,41 @@ def apply_output_effect(
 def _compile(
     definition: EffectDefinition, recorded: tuple[str, ...], inputs: tuple[str, ...]
 ) -> LoadedProgram:
-    """Its inputs are those of the grid, and the outputs behind them; its result the output."""
-    locations: Locations = {
-        variable_symbol(name): (EffectArray.INPUTS, i) for i, name in enumerate(inputs)
-    } | {
-        **{variable_symbol(name): (EffectArray.OUTPUTS, i) for i, name in enumerate(recorded)},
-        SIGNAL_SYMBOL: (EffectArray.OUTPUTS, recorded.index(definition.site.target)),
-        **{s: (EffectArray.COEFFICIENTS, i) for i, s in enumerate(definition.coefficients)},
-        **{s: (EffectArray.STATES, i) for i, s in enumerate(definition.states)},
-    }
+    return LoadedProgram(output_code(definition, recorded, inputs))
+
+
+def output_code(
+    definition: EffectDefinition, recorded: tuple[str, ...], inputs: tuple[str, ...]
+) -> bytes:
+    """Return the byte code of an effect at an output: its start, its value, its derivatives."""
     own = len(definition.states)
     registers = Registers(
         own, own, len(inputs) + len(recorded), len(definition.coefficients), parameters=1,
         outputs=len(recorded),
     )  # fmt: skip
-    code = assemble(
+    return assemble(
         registers,
-        locations,
+        output_locations(definition, recorded, inputs),
         TIME_SYMBOL,
-        _assigned(EffectArray.STATES, definition.starts),
-        _assigned(EffectArray.RESULT, [equation for _, equation in definition.equations]),
-        _assigned(EffectArray.DERIVATIVES, definition.derivatives),
+        assigned(EffectArray.STATES, definition.starts),
+        assigned(EffectArray.RESULT, [equation for _, equation in definition.equations]),
+        assigned(EffectArray.DERIVATIVES, definition.derivatives),
     )
-    return LoadedProgram(code)
 
 
-def _assigned(array: EffectArray, values: Sequence[sp.Expr]) -> list[Assignment]:
+def output_locations(
+    definition: EffectDefinition, recorded: tuple[str, ...], inputs: tuple[str, ...]
+) -> Locations:
+    """Its inputs are those of the grid, and the outputs behind them; its result the output."""
+    return {
+        **{variable_symbol(name): (EffectArray.INPUTS, i) for i, name in enumerate(inputs)},
+        **{variable_symbol(name): (EffectArray.OUTPUTS, i) for i, name in enumerate(recorded)},
+        SIGNAL_SYMBOL: (EffectArray.OUTPUTS, recorded.index(definition.site.target)),
+        **{s: (EffectArray.COEFFICIENTS, i) for i, s in enumerate(definition.coefficients)},
+        **{s: (EffectArray.STATES, i) for i, s in enumerate(definition.states)},
+    }
+
+
+def assigned(array: EffectArray, values: Sequence[sp.Expr]) -> list[Assignment]:
+    """Assign values to the first places of an array."""
     return [Assignment(array, i, value) for i, value in enumerate(values)]

@@ -12,6 +12,7 @@ PLATFORM: str = fmpy.platform
 """This machine's platform in FMI 2.0's names."""
 PLATFORM_TUPLE: str = fmpy.platform_tuple
 """This machine's platform in FMI 3.0's names."""
+_SUFFIXES = {"win": ".dll", "darwin": ".dylib"}
 _SUFFIX: str = fmpy.sharedLibraryExtension
 _BITS_32 = ("linux32", "win32", "darwin32", "x86-linux", "x86-windows", "i686-linux")
 
@@ -25,6 +26,13 @@ def platforms_in(names: Iterable[str]) -> tuple[str, ...]:
     """Return the platforms with a folder of binaries, from the names in an archive."""
     found = {n.split("/")[1] for n in names if n.startswith("binaries/") and n.count("/") > 1}
     return tuple(sorted(found))
+
+
+def shared_library(name: str, platform: str) -> str:
+    """Return the name of a shared library for a platform, as FMI 2.0 calls it."""
+    if platform == PLATFORM:
+        return f"{name}{_SUFFIX}"
+    return name + next((s for system, s in _SUFFIXES.items() if platform.startswith(system)), ".so")
 
 
 def binary_path(version: Version, identifier: str) -> str:

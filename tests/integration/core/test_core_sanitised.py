@@ -6,10 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.sanitised_core import SANITISED
-
-from workers.core import build
-from workers.errors import ModelError
+from support.sanitised_core import preloaded, sanitised
 
 ROOT = Path(__file__).parents[3]
 TESTS = (
@@ -23,28 +20,11 @@ TESTS = (
 )
 
 
-def sanitised(folder):
-    target = folder / "core.so"
-    try:
-        build.compile_to(target, build.sources(), SANITISED)
-    except ModelError as error:
-        if "sanitize" in str(error):
-            pytest.skip("this compiler has no sanitizers")
-        raise
-    return target
-
-
-def preloaded():
-    """The sanitizer's library, which must be there before Python is."""
-    asked = [build.compiler(), "-print-file-name=libasan.so"]
-    return subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("tests", TESTS)
 def test_nothing_is_found(tmp_path, tests):
     surroundings = os.environ | {
-        "CORE_UNDER_TEST": str(sanitised(tmp_path)),
+        "CORE_UNDER_TEST": str(sanitised(tmp_path, "core", own_functions=True)),
         "LD_PRELOAD": preloaded(),
         "ASAN_OPTIONS": "detect_leaks=0",
         "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")]),

@@ -207,7 +207,9 @@ def test_every_column_of_a_sweeps_summary_is_described(run):
 
 @pytest.mark.slow
 def test_every_table_that_is_described_is_written_by_some_run(run):
-    written = {table for name in (*KINDS, "design", "sweep close-loop") for table in columns(run(name))}
+    written = {
+        table for name in (*KINDS, "design", "sweep close-loop") for table in columns(run(name))
+    }
     assert set(DESCRIBED) - written <= {"directions"}  # where something is not determined
 
 

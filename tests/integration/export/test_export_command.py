@@ -2,21 +2,22 @@ import csv
 import re
 import shutil
 import struct
-import sys
 import zipfile
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
-from fmpy import extract, read_model_description, simulate_fmu
+from fmpy import extract, read_model_description, simulate_fmu, supported_platforms
 from fmpy.validation import validate_fmu
 from lxml import etree
-from support.exported import needs_compiler, output_of
+from support.exported import output_of
 from support.run_folders import rows
 
 from cluster_est import read_config, read_problem
 from cluster_est.cli import main
+from workers.core import build
+from workers.fmu.platforms import PLATFORM
 
 CONFIGS = Path(__file__).parents[3] / "configs"
 EFFECT = """
@@ -62,7 +63,6 @@ def measured(run, experiment):
     return np.genfromtxt(path, delimiter=",", names=True)
 
 
-@needs_compiler
 def test_the_exported_fmu_does_what_the_run_did(run, tmp_path, export):
     fmu = tmp_path / "repaired.fmu"
     export("--fmu", fmu, "--experiment", "exp5", "--no-step")
@@ -79,7 +79,6 @@ def test_the_exported_fmu_does_what_the_run_did(run, tmp_path, export):
     assert "It was not measured." in (folder / "documentation" / "README.md").read_text()
 
 
-@needs_compiler
 @pytest.mark.slow
 def test_the_fmu_says_which_step_reproduces_the_error_and_another_tool_finds_it(
     run, tmp_path, export
@@ -122,39 +121,36 @@ def test_the_fmu_says_which_step_reproduces_the_error_and_another_tool_finds_it(
     assert error(0.02) > 1.2 * error(step)
 
 
-@needs_compiler
-def test_libraries_for_other_platforms(tmp_path, export):
-    pytest.importorskip("ziglang")
+def test_nothing_is_compiled(run, tmp_path, export, monkeypatch):
+    """An export takes what is there, for the platforms of the original that have it."""
+    monkeypatch.setattr(build, "BINARIES", tmp_path)
+    build.library("wrapper", build.this_platform())
+    monkeypatch.setattr(build, "build_into", None)
+    monkeypatch.setattr(build.subprocess, "run", None)
+    _, said = export("--fmu", tmp_path / "here.fmu", "--no-step")
+    assert "does not run on darwin64 and win64, as its original does" in said
+    fmpy_platforms = supported_platforms(str(tmp_path / "here.fmu"))
+    assert fmpy_platforms == [PLATFORM]
+
+
+def test_libraries_for_other_platforms(run, tmp_path, export, monkeypatch):
+    """As a wheel carries them; a Mac's two parts become one library."""
+    monkeypatch.setattr(build, "BINARIES", tmp_path)
+    for platform in build.PLATFORMS:
+        build.carried_path("wrapper", platform).write_bytes(f"for {platform}".encode())
     fmu = tmp_path / "everywhere.fmu"
-    export("--fmu", fmu, "--no-step", "--platforms", "win64", "darwin64")
+    _, said = export("--fmu", fmu, "--no-step")
+    assert "does not run on" not in said
     name = "binaries/{}/mass_spring_damper_repaired.{}"
     with zipfile.ZipFile(fmu) as archive:
-        windows = archive.read(name.format("win64", "dll"))
+        assert archive.read(name.format("linux64", "so")) == b"for x86_64-linux"
+        assert archive.read(name.format("win64", "dll")) == b"for x86_64-windows"
         mac = archive.read(name.format("darwin64", "dylib"))
-        assert name.format("linux64", "so") in archive.namelist()
-    assert windows[:2] == b"MZ"
-    assert b"fmi2DoStep\0" in windows
     assert struct.unpack(">II", mac[:8]) == (0xCAFEBABE, 2)
-    for part in range(2):
+    for part, (wanted, of) in enumerate(((0x01000007, "x86_64"), (0x0100000C, "aarch64"))):
         processor, _, offset, size, _ = struct.unpack_from(">5I", mac, 8 + 20 * part)
-        assert processor == (0x01000007, 0x0100000C)[part]
-        assert mac[offset : offset + 4] == bytes.fromhex("cffaedfe")
-        assert b"_fmi2DoStep\0" in mac[offset : offset + size]
-
-
-@needs_compiler
-def test_without_zig_there_is_a_sentence(tmp_path, monkeypatch, export):
-    monkeypatch.setitem(sys.modules, "ziglang", None)
-    _, said = export("--fmu", tmp_path / "a.fmu", "--platforms", "win64", code=2)
-    assert re.search(r"needs the package ziglang.*win64.*pip install", said)
-    assert not (tmp_path / "a.fmu").exists()
-
-
-def test_without_a_compiler_there_is_a_sentence(tmp_path, monkeypatch, export):
-    monkeypatch.setenv("CC", "no-such-compiler")
-    _, said = export("--fmu", tmp_path / "a.fmu", code=2)
-    assert "CC must name a C compiler but is 'no-such-compiler'" in said
-    assert not (tmp_path / "a.fmu").exists()
+        assert processor == wanted
+        assert mac[offset : offset + size] == f"for {of}-darwin".encode()
 
 
 def test_the_parameter_set_satisfies_the_schema_of_the_standard(tmp_path, export):
@@ -207,7 +203,6 @@ def test_equations_for_a_modeller(export):
         ([], "must be told what to write.*--fmu"),
         (["--fmu", "no/such/a.fmu"], "--fmu: must be in a folder that exists.*no/such"),
         (["--ssv", "no/a.ssv"], "--ssv: must be in a folder that exists.*no does not"),
-        (["--fmu", "a.fmu", "--platforms", "mac"], "--platforms: must be of linux64, win64"),
         (["--ssv", "values.xml"], r"must end in \.ssv.*'values\.xml'"),
         (["--text", "--experiment", "exp6"], "must be an experiment of the run.*'exp6'"),
         (["--text", "--config", "nowhere.toml"], "no config file nowhere.toml"),

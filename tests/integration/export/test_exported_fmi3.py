@@ -11,12 +11,11 @@ from fmpy import extract, read_model_description
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from support.described import packed
-from support.exported import Exported, co_simulated, needs_compiler, repair_of, unpacked, written
+from support.exported import Exported, co_simulated, repair_of, unpacked, written
 
 from cluster_est.errors import ModelError
 from workers.messages import Effect, Experiment, Model, Output, Solver
 
-pytestmark = needs_compiler
 TUPLE = "x86_64-linux"
 DISCARD, LAST_SUCCESSFUL_TIME, TERMINATED = 2, 2, 3
 TIMES = np.linspace(0.0, 1.0, 11)

@@ -1,8 +1,5 @@
-import sys
 from dataclasses import replace
-from importlib.machinery import ModuleSpec
 from itertools import product
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -14,7 +11,6 @@ from support.exported import (
     Exported,
     co_simulated,
     finely_co_simulated,
-    needs_compiler,
     output_of,
     repair_of,
     unpacked,
@@ -24,12 +20,9 @@ from support.problems.driven_spring import driven, model_of
 from support.simulated import simulated
 from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M, plain, pushed, solve
 
-from cluster_est.errors import ModelError
-from cluster_est.model_export.write import ExportRequest, FmuOptions, write_forms
 from workers.fmu.description import describe
 from workers.messages import Effect, Experiment, Input, Output, Solver
 
-pytestmark = needs_compiler
 EXACT = Solver("dormand_prince", rtol=1e-10)
 SPRING = model_of(EXACT)
 LAG = Effect("late", "input F", "lag")
@@ -286,14 +279,3 @@ def test_a_step_that_reproduces_nothing_is_not_named(tmp_path):
     (sentence,) = written(repair, tmp_path / "spring.fmu")
     assert "inputs constant within a communication step does not reproduce the run" in sentence
     assert "set input derivatives, or simulate by model exchange" in sentence
-
-
-def test_a_platform_that_the_original_is_not_for_is_refused(own_fmu, tmp_path, monkeypatch):
-    zig = ModuleType("ziglang")
-    zig.__spec__ = ModuleSpec("ziglang", None)
-    monkeypatch.setitem(sys.modules, "ziglang", zig)
-    of = model_of(EXACT, ("k",), own_fmu("needs_resources", 2))
-    repair = repair_of(of, undriven("y", TIMES[:5]), (0.7,), (), ())
-    wanted = ExportRequest(fmu=tmp_path / "decay.fmu", options=FmuOptions(("win64",)))
-    with pytest.raises(ModelError, match="must have a binary for win64"):
-        write_forms(repair, wanted)

@@ -71,7 +71,7 @@ def test_the_table_has_all_platforms_of_a_wheel():
 
 
 def test_every_source_is_built():
-    there = {path.name for path in build.HERE.glob("*.c")}
+    there = {path.name for path in build.HERE.rglob("*.c")}
     built = {path.name for kind in build.KINDS for path in build.sources(kind)}
     assert built == there - {"elementary_libm.c"}
 

@@ -1,7 +1,5 @@
 /* Delays, backlashes and limited rates: what a signal gives depends on what it was before. */
-#include <math.h>
 #include <stdlib.h>
-#include <string.h>
 
 #include "wrapper.h"
 
@@ -71,10 +69,6 @@ double history_at(const History *history, double at, double now, double value) {
     return until > since ? from + (fmin(at, until) - since) / (until - since) * (to - from) : to;
 }
 
-#if N_INPUT_MEMORIES > 0
-enum { DELAY, BACKLASH, RATE_LIMIT, RATE_LIMIT_FROM_REST };
-static const struct { int kind, column, coefficient; } memories[] = INPUT_MEMORIES;
-
 /* Whether a signal goes on as it did, so that nothing need be noted. */
 static int goes_on(const History *history, Segment given) {
     const Segment *last = history->segments + history->count - 1;
@@ -141,92 +135,84 @@ static Segment limited(double *out, Segment given, double fastest, double *next)
 }
 
 /* What a backlash or a limited rate gives for a sample, from what it gave last. */
-static double sampled(const Instance *c, int j, double value) {
-    double size = c->now.coefficients[memories[j].coefficient];
-    double out = c->now.play[j], most;
-    if (!c->now.begun) return memories[j].kind == RATE_LIMIT_FROM_REST && !isinf(size) ? 0.0 : value;
-    if (memories[j].kind == BACKLASH) return fmin(fmax(out, value - size), value + size);
-    most = size * fmax(c->now.time - c->now.noted[j], 0.0);
+static double sampled(const Instance *c, size_t j, double value) {
+    const Memory *m = c->table.memories + j;
+    const double size = c->coefficients[m->coefficient], out = c->play[j];
+    if (!c->now.begun) return m->kind == RATE_LIMIT_FROM_REST && !isinf(size) ? 0.0 : value;
+    if (m->kind == BACKLASH) return fmin(fmax(out, value - size), value + size);
+    const double most = size * fmax(c->now.time - c->noted[j], 0.0);
     return isnan(most) ? value : fmin(fmax(value, out - most), out + most);
 }
-#endif
+
+static double remembered(const Instance *c, size_t j, double value) {
+    const Memory *m = c->table.memories + j;
+    if (m->kind != DELAY) return sampled(c, j, value);
+    const double size = c->coefficients[m->coefficient];
+    return history_at(&c->histories[j], c->now.time - size, c->now.time, value);
+}
 
 /* In co-simulation: the inputs from a time on, with their slopes, as the effects see them. Returns
  * until when this holds, at most `end`. */
 double see_inputs(Instance *c, double time, double end) {
+    const Table *t = &c->table;
     double next = end;
-    int j;
-    for (j = 0; j < N_RAW; j++) {
-        c->now.seen[j].since = time;
-        c->now.seen[j].value = c->now.raw[j];
-        c->now.seen[j].slope = c->now.slopes[j];
+    c->times[0] = time;
+    if (LIKELY(t->n_memories == 0)) return end;
+    FOR(j, t->n_raw) c->seen[j] = c->raw[j], c->seen_slopes[j] = c->slopes[j];
+    for (size_t j = 0; j < t->n_memories; j++) {
+        const Memory *m = t->memories + j;
+        const double size = c->coefficients[m->coefficient];
+        Segment seen = {time, c->seen[m->column], c->seen_slopes[m->column]};
+        if (m->kind == BACKLASH)
+            seen = played(&c->play[j], seen, size, &next);
+        else if (m->kind == DELAY)
+            seen = delayed(&c->histories[j], seen, size, &next);
+        else
+            seen = limited(&c->play[j], seen, size, &next);
+        c->seen[m->column] = seen.value, c->seen_slopes[m->column] = seen.slope;
+        c->moves[j] = seen.slope;
     }
-#if N_INPUT_MEMORIES > 0
-    for (j = 0; j < N_INPUT_MEMORIES; j++) {
-        Segment *seen = &c->now.seen[memories[j].column];
-        double size = c->now.coefficients[memories[j].coefficient];
-        switch (memories[j].kind) {
-            case BACKLASH: *seen = played(&c->now.play[j], *seen, size, &next); break;
-            case RATE_LIMIT_FROM_REST:
-            case RATE_LIMIT: *seen = limited(&c->now.play[j], *seen, size, &next); break;
-            default: *seen = delayed(&c->histories[j], *seen, size, &next);
-        }
-        c->now.moves[j] = seen->slope;
-    }
-#endif
     return next < end - instant(end) ? next : end;
 }
 
 /* The inputs go along their lines from one time to another. */
 void pass_inputs(Instance *c, double begin, double end) {
-    int j;
-    for (j = 0; j < N_RAW; j++) c->now.raw[j] += c->now.slopes[j] * (end - begin);
-    take_inputs(c, end, c->now.was);
-#if N_INPUT_MEMORIES > 0
-    for (j = 0; j < N_INPUT_MEMORIES; j++)
-        if (memories[j].kind != DELAY) c->now.play[j] += c->now.moves[j] * (end - begin);
-#endif
+    const Table *t = &c->table;
+    if (c->facts->eventful)
+        FOR(j, t->n_raw) c->was[j] = c->seen[j] + (end - c->times[0]) * c->seen_slopes[j];
+    FOR(j, t->n_raw) c->raw[j] += c->slopes[j] * (end - begin);
+    if (LIKELY(t->n_memories == 0)) c->times[0] = end; /* what is seen has moved along */
+    for (size_t j = 0; j < t->n_memories; j++)
+        if (t->memories[j].kind != DELAY) c->play[j] += c->moves[j] * (end - begin);
 }
 
 /* In model exchange: the inputs at this time, of which nothing is known but samples. */
 void sample_inputs(Instance *c) {
-    int j;
-    for (j = 0; j < N_RAW; j++) {
-        c->now.seen[j].since = c->now.time;
-        c->now.seen[j].value = c->now.raw[j];
-        c->now.seen[j].slope = 0.0;
+    const Table *t = &c->table;
+    c->times[0] = c->now.time;
+    if (t->n_memories == 0) return;
+    FOR(j, t->n_raw) c->seen[j] = c->raw[j], c->seen_slopes[j] = 0.0;
+    for (size_t j = 0; j < t->n_memories; j++) {
+        double *value = &c->seen[t->memories[j].column];
+        *value = remembered(c, j, *value);
     }
-#if N_INPUT_MEMORIES > 0
-    for (j = 0; j < N_INPUT_MEMORIES; j++) {
-        double *value = &c->now.seen[memories[j].column].value;
-        double size = c->now.coefficients[memories[j].coefficient];
-        if (memories[j].kind != DELAY)
-            *value = sampled(c, j, *value);
-        else
-            *value = history_at(&c->histories[j], c->now.time - size, c->now.time, *value);
-    }
-#endif
 }
 
-/* In model exchange: keep the inputs at a completed step. */
+/* In model exchange: keep the inputs at a completed step. Effects at one input follow each
+ * other. */
 void note_inputs(Instance *c) {
-#if N_INPUT_MEMORIES > 0
-    double value[ROOM(N_RAW)];
-    int j;
-    memcpy(value, c->now.raw, sizeof value);
-    for (j = 0; j < N_INPUT_MEMORIES; j++) {
-        double *here = &value[memories[j].column];
-        double size = c->now.coefficients[memories[j].coefficient], given = *here;
-        if (memories[j].kind != DELAY) {
-            *here = sampled(c, j, given);
-            c->now.play[j] = *here;
-            c->now.noted[j] = c->now.time;
-        } else {
-            *here = history_at(&c->histories[j], c->now.time - size, c->now.time, given);
+    const Table *t = &c->table;
+    if (t->n_memories == 0) return;
+    memcpy(c->seen, c->raw, t->n_raw * sizeof *c->seen);
+    for (size_t j = 0; j < t->n_memories; j++) {
+        double *here = &c->seen[t->memories[j].column];
+        const double given = *here;
+        *here = remembered(c, j, given);
+        if (t->memories[j].kind == DELAY) {
             history_note(&c->histories[j], c->now.time, given, 0.0);
+        } else {
+            c->play[j] = *here;
+            c->noted[j] = c->now.time;
         }
     }
-#else
-    (void)c;
-#endif
 }

@@ -1,0 +1,59 @@
+"""The prebuilt library of exported FMUs for each platform that an FMU can be for."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+
+from workers.core import build
+from workers.fmu.platforms import PLATFORM
+
+PLATFORMS = {
+    "linux64": ("x86_64-linux",),
+    "win64": ("x86_64-windows",),
+    "darwin64": ("x86_64-darwin", "aarch64-darwin"),
+}
+"""FMI 2.0's names, with those of FMI 3.0; a Mac's library has a part for each processor."""
+_MACH_O_PARTS = ((0x01000007, 3, 12), (0x0100000C, 0, 14))
+"""Processor type, subtype and page size (as a power of two) of the parts of a universal binary."""
+
+
+def wrapper_platforms() -> tuple[str, ...]:
+    """Return the platforms that there is a library for, in FMI 2.0's names, this machine's first.
+
+    That of this machine is built if need be, which takes some seconds.
+    """
+    others = (p for p in PLATFORMS if p != PLATFORM and all(map(_is_there, PLATFORMS[p])))
+    return (PLATFORM, *others)
+
+
+def wrapper_binary(platform: str) -> bytes:
+    """Return the library for one of these platforms.
+
+    Raises
+    ------
+    ModelError
+        If it is not there and cannot be built.
+    """
+    here = build.this_platform()
+    names = PLATFORMS.get(platform, ())
+    if platform == PLATFORM and (here not in names or not all(map(_is_there, names))):
+        names = (here,)  # an installation in place has no more, and FMI 2.0 no name for some
+    parts = [build.library("wrapper", name).read_bytes() for name in names]
+    return parts[0] if len(parts) == 1 else universal_binary(parts)
+
+
+def _is_there(name: str) -> bool:
+    return build.carried_path("wrapper", name).is_file()
+
+
+def universal_binary(parts: Sequence[bytes]) -> bytes:
+    """Join the libraries for Intel and Arm Macs, in this order, into one."""
+    header = struct.pack(">II", 0xCAFEBABE, len(parts))
+    body = bytearray(4096)
+    for (processor, subtype, alignment), part in zip(_MACH_O_PARTS, parts, strict=True):
+        body.extend(bytes(-len(body) % 2**alignment))
+        header += struct.pack(">5I", processor, subtype, len(body), len(part), alignment)
+        body.extend(part)
+    body[: len(header)] = header
+    return bytes(body)
