@@ -138,7 +138,7 @@ def library(kind: str, platform: str, *, own_functions: bool = True) -> Path:
     if carried.is_file():
         return carried
     cached = _cached(kind, platform, files)
-    if cached.is_file():
+    if _is_whole(cached):
         return cached
     if platform == this_platform():
         build_into(cached, lambda target: compile_to(target, files))
@@ -146,13 +146,14 @@ def library(kind: str, platform: str, *, own_functions: bool = True) -> Path:
         build_into(cached, lambda target: compile_for(platform, target, kind, files))
     else:
         raise ModelError(missing(kind, platform))
+    _noted(cached).write_text(_digest(cached), encoding="ascii")
     return cached
 
 
 def is_built() -> bool:
     """Return whether the core is there already, so that nobody has to wait some seconds for it."""
     here = this_platform()
-    return carried_path("core", here).is_file() or _cached("core", here, sources()).is_file()
+    return carried_path("core", here).is_file() or _is_whole(_cached("core", here, sources()))
 
 
 def carried_path(kind: str, platform: str) -> Path:
@@ -287,6 +288,25 @@ def _cached(kind: str, platform: str, files: Sequence[Path]) -> Path:
     from workers.caches import cache_folder  # the hook, which needs no cache, lacks platformdirs
 
     return cache_folder("core") / _name(kind, platform, files, os.environ.get("CC", ""))
+
+
+def _is_whole(library: Path) -> bool:
+    """Return whether a cached library is there as it was built: it is executed as it stands."""
+    from workers.caches import is_mine
+
+    try:
+        mine = is_mine(library.lstat()) and library.is_file()
+        return mine and _noted(library).read_text(encoding="ascii") == _digest(library)
+    except (OSError, ValueError):
+        return False
+
+
+def _noted(library: Path) -> Path:
+    return library.with_name(f"{library.name}.sha256")
+
+
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
 def _name(kind: str, platform: str, files: Sequence[Path], chosen: str = "") -> str:

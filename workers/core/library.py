@@ -262,8 +262,20 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
 
 
 def load(path: str) -> Any:
-    """Load a library of the core, and declare its functions."""
-    library = ctypes.CDLL(path)
+    """Load a library of the core, and declare its functions.
+
+    Raises
+    ------
+    ModelError
+        If it cannot be loaded.
+    """
+    try:
+        library = ctypes.CDLL(path)
+    except OSError as error:
+        raise ModelError(
+            f"{path}: must be a library for this machine but cannot be loaded ({error}); install "
+            "cluster-est again"
+        ) from error
     for name, (returns, arguments) in _SIGNATURES.items():
         function = getattr(library, name)
         function.restype, function.argtypes = returns, arguments

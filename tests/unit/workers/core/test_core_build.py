@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from workers.core import build
+from workers.core import build, library
 from workers.errors import ModelError
 
 MUSL = "x86_64-linux-musl"
@@ -187,3 +187,31 @@ def test_a_chosen_compiler_has_a_library_of_its_own(monkeypatch, calls):
 def test_a_missing_compiler_says_what_to_do(no_compiler):
     with pytest.raises(ModelError, match="there is no C compiler to build it with: install gcc"):
         build.compiler()
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda file: file.write_bytes(b""),
+        lambda file: file.write_bytes(file.read_bytes()[:3]),
+        lambda file: file.write_bytes(b"another"),
+        lambda file: file.with_name(f"{file.name}.sha256").unlink(),
+        lambda file: file.with_name(f"{file.name}.sha256").write_bytes(b"\xff"),
+    ],
+    ids=["empty", "cut", "swapped", "no digest", "no text"],
+)
+def test_a_cached_library_is_built_anew_where_it_is_not_as_it_was_built(calls, damage):
+    built = build.built()
+    assert build.built() == built
+    assert len(calls) == 1
+    damage(built)
+    assert not build.is_built()
+    assert build.built().read_bytes() == b"library"
+    assert len(calls) == 2
+
+
+def test_a_file_that_is_no_library_is_named(tmp_path):
+    file = tmp_path / "core.so"
+    file.write_bytes(b"text")
+    with pytest.raises(ModelError, match=r"core\.so: must be a library for this machine but"):
+        library.load(str(file))

@@ -25,7 +25,8 @@ def test_it_is_built_once(tmp_path, monkeypatch):
     assert first.read_bytes() == b"library"
     assert build.built() == first
     assert len(made) == 1
-    assert [path.name for path in first.parent.iterdir()] == [first.name]
+    names = {path.name for path in first.parent.iterdir()}
+    assert names == {first.name, f"{first.name}.sha256"}
 
 
 def test_a_compiler_that_fails_is_quoted(tmp_path):
