@@ -28,7 +28,8 @@ from workers.errors import ModelError
 ZIG = "ziglang>=0.17,<0.18"
 ZIG_CACHE = "ZIG_GLOBAL_CACHE_DIR"
 """What zig has compiled of its own libraries, 70 MB, goes to a temporary folder, and so nothing is
-left; set this to a folder to keep it there: the next wheel takes seconds."""
+left. A folder that is named here is kept, which helps where zig itself stays in its place
+(`--no-build-isolation`)."""
 
 
 def get_requires_for_build_wheel(config_settings: dict[str, Any] | None = None) -> list[str]:

@@ -31,21 +31,19 @@ NEEDS = {
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory, pytestconfig):
-    """zig's own libraries, which take it minutes, are kept from one session to the next."""
+def wheel(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wheel")
     before = files_of_the_tree()
-    pip(pytestconfig, sys.executable, "wheel", ROOT, "--no-deps", "-w", folder)
+    pip(sys.executable, "wheel", ROOT, "--no-deps", "-w", folder)
     assert files_of_the_tree() == before, "it leaves nothing there"
     (path,) = folder.iterdir()
     return path
 
 
-def pip(pytestconfig, python, *arguments, **surroundings):
-    kept = {"ZIG_GLOBAL_CACHE_DIR": str(pytestconfig.cache.mkdir("zig"))}
+def pip(python, *arguments, **surroundings):
     command = [str(python), "-m", "pip", *map(str, arguments)]
     done = subprocess.run(
-        command, capture_output=True, text=True, check=False, env=os.environ | kept | surroundings
+        command, capture_output=True, text=True, check=False, env=os.environ | surroundings
     )
     for package in ("ziglang", "hatchling"):
         if f"No matching distribution found for {package}" in done.stderr:
@@ -118,9 +116,7 @@ def hashes(packages, cache, **surroundings):
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="a C compiler, to do with and without it")
 @pytest.mark.parametrize("with_compiler", [True, False])
-def test_an_installation_in_place_has_the_library_of_its_machine(
-    tmp_path, pytestconfig, with_compiler
-):
+def test_an_installation_in_place_has_the_library_of_its_machine(tmp_path, with_compiler):
     tree = tmp_path / "tree"
     for name in ("cluster_est", "workers", "scripts"):
         ignored = shutil.ignore_patterns("__pycache__", "binaries")
@@ -130,7 +126,7 @@ def test_an_installation_in_place_has_the_library_of_its_machine(
     venv.create(tmp_path / "venv", with_pip=True)
     (python,) = (tmp_path / "venv").glob("*/python")
     path = {} if with_compiler else {"PATH": str(python.parent), "CC": ""}
-    said = pip(pytestconfig, python, "install", "-v", "--no-deps", "-e", tree, **path)
+    said = pip(python, "install", "-v", "--no-deps", "-e", tree, **path)
     (made,) = (tree / "workers" / "core" / "binaries").iterdir()
     assert made.name == build.carried_path("core", build.this_platform()).name
     assert hasattr(ctypes.CDLL(str(made)), "core_simulate")
