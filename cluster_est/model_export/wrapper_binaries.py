@@ -1,4 +1,7 @@
-"""The prebuilt library of exported FMUs for each platform that an FMU can be for."""
+"""The prebuilt library of exported FMUs for each platform that an FMU can be for.
+
+What is built, and where it is, `workers.core.build` knows; here it gets the names of FMI 2.0.
+"""
 
 from __future__ import annotations
 

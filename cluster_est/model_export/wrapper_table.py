@@ -128,9 +128,7 @@ def _inputs(layout: WrapperLayout) -> list[bytes]:
     plain = [v for v in layout.inputs if layout.is_plain(v)]
     signals = (own.reference for own in layout.added if own.kind == "SIGNAL")
     moving = [v for v in layout.inputs if v.is_continuous]
-    found = {f.name: f.value for f in layout.repair.parameters} | {
-        name: float(value) for name, value in layout.repair.known if isinstance(value, float | int)
-    }
+    found = _found(layout)
     raw = [found.get(v.name, v.start or 0.0) for v in layout.inputs]
     return [
         _references((*(v.reference for v in layout.inputs), *signals)),
@@ -139,6 +137,13 @@ def _inputs(layout: WrapperLayout) -> list[bytes]:
         _driven(layout, moving),
         _doubles((*raw, *(0.0 for _ in layout.signals))),
     ]
+
+
+def _found(layout: WrapperLayout) -> dict[str, float]:
+    """Return the values of the run that are numbers, by name."""
+    repair = layout.repair
+    known = {name: float(value) for name, value in repair.known if isinstance(value, float | int)}
+    return {f.name: f.value for f in repair.parameters} | known
 
 
 def _driven(layout: WrapperLayout, inputs: Sequence[ModelVariable]) -> bytes:
@@ -157,9 +162,7 @@ def _driven(layout: WrapperLayout, inputs: Sequence[ModelVariable]) -> bytes:
 
 def _values(layout: WrapperLayout) -> list[bytes]:
     repair, variables = layout.repair, layout.repair.description.variables
-    found = {f.name: f.value for f in repair.parameters} | {
-        name: float(value) for name, value in repair.known if isinstance(value, float | int)
-    }
+    found = _found(layout)
     own = [1.0] * len(layout.equations.start_states)
     parameters = layout.equations.parameters
     known = {kind: _known(layout, kind) for kind in ("integer", "boolean", "string")}

@@ -1,5 +1,6 @@
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from support.problems.driven_spring import driven, model_of
 from support.simulated import simulated
 from support.truth.springs_with_effects import FORCE, START, TIMES, C, K, M, plain, pushed, solve
 
+from workers.core import build
 from workers.fmu.description import describe
 from workers.messages import Effect, Experiment, Input, Output, Solver
 
@@ -30,6 +32,7 @@ DELAY = Effect("later", "input F", "delay")
 DRAG = Effect("drag", "der(v)", "quadratic")
 SENSOR = Effect("slow", "output y", "lag")
 TOGETHER = ((LAG, DELAY, DRAG, SENSOR), (0.05, 0.013, 0.7, 0.04))
+EXAMPLES = sorted((Path(__file__).parents[3] / "configs" / "models").glob("*.fmu"))
 FMI_2 = (2, pytest.param(3, marks=pytest.mark.slow))
 
 
@@ -279,3 +282,23 @@ def test_a_step_that_reproduces_nothing_is_not_named(tmp_path):
     (sentence,) = written(repair, tmp_path / "spring.fmu")
     assert "inputs constant within a communication step does not reproduce the run" in sentence
     assert "set input derivatives, or simulate by model exchange" in sentence
+
+
+@pytest.mark.parametrize("kind", ["CoSimulation", "ModelExchange"])
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.slow
+def test_without_effects_an_example_has_the_bits_of_the_original(
+    tmp_path, path, kind, monkeypatch, fmpy_prints
+):
+    """In co-simulation of an original for it, and in model exchange; no compiler can be found."""
+    solver = Solver("fmu") if kind == "CoSimulation" else Solver("dormand_prince")
+    of = model_of(solver, (), path)
+    output = next(n for n in describe(of.name, of.archive).outputs)
+    build.library("wrapper", build.this_platform())  # an installation has it
+    monkeypatch.setenv("PATH", str(tmp_path))
+    written(repair_of(of, undriven(output, np.array([0.0, 1.0])), (), (), ()), tmp_path / "a.fmu")
+    assert validate_fmu(str(tmp_path / "a.fmu")) == []
+    how = {"stop_time": 1.0, "output_interval": 0.125, "output": [output], "fmi_type": kind}
+    how |= {"solver": "Euler", "step_size": 0.015625} if kind == "ModelExchange" else {}
+    one, other = (simulate_fmu(str(p), **how) for p in (path, tmp_path / "a.fmu"))
+    assert one[output].tobytes() == other[output].tobytes()

@@ -153,11 +153,10 @@ static double remembered(const Instance *c, size_t j, double value) {
 
 /* In co-simulation: the inputs from a time on, with their slopes, as the effects see them. Returns
  * until when this holds, at most `end`. */
-double see_inputs(Instance *c, double time, double end) {
+double see_memories(Instance *c, double time, double end) {
     const Table *t = &c->table;
     double next = end;
     c->times[0] = time;
-    if (LIKELY(t->n_memories == 0)) return end;
     FOR(j, t->n_raw) c->seen[j] = c->raw[j], c->seen_slopes[j] = c->slopes[j];
     for (size_t j = 0; j < t->n_memories; j++) {
         const Memory *m = t->memories + j;
@@ -178,10 +177,14 @@ double see_inputs(Instance *c, double time, double end) {
 /* The inputs go along their lines from one time to another. */
 void pass_inputs(Instance *c, double begin, double end) {
     const Table *t = &c->table;
+    const double length = end - begin;
     if (c->facts->eventful)
         FOR(j, t->n_raw) c->was[j] = c->seen[j] + (end - c->times[0]) * c->seen_slopes[j];
-    FOR(j, t->n_raw) c->raw[j] += c->slopes[j] * (end - begin);
-    if (LIKELY(t->n_memories == 0)) c->times[0] = end; /* what is seen has moved along */
+    FOR(j, t->n_raw) c->raw[j] += c->slopes[j] * length;
+    if (LIKELY(t->n_memories == 0)) {
+        c->times[0] = end; /* what is seen has moved along */
+        return;
+    }
     for (size_t j = 0; j < t->n_memories; j++)
         if (t->memories[j].kind != DELAY) c->play[j] += c->moves[j] * (end - begin);
 }

@@ -12,7 +12,7 @@ static int jumped(const Instance *c) {
 }
 
 /* The core's solvers, of an original for model exchange. */
-static int integrate(Instance *c, int placed, int64_t *left) {
+RARELY static int integrate(Instance *c, int placed, int64_t *left) {
     Work *w = &c->work;
     if (c->now.in_event || jumped(c))
         TRY(handle_event_here(c));
@@ -41,14 +41,15 @@ static int step_once(Instance *c) {
 /* The original's own steps. */
 static int simulate(Instance *c, int placed, int64_t *left) {
     Work *w = &c->work;
-    const int64_t steps = n_steps(*c->interval, c->settings.step, *left);
+    const double longest = c->settings.step;
+    const int64_t steps = longest > 0.0 ? n_steps(*c->interval, longest, *left) : 1;
     if (steps > *left) return complain(c, ERROR, "a step takes too many steps");
     *left -= steps;
     if (!placed) {
         const Interval a = interval(&w->model, ANY, 0);
         TRY(set_effective(w, &a, c->now.time));
     }
-    TRY(note_outputs(c));
+    if (c->table.n_output_effects > 0) TRY(note_outputs(c));
     w->info.ended = 0;
     const int status =
         steps == 1 && !w->model.changes_inputs ? step_once(c) : several_steps(w, 0, steps);
@@ -71,7 +72,7 @@ FMI2(DoStep)(fmi2Component component, fmi2Real point, fmi2Real size, fmi2Boolean
     if (!c->simulates || c->now.phase != SIMULATING)
         return complain(c, ERROR, "fmi2DoStep must follow fmi2ExitInitializationMode");
     c->now.time = point;
-    refresh(c);
+    if (UNLIKELY(c->stale)) refresh(c);
     for (; c->now.time < end; placed = 0) {
         const double begin = c->now.time;
         c->times[1] = see_inputs(c, begin, end);

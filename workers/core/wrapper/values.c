@@ -199,15 +199,17 @@ static inline const Answered *find_answered(const Instance *c, uint32_t referenc
     return NULL;
 }
 
-static int set_answered(Instance *c, const Answered *a, double value) {
-    const uint32_t reference = a->reference;
+static int set_input(Instance *c, const Answered *a, double value) {
     const int ahead = c->work.model.changes_inputs || c->table.n_memories > 0;
+    c->raw[a->index] = value;
+    if (ahead || c->simulates) c->now.dirty |= NEW_INPUTS;
+    if (ahead || (c->simulates && c->now.phase == SIMULATING)) return OK;
+    return set_of(c, REAL, &a->reference, 1, &value);
+}
+
+RARELY static int set_answered(Instance *c, const Answered *a, double value) {
+    const uint32_t reference = a->reference;
     switch (a->kind) {
-    case INPUT:
-        c->raw[a->index] = value;
-        if (ahead || c->simulates) c->now.dirty |= NEW_INPUTS;
-        if (ahead || (c->simulates && c->now.phase == SIMULATING)) return OK;
-        return set_of(c, REAL, &reference, 1, &value);
     case SIGNAL:
         c->raw[a->index] = value;
         c->now.dirty |= NEW_INPUTS;
@@ -233,7 +235,9 @@ FMI2(SetReal)(VALUES(const fmi2Real)) {
     Instance *c = component;
     for (size_t i = 0; i < n; i++) {
         const Answered *a = find_answered(c, vr[i]);
-        if (a != NULL) {
+        if (LIKELY(a != NULL && a->kind == INPUT)) {
+            TRY(set_input(c, a, value[i]));
+        } else if (a != NULL) {
             TRY(set_answered(c, a, value[i]));
         } else {
             TRY(open_for_discrete(c));
@@ -244,7 +248,7 @@ FMI2(SetReal)(VALUES(const fmi2Real)) {
 }
 
 /* What holds instead of what the original says; it knows nothing of this FMU's references. */
-static int get_answered(Instance *c, const Answered *a, double *value) {
+RARELY static int get_answered(Instance *c, const Answered *a, double *value) {
     switch (a->kind) {
     case INPUT:
     case SIGNAL: *value = c->raw[a->index]; return OK;

@@ -6,7 +6,7 @@
 #include "fmi2.h"
 #include "table.h"
 
-/* Which functions an original must have: always, for model exchange, for co-simulation, or none. */
+/* Functions of an original beside those that the core calls; NULL where it has none. */
 typedef int OfState(void *, void *);
 typedef int StateSize(void *, void *, size_t *);
 typedef int Serialise(void *, void *, char *, size_t);
@@ -108,7 +108,7 @@ int original_load(Instance *c, const char *resources, fmi2Boolean visible, fmi2B
                   char *why, size_t length);
 void original_free(Original *o);
 
-/* ---- memory_of_instance.c ---------------------------------------------------------------- */
+/* ---- instance.c -------------------------------------------------------------------------- */
 
 /* Everything but the original. Returns NULL, or what is wrong. */
 const char *make_instance(Instance *c);
@@ -118,7 +118,7 @@ void begin_again(Instance *c);
 /* Coefficients and base values into the registers, if they are not there. */
 void refresh(Instance *c);
 
-/* ---- messages ---------------------------------------------------------------------------- */
+/* ---- life.c: messages -------------------------------------------------------------------- */
 
 void say(const Instance *c, int status, const char *category, const char *text);
 int complain(const Instance *c, int status, const char *text);
@@ -137,7 +137,12 @@ void history_clear(History *history);
 int history_copy(History *to, const History *from);
 int history_note(History *history, double time, double value, double slope);
 double history_at(const History *history, double at, double now, double value);
-double see_inputs(Instance *c, double time, double end);
+double see_memories(Instance *c, double time, double end);
+static inline double see_inputs(Instance *c, double time, double end) {
+    if (UNLIKELY(c->table.n_memories > 0)) return see_memories(c, time, end);
+    c->times[0] = time;
+    return end;
+}
 void pass_inputs(Instance *c, double begin, double end);
 void sample_inputs(Instance *c);
 void note_inputs(Instance *c);
