@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import numbers
+from collections.abc import Mapping
 from inspect import get_annotations
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -71,11 +72,11 @@ def check_options(chosen: Any, where: str, error: type[ClusterEstError]) -> None
         hint = hints[field.name]
         if hint in _TYPES or get_origin(hint) is Literal:
             value = getattr(chosen, field.name)
-            check_option(f"{where}.{field.name}", value, hint, field.metadata.get("least"), error)
+            check_option(f"{where}.{field.name}", value, hint, field.metadata, error)
 
 
 def check_option(
-    where: str, value: Any, hint: Any, least: float | None, error: type[ClusterEstError]
+    where: str, value: Any, hint: Any, limits: Mapping[str, Any], error: type[ClusterEstError]
 ) -> None:
     """Check one option.
 
@@ -85,8 +86,8 @@ def check_option(
         Opens the message.
     value, hint
         Its value and the type that it must have.
-    least
-        The least that it may be; None for no limit.
+    limits
+        `least` and `most` that it may be, as far as there are any.
     error
         What is raised.
     """
@@ -100,8 +101,11 @@ def check_option(
         raise error(f"{where}: must be {called} but is {shown(value)}")
     if hint is not str and not _usual(value, hint):
         raise error(f"{where}: must be finite and of a usual size but is {shown(value)}")
+    least, most = limits.get("least"), limits.get("most")
     if least is not None and not value >= least:
         raise error(f"{where}: must be at least {least:g} but is {shown(value)}")
+    if most is not None and not value <= most:
+        raise error(f"{where}: must be at most {most:g} but is {shown(value)}")
 
 
 def _usual(value: Any, hint: Any) -> bool:

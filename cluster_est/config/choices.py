@@ -94,8 +94,7 @@ def _with_options(kind: type[Kind], options: dict[str, Any], where: str) -> Kind
             raise ConfigError(
                 f"{where}.{key}: {kind.name} has no such option{nearest(key, fields)}"
             )
-        least = fields[key].metadata.get("least")
-        check_option(f"{where}.{key}", value, hints[key], least, ConfigError)
+        check_option(f"{where}.{key}", value, hints[key], fields[key].metadata, ConfigError)
     return kind(**options)
 
 

@@ -44,7 +44,7 @@ class AnyEvaluator(Protocol):
 
 
 @final
-class _EvaluatorHere:
+class EvaluatorHere:
     """An evaluator in this process, which is not the FMU's alone.
 
     It gets its working folder back after each batch. An instance that had a fatal error stays for
@@ -208,11 +208,11 @@ class LocalExecutor(ThreadPool):
         count = model.at_most(workers or 1)
         if count > 1 and describe_model(model).once_per_process:
             count = 1
-        evaluators: list[_EvaluatorHere] = []
+        evaluators: list[EvaluatorHere] = []
         try:
             for i in range(count):
                 each = Evaluator(model.of_worker(i), experiments, f"local-{i}")
-                evaluators.append(_EvaluatorHere(each))
+                evaluators.append(EvaluatorHere(each))
         except BaseException:
             for evaluator in evaluators:
                 evaluator.close()

@@ -1,10 +1,14 @@
 """Hashes of whole simulations, a line each: of every form of an effect, by several solvers.
 
-python tests/support/simulation_hashes.py > tests/integration/core/simulation_hashes.txt
+PYTHONPATH=.:tests python tests/support/simulation_hashes.py [--record]
+
+prints them, or records them anew.
 """
 
 import hashlib
+import sys
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 from support.problems.springs import FMU
@@ -15,6 +19,7 @@ from workers.messages import Effect, Experiment, Input, Model, Output, Solver
 from workers.messages.types import Interface, SolverName
 from workers.simulation.simulator import Simulator
 
+RECORDED = Path(__file__).parents[1] / "integration" / "core" / "simulation_hashes.txt"
 TIMES = np.asarray(np.arange(501) * 0.01, np.float64)
 FORCE = np.cumsum(np.arange(501) * 7919 % 104729 / 104729 - 0.5)
 EFFECTS: dict[str, tuple[tuple[Effect, ...], tuple[float, ...]]] = {
@@ -61,17 +66,21 @@ def hash_of(simulator: Simulator, effects: tuple[Effect, ...], values: Sequence[
     return hashlib.sha256(batch.outputs.tobytes()).hexdigest()[:16]
 
 
-def main() -> None:
+def lines() -> Iterator[str]:
     for solver in SOLVERS:
         simulator = simulated(solver)
         for name, (effects, coefficients) in EFFECTS.items():
             if solver != "fmu" or not any(e.site.startswith("der") for e in effects):
-                print(solver, name, hash_of(simulator, effects, coefficients))
+                yield f"{solver} {name} {hash_of(simulator, effects, coefficients)}\n"
         for name, effect, values in of_every_form():
             if solver == "rk4" or (solver == "fmu" and effect.site.startswith("output")):
-                print(solver, name, hash_of(simulator, (effect,), values))
+                yield f"{solver} {name} {hash_of(simulator, (effect,), values)}\n"
         simulator.close()
 
 
 if __name__ == "__main__":
-    main()
+    found = "".join(lines())
+    if "--record" in sys.argv:
+        RECORDED.write_text(found, encoding="utf-8")
+    else:
+        print(found, end="")

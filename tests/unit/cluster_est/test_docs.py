@@ -12,6 +12,7 @@ from workers.effects.forms import FORMS
 
 DOCS = ROOT / "cluster_est" / "docs"
 TEST = re.compile(r"`(tests/[\w/]+\.py)((?:::\w+)*)`")
+PLACE = re.compile(r"`((?:cluster_est|workers|tests|scripts|configs)/[\w./-]+)`")
 LINK = re.compile(r"\]\(([^)#:]+)\)")
 
 
@@ -26,6 +27,8 @@ def missing_test(path: str, names: str) -> bool:
 def test_every_test_and_every_file_that_a_page_names_exists(page):
     text = page.read_text(encoding="utf-8")
     assert [path + names for path, names in TEST.findall(text) if missing_test(path, names)] == []
+    places = [place for place in PLACE.findall(text) if "NAME" not in place]
+    assert [place for place in places if not (ROOT / place).exists()] == []
     assert [link for link in LINK.findall(text) if not (page.parent / link).exists()] == []
 
 
