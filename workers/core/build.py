@@ -278,8 +278,8 @@ def _run(command: Sequence[str], target: Path, files: Sequence[Path]) -> None:
     if done.returncode != 0:
         raise ModelError(
             f"{HERE}: its C cannot be built: {command[0]} must compile it but says "
-            f"{done.stderr.strip()[-500:]}; correct the source if you changed it, else name another "
-            "C compiler in CC, or install a wheel of cluster-est"
+            f"{done.stderr.strip()[-500:]}; correct the source if you changed it, else name "
+            "another C compiler in CC, or install a wheel of cluster-est"
         )
 
 
