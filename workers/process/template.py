@@ -34,8 +34,6 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from workers.errors import ModelError
 from workers.evaluate import Evaluator, FmuProbe
 from workers.fmu.archive import unpack
@@ -141,9 +139,10 @@ def draw_anew() -> None:
 
     An FMU in Python shares this interpreter. With the state that all forks inherit it would draw
     the same numbers in each, and what never repeats would seem to. Python's `random` does the same
-    by itself.
+    by itself, and NumPy's where it is loaded only afterwards.
     """
-    np.random.seed()
+    if (loaded := sys.modules.get("numpy.random")) is not None:
+        loaded.seed()
 
 
 def main(descriptor: int, listening: int | None = None, address: str = "") -> None:

@@ -389,14 +389,14 @@ def test_what_is_read_at_start_decides_who_shares():
 TWO_FORKS = """
 import os
 import sys
-import numpy as np
+import numpy.random
 from workers.process.template import draw_anew
 
 for _ in range(2):
     if os.fork() == 0:
         if sys.argv[1] == "anew":
             draw_anew()
-        print(np.random.random(), flush=True)
+        print(numpy.random.random(), flush=True)
         os._exit(0)
     os.wait()
 """
