@@ -10,7 +10,7 @@ from pathlib import Path
 
 from cluster_est.errors import DataError, ModelError
 from cluster_est.preflight.table_columns import ColumnMatch, TableColumns, match, read_columns, same
-from cluster_est.problem.tables.files import MOST_NAMED_COLUMNS
+from cluster_est.problem.tables.measured_table import MOST_NAMED_COLUMNS
 from workers.fmu.description import ModelDescription, describe, nearest
 from workers.fmu.variable import ModelVariable
 from workers.messages import Role

@@ -15,13 +15,9 @@ from cluster_est.preflight.draft import (
     DraftExperiment,
     ParameterCandidate,
 )
-from cluster_est.preflight.table_columns import (
-    TIME_COLUMN_NAMES,
-    ColumnMatch,
-    TableColumn,
-    fold,
-    split_unit,
-)
+from cluster_est.preflight.table_column import TableColumn, fold, split_unit
+from cluster_est.preflight.table_columns import ColumnMatch
+from cluster_est.preflight.table_times import TIME_COLUMN_NAMES
 from cluster_est.problem.tables.units import conversion, same_unit
 from cluster_est.toml import dotted, inline
 from workers.fmu.description import ModelDescription

@@ -10,13 +10,18 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 
 from cluster_est.errors import DataError
-from cluster_est.problem.tables.files import MeasuredTable, is_text, read_table, trimmed_cells
+from cluster_est.problem.tables.cells import is_text, trimmed_cells
+from cluster_est.problem.tables.files import read_table
+from cluster_est.problem.tables.measured_table import MeasuredTable, Reading
 from cluster_est.problem.tables.stand_ins import FoundStandIn, is_missing
+from cluster_est.problem.tables.times import JOINT, TableTimes, read_times
 from workers.fmu.description import nearest
 from workers.messages import FloatArray, Input, Interpolation, Output
 from workers.messages.signals import check_length, check_times, refuse_value
@@ -29,6 +34,25 @@ class ColumnChange:
     factor: float = 1.0
     offset: float = 0.0
     demean: bool = False
+
+
+@dataclass(frozen=True)
+class Clock:
+    """What is said of the times of a column.
+
+    Attributes
+    ----------
+    time
+        The column with the times of the rows; None where they have a period.
+    own
+        The column with its own times, which a user names; empty: those of the file, or of the rows.
+    """
+
+    time: str | None = None
+    own: str = ""
+
+
+OF_ROWS = Clock()
 
 
 @dataclass(frozen=True)
@@ -57,7 +81,7 @@ class MeasuredColumns:
 
     def __post_init__(self) -> None:
         for name in self.changes:
-            if name not in self.table.columns:
+            if self.table.resolved(name, self.where) not in self.table.columns:
                 raise DataError(f"{self.where}.columns: {self.table.without(name)}")
 
     def times(self, column: str | None, sample_time: float | None, counted: str) -> FloatArray:
@@ -74,7 +98,9 @@ class MeasuredColumns:
         """
         path = self.table.path
         if column is not None:
-            times = replace(self, missing=()).column(column)
+            times = self.clock(column).seconds
+            if self.table.signals:  # it has a row for each value, so that times come again
+                times = np.unique(times[np.isfinite(times)])
             source = f"{path}, column {column!r}"
         else:
             with np.errstate(over="ignore"):
@@ -89,6 +115,73 @@ class MeasuredColumns:
         check_times(times, f"{self.where}: {source}", lambda i: f"row {self._row(i)}")
         return times
 
+    def clock(self, column: str) -> TableTimes:
+        """The times in a column, in seconds of its file or since the first used row.
+
+        Raises
+        ------
+        DataError
+            If it has no times, or may be read in several ways.
+        """
+        change = self._change(column) or ColumnChange()
+        if change.demean:
+            return TableTimes(self.column(column))
+        rows = self.table.rows_of(column)
+        if self.rows is not None:
+            whole = self.table.column(column.split(JOINT)[0], self.where) if rows is None else rows
+            rows = self._used(np.arange(len(whole)) if rows is None else rows)
+        scale = {"factor": change.factor, "offset": change.offset}
+        return read_times(self.table, column, rows, self.where, **scale)
+
+    def _change(self, name: str) -> ColumnChange | None:
+        """The change of a column, which a pattern may name."""
+        own = self.table.resolved(name)
+        return next((c for n, c in self.changes.items() if self.table.resolved(n) == own), None)
+
+    def _used(self, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """The used ones of all rows."""
+        if self.rows is None:
+            return rows
+        first, last = self.rows
+        if last > len(rows):
+            raise DataError(
+                f"{self.where}.rows: must lie within the {len(rows)} rows of "
+                f"{self.table.path} but is [{first}, {last}]; lower its end"
+            )
+        return rows[first:last]
+
+    def own_times(self, name: str, clock: Clock, times: FloatArray) -> FloatArray:
+        """The times of one column: those of its own clock, or those of the rows.
+
+        Parameters
+        ----------
+        name
+            Of the column.
+        clock
+            What is said of its times.
+        times
+            Of the rows.
+        """
+        table, resolved = self.table, self.table.resolved(name)
+        own = clock.own or table.clocks.get(resolved)
+        selected = resolved in table.signals
+        if clock.time is None or (own in (None, table.resolved(clock.time)) and not selected):
+            return times
+        if self.rows is not None:
+            raise DataError(
+                f"{self.where}.rows: must be left out where columns have times of their own, as "
+                f"{name!r} has, but is there; use start and stop"
+            )
+        first, rows = self.clock(clock.time), table.rows_of(resolved)
+        source = clock.time if selected else str(own)
+        change = self._change(source) or ColumnChange()
+        scale = {"factor": change.factor, "offset": change.offset}
+        found = read_times(table, source, rows, self.where, since=first, **scale).seconds
+        known = np.flatnonzero(np.isfinite(found)) if clock.own else np.arange(len(found))
+        where = f"{self.where}: {table.path}, times of column {name!r}"
+        check_times(found[known], where, lambda i: f"row {table.row(int(known[i]), resolved)}")
+        return found
+
     def driving(
         self,
         times: FloatArray,
@@ -96,18 +189,27 @@ class MeasuredColumns:
         column: str,
         interpolation: Interpolation,
         key: str,
+        clock: Clock = OF_ROWS,
     ) -> Input:
         """A signal that drives the model, without the rows where it was not measured."""
+        times = self.own_times(column, clock, times)
         values = self._values(times, column, f"{key}.{variable}")
-        known = np.isfinite(values)
+        known = self._known(times, values, column)
         return Input(variable, times[known], values[known], interpolation)
 
     def output(
-        self, times: FloatArray, variable: str, column: str, sigma: float, relative_sigma: float
+        self,
+        times: FloatArray,
+        variable: str,
+        column: str,
+        sigma: float,
+        relative_sigma: float,
+        clock: Clock = OF_ROWS,
     ) -> Output:
         """A signal that the model should follow, where it was measured."""
+        times = self.own_times(column, clock, times)
         values = self._values(times, column, f"outputs.{variable}")
-        measured = np.isfinite(values)
+        measured = self._known(times, values, column)
         return Output(variable, times[measured], values[measured], sigma, relative_sigma)
 
     def points(self, columns: Collection[str]) -> FloatArray:
@@ -136,18 +238,10 @@ class MeasuredColumns:
 
     def column(self, name: str) -> FloatArray:
         """The used rows of a column in its new unit, NaN where nothing was measured."""
-        values = self.table.numbers(name, self.where)
-        if self.rows is not None:
-            first, last = self.rows
-            if last > len(values):
-                raise DataError(
-                    f"{self.where}.rows: must lie within the {len(values)} rows of "
-                    f"{self.table.path} but is [{first}, {last}]; lower its end"
-                )
-            values = values[first:last]
+        values = self._used(self.table.numbers(name, self.where))
         if self.missing:
             values = np.where(is_missing(values, self.missing), np.nan, values)
-        change = self.changes.get(name)
+        change = self._change(name)
         if change is None:
             return values
         known = np.isfinite(values)
@@ -170,6 +264,18 @@ class MeasuredColumns:
             where = f"{self.where}: {self.table.path}, column {name!r}, row {self._row(i)}"
             raise refuse_value(float(values[i]), where, "leave it empty")
         return values
+
+    def _known(self, times: FloatArray, values: FloatArray, name: str) -> npt.NDArray[np.bool_]:
+        """Which values are measured; a column with its own times may end before the others."""
+        known = np.isfinite(values)
+        without = np.flatnonzero(known & ~np.isfinite(times))
+        if len(without):
+            raise DataError(
+                f"{self.where}: {self.table.path}, column {name!r}, row "
+                f"{self.table.row(int(without[0]), name)}: must have a time where it has a value "
+                "but has none; correct that row"
+            )
+        return known
 
     def _row(self, used: int) -> int:
         """The row in the file of one of the used rows."""
@@ -255,12 +361,14 @@ def with_grades(
         raise DataError(f"{where}: {table.without(column)}")
     if isinstance(cells, pa.ChunkedArray) and pa.types.is_dictionary(cells.type):
         cells = cells.cast(cells.type.value_type)
+    if not isinstance(cells, np.ndarray) and not is_text(cells) and _are_numbers(grades):
+        cells = pa.chunked_array([pa.array(_as_words(cells, grades))])
     if isinstance(cells, np.ndarray) or not is_text(cells):
         raise DataError(
             f"{where}.ordinal: {table.path}, column {column!r}: must hold the words that are "
             "listed but holds numbers; write ordinal = true"
         )
-    words = trimmed_cells(cells, decimal_comma=False).to_pylist()
+    words = trimmed_cells(cells).to_pylist()
     places = {word: float(place) for place, word in enumerate(grades, 1)}
     for i, word in enumerate(words):
         if word is not None and word not in places:
@@ -271,6 +379,16 @@ def with_grades(
     numbers = np.array([np.nan if w is None else places[w] for w in words], np.float64)
     graded = replace(table, columns={**table.columns, column: numbers})
     return replace(columns, table=graded, missing=())  # words are no numbers of the file
+
+
+def _are_numbers(grades: Sequence[str]) -> bool:
+    return all(each.strip().lstrip("+-").replace(".", "", 1).isdigit() for each in grades)
+
+
+def _as_words(cells: pa.ChunkedArray, grades: Sequence[str]) -> list[str | None]:
+    """Return numbers as the grades that they are."""
+    words = {float(each): each for each in grades}
+    return [None if n is None else words.get(float(n), f"{n:g}") for n in cells.to_pylist()]
 
 
 @dataclass(frozen=True)
@@ -293,6 +411,12 @@ class TableSource:
         Numbers that mean that nothing was measured.
     stand_ins
         Numbers in the columns of its signals that hardly are measurements.
+    reading
+        What is said of the file.
+    test
+        The column that tells tests apart, and the value of this one; None where a file is one.
+    notes
+        How the file was read, a sentence each.
     """
 
     experiment: str
@@ -304,6 +428,9 @@ class TableSource:
     named: tuple[tuple[str, str], ...] = ()
     missing: tuple[float, ...] = ()
     stand_ins: tuple[FoundStandIn, ...] = ()
+    reading: Reading = field(default_factory=Reading)
+    test: tuple[str, str] | None = None
+    notes: tuple[str, ...] = ()
 
     def unused(self) -> UnusedColumns:
         """Read the file again, for its other columns.
@@ -311,7 +438,8 @@ class TableSource:
         Empty where the file cannot be read any more, or does not say the times.
         """
         try:
-            table = read_table(self.path)
+            table = read_table(self.path, reading=self.reading)
+            table = table if self.test is None else table.part(*self.test, self.experiment)
             reader = MeasuredColumns(table, self.experiment, self.rows, missing=self.missing)
             times = reader.times(self.time, self.sample_time, self.used[-1])
         except DataError:

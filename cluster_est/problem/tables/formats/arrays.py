@@ -1,0 +1,65 @@
+"""Arrays of a file as columns: a vector is one, and a matrix one for each of its signals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from cluster_est.problem.tables.measured_table import Column
+
+MOST_MATRIX_SIGNALS = 1000
+"""Signals in a matrix, which has fewer signals than samples."""
+
+
+def columns_of(name: str, values: Any) -> Iterator[tuple[str, Column | str]]:
+    """Yield the columns of an array by their names, and why an array is none.
+
+    Parameters
+    ----------
+    name
+        Of the array.
+    values
+        An array of numbers, times or texts, a structured one, or anything else.
+    """
+    array = np.atleast_1d(values) if isinstance(values, np.ndarray | np.generic) else None
+    if array is not None and array.dtype.names:
+        for field in array.dtype.names:
+            yield from columns_of(f"{name}.{field}", array[field])
+        return
+    shape = " x ".join(str(n) for n in np.shape(values))
+    what = f"must be a vector of numbers but is {shape or 'a'} "
+    what += f"{values.dtype}" if isinstance(values, np.ndarray) else type(values).__name__
+    if array is None:
+        yield name, what
+    elif array.ndim == 1 and array.dtype.kind in "fiub":
+        yield name, array.astype(np.float64)
+    elif array.ndim == 1 and array.dtype.kind in "MmOSU":
+        yield name, _others(array) or what
+    elif array.ndim == 2 and array.dtype.kind in "fiub" and min(array.shape) <= MOST_MATRIX_SIGNALS:
+        signals = array if len(array) < len(array.T) else array.T
+        own = {f"{name}[{i}]": each for i, each in enumerate(signals)}
+        yield from ((key, each.astype(np.float64)) for key, each in own.items())
+        yield name, f"{what}; name one of its signals, {name}[0] to {[*own][-1]}"
+    else:
+        yield name, what
+
+
+def _others(array: np.ndarray[Any, Any]) -> pa.ChunkedArray | None:
+    """Return times or texts as a column of Arrow; None for anything else."""
+    try:
+        if array.dtype.kind == "S":
+            array = np.char.decode(array, "utf-8", "replace")
+        if array.dtype.kind == "O":
+            texts = [
+                each.decode("utf-8", "replace") if isinstance(each, bytes) else each
+                for each in array
+            ]
+            return pa.chunked_array([pa.array(texts)])
+        if array.dtype.kind in "Mm":
+            array = array.astype(f"{array.dtype.kind}8[ns]")
+        return pa.chunked_array([pa.array(array)])
+    except (pa.ArrowException, UnicodeError, ValueError):
+        return None
