@@ -236,7 +236,7 @@ def with_values_of_files(
         If a file is missing, is no list of values, or has some values of a map without a start.
     """
     tree = {key: copy.deepcopy(value) for key, value in raw.items() if key != VALUE_FILES}
-    given = {each.name: each for path in _paths(raw, base) for each in _read(path)}
+    given = {each.name: each for path in _paths(raw, base) for each in read_values(path)}
     if not given:
         return tree, {}
     parameters, listed = _inner(tree, "parameters"), tree.get("effects")
@@ -321,7 +321,7 @@ def _paths(raw: Mapping[str, Any], base: Path) -> list[Path]:
     return paths
 
 
-def _read(path: Path) -> list[GivenValue]:
+def read_values(path: Path) -> list[GivenValue]:
     """The values of a file.
 
     Raises

@@ -99,7 +99,7 @@ REFUSED = [
     ({"outputs": {3: "position"}}, "outputs: a variable: .*text.*3"),
     ({"outputs": "y"}, "outputs: .*a list of text.*alone; put it in brackets"),
     ({"inputs": {"F": {"column": "force", "how": 1}}}, "inputs.F: unknown key how"),
-    ({"inputs": {"F": 3}}, "inputs.F: .*a column's name or {column, interpolation}.*3"),
+    ({"inputs": {"F": 3}}, "inputs.F: .*a column's name or {column, interpolation, time}.*3"),
     ({"time": None}, "either time .*or sample_time .*neither"),
     ({"time": 3}, "time: .*text.*3"),
     ({"sample_time": 1.0}, "either time .*or sample_time .*both"),
@@ -144,7 +144,7 @@ def test_what_is_wrong_is_said(change, pattern):
         (COLUMNS | {"position": [1.0]}, "must have as many rows as the time, 4, but has 1"),
         (COLUMNS | {"force": [1, "a", 2.0, 3]}, "column 'force': must hold numbers but cannot be"),
         (COLUMNS | {"force": [10**400, 1, 2, 3]}, "'force': must hold numbers but cannot be"),
-        (COLUMNS | {"t": COLUMNS["when"]}, "must hold numbers but holds duration"),
+        (COLUMNS | {"force": COLUMNS["when"]}, "must hold numbers but holds duration"),
         (
             pd.DataFrame([[0, 1, 2], [1, 2, 3], [2, 3, 4]], columns=["t", "force", "force"]),
             "must be there once but 2 columns have that name",
