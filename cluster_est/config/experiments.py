@@ -45,7 +45,6 @@ from workers.messages import (
     SignalBound,
 )
 
-
 Tables = dict[tuple[Path, Reading], MeasuredTable]
 """Files that were read, each once in each way."""
 

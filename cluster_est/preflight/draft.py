@@ -175,9 +175,7 @@ def draft(
     )
 
 
-def _tables(
-    given: Sequence[DraftSource], time: str
-) -> list[tuple[DraftSource, TableColumns]]:
+def _tables(given: Sequence[DraftSource], time: str) -> list[tuple[DraftSource, TableColumns]]:
     """Return the columns of each source; a file with many tests is read once."""
     read: dict[tuple[Path, Reading], TableColumns] = {}
     for each in given:

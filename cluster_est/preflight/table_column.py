@@ -15,6 +15,10 @@ MOST_PARTS = 3
 """Parts of a name that may be a unit: "rad_per_s"."""
 
 
+OF_VALUES = ("data", "values", "value", "signals")
+"""Parts of a name, in small letters, that say that it has the values of what stands before."""
+
+
 @dataclass(frozen=True)
 class TableColumn:
     """One column of numbers.
@@ -43,6 +47,14 @@ class TableColumn:
     @property
     def folded(self) -> str:
         return fold(self.plain)
+
+    @property
+    def last_part(self) -> str:
+        """The name without its group or structure: "force" of "log.force" and "force.Data"."""
+        parts = re.split(r"[./\\]", self.plain)
+        while len(parts) > 1 and parts[-1].casefold() in OF_VALUES:
+            parts.pop()
+        return parts[-1]
 
 
 def fold(name: str) -> str:

@@ -24,7 +24,7 @@ from cluster_est.preflight.table_times import FoundTime, find_tests, find_time
 from cluster_est.problem.tables.files import read_table
 from cluster_est.problem.tables.jumps import count_jumps
 from cluster_est.problem.tables.long_tables import long_columns, wide
-from cluster_est.problem.tables.measured_table import MeasuredTable, Reading
+from cluster_est.problem.tables.measured_table import MeasuredTable, Reading, UndecidedError
 from cluster_est.problem.tables.units import conversion
 from workers.fmu.variable import ModelVariable
 from workers.messages import FloatArray
@@ -139,6 +139,8 @@ def _columns(
             continue
         try:
             values = table.numbers(name, "init") if name else np.zeros(0)
+        except UndecidedError:
+            raise
         except DataError:
             values = np.zeros(0)
         if not np.isfinite(values).any():
@@ -212,7 +214,7 @@ def match(
     """Match each variable to a column, and no column twice.
 
     A column has the same name, or the same but for case, blanks, underscores, brackets and a unit
-    at its end. Where neither decides, a similar column is a suggestion, or the only one that is
+    at its end; or the last part of its name is so, behind its group or structure. Where neither decides, a similar column is a suggestion, or the only one that is
     left, or the only one with a unit that can be converted to the variable's.
 
     Parameters
@@ -245,6 +247,7 @@ def same(
     sure |= _same([(v, v.name) for v in variables], [(c, c.plain) for c in columns], sure)
     folded = [(v, fold(v.name)) for v in variables]
     sure |= _same(folded, [(c, c.folded) for c in columns], sure)
+    sure |= _same(folded, [(c, fold(c.last_part)) for c in columns], sure)
     return sure | _suffixed(variables, columns, sure)
 
 

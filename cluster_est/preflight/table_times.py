@@ -11,7 +11,7 @@ import pyarrow as pa
 from cluster_est.errors import DataError
 from cluster_est.preflight.table_column import TableColumn, fold, split_unit, with_suffix
 from cluster_est.problem.tables.cells import is_text
-from cluster_est.problem.tables.measured_table import MeasuredTable
+from cluster_est.problem.tables.measured_table import MeasuredTable, UndecidedError
 from cluster_est.problem.tables.time_stamps import Stamps, read_stamps
 from cluster_est.problem.tables.times import JOINT, read_times
 from cluster_est.problem.tables.units import conversion
@@ -86,7 +86,7 @@ def find_time(table: MeasuredTable, given: str = "") -> FoundTime | None:
     DataError
         If there are times that can be read in several ways.
     """
-    names = [given] if given in table.columns or JOINT in given else [*_by_name(table)]
+    names = [given] if given and (given in table.columns or JOINT in given) else [*_by_name(table)]
     if not names:
         names = [*_by_content(table)]
     if not names:
@@ -140,6 +140,8 @@ def _holds_numbers(table: MeasuredTable, name: str) -> bool:
         return False
     try:
         return bool(np.isfinite(table.numbers(name, "init")).any())
+    except UndecidedError:
+        raise
     except DataError:
         return False
 

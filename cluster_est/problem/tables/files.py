@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 
@@ -11,7 +13,8 @@ from cluster_est.errors import DataError
 from cluster_est.problem.tables.formats import ENDINGS, TableFormat
 from cluster_est.problem.tables.long_tables import wide
 from cluster_est.problem.tables.measured_table import MeasuredTable, Reading
-from workers.messages.checks import as_path
+from workers.fmu.description import nearest
+from workers.messages.checks import as_path, as_tuple, check_kind, check_number
 
 OF_EVERY_FORMAT = ("time_format", "time_zone", "long")
 """Keys of `Reading` that mean something whatever the format is."""
@@ -24,7 +27,10 @@ def format_of(path: Path) -> TableFormat | None:
 
 
 def read_table(
-    path: str | Path, where: str = "table", *, reading: Reading | None = None
+    path: str | Path,
+    where: str = "table",
+    *,
+    reading: Reading | Mapping[str, Any] | None = None,
 ) -> MeasuredTable:
     """Read a measured file; its ending says what it is.
 
@@ -35,7 +41,7 @@ def read_table(
     where
         Opens each message.
     reading
-        What is known of the file, such as its encoding.
+        What is known of the file, by the keys of an experiment in a config: {"encoding": "cp1252"}.
 
     Raises
     ------
@@ -44,7 +50,7 @@ def read_table(
         is not installed.
     """
     path = as_path(path, where, DataError)
-    reading = Reading() if reading is None else reading
+    reading = _checked(reading, where)
     kind = format_of(path)
     if kind is None:
         raise DataError(
@@ -65,6 +71,28 @@ def read_table(
             f"{where}: {path} must be a {kind.name} file that can be read but is not ({reason}); "
             "check that it is complete, or save it again"
         ) from error
+
+
+def _checked(given: Reading | Mapping[str, Any] | None, where: str) -> Reading:
+    if isinstance(given, Reading):
+        return given
+    check_kind({} if given is None else given, Mapping, f"{where}.reading", DataError)
+    values, known = dict(given or {}), [each.name for each in fields(Reading)]
+    for key, value in values.items():
+        if key not in known:
+            raise DataError(f"{where}.reading: unknown key {key}{nearest(str(key), known)}")
+        at = f"{where}.reading.{key}"
+        if key == "skip_rows":
+            check_number(value, at, DataError, least=0, whole=True)
+        elif key == "long":
+            values[key] = as_tuple(value, str, at, DataError)
+            if len(values[key]) != 2:
+                raise DataError(f"{at}: must be (names, values), two columns, but is {value!r}")
+        else:
+            check_kind(value, str, at, DataError)
+    if values.get("decimal", "") not in ("", ".", ","):
+        raise DataError(f'{where}.reading.decimal: must be "." or "," but is {values["decimal"]!r}')
+    return Reading(**values)
 
 
 def _refuse_idle(kind: TableFormat, reading: Reading, path: Path, where: str) -> None:

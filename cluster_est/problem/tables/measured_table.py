@@ -186,7 +186,7 @@ class MeasuredTable:
             try:
                 return text_numbers(column, self.reading.decimal, self.decimal)
             except AmbiguousNumberError as error:
-                raise DataError(
+                raise UndecidedError(
                     f"{where}: {self.path}, column {name!r}, row {self.line(error.index)}: "
                     f"{error.cell!r} may have decimals or separate thousands; say which with "
                     'decimal = "." or decimal = ","'
@@ -273,6 +273,10 @@ class MeasuredTable:
             f"but is {value if len(value) < 60 else value[:57] + '...'}; correct it, or leave it "
             "empty where nothing was measured"
         )
+
+
+class UndecidedError(DataError):
+    """A column may be read in several ways, and the user has to say in which."""
 
 
 class LineNumbers:

@@ -182,7 +182,7 @@ def _epoch_unit(values: FloatArray, factor: float) -> str:
         return ""
     low, high = float(known.min()), float(known.max())
     if factor != 1.0:
-        return "times" if FIRST_EPOCH <= low * factor and high * factor < LAST_EPOCH else ""
+        return "times" if low * factor >= FIRST_EPOCH and high * factor < LAST_EPOCH else ""
     for unit, size in EPOCH_UNITS.items():
         if size * FIRST_EPOCH <= low and high < size * LAST_EPOCH:
             return unit

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,8 @@ import pyarrow as pa
 
 from cluster_est.problem.tables.measured_table import Column
 
+TIME_NAMES = ("time", "t", "times", "zeit", "timestamp", "timestamps")
+"""Names, in small letters, of what is the time of all beside it."""
 MOST_MATRIX_SIGNALS = 1000
 """Signals in a matrix, which has fewer signals than samples."""
 
@@ -45,6 +47,32 @@ def columns_of(name: str, values: Any) -> Iterator[tuple[str, Column | str]]:
         yield name, f"{what}; name one of its signals, {name}[0] to {[*own][-1]}"
     else:
         yield name, what
+
+
+def clocks_in(columns: Mapping[str, Column], separator: str) -> dict[str, str]:
+    """Return the columns with the times of others: those beside a time in a structure or group.
+
+    Parameters
+    ----------
+    columns
+        By name.
+    separator
+        Between the parts of a name.
+    """
+    found: dict[str, str] = {}
+    groups: dict[str, str] = {}
+    for name in columns:
+        group, point, last = name.rpartition(separator)
+        if point and last.casefold() in TIME_NAMES:
+            groups.setdefault(group, name)
+    for name, column in columns.items():
+        parts = name.split(separator)
+        for depth in range(len(parts) - 1, 0, -1):
+            clock = groups.get(separator.join(parts[:depth]))
+            if clock is not None and clock != name and len(columns[clock]) == len(column):
+                found[name] = clock
+                break
+    return found
 
 
 def _others(array: np.ndarray[Any, Any]) -> pa.ChunkedArray | None:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from cluster_est.errors import DataError
-from cluster_est.problem.tables.formats.arrays import columns_of
+from cluster_est.problem.tables.formats.arrays import clocks_in, columns_of
 from cluster_est.problem.tables.formats.table_format import TableFormat, library
 from cluster_est.problem.tables.measured_table import Column, MeasuredTable, Reading
 
@@ -84,7 +84,8 @@ def read_hdf5(path: Path, *, matlab: bool) -> MeasuredTable:
         opened.visititems(take)
     if not columns and not unusable:
         raise DataError("must have datasets but has none; check the file")
-    return MeasuredTable(path, columns, unusable, units=units)
+    clocks = clocks_in(columns, ".") | ({} if matlab else clocks_in(columns, "/"))
+    return MeasuredTable(path, columns, unusable, units=units, clocks=clocks)
 
 
 def _called(kind: str) -> str:

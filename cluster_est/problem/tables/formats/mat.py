@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from cluster_est.errors import DataError
-from cluster_est.problem.tables.formats.arrays import columns_of
+from cluster_est.problem.tables.formats.arrays import clocks_in, columns_of
 from cluster_est.problem.tables.formats.hdf5 import read_hdf5
 from cluster_est.problem.tables.formats.table_format import TableFormat
 from cluster_est.problem.tables.mat_file import contents
@@ -55,4 +55,4 @@ class Mat(TableFormat):
                     unusable[own] = column
                 else:
                     columns[own] = column
-        return MeasuredTable(path, columns, unusable)
+        return MeasuredTable(path, columns, unusable, clocks=clocks_in(columns, "."))

@@ -51,7 +51,9 @@ class Workbook(TableFormat):
         notes = [f"sheet {inline(sheet)} is read"] if len(opened.sheetnames) > 1 else []
         if header.header and reading.skip_rows is None:
             notes.append(f"its header is row {header.header + 1} (skip_rows = {header.header})")
-        found: dict[str, Any] = {"sheet": sheet} if len(opened.sheetnames) > 1 else {}
+        found: dict[str, Any] = (
+            {"sheet": sheet} if len(opened.sheetnames) > 1 and not reading.sheet else {}
+        )
         if header.header and reading.skip_rows is None:
             found |= {"skip_rows": header.header}
         width = len(header.names)
