@@ -73,7 +73,7 @@ def _of_files(
     others = {
         path.resolve() for each in named if each != data for path in _named(each, base, folders)
     }
-    paths = sorted({path for path in _found(data, base, folders)}, key=_in_order)
+    paths = sorted(set(_found(data, base, folders)), key=_in_order)
     paths = [path for path in paths if path.resolve() not in others]
     if not paths:
         raise ConfigError(

@@ -17,7 +17,7 @@ from cluster_est.preflight.draft import (
 )
 from cluster_est.preflight.table_column import TableColumn, fold, split_unit
 from cluster_est.preflight.table_columns import ColumnMatch
-from cluster_est.preflight.table_times import TIME_COLUMN_NAMES
+from cluster_est.preflight.table_times import DAYS_OR_SECONDS, TIME_COLUMN_NAMES
 from cluster_est.problem.tables.units import conversion, same_unit
 from cluster_est.toml import dotted, inline
 from workers.fmu.description import ModelDescription
@@ -334,7 +334,11 @@ def _in_unit(noise: float, column: TableColumn, variable: ModelVariable) -> floa
 
 def _conversions(run: DraftExperiment) -> Iterator[str]:
     """Yield lines for columns whose unit is not that of their variable."""
-    if run.columns.time is not None and run.columns.time.unit:
+    time = run.columns.time
+    if time is not None and time.unit == DAYS_OR_SECONDS:
+        value = inline({"factor": f"{FILL_IN}: 86400 if it counts days, as Excel does, else 1"})
+        yield f"{dotted('columns', time.name)} = {value}"
+    elif run.columns.time is not None and run.columns.time.unit:
         yield from _conversion(run.columns.time, "s", "times are in seconds")
     inputs = [(m.variable, m.column or m.similar) for m in run.inputs]
     for variable, column in (*inputs, *_compared(run)):

@@ -21,10 +21,16 @@ from cluster_est.preflight.table_column import (
     with_suffix,
 )
 from cluster_est.preflight.table_times import FoundTime, find_tests, find_time
+from cluster_est.problem.tables.cells import MISSING, is_text, looks_like_a_number
 from cluster_est.problem.tables.files import read_table
 from cluster_est.problem.tables.jumps import count_jumps
 from cluster_est.problem.tables.long_tables import long_columns, wide
-from cluster_est.problem.tables.measured_table import MeasuredTable, Reading, UndecidedError
+from cluster_est.problem.tables.measured_table import (
+    Column,
+    MeasuredTable,
+    Reading,
+    UndecidedError,
+)
 from cluster_est.problem.tables.units import conversion
 from workers.fmu.variable import ModelVariable
 from workers.messages import FloatArray
@@ -106,7 +112,9 @@ def read_columns(path: Path, time_column: str = "", reading: Reading | None = No
     if tests:
         table = table.part(split_by, tests[0], "init")
         found = found if found is None else found.of(table)
-    columns, others = _columns(table, found, split_by)
+    columns, others, refused = _columns(table, found, split_by)
+    if not columns and refused:
+        raise DataError(refused[0])
     if not columns:
         raise DataError(
             f"init: {path} must have columns of numbers but has none; check what separates its "
@@ -121,7 +129,7 @@ def read_columns(path: Path, time_column: str = "", reading: Reading | None = No
         tuple(others),
         reading=whole.reading,
         found=whole.found,
-        notes=whole.notes if found is None or not found.said else (*whole.notes, found.said),
+        notes=(*whole.notes, *([found.said] if found is not None and found.said else []), *refused),
         split_by=split_by,
         tests=tests,
     )
@@ -129,8 +137,12 @@ def read_columns(path: Path, time_column: str = "", reading: Reading | None = No
 
 def _columns(
     table: MeasuredTable, time: FoundTime | None, split_by: str
-) -> tuple[list[TableColumn], list[str]]:
-    """Return the columns of numbers that can be signals, one read at a time, and the others."""
+) -> tuple[list[TableColumn], list[str], list[str]]:
+    """Return the columns of numbers that can be signals, the others, and what is wrong in some.
+
+    One is read at a time, so that a large file is not there twice.
+    """
+    refused: list[str] = []
     clocks = {*table.clocks.values(), *(() if time is None else time.names)}
     found: list[tuple[int, TableColumn]] = []
     others = [*table.unusable]
@@ -141,8 +153,9 @@ def _columns(
             values = table.numbers(name, "init") if name else np.zeros(0)
         except UndecidedError:
             raise
-        except DataError:
+        except DataError as error:
             values = np.zeros(0)
+            refused += [str(error)] if _begins_with_a_number(table.columns[name]) else []
         if not np.isfinite(values).any():
             others += [name] if name else []
             continue
@@ -160,9 +173,17 @@ def _columns(
         )
         found.append((rows, column))
     if time is not None:
-        return [column for rows, column in found if rows < 0], others
+        return [column for rows, column in found if rows < 0], others, refused
     usual = Counter(rows for rows, _ in found).most_common(1)
-    return [column for rows, column in found if rows == usual[0][0]], others
+    return [column for rows, column in found if usual and rows == usual[0][0]], others, refused
+
+
+def _begins_with_a_number(column: Column) -> bool:
+    """Return whether a column of text is one of numbers but for a cell further down."""
+    if isinstance(column, np.ndarray) or not is_text(column):
+        return False
+    head = (cell.strip() for cell in column.slice(0, 10).to_pylist() if cell)
+    return looks_like_a_number(next((cell for cell in head if cell not in MISSING), ""))
 
 
 def _noise(values: FloatArray) -> float:
@@ -214,8 +235,9 @@ def match(
     """Match each variable to a column, and no column twice.
 
     A column has the same name, or the same but for case, blanks, underscores, brackets and a unit
-    at its end; or the last part of its name is so, behind its group or structure. Where neither decides, a similar column is a suggestion, or the only one that is
-    left, or the only one with a unit that can be converted to the variable's.
+    at its end; or the last part of its name is so, behind its group or structure. Where neither
+    decides, a similar column is a suggestion, or the only one that is left, or the only one with a
+    unit that can be converted to the variable's.
 
     Parameters
     ----------

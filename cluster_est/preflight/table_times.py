@@ -33,6 +33,8 @@ TEST_COLUMN_NAMES = (
 )  # fmt: skip
 """Names of a column that tells tests apart, folded."""
 MOST_TESTS = 10_000
+DAYS_OR_SECONDS = "days or seconds"
+"""In place of the unit of a time that has to be filled in."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,12 @@ def find_time(table: MeasuredTable, given: str = "") -> FoundTime | None:
     if not _is_number(table, name):
         column = replace(column, unit="")
     factor = conversion(column.unit, "s") if column.unit else None
-    found = read_times(table, name, None, "init", factor=1.0 if factor is None else factor.factor)
+    size = None if factor is None else factor.factor
+    try:
+        found = read_times(table, name, None, "init", factor=size)
+    except UndecidedError:
+        column, size = replace(column, unit=DAYS_OR_SECONDS), 1.0
+        found = read_times(table, name, None, "init", factor=size)
     return FoundTime(column, tuple(name.split(JOINT)), found.seconds, found.said)
 
 

@@ -135,12 +135,20 @@ case("bars between cells", written(table(sep="|"), ".txt"))
 case("blanks between cells", written(table(sep="   "), ".txt"), notes="blanks separate")
 case(
     "aligned with blanks",
-    written("\n".join(" ".join(f"{c:>12}" for c in r.split(",")) for r in table().split("\n"))
-            .replace("             \n", ""), ".dat"),
-)  # fmt: skip
-case("quoted", written("\n".join(
-    ",".join(f'"{c}"' for c in row.split(",")) for row in table().strip().split("\n")) + "\n"
-))  # fmt: skip
+    written(
+        "\n".join(" ".join(f"{c:>12}" for c in r.split(",")) for r in table().split("\n")).replace(
+            "             \n", ""
+        ),
+        ".dat",
+    ),
+)
+case(
+    "quoted",
+    written(
+        "\n".join(",".join(f'"{c}"' for c in row.split(",")) for row in table().strip().split("\n"))
+        + "\n"
+    ),
+)
 case("packed by gzip", lambda folder: _packed(folder))
 case(
     "cp1252 with a degree sign",
@@ -158,10 +166,13 @@ case(
 )
 case(
     "a text that is no UTF-8 far from the beginning",
-    written(_far := (table(head=("time", "F", "y", "note"), after="," + "n" * 6000)[:-10]
-            + "Geräte\n").encode("cp1252")),
+    written(
+        _far := (
+            table(head=("time", "F", "y", "note"), after="," + "n" * 6000)[:-10] + "Geräte\n"
+        ).encode("cp1252")
+    ),
     notes="cp1252, a guess",
-)  # fmt: skip
+)
 case(
     "an encoding that cannot be guessed",
     written(table(head=("time", "F", "y \u4e81")).encode("gb18030") + b"0.5\x81\x8d,1,1\n"),
@@ -192,9 +203,7 @@ case(
 )
 case("empty lines", written("\n\n" + table().replace("\n0.4,", "\n\n0.4,")))
 case("empty rows at the end", written(table(**DE) + ";;\n;;\n;;\n"))
-case("a separator at the end of each row", written(
-    table(head=("time", "F", "y", ""), after=",")
-))  # fmt: skip
+case("a separator at the end of each row", written(table(head=("time", "F", "y", ""), after=",")))
 case("units below the header", written(table().replace("time,F,y", "time,F,y\ns,N,m")))
 case(
     "units in brackets below",
@@ -211,57 +220,109 @@ case(
         table(sep=";", y=MM).replace("time;F;y", "CAN 1;CAN 1;CAN 2\ntime;F;y\ns;N;mm"),
     ),
 )
-case("units in the header", written(table(head=("time (ms)", "F / kN", "y in mm"),
-                                          times=[plain(1e3 * t) for t in T], f=F / 1e3, y=MM)))  # fmt: skip
+case(
+    "units in the header",
+    written(
+        table(
+            head=("time (ms)", "F / kN", "y in mm"),
+            times=[plain(1e3 * t) for t in T],
+            f=F / 1e3,
+            y=MM,
+        )
+    ),
+)
 case(
     "a text column", written(table([f"ok,{plain(t)}" for t in T], head=("state", "time", "F", "y")))
 )
-case("words where nothing was measured", written(
-    table().replace(plain(Y[7]), "NaN", 1).replace("\n0.4,", "\n0.4,", 1)),
-    y=np.where(np.arange(ROWS) == np.flatnonzero([plain(v) == plain(Y[7]) for v in Y])[0], np.nan, Y),
-)  # fmt: skip
+case(
+    "words where nothing was measured",
+    written(table().replace(plain(Y[7]), "NaN", 1).replace("\n0.4,", "\n0.4,", 1)),
+    y=np.where(
+        np.arange(ROWS) == np.flatnonzero([plain(v) == plain(Y[7]) for v in Y])[0], np.nan, Y
+    ),
+)
 case(
     "no header",
     written(table().split("\n", 1)[1]),
-    edit=(('"FILL IN: seconds between rows"', "0.02"), ('"FILL IN: a column"', '"column3"'),
-          ('[[experiments]]', '[[experiments]]\ninputs.F = "column2"')),
+    edit=(
+        ('"FILL IN: seconds between rows"', "0.02"),
+        ('"FILL IN: a column"', '"column3"'),
+        ("[[experiments]]", '[[experiments]]\ninputs.F = "column2"'),
+    ),
     notes="no header",
-)  # fmt: skip
+)
 case("a last line that is cut off", written(table() + "1.2,0."), refused="3, but row 62 has 2; cor")
 case("a header that is too short", written(table(after=",7")), refused="header, 3, but row 2 has 4")
 
 # numbers
 BIG = np.round(1e4 + 1e3 * F, 1)
-case("thousands of German", written(table(**(DE | {"f": BIG, "number": lambda n: _grouped(n, ".", ",")}))),
-     f=BIG)  # fmt: skip
-case("thousands with blanks", written(table(**(DE | {"f": BIG, "number": lambda n: _grouped(n, " ", ",")}))),
-     f=BIG)  # fmt: skip
-case("thousands with narrow blanks", written(table(
-    **(DE | {"f": BIG, "number": lambda n: _grouped(n, "\u202f", ",")}))), f=BIG)  # fmt: skip
-case("thousands of Switzerland", written(table(f=BIG, sep=";", number=lambda n: _grouped(n, "'", "."))),
-     f=BIG)  # fmt: skip
+case(
+    "thousands of German",
+    written(table(**(DE | {"f": BIG, "number": lambda n: _grouped(n, ".", ",")}))),
+    f=BIG,
+)
+case(
+    "thousands with blanks",
+    written(table(**(DE | {"f": BIG, "number": lambda n: _grouped(n, " ", ",")}))),
+    f=BIG,
+)
+case(
+    "thousands with narrow blanks",
+    written(table(**(DE | {"f": BIG, "number": lambda n: _grouped(n, "\u202f", ",")}))),
+    f=BIG,
+)
+case(
+    "thousands of Switzerland",
+    written(table(f=BIG, sep=";", number=lambda n: _grouped(n, "'", "."))),
+    f=BIG,
+)
 case(
     "thousands of English",
     written(table(f=BIG, sep="\t", number=lambda n: _grouped(n, ",", "."))),
     f=BIG,
 )
-case("quoted thousands of English", written(table(
-    f=BIG, number=lambda n: f'"{_grouped(n, ",", ".")}"')), f=BIG)  # fmt: skip
+case(
+    "quoted thousands of English",
+    written(table(f=BIG, number=lambda n: f'"{_grouped(n, ",", ".")}"')),
+    f=BIG,
+)
 WHOLE = np.round(1e3 * F + 5e3)
-AMBIGUOUS = table([str(i) for i in range(1, ROWS + 1)], sep=";", f=WHOLE, y=np.ones(ROWS),
-                  number=lambda n: _grouped(n, ".", ","))  # fmt: skip
+AMBIGUOUS = table(
+    [str(i) for i in range(1, ROWS + 1)],
+    sep=";",
+    f=WHOLE,
+    y=np.ones(ROWS),
+    number=lambda n: _grouped(n, ".", ","),
+)
 case(
     "thousands or decimals",
     written(AMBIGUOUS),
     refused=r'row \d+: .* may have decimals.*decimal = "\."',
 )
-case("thousands, said", written(AMBIGUOUS), t=np.arange(1.0, ROWS + 1), f=WHOLE, y=np.ones(ROWS),
-     read=("decimal=,",))  # fmt: skip
-case("decimals, said", written(AMBIGUOUS), t=np.arange(1.0, ROWS + 1), f=WHOLE / 1e3, y=np.ones(ROWS),
-     read=("decimal=.",))  # fmt: skip
+case(
+    "thousands, said",
+    written(AMBIGUOUS),
+    t=np.arange(1.0, ROWS + 1),
+    f=WHOLE,
+    y=np.ones(ROWS),
+    read=("decimal=,",),
+)
+case(
+    "decimals, said",
+    written(AMBIGUOUS),
+    t=np.arange(1.0, ROWS + 1),
+    f=WHOLE / 1e3,
+    y=np.ones(ROWS),
+    read=("decimal=.",),
+)
 case("a long minus", written(table().replace("-", "\u2212")))
-case("true and false", written(table(y=(Y > 0.05).astype(float)).replace(",1\n", ",True\n").replace(",0\n", ",False\n")),
-     y=(Y > 0.05).astype(float))  # fmt: skip
+case(
+    "true and false",
+    written(
+        table(y=(Y > 0.05).astype(float)).replace(",1\n", ",True\n").replace(",0\n", ",False\n")
+    ),
+    y=(Y > 0.05).astype(float),
+)
 
 # times
 case("milliseconds", written(table([plain(1e3 * t) for t in T], head=("time_ms", "F", "y"))))
@@ -284,25 +345,61 @@ case(
     written(table(stamps("%d.%m.%y %H:%M:%S,{ms}"), **(DE | {"head": ("Datum", *GERMAN[1:])}))),
 )
 case("dates of MATLAB", written(table(stamps("%d-%b-%Y %H:%M:%S.{ms}"))))
-case("date and time apart", written(table(
-    [f"{d};{c}" for d, c in zip(stamps("%d.%m.%Y", 30000.0), stamps("%H:%M:%S", 30000.0), strict=True)],
-    **(DE | {"head": ("Datum", "Zeit", *GERMAN[1:])}))), t=30000.0 * np.arange(ROWS))  # fmt: skip
-case("time of day over midnight", written(table(stamps("%H:%M:%S.{ms}", start=dt.datetime(2026, 1, 1, 23, 59, 59, 500000)))),
-     notes="over midnight")  # fmt: skip
-case("hours and minutes or minutes and seconds", written(table(stamps("%H:%M", 60.0))),
-     refused='time_format = "%H:%M" or "%M:%S"')  # fmt: skip
-case("minutes and seconds", written(table([f"{int(2 * i) // 60:02d}:{2 * i % 60:02d}.5" for i in range(ROWS)])),
-     t=2.0 * np.arange(ROWS))  # fmt: skip
+case(
+    "date and time apart",
+    written(
+        table(
+            [
+                f"{d};{c}"
+                for d, c in zip(
+                    stamps("%d.%m.%Y", 30000.0), stamps("%H:%M:%S", 30000.0), strict=True
+                )
+            ],
+            **(DE | {"head": ("Datum", "Zeit", *GERMAN[1:])}),
+        )
+    ),
+    t=30000.0 * np.arange(ROWS),
+)
+case(
+    "time of day over midnight",
+    written(table(stamps("%H:%M:%S.{ms}", start=dt.datetime(2026, 1, 1, 23, 59, 59, 500000)))),
+    notes="over midnight",
+)
+case(
+    "hours and minutes or minutes and seconds",
+    written(table(stamps("%H:%M", 60.0))),
+    refused='time_format = "%H:%M" or "%M:%S"',
+)
+case(
+    "minutes and seconds",
+    written(table([f"{int(2 * i) // 60:02d}:{2 * i % 60:02d}.5" for i in range(ROWS)])),
+    t=2.0 * np.arange(ROWS),
+)
 US = stamps("%m/%d/%Y %I:%M:%S %p", 86400.0, dt.datetime(2026, 1, 5, 11, 30))
 case("American dates that tell", written(table(US)), t=DAYS)
 EITHER = stamps("%m/%d/%Y %H:%M:%S", 86400.0, dt.datetime(2024, 1, 2, 10))[:10]
 FEW = {"f": F[:10], "y": Y[:10]}
-case("dates that are American or not", written(table(EITHER, **FEW)),
-     refused='several ways.*time_format = "%d/%m/%Y %H:%M:%S" or "%m/%d/%Y %H:%M:%S"')  # fmt: skip
-case("American dates, said", written(table(EITHER, **FEW)), t=DAYS[:10], **FEW,
-     read=("time_format=%m/%d/%Y %H:%M:%S",))  # fmt: skip
-case("British dates, said", written(table(EITHER, **FEW)), read=("time_format=%d/%m/%Y %H:%M:%S",),
-     t=np.array([(dt.datetime(2024, 2 + i, 1) - dt.datetime(2024, 2, 1)).days * 86400.0 for i in range(10)]), **FEW)  # fmt: skip
+case(
+    "dates that are American or not",
+    written(table(EITHER, **FEW)),
+    refused='several ways.*time_format = "%d/%m/%Y %H:%M:%S" or "%m/%d/%Y %H:%M:%S"',
+)
+case(
+    "American dates, said",
+    written(table(EITHER, **FEW)),
+    t=DAYS[:10],
+    **FEW,
+    read=("time_format=%m/%d/%Y %H:%M:%S",),
+)
+case(
+    "British dates, said",
+    written(table(EITHER, **FEW)),
+    read=("time_format=%d/%m/%Y %H:%M:%S",),
+    t=np.array(
+        [(dt.datetime(2024, 2 + i, 1) - dt.datetime(2024, 2, 1)).days * 86400.0 for i in range(10)]
+    ),
+    **FEW,
+)
 case("dates of one day", written(table(stamps("%d/%m/%Y %H:%M:%S.{ms}"))), notes="the same seconds")
 WINTER = [
     dt.datetime(2026, 10, 25, 0, 30, tzinfo=dt.UTC) + dt.timedelta(minutes=3 * i)
@@ -317,10 +414,17 @@ case(
     t=180.0 * np.arange(ROWS),
     read=("time_zone=Europe/Berlin",),
 )
-case("clocks that go back, with zones", written(table([w.strftime("%Y-%m-%d %H:%M:%S %Z") for w in LOCAL])),
-     t=180.0 * np.arange(ROWS))  # fmt: skip
-SPRING = [(dt.datetime(2026, 3, 29, 0, 30, tzinfo=dt.UTC) + dt.timedelta(minutes=3 * i)).astimezone(
-    ZoneInfo("Europe/Berlin")).strftime("%Y-%m-%d %H:%M:%S") for i in range(ROWS)]  # fmt: skip
+case(
+    "clocks that go back, with zones",
+    written(table([w.strftime("%Y-%m-%d %H:%M:%S %Z") for w in LOCAL])),
+    t=180.0 * np.arange(ROWS),
+)
+SPRING = [
+    (dt.datetime(2026, 3, 29, 0, 30, tzinfo=dt.UTC) + dt.timedelta(minutes=3 * i))
+    .astimezone(ZoneInfo("Europe/Berlin"))
+    .strftime("%Y-%m-%d %H:%M:%S")
+    for i in range(ROWS)
+]
 case(
     "clocks that go forward", written(table(SPRING)), refused="change of summer time.*time_zone = "
 )
@@ -341,15 +445,21 @@ case(
     written(table([f"{EPOCH * 1000 + round(1e3 * t)}" for t in T])),
     notes="milliseconds since",
 )
-case("milliseconds since 1970, with their unit", written(table(
-    [f"{EPOCH * 1000 + round(1e3 * t)}" for t in T], head=("time [ms]", "F", "y"))))  # fmt: skip
+case(
+    "milliseconds since 1970, with their unit",
+    written(table([f"{EPOCH * 1000 + round(1e3 * t)}" for t in T], head=("time [ms]", "F", "y"))),
+)
 case(
     "microseconds since 1970",
     written(table([f"{EPOCH * 10**6 + round(1e6 * t)}" for t in T])),
     notes="microsec",
 )
-case("nanoseconds since 1970", lambda folder: _arrow(folder, ".parquet", pa.array(
-    [EPOCH * 10**9 + round(1e9 * t) for t in T])))  # fmt: skip
+case(
+    "nanoseconds since 1970",
+    lambda folder: _arrow(
+        folder, ".parquet", pa.array([EPOCH * 10**9 + round(1e9 * t) for t in T])
+    ),
+)
 
 # many tests, long tables
 RUNS = (
@@ -362,27 +472,51 @@ LONG = "time,signal,value\n" + "".join(
     f"{plain(t)},F,{plain(f)}\n{plain(t)},y,{plain(y)}\n" for t, f, y in zip(T, F, Y, strict=True)
 )
 case("a row for each value", written(LONG))
-case("a row for each value, two tests", written(
-    "run,time,signal,value\n" + "".join(f"{r},{line}\n" for r in (1, 2) for line in LONG.split("\n")[1:-1])
-))  # fmt: skip
-case("a row for each value, at two rates", written("time,signal,value\n" + "".join(
-    f"{plain(t)},F,{plain(f)}\n" + (f"{plain(t)},y,{plain(y)}\n" if i % 2 == 0 else "")
-    for i, (t, f, y) in enumerate(zip(T, F, Y, strict=True)))), y=Y[::2], ty=T[::2])  # fmt: skip
+case(
+    "a row for each value, two tests",
+    written(
+        "run,time,signal,value\n"
+        + "".join(f"{r},{line}\n" for r in (1, 2) for line in LONG.split("\n")[1:-1])
+    ),
+)
+case(
+    "a row for each value, at two rates",
+    written(
+        "time,signal,value\n"
+        + "".join(
+            f"{plain(t)},F,{plain(f)}\n" + (f"{plain(t)},y,{plain(y)}\n" if i % 2 == 0 else "")
+            for i, (t, f, y) in enumerate(zip(T, F, Y, strict=True))
+        )
+    ),
+    y=Y[::2],
+    ty=T[::2],
+)
 case(
     "two columns with times",
-    written("time;F;ty;y\n" + "".join(
-        f"{plain(t)};{plain(f)};" + (f"{plain(T[2 * i])};{plain(Y[2 * i])}\n" if i < ROWS // 2 else ";\n")
-        for i, (t, f) in enumerate(zip(T, F, strict=True)))),
-    y=Y[::2], ty=T[::2], edit=(('outputs.y = "y"', 'outputs.y = { column = "y", time = "ty" }'),),
-)  # fmt: skip
+    written(
+        "time;F;ty;y\n"
+        + "".join(
+            f"{plain(t)};{plain(f)};"
+            + (f"{plain(T[2 * i])};{plain(Y[2 * i])}\n" if i < ROWS // 2 else ";\n")
+            for i, (t, f) in enumerate(zip(T, F, strict=True))
+        )
+    ),
+    y=Y[::2],
+    ty=T[::2],
+    edit=(('outputs.y = "y"', 'outputs.y = { column = "y", time = "ty" }'),),
+)
 
 # Arrow
 case(
     "Parquet with times",
     lambda folder: _arrow(folder, ".parquet", pa.array(_instants(), pa.timestamp("us", "UTC"))),
 )
-case("Feather with durations", lambda folder: _arrow(folder, ".feather", pa.array(
-    [dt.timedelta(seconds=float(t)) for t in T])))  # fmt: skip
+case(
+    "Feather with durations",
+    lambda folder: _arrow(
+        folder, ".feather", pa.array([dt.timedelta(seconds=float(t)) for t in T])
+    ),
+)
 
 
 # MATLAB, HDF5, MDF, TDMS, Excel
@@ -397,13 +531,23 @@ def mat(content, **more):
 
 case("MAT with vectors", mat({"time": T, "F": F, "y": Y}))
 case("MAT with a structure", mat({"log": {"time": T, "F": F[:, None], "y": Y}}))
-case("MAT with a structure for each signal", mat(
-    {"F": {"Time": T, "Data": F}, "y": {"Time": T[::2], "Data": Y[::2]}}), y=Y[::2], ty=T[::2])  # fmt: skip
+case(
+    "MAT with a structure for each signal",
+    mat({"F": {"Time": T, "Data": F}, "y": {"Time": T[::2], "Data": Y[::2]}}),
+    y=Y[::2],
+    ty=T[::2],
+)
 SIGNALS = np.array([(F, "F"), (Y, "y")], dtype=[("values", object), ("label", object)])
-case("MAT with Simulink's structure", mat({"log": {"time": T, "signals": SIGNALS}}),
-     map=("F=log.signals[0].values", "y=log.signals[1].values"))  # fmt: skip
-case("MAT with a matrix", mat({"data": np.column_stack([T, F, Y])}),
-     map=("time=data[0]", "F=data[1]", "y=data[2]"))  # fmt: skip
+case(
+    "MAT with Simulink's structure",
+    mat({"log": {"time": T, "signals": SIGNALS}}),
+    map=("F=log.signals[0].values", "y=log.signals[1].values"),
+)
+case(
+    "MAT with a matrix",
+    mat({"data": np.column_stack([T, F, Y])}),
+    map=("time=data[0]", "F=data[1]", "y=data[2]"),
+)
 case("MAT 7.3", lambda folder: _mat73(folder))
 case("HDF5 with groups", lambda folder: _hdf5(folder, grouped=True))
 case("HDF5 with a table", lambda folder: _hdf5(folder, grouped=False))
@@ -419,13 +563,33 @@ case("TDMS with increments", lambda folder: _tdms(folder, "wave"))
 case("TDMS with a channel of times", lambda folder: _tdms(folder, "channel"))
 case("TDMS with timestamps", lambda folder: _tdms(folder, "stamps"))
 case("xlsx", lambda folder: _xlsx(folder, {"Sheet1": [("time", "F", "y"), *_rows()]}))
-case("xlsx with lines above, units and dates", lambda folder: _xlsx(folder, {"Data": [
-    ("Logger",), ("Serial", 4711), (), ("Zeit", "F", "y"), (None, "N", "mm"),
-    *((START + dt.timedelta(seconds=float(t)), f, 1e3 * y) for t, f, y in _rows())]}))  # fmt: skip
-case("xlsx with notes on a sheet", lambda folder: _xlsx(folder, {
-    "Notes": [("made", "by hand")], "Data": [("time", "F", "y"), *_rows()]}), notes='sheet "Data"')  # fmt: skip
-TWO = {"A": [("time", "F", "y"), *((t, 2 * f, y) for t, f, y in zip(T, F, Y, strict=True))],
-       "B": [("time", "F", "y"), *zip(T, F, Y, strict=True)]}  # fmt: skip
+case(
+    "xlsx with lines above, units and dates",
+    lambda folder: _xlsx(
+        folder,
+        {
+            "Data": [
+                ("Logger",),
+                ("Serial", 4711),
+                (),
+                ("Zeit", "F", "y"),
+                (None, "N", "mm"),
+                *((START + dt.timedelta(seconds=float(t)), f, 1e3 * y) for t, f, y in _rows()),
+            ]
+        },
+    ),
+)
+case(
+    "xlsx with notes on a sheet",
+    lambda folder: _xlsx(
+        folder, {"Notes": [("made", "by hand")], "Data": [("time", "F", "y"), *_rows()]}
+    ),
+    notes='sheet "Data"',
+)
+TWO = {
+    "A": [("time", "F", "y"), *((t, 2 * f, y) for t, f, y in zip(T, F, Y, strict=True))],
+    "B": [("time", "F", "y"), *zip(T, F, Y, strict=True)],
+}
 case(
     "xlsx with two tables",
     lambda folder: _xlsx(folder, TWO),
@@ -568,7 +732,8 @@ def fmu_with_references(folder):
 def petab_folder(folder):
     """Two conditions with the tables of PEtab."""
     tables = {
-        "measurements.tsv": "observableId\tsimulationConditionId\ttime\tmeasurement\n" + "".join(
+        "measurements.tsv": "observableId\tsimulationConditionId\ttime\tmeasurement\n"
+        + "".join(
             f"{name}\t{condition}\t{plain(t)}\t{plain(v)}\n"
             for condition in ("soft", "stiff")
             for name, values in (("F", F), ("position", Y))
@@ -576,9 +741,10 @@ def petab_folder(folder):
         ),
         "conditions.tsv": "conditionId\tk\nsoft\t20\nstiff\t40\n",
         "observables.tsv": "observableId\tobservableFormula\tnoiseFormula\nposition\ty\t0.002\n",
-        "parameters.tsv": "parameterId\tparameterScale\tlowerBound\tupperBound\tnominalValue\testimate\n"
+        "parameters.tsv": "parameterId\tparameterScale\tlowerBound\tupperBound\tnominalValue\t"
+        "estimate\n"
         "m\tlog10\t0.2\t5\t1.5\t1\nc\tlin\t0\t3\t0.7\t0\n",
-    }  # fmt: skip
+    }
     for name, content in tables.items():
         (folder / name).write_text(content, encoding="utf-8")
     return folder

@@ -123,15 +123,19 @@ class MeasuredColumns:
         DataError
             If it has no times, or may be read in several ways.
         """
-        change = self._change(column) or ColumnChange()
-        if change.demean:
+        if (self._change(column) or ColumnChange()).demean:
             return TableTimes(self.column(column))
         rows = self.table.rows_of(column)
         if self.rows is not None:
             whole = self.table.column(column.split(JOINT)[0], self.where) if rows is None else rows
             rows = self._used(np.arange(len(whole)) if rows is None else rows)
-        scale = {"factor": change.factor, "offset": change.offset}
-        return read_times(self.table, column, rows, self.where, **scale)
+        factor, offset = self._scale(column)
+        return read_times(self.table, column, rows, self.where, factor=factor, offset=offset)
+
+    def _scale(self, column: str) -> tuple[float | None, float]:
+        """The factor and offset of a time, a factor of None where nothing is said."""
+        change = self._change(column)
+        return (None, 0.0) if change is None else (change.factor, change.offset)
 
     def _change(self, name: str) -> ColumnChange | None:
         """The change of a column, which a pattern may name."""
@@ -174,9 +178,10 @@ class MeasuredColumns:
             )
         first, rows = self.clock(clock.time), table.rows_of(resolved)
         source = clock.time if selected else str(own)
-        change = self._change(source) or ColumnChange()
-        scale = {"factor": change.factor, "offset": change.offset}
-        found = read_times(table, source, rows, self.where, since=first, **scale).seconds
+        factor, offset = self._scale(source)
+        found = read_times(
+            table, source, rows, self.where, factor=factor, offset=offset, since=first
+        ).seconds
         known = np.flatnonzero(np.isfinite(found)) if clock.own else np.arange(len(found))
         where = f"{self.where}: {table.path}, times of column {name!r}"
         check_times(found[known], where, lambda i: f"row {table.row(int(known[i]), resolved)}")

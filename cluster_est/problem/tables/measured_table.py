@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,7 @@ from workers.messages.types import by_content
 
 MOST_NAMED_COLUMNS = 30
 """Columns that a message names."""
-Column = pa.ChunkedArray | FloatArray
+Column: TypeAlias = "pa.ChunkedArray | FloatArray"
 
 
 @dataclass(frozen=True)

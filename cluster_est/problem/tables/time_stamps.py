@@ -24,6 +24,7 @@ from cluster_est.toml import inline
 
 Nanoseconds = npt.NDArray[np.int64]
 Kind = Literal["date", "clock", "instant", "elapsed"]
+ROWS_AT_ONCE: Final = 500_000
 SECOND: Final = 1_000_000_000
 HOUR, DAY = 3600 * SECOND, 86400 * SECOND
 _SECONDS: Final = r":(?P<S>\d{2})(?:[.,](?P<f>\d{1,12})|:(?P<k>\d{3}))?"
@@ -122,7 +123,7 @@ def read_stamps(column: Column, reading: Reading) -> Stamps | None:
         return None
     kind = column.type
     if is_text(column):
-        return _from_text(trimmed_cells(column), reading)
+        return _from_text(column, reading)
     if pa.types.is_timestamp(kind):
         ns, known = _integers(column.cast(pa.timestamp("ns", kind.tz)))
         return Stamps(ns, "instant", known, kind.tz is not None)
@@ -176,28 +177,51 @@ def finished(stamps: Stamps, reading: Reading) -> Stamps:
     return stamps
 
 
-def _from_text(cells: pa.ChunkedArray, reading: Reading) -> Stamps | None:
-    known = cells.is_valid().to_numpy()
-    if not known.any():
+def _from_text(column: pa.ChunkedArray, reading: Reading) -> Stamps | None:
+    """Read text, some rows at a time: their parts take many times the memory of the times."""
+    parts = [column.slice(at, ROWS_AT_ONCE) for at in range(0, len(column), ROWS_AT_ONCE)]
+    first = next((cell for part in parts if (cell := _first(part)) is not None), None)
+    if first is None:
         return None
     patterns = [(reading.time_format, _pattern_of(reading.time_format))]
     if not reading.time_format:
-        first = cells[int(np.argmax(known))].as_py()
         patterns = [(name, each) for name, each in _patterns() if re.fullmatch(each, first)]
     if not patterns:
         return None
-    found = [(name, *_parsed(cells, pattern)) for name, pattern in patterns]
+    found = [(name, *_joined(parts, pattern)) for name, pattern in patterns]
     good = [(name, stamps) for name, stamps, bad in found if stamps is not None and bad is None]
     if not good:
         index = max(-1 if bad is None else bad for _, _, bad in found)
         if index < 0:
             return None
         raise StampError(
-            f"must be a time like the others, {patterns[0][0]}, but is {cells[index].as_py()!r}; "
+            f"must be a time like the others, {patterns[0][0]}, but is {column[index].as_py()!r}; "
             'correct it, or say how times are written, as in time_format = "%d.%m.%Y %H:%M:%S"',
             index,
         )
     return _told(good)
+
+
+def _first(column: pa.ChunkedArray) -> str | None:
+    """Return the first cell of a column that is not empty."""
+    cells = trimmed_cells(column).drop_null()
+    return str(cells[0].as_py()) if len(cells) else None
+
+
+def _joined(parts: Sequence[pa.ChunkedArray], pattern: str) -> tuple[Stamps | None, int | None]:
+    """Return times by a pattern, and the first cell that does not fit."""
+    found: list[Stamps] = []
+    for i, part in enumerate(parts):
+        stamps, bad = _parsed(trimmed_cells(part), pattern)
+        if stamps is None or bad is not None:
+            return None, i * ROWS_AT_ONCE + (bad or 0)
+        found.append(stamps)
+    aware = {each.aware for each in found if each.known.any()}
+    if len(aware) > 1:
+        return None, 0
+    ns = np.concatenate([each.ns for each in found])
+    known = np.concatenate([each.known for each in found])
+    return Stamps(ns, found[0].kind, known, aware == {True}), None
 
 
 def _told(good: Sequence[tuple[str, Stamps]]) -> Stamps:

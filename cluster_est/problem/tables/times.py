@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cluster_est.errors import DataError
-from cluster_est.problem.tables.measured_table import MeasuredTable
+from cluster_est.problem.tables.measured_table import MeasuredTable, UndecidedError
 from cluster_est.problem.tables.time_stamps import (
     StampError,
     Stamps,
@@ -22,6 +22,7 @@ from cluster_est.problem.tables.time_stamps import (
     finished,
     read_stamps,
 )
+from cluster_est.toml import dotted
 from workers.messages import FloatArray
 
 JOINT: Final = " + "
@@ -29,6 +30,8 @@ JOINT: Final = " + "
 FIRST_EPOCH, LAST_EPOCH = 946_684_800.0, 4_102_444_800.0
 """Seconds since 1970 at the beginning of 2000 and of 2100."""
 EPOCH_UNITS: Final = {"seconds": 1.0, "milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
+DAYS: Final = ((36526.0, 73051.0), (730486.0, 767011.0))
+"""Days at the beginning of 2000 and of 2100, as Excel and as MATLAB counts them."""
 Rows = npt.NDArray[np.int64] | None
 
 
@@ -58,7 +61,7 @@ def read_times(
     rows: Rows,
     where: str,
     *,
-    factor: float = 1.0,
+    factor: float | None = None,
     offset: float = 0.0,
     since: TableTimes | None = None,
 ) -> TableTimes:
@@ -73,7 +76,7 @@ def read_times(
     where
         Opens each message.
     factor, offset
-        Of numbers, as the user says.
+        Of numbers, as the user says; a factor of None is 1, unless that must be said.
     since
         Times of other rows, from whose origin these count.
 
@@ -97,8 +100,8 @@ def read_times(
         row = "" if index is None else f", row {table.line(index)}"
         raise DataError(f"{at}{row}: {error}") from None
     if stamps is None:
-        return _of_numbers(table, column, rows, where, factor, offset, since)
-    if (factor, offset) != (1.0, 0.0):
+        return _of_numbers(table, column, rows, where, (factor, offset), since)
+    if factor not in (None, 1.0) or offset:
         raise DataError(
             f"{where}.columns: the time, column {column!r}, must have no factor or offset, because "
             "it has timestamps, but has; remove them"
@@ -151,15 +154,22 @@ def _of_numbers(
     column: str,
     rows: Rows,
     where: str,
-    factor: float,
-    offset: float,
+    scale: tuple[float | None, float],
     since: TableTimes | None,
 ) -> TableTimes:
+    factor, offset = scale
     at = f"{where}: {table.path}, column {column!r}"
     values = table.numbers(column, where) if rows is None else None
     values = table.all_numbers(column, where)[rows] if values is None else values
     if since is not None and isinstance(since.origin, int):
         raise DataError(f"{at}: must hold timestamps as the other times do but holds numbers")
+    if factor is None and _are_days(values):
+        change = f"{dotted('columns', column)} = {{ factor = "
+        raise UndecidedError(
+            f"{at}: must be in seconds but look like days, as Excel and MATLAB count them; write "
+            f"{change}86400 }} if they are, or {change}1.0 }}"
+        )
+    factor = 1.0 if factor is None else factor
     unit = _epoch_unit(values, factor)
     if not unit or offset:
         return TableTimes(values * factor + offset if (factor, offset) != (1.0, 0.0) else values)
@@ -173,6 +183,19 @@ def _of_numbers(
         f"{day} UTC, are used"
     )
     return TableTimes((values - origin) / size, origin, said)
+
+
+def _are_days(values: FloatArray) -> bool:
+    """Return whether numbers are dates as days, of which steps of milliseconds are no round part.
+
+    Seconds since midnight may be as large, but their steps are whole microseconds.
+    """
+    known = values[np.isfinite(values)]
+    if len(known) < 2 or not any(low <= known[0] and known[-1] < high for low, high in DAYS):
+        return False
+    step = float(np.mean(np.diff(known)))
+    rounded = abs(step * 1e6 - round(step * 1e6)) > 0.02
+    return 0.0 < step < 0.5 and rounded
 
 
 def _epoch_unit(values: FloatArray, factor: float) -> str:

@@ -1,15 +1,16 @@
-"""Files as loggers write them: each is read right, or refused with a sentence that says what to do."""
+"""Files as loggers write them: read right, or refused with a sentence that says what to do."""
 
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support.logger_files import CASES
+from support.logger_files import CASES, F, T, Y, fmu_with_references, petab_folder, table
 from support.problems.springs import FMU
 
 import cluster_est as ce
 from cluster_est.cli import main
+from cluster_est.errors import DataError
 
 CHECK = ["check", "first.toml", "--seconds", "0"]
 
@@ -141,7 +142,7 @@ def test_tests_in_a_file_are_an_experiment_each_and_read_once(tmp_path, monkeypa
     for each, number in zip(runs, (3, 7), strict=True):
         np.testing.assert_allclose(each.inputs[0].values, number * F)
     config('[[experiments]]\nid = "a"\ndata = "all.csv"\nsplit_by = "test"\nsplit_value = "8"\n')
-    with pytest.raises(ce.DataError, match="split_value: .*all.csv, column 'test': has no '8'"):
+    with pytest.raises(DataError, match=r"split_value: .*all.csv, column 'test': has no '8'"):
         ce.read_problem("first.toml")
 
 
@@ -151,7 +152,7 @@ def test_a_column_may_be_named_by_a_part_of_its_name(tmp_path, monkeypatch):
     Path("a.csv").write_text(content, encoding="utf-8")
     config('[[experiments]]\nid = "a"\ndata = "a.csv"\ninputs.F = "*.F*"\noutputs.y = "CAN1.y*"\n')
     np.testing.assert_array_equal(ce.read_problem("first.toml").experiments[0].inputs[0].values, F)
-    with pytest.raises(ce.DataError, match=r"'CAN1\*': must fit one column but fits 'CAN1.F \[N"):
+    with pytest.raises(DataError, match=r"'CAN1\*': must fit one column but fits 'CAN1.F \[N"):
         ce.read_problem("first.toml", ["experiments.a.inputs.F=CAN1*"])
 
 
@@ -170,5 +171,5 @@ def test_a_key_that_a_format_has_no_use_for_is_refused(tmp_path, monkeypatch):
     write(tmp_path, "a.csv", 1)
     config('[[experiments]]\nid = "a"\ndata = "a.csv"\n')
     for key, value in (("sheet", "A"), ("time_format", "%H:%M")):
-        with pytest.raises(ce.DataError, match=f"{key}: must be left out, because"):
+        with pytest.raises(DataError, match=f"{key}: must be left out, because"):
             ce.read_problem("first.toml", [f"experiments.a.{key}={value}"])

@@ -10,6 +10,8 @@ from cluster_est.problem.tables.formats.table_format import TableFormat
 from cluster_est.problem.tables.formats.tdms import Tdms
 from cluster_est.problem.tables.formats.workbook import Workbook
 
+__all__ = ["ENDINGS", "FORMATS", "TableFormat"]
+
 FORMATS: tuple[TableFormat, ...] = (
     DelimitedText(),
     Parquet(),

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import pyarrow.parquet as pq
 from pyarrow import feather
+from typing_extensions import override
 
 from cluster_est.problem.tables.formats.table_format import TableFormat
 from cluster_est.problem.tables.measured_table import MeasuredTable, Reading, named_columns
@@ -19,6 +20,7 @@ class Parquet(TableFormat):
     endings: ClassVar[tuple[str, ...]] = (".parquet", ".pq")
     keys: ClassVar[tuple[str, ...]] = ("decimal",)
 
+    @override
     def read(self, path: Path, reading: Reading) -> MeasuredTable:
         # read_table would make columns of a folder's name like "run=3"
         with pq.ParquetFile(path, page_checksum_verification=True) as opened:
@@ -34,6 +36,7 @@ class Feather(TableFormat):
     endings: ClassVar[tuple[str, ...]] = (".feather", ".arrow", ".ipc")
     keys: ClassVar[tuple[str, ...]] = ("decimal",)
 
+    @override
     def read(self, path: Path, reading: Reading) -> MeasuredTable:
         table = feather.read_table(path, memory_map=False)
         table.validate(full=True)

@@ -44,7 +44,7 @@ class Clocks:
         if len(different) == 1 and TIME_NAME not in columns:
             names = dict.fromkeys(names, TIME_NAME)
             different = {TIME_NAME: next(iter(different.values()))}
-        notes = ()
+        notes: tuple[str, ...] = ()
         if len(different) > 1:
             rates = f"its channels have {len(different)} different clocks, and each is read with "
             notes = (f"{rates}its own: {', '.join([*different][:6])}",)

@@ -19,6 +19,7 @@ from typing import Any, ClassVar, Final
 
 import pyarrow as pa
 import pyarrow.csv as pacsv
+from typing_extensions import override
 
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.cells import MISSING, decimal_in, looks_like_a_number
@@ -88,6 +89,7 @@ class DelimitedText(TableFormat):
     endings: ClassVar[tuple[str, ...]] = (".csv", ".tsv", ".txt", ".dat", ".asc", ".csv.gz")
     keys: ClassVar[tuple[str, ...]] = ("encoding", "skip_rows", "decimal")
 
+    @override
     def read(self, path: Path, reading: Reading) -> MeasuredTable:
         head = _head(path)
         encoding, note = _encoding(head, reading.encoding)
@@ -105,7 +107,8 @@ class _NotUtf8Error(Exception):
 
 def _head(path: Path) -> bytes:
     with _opened(path) as file:
-        return file.read(HEAD_BYTES)
+        head: bytes = file.read(HEAD_BYTES)
+    return head
 
 
 def _opened(path: Path) -> Any:
@@ -201,6 +204,12 @@ def _layout(lines: Sequence[str], encoding: str, reading: Reading) -> _Layout:
         )
     found = _table(lines, start, given=reading.skip_rows is not None)
     delimiter, header, comments = found or _plain(lines, start)
+    if header.rival is not None and reading.skip_rows is None:
+        raise DataError(
+            f"must have one table but has several, with headers in rows {header.rival + 1} and "
+            f"{(header.header or 0) + 1}; say which with skip_rows = {header.rival} or "
+            f"skip_rows = {header.header}, or save each in a file of its own"
+        )
     cells = _columns(lines, delimiter, header, comments=comments)
     decimal = reading.decimal or decimal_in(cell for column in cells for cell in column)
     numeric = _numeric(cells, decimal or ("." if delimiter == "," else ""))

@@ -17,6 +17,8 @@ from tempfile import TemporaryDirectory
 from typing import ClassVar, Final
 from xml.etree import ElementTree
 
+from typing_extensions import override
+
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.formats.delimited import DelimitedText
 from cluster_est.problem.tables.formats.table_format import TableFormat
@@ -59,6 +61,7 @@ class FmuReferences(TableFormat):
     endings: ClassVar[tuple[str, ...]] = (".fmu",)
     keys: ClassVar[tuple[str, ...]] = ("sheet",)
 
+    @override
     def read(self, path: Path, reading: Reading) -> MeasuredTable:
         found = {each.name: each for each in reference_experiments(path)}
         if not found:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Final
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.formats.arrays import clocks_in, columns_of
@@ -32,6 +33,7 @@ class Hdf5(TableFormat):
     name: ClassVar[str] = "HDF5"
     endings: ClassVar[tuple[str, ...]] = (".h5", ".hdf5", ".hdf", ".nc")
 
+    @override
     def read(self, path: Path, reading: Reading) -> MeasuredTable:
         return read_hdf5(path, matlab=False)
 

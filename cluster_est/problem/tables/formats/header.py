@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from cluster_est.problem.tables.cells import MISSING, looks_like_a_number
@@ -19,6 +19,9 @@ LEAST_NUMBERS: Final = 0.5
 """Least share of the cells of a row with data that are numbers or times."""
 LEAST_UNITS: Final = 0.5
 """Least share of the cells of a row of units that are units."""
+LEAST_ROWS_OF_RIVAL: Final = 3
+LEAST_SHARE_OF_RIVAL: Final = 0.9
+"""Rows with data, and the share of numbers in them, of what is a table too."""
 NO_UNIT: Final = ("-", "1", "none", "n/a", "")
 _TIME: Final = re.compile(
     r"\d[\d\s:.,/+TZ-]*( ?[ap]m)?|\d{1,2}[- ][a-z]{3}[- ]\d{2,4}.*", re.IGNORECASE
@@ -45,6 +48,8 @@ class Header:
         Rows with data that follow, as far as they were looked at.
     share
         Of the cells in these rows that are numbers or times.
+    rival
+        Index of the header of another table above it; None without one.
     """
 
     names: tuple[str, ...]
@@ -53,6 +58,13 @@ class Header:
     units: dict[int, str]
     rows: int
     share: float
+    rival: int | None = None
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether it is the header of a table whatever else is in the file."""
+        enough = self.rows >= LEAST_ROWS_OF_RIVAL and self.share >= LEAST_SHARE_OF_RIVAL
+        return self.header is not None and enough
 
     @property
     def score(self) -> float:
@@ -76,13 +88,19 @@ def find_header(rows: Sequence[Row | None], start: int = 0) -> Header | None:
         None if no row of two or more cells is numbers for the greater part.
     """
     numbers = [None if row is None else _numbers(row) for row in rows]
-    longest: list[int] = []
+    runs: list[list[int]] = []
     at = start
     while at < len(rows):
         run = _run(rows, numbers, at)
-        longest = run if len(run) > len(longest) else longest
+        runs += [run] if run else []
         at = run[-1] + 1 if run else at + 1
-    return _header(rows, numbers, longest, start) if longest else None
+    if not runs:
+        return None
+    longest = max(runs, key=len)
+    found = _header(rows, numbers, longest, start)
+    others = [_header(rows, numbers, run, start) for run in runs if run[0] < longest[0]]
+    rivals = [each for each in others if each is not None and each.is_certain]
+    return found if found is None or not rivals else replace(found, rival=rivals[0].header)
 
 
 def _numbers(row: Row) -> tuple[int, int]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.formats.arrays import clocks_in, columns_of
@@ -23,6 +24,7 @@ class Mat(TableFormat):
     name: ClassVar[str] = "mat"
     endings: ClassVar[tuple[str, ...]] = (".mat",)
 
+    @override
     def read(self, path: Path, reading: Reading) -> MeasuredTable:
         from scipy.io import loadmat
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.formats.arrays import columns_of
@@ -25,6 +26,7 @@ class Mdf(TableFormat):
     name: ClassVar[str] = "MDF"
     endings: ClassVar[tuple[str, ...]] = (".mf4", ".mdf", ".mf3")
 
+    @override
     def read(self, path: Path, reading: Reading) -> MeasuredTable:
         asammdf = library("asammdf", "asammdf", path.suffix)
         logging.getLogger("asammdf").setLevel(logging.ERROR)

@@ -1,4 +1,4 @@
-"""What a format of measured files is. A new one is a file beside this one, and a line in FORMATS."""
+"""What a format of measured files is; a new one is a file beside this one, a line in FORMATS."""
 
 from __future__ import annotations
 
@@ -65,6 +65,6 @@ def library(module: str, package: str, ending: str) -> Any:
         return importlib.import_module(module)
     except ImportError:
         raise DataError(
-            f"must be read with {package} because it is a {ending} file, but that is not installed; "
+            f"must be read with {package}, because it is a {ending} file, but that is missing; "
             'install it with: pip install "cluster-est[files]"'
         ) from None

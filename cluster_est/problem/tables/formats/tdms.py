@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.formats.arrays import columns_of
@@ -25,6 +26,7 @@ class Tdms(TableFormat):
     name: ClassVar[str] = "TDMS"
     endings: ClassVar[tuple[str, ...]] = (".tdms",)
 
+    @override
     def read(self, path: Path, reading: Reading) -> MeasuredTable:
         nptdms = library("nptdms", "npTDMS", path.suffix)
         try:

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pyarrow as pa
+from typing_extensions import override
 
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.formats.header import Header, find_header
@@ -33,6 +34,7 @@ class Workbook(TableFormat):
     endings: ClassVar[tuple[str, ...]] = (".xlsx", ".xlsm")
     keys: ClassVar[tuple[str, ...]] = ("sheet", "skip_rows", "decimal")
 
+    @override
     def read(self, path: Path, reading: Reading) -> MeasuredTable:
         openpyxl = library("openpyxl", "openpyxl", path.suffix)
         try:
