@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -59,7 +60,8 @@ class Workbook(TableFormat):
         if header.header and reading.skip_rows is None:
             found |= {"skip_rows": header.header}
         width = len(header.names)
-        data = [row for row in rows[header.first :] if any(cell is not None for cell in row)]
+        numbers = [i for i in range(header.first, len(rows)) if rows[i]]
+        data = [rows[i] for i in numbers]
         columns: list[tuple[str, Column]] = [
             (name, _column([row[i] if i < len(row) else None for row in data]))
             for i, name in enumerate(header.names[:width])
@@ -73,18 +75,18 @@ class Workbook(TableFormat):
             units,
             notes=tuple(notes),
             found=found,
-            lines=_Rows(header.first),
+            lines=_Rows(tuple(i + 1 for i in numbers)),
         )
 
 
+@dataclass(frozen=True)
 class _Rows(LineNumbers):
-    """Rows of a sheet below its header."""
+    """Rows of a sheet that are no empty ones."""
 
-    def __init__(self, first: int) -> None:
-        self.first = first
+    numbers: tuple[int, ...]
 
     def number(self, index: int) -> int:
-        return self.first + index + 1
+        return self.numbers[index]
 
 
 def _chosen(opened: Any, reading: Reading) -> tuple[str, list[Sequence[Any]], Header]:
