@@ -10,6 +10,7 @@ from pathlib import Path
 
 from cluster_est.errors import DataError, ModelError
 from cluster_est.preflight.draft_sources import DraftSource, KnownParameter, sources
+from cluster_est.preflight.table_column import TableColumn, split_unit
 from cluster_est.preflight.table_columns import ColumnMatch, TableColumns, match, read_columns, same
 from cluster_est.problem.tables.measured_table import MOST_NAMED_COLUMNS, Reading
 from workers.fmu.description import ModelDescription, describe, nearest
@@ -235,6 +236,7 @@ def _run(
     together = match([*inputs, *numbers], free, known)
     given = {each.name for m in together for each in (m.column, m.similar) if each is not None}
     left = [column for column in free if column.name not in given]
+    _refuse_spoiled([m.variable for m in together if m.column is None], columns)
     others = [v for v in description.variables.values() if _computed(v) and v.name not in own]
     further = [
         ColumnMatch(description.variables[n], column)
@@ -248,6 +250,13 @@ def _run(
         tuple(together[len(inputs) :]),
         tuple(further),
     )
+
+
+def _refuse_spoiled(variables: Sequence[ModelVariable], columns: TableColumns) -> None:
+    """Refuse a table whose column of a variable has something in it that is no number."""
+    spoiled = [TableColumn(name, *split_unit(name)) for name in columns.refused]
+    for column in same(variables, spoiled).values():
+        raise DataError(columns.refused[column.name])
 
 
 def _computed(variable: ModelVariable) -> bool:

@@ -63,6 +63,8 @@ class TableColumns:
         How it was read, a sentence each.
     split_by, tests
         The column that tells apart the tests in it, and their names; empty where it is one.
+    refused
+        What is wrong in a column of numbers in which something is none, by its name.
     """
 
     path: Path
@@ -75,6 +77,7 @@ class TableColumns:
     notes: tuple[str, ...] = ()
     split_by: str = ""
     tests: tuple[str, ...] = ()
+    refused: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def named(self) -> dict[str, TableColumn]:
@@ -114,7 +117,7 @@ def read_columns(path: Path, time_column: str = "", reading: Reading | None = No
         found = found if found is None else found.of(table)
     columns, others, refused = _columns(table, found, split_by)
     if not columns and refused:
-        raise DataError(refused[0])
+        raise DataError(next(iter(refused.values())))
     if not columns:
         raise DataError(
             f"init: {path} must have columns of numbers but has none; check what separates its "
@@ -129,20 +132,21 @@ def read_columns(path: Path, time_column: str = "", reading: Reading | None = No
         tuple(others),
         reading=whole.reading,
         found=whole.found,
-        notes=(*whole.notes, *([found.said] if found is not None and found.said else []), *refused),
+        notes=(*whole.notes, *([found.said] if found is not None and found.said else [])),
         split_by=split_by,
         tests=tests,
+        refused=refused,
     )
 
 
 def _columns(
     table: MeasuredTable, time: FoundTime | None, split_by: str
-) -> tuple[list[TableColumn], list[str], list[str]]:
+) -> tuple[list[TableColumn], list[str], dict[str, str]]:
     """Return the columns of numbers that can be signals, the others, and what is wrong in some.
 
     One is read at a time, so that a large file is not there twice.
     """
-    refused: list[str] = []
+    refused: dict[str, str] = {}
     clocks = {*table.clocks.values(), *(() if time is None else time.names)}
     found: list[tuple[int, TableColumn]] = []
     others = [*table.unusable]
@@ -155,7 +159,8 @@ def _columns(
             raise
         except DataError as error:
             values = np.zeros(0)
-            refused += [str(error)] if _begins_with_a_number(table.columns[name]) else []
+            if _holds_a_number(table.columns[name]):
+                refused[name] = str(error)
         if not np.isfinite(values).any():
             others += [name] if name else []
             continue
@@ -178,12 +183,12 @@ def _columns(
     return [column for rows, column in found if usual and rows == usual[0][0]], others, refused
 
 
-def _begins_with_a_number(column: Column) -> bool:
-    """Return whether a column of text is one of numbers but for a cell further down."""
+def _holds_a_number(column: Column) -> bool:
+    """Return whether a column of text is one of numbers but for some cells."""
     if isinstance(column, np.ndarray) or not is_text(column):
         return False
     head = (cell.strip() for cell in column.slice(0, 10).to_pylist() if cell)
-    return looks_like_a_number(next((cell for cell in head if cell not in MISSING), ""))
+    return any(looks_like_a_number(cell) for cell in head if cell not in MISSING)
 
 
 def _noise(values: FloatArray) -> float:

@@ -252,6 +252,12 @@ case(
     notes="no header",
 )
 case("a last line that is cut off", written(table() + "1.2,0."), refused="3, but row 62 has 2; cor")
+case(
+    "a first value that is no number",
+    written(table().replace("\n0,0,", "\n0,OL,")),
+    refused="column 'F', row 2: must be a number but is 'OL'",
+)
+case("MDF that is called otherwise", written(b"MDF     4.10" * 9, ".dat"), refused="rename it")
 case("a header that is too short", written(table(after=",7")), refused="header, 3, but row 2 has 4")
 
 # numbers

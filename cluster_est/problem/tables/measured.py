@@ -451,7 +451,7 @@ class TableSource:
             return UnusedColumns(np.zeros(0), {})
         found = {}
         for name in reader.table.columns:
-            if name in self.used:
+            if name in self.used or name in reader.table.clocks.values():
                 continue
             try:
                 values = reader.column(name)

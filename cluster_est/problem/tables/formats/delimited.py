@@ -41,6 +41,15 @@ MARKS: Final = (
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
 """Marks at the beginning of a file, with the encoding that they stand for."""
+OTHER_FORMATS: Final = (
+    (b"MDF  ", ".mdf"),
+    (b"TDSm", ".tdms"),
+    (b"\x89HDF", ".h5"),
+    (b"PK\x03\x04", ".xlsx"),
+    (b"PAR1", ".parquet"),
+    (b"MATLAB ", ".mat"),
+)
+"""How files of other formats begin, which may have any ending."""
 GUESSED_ENCODING: Final = "cp1252"
 """Of text without a mark that is not in UTF-8: what Windows writes in Western Europe."""
 MOST_NULS_OF_TEXT, LEAST_NULS_OF_UTF16 = 0.05, 0.3
@@ -92,6 +101,9 @@ class DelimitedText(TableFormat):
     @override
     def read(self, path: Path, reading: Reading) -> MeasuredTable:
         head = _head(path)
+        kind = next((ending for mark, ending in OTHER_FORMATS if head.startswith(mark)), "")
+        if kind:
+            raise DataError(f"must be text but is a {kind} file; rename it so that it ends in that")
         encoding, note = _encoding(head, reading.encoding)
         try:
             return _read(path, head, encoding, note, reading)

@@ -31,7 +31,7 @@ class Hdf5(TableFormat):
     """HDF5 of any program."""
 
     name: ClassVar[str] = "HDF5"
-    endings: ClassVar[tuple[str, ...]] = (".h5", ".hdf5", ".hdf", ".nc")
+    endings: ClassVar[tuple[str, ...]] = (".h5", ".hdf5", ".hdf")
 
     @override
     def read(self, path: Path, reading: Reading) -> MeasuredTable:
@@ -73,6 +73,7 @@ def read_hdf5(path: Path, *, matlab: bool) -> MeasuredTable:
         values = np.asarray(node[()])
         if matlab:
             values = np.squeeze(values.T) if values.size else np.zeros(0)
+        values = _scaled(values, node.attrs)
         unit = next((_text(node.attrs[key]) for key in UNITS if key in node.attrs), "")
         for own, column in columns_of(name, values):
             if isinstance(column, str):
@@ -88,6 +89,23 @@ def read_hdf5(path: Path, *, matlab: bool) -> MeasuredTable:
         raise DataError("must have datasets but has none; check the file")
     clocks = clocks_in(columns, ".") | ({} if matlab else clocks_in(columns, "/"))
     return MeasuredTable(path, columns, unusable, units=units, clocks=clocks)
+
+
+def _scaled(values: Any, attributes: Any) -> Any:
+    """Return numbers as netCDF and others mean them: packed as integers, with a value for none."""
+    if values.dtype.kind not in "iuf":
+        return values
+    packed = [key for key in ("scale_factor", "add_offset") if key in attributes]
+    fills = [
+        np.ravel(attributes[key]) for key in ("_FillValue", "missing_value") if key in attributes
+    ]
+    if not packed and not fills:
+        return values
+    found = values.astype(np.float64)
+    for fill in fills:
+        found[np.isin(values, fill)] = np.nan
+    scale = float(np.ravel(attributes.get("scale_factor", 1.0))[0])
+    return found * scale + float(np.ravel(attributes.get("add_offset", 0.0))[0])
 
 
 def _called(kind: str) -> str:

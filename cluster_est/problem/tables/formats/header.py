@@ -150,7 +150,7 @@ def _header(
     share = sum(n for n, _ in own) / max(sum(n for _, n in own), 1)
     above = [i for i in range(start, run[0]) if rows[i] is not None]
     data = run
-    if len(run) > 1 and _names_in_front(rows, run):
+    if len(run) > 1 and _names_in_front(rows, run) and not _is_named(rows, above, run[0]):
         above, data = [*above, run[0]], run[1:]
     where = above[-1] if above else None
     if where is None:
@@ -180,6 +180,14 @@ def _names_in_front(rows: Sequence[Row | None], run: Sequence[int]) -> bool:
         if others and all(is_value(each) for each in others):
             return True
     return False
+
+
+def _is_named(rows: Sequence[Row | None], above: Sequence[int], first: int) -> bool:
+    """Return whether names stand above the first row of data, which is no row of units either."""
+    names, row = (rows[above[-1]] if above else None) or (), rows[first] or ()
+    if not names or len(names) != len(row) or _are_units(row):
+        return False
+    return not any(is_value(cell.strip()) for cell in names)
 
 
 def _are_units(row: Row) -> bool:
