@@ -20,13 +20,16 @@ from cluster_est.preflight.table_column import (
     split_unit,
     with_suffix,
 )
-from cluster_est.preflight.table_times import FoundTime, find_tests, find_time
-from cluster_est.problem.tables.cells import MISSING, is_text, looks_like_a_number
+from cluster_est.preflight.table_times import (
+    FoundTime,
+    find_tests,
+    find_time,
+    may_hold_numbers,
+)
 from cluster_est.problem.tables.files import read_table
 from cluster_est.problem.tables.jumps import count_jumps
 from cluster_est.problem.tables.long_tables import long_columns, wide
 from cluster_est.problem.tables.measured_table import (
-    Column,
     MeasuredTable,
     Reading,
     UndecidedError,
@@ -153,14 +156,14 @@ def _columns(
     for name in table.columns:
         if name in clocks or name == split_by:
             continue
+        values = np.zeros(0)
         try:
-            values = table.numbers(name, "init") if name else np.zeros(0)
+            if name and may_hold_numbers(table.columns[name]):
+                values = table.numbers(name, "init")
         except UndecidedError:
             raise
         except DataError as error:
-            values = np.zeros(0)
-            if _holds_a_number(table.columns[name]):
-                refused[name] = str(error)
+            refused[name] = str(error)
         if not np.isfinite(values).any():
             others += [name] if name else []
             continue
@@ -181,14 +184,6 @@ def _columns(
         return [column for rows, column in found if rows < 0], others, refused
     usual = Counter(rows for rows, _ in found).most_common(1)
     return [column for rows, column in found if usual and rows == usual[0][0]], others, refused
-
-
-def _holds_a_number(column: Column) -> bool:
-    """Return whether a column of text is one of numbers but for some cells."""
-    if isinstance(column, np.ndarray) or not is_text(column):
-        return False
-    head = (cell.strip() for cell in column.slice(0, 10).to_pylist() if cell)
-    return any(looks_like_a_number(cell) for cell in head if cell not in MISSING)
 
 
 def _noise(values: FloatArray) -> float:

@@ -10,8 +10,8 @@ import pyarrow as pa
 
 from cluster_est.errors import DataError
 from cluster_est.preflight.table_column import TableColumn, fold, split_unit, with_suffix
-from cluster_est.problem.tables.cells import is_text
-from cluster_est.problem.tables.measured_table import MeasuredTable, UndecidedError
+from cluster_est.problem.tables.cells import MISSING, is_text, looks_like_a_number, without_groups
+from cluster_est.problem.tables.measured_table import Column, MeasuredTable, UndecidedError
 from cluster_est.problem.tables.time_stamps import Stamps, read_stamps
 from cluster_est.problem.tables.times import JOINT, read_times
 from cluster_est.problem.tables.units import conversion
@@ -33,6 +33,8 @@ TEST_COLUMN_NAMES = (
 )  # fmt: skip
 """Names of a column that tells tests apart, folded."""
 MOST_TESTS = 10_000
+LOOKED_AT = 1000
+"""Cells of a column of text in which numbers are looked for."""
 DAYS_OR_SECONDS = "days or seconds"
 """In place of the unit of a time that has to be filled in."""
 
@@ -140,10 +142,7 @@ def _is_time(column: TableColumn) -> bool:
 
 
 def _holds_numbers(table: MeasuredTable, name: str) -> bool:
-    column = table.columns[name]
-    if isinstance(column, np.ndarray):
-        return True
-    if _is_temporal(column.type):
+    if not may_hold_numbers(table.columns[name]):
         return False
     try:
         return bool(np.isfinite(table.numbers(name, "init")).any())
@@ -151,6 +150,20 @@ def _holds_numbers(table: MeasuredTable, name: str) -> bool:
         raise
     except DataError:
         return False
+
+
+def may_hold_numbers(column: Column) -> bool:
+    """Return False for times and for text that does not begin with a number anywhere near its top.
+
+    A long text need not be looked at whole to know that it has none.
+    """
+    if isinstance(column, np.ndarray):
+        return True
+    if not is_text(column):
+        return not _is_temporal(column.type)
+    head = [str(cell).strip() for cell in column.slice(0, LOOKED_AT).to_pylist() if cell]
+    there = [cell for cell in head if cell not in MISSING]
+    return not there or any(looks_like_a_number(without_groups(cell)) for cell in there)
 
 
 def _is_temporal(kind: pa.DataType) -> bool:

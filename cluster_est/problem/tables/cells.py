@@ -162,6 +162,7 @@ def _surely(sign: str) -> str:
 
 
 _SURELY: Final = {sign: re.compile(_surely(sign)) for sign in (",", ".")}
+_SEPARATORS: Final = re.compile("[ \u00a0\u202f\u2019']")
 _NUMBER: Final = re.compile(
     r"[+-]?(\d+([.,]\d*)*|[.,]\d+)([eE][+-]?\d+)?|[+-]?inf|true|false", re.I
 )
@@ -170,6 +171,11 @@ _NUMBER: Final = re.compile(
 def looks_like_a_number(cell: str) -> bool:
     """Return whether a text is a number, of whatever spelling."""
     return _NUMBER.fullmatch(cell) is not None
+
+
+def without_groups(cell: str) -> str:
+    """Return a text without what may separate its thousands, and with a plain minus sign."""
+    return _SEPARATORS.sub("", cell).replace("\u2212", "-")
 
 
 def decimal_in(cells: Iterable[str]) -> str:

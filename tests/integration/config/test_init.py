@@ -109,6 +109,28 @@ class TestWhereColumnsMatch:
         assert problem.experiments[0].inputs[0].values.max() == 1000.0
 
 
+class TestWhereAnInputJumps:
+    MOVING = FORCE + np.repeat([0.0, 1.0, -1.0, 0.5, 2.0], 10)
+
+    @pytest.mark.parametrize("signal", [STEP, MOVING])
+    @pytest.mark.parametrize(("name", "given"), [("F", ()), ("Load cell", ("F=Load cell",))])
+    def test_it_is_held_in_each_file_in_which_it_does(self, written, tmp_path, signal, name, given):
+        one = table(tmp_path / "one.csv", {"time": TIMES, name: signal, "y": FORCE})
+        other = table(tmp_path / "other.csv", {"time": TIMES, name: FORCE, "y": FORCE})
+        written(one, other, given=given)
+        held, straight = ce.read_problem("first.toml").experiments
+        assert held.inputs[0].interpolation == "hold"
+        assert straight.inputs[0].interpolation == "linear"
+
+    def test_check_names_it_where_it_is_not_held(self, written, tmp_path, capsys):
+        data = table(tmp_path / "one.csv", time=TIMES, F=self.MOVING, y=FORCE)
+        text, _, _ = written(data)
+        text = re.sub(r"inputs.F = {.*}", 'inputs.F = "F"', text)
+        Path("first.toml").write_text(text, encoding="utf-8")
+        main(["check", "first.toml"])
+        assert "input F jumps 4 times" in " ".join(capsys.readouterr().out.split())
+
+
 class TestWhereExperimentsAreAlike:
     def test_what_they_share_stands_once(self, written, tmp_path):
         """Sixteen tables, one line to fill in, and one guess of each output's noise."""
