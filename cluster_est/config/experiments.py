@@ -21,13 +21,13 @@ from cluster_est.config.sections import Config, Normalise, TimeBase
 from cluster_est.errors import ConfigError
 from cluster_est.problem.held_out import hold_out, within
 from cluster_est.problem.tables.files import read_table
+from cluster_est.problem.tables.grades import with_grades
 from cluster_est.problem.tables.measured import (
     Clock,
     ColumnChange,
     MeasuredColumns,
     TableSource,
     interval,
-    with_grades,
 )
 from cluster_est.problem.tables.measured_table import MeasuredTable, Reading
 from cluster_est.problem.tables.stand_ins import by_column

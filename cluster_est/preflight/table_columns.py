@@ -123,8 +123,8 @@ def read_columns(path: Path, time_column: str = "", reading: Reading | None = No
         raise DataError(next(iter(refused.values())))
     if not columns:
         raise DataError(
-            f"init: {path} must have columns of numbers but has none; check what separates its "
-            "columns, and that its first row holds their names"
+            f"init: {path} must have columns of numbers but has none{_why_none(table)}; check what "
+            "separates its columns, and that its first row holds their names"
         )
     rising = [] if found is not None else [c.name for c in columns if c.increases]
     return TableColumns(
@@ -184,6 +184,11 @@ def _columns(
         return [column for rows, column in found if rows < 0], others, refused
     usual = Counter(rows for rows, _ in found).most_common(1)
     return [column for rows, column in found if usual and rows == usual[0][0]], others, refused
+
+
+def _why_none(table: MeasuredTable) -> str:
+    """Return what is wrong with the first column that cannot be used."""
+    return next((f" ({name!r} {why})" for name, why in table.unusable.items()), "")
 
 
 def _noise(values: FloatArray) -> float:

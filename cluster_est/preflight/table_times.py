@@ -19,7 +19,7 @@ from workers.messages import FloatArray
 
 TIME_COLUMN_NAMES = (
     "time", "t", "times", "zeit", "seconds", "second", "sec", "timesec", "timestamp", "timestamps",
-    "elapsedtime", "elapsed", "testtime", "zeitstempel",
+    "elapsedtime", "elapsed", "testtime", "zeitstempel", "xvalue",
 )  # fmt: skip
 """Names of a time column, folded."""
 STAMP_COLUMN_NAMES = (

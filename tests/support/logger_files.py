@@ -258,6 +258,16 @@ case(
     refused="column 'F', row 2: must be a number but is 'OL'",
 )
 case("MDF that is called otherwise", written(b"MDF     4.10" * 9, ".dat"), refused="rename it")
+case(
+    "two tables below each other",
+    written("a,b,c\n1,2,3\n4,5,6\n7,8,9\n\n" + table()),
+    refused="headers in rows 1 and 6; say which with skip_rows = 0 or skip_rows = 5",
+)
+case(
+    "two tables below each other, said",
+    written("a,b,c\n1,2,3\n4,5,6\n7,8,9\n\n" + table()),
+    read=("skip_rows=5",),
+)
 case("a header that is too short", written(table(after=",7")), refused="header, 3, but row 2 has 4")
 
 # numbers

@@ -14,6 +14,7 @@ import pyarrow as pa
 
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.files import read_table
+from cluster_est.problem.tables.grades import with_grades
 from cluster_est.problem.tables.measured import (
     Clock,
     ColumnChange,
@@ -22,7 +23,6 @@ from cluster_est.problem.tables.measured import (
     missing_time,
     relative_without_sigma,
     sigma_without_output,
-    with_grades,
 )
 from cluster_est.problem.tables.measured_table import (
     Column,

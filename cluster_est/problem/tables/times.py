@@ -16,6 +16,7 @@ import numpy.typing as npt
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.measured_table import MeasuredTable, UndecidedError
 from cluster_est.problem.tables.time_stamps import (
+    HOUR,
     StampError,
     Stamps,
     added,
@@ -127,7 +128,8 @@ def _said(column: str, stamps: Stamps, origin: int) -> str:
         return f"its times, column {column!r}, are durations"
     how = f" ({stamps.said})" if stamps.said else ""
     first = np.datetime64(origin, "ns").astype("datetime64[ms]").astype(str).replace("T", " ")
-    first = first.partition(" ")[2] if stamps.kind == "clock" else first
+    if stamps.kind == "clock":
+        first = f"{origin // HOUR:02d}{first.partition(' ')[2][2:]}"
     zone = " UTC" if stamps.aware else ""
     return f"its times, column {column!r}, are seconds since the first row, {first}{zone}{how}"
 

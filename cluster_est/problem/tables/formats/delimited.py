@@ -23,7 +23,7 @@ from typing_extensions import override
 
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.cells import MISSING, decimal_in, looks_like_a_number
-from cluster_est.problem.tables.formats.header import Header, find_header
+from cluster_est.problem.tables.formats.header import Header, find_header, refuse_several
 from cluster_est.problem.tables.formats.table_format import TableFormat
 from cluster_est.problem.tables.measured_table import LineNumbers, MeasuredTable, Reading, once
 from cluster_est.toml import inline
@@ -216,12 +216,8 @@ def _layout(lines: Sequence[str], encoding: str, reading: Reading) -> _Layout:
         )
     found = _table(lines, start, given=reading.skip_rows is not None)
     delimiter, header, comments = found or _plain(lines, start)
-    if header.rival is not None and reading.skip_rows is None:
-        raise DataError(
-            f"must have one table but has several, with headers in rows {header.rival + 1} and "
-            f"{(header.header or 0) + 1}; say which with skip_rows = {header.rival} or "
-            f"skip_rows = {header.header}, or save each in a file of its own"
-        )
+    if reading.skip_rows is None:
+        refuse_several(header)
     cells = _columns(lines, delimiter, header, comments=comments)
     decimal = reading.decimal or decimal_in(cell for column in cells for cell in column)
     numeric = _numeric(cells, decimal or ("." if delimiter == "," else ""))

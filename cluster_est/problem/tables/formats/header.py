@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
+from cluster_est.errors import DataError
 from cluster_est.problem.tables.cells import MISSING, looks_like_a_number
 from cluster_est.problem.tables.units import UNIT_SUFFIXES, is_known
 
@@ -101,6 +102,22 @@ def find_header(rows: Sequence[Row | None], start: int = 0) -> Header | None:
     others = [_header(rows, numbers, run, start) for run in runs if run[0] < longest[0]]
     rivals = [each for each in others if each is not None and each.is_certain]
     return found if found is None or not rivals else replace(found, rival=rivals[0].header)
+
+
+def refuse_several(header: Header) -> None:
+    """Refuse rows with another table above the one that was found.
+
+    Raises
+    ------
+    DataError
+        With the key that says which is meant.
+    """
+    if header.rival is not None:
+        raise DataError(
+            f"must have one table but has several, with headers in rows {header.rival + 1} and "
+            f"{(header.header or 0) + 1}; say which with skip_rows = {header.rival} or "
+            f"skip_rows = {header.header}, or save each in a file of its own"
+        )
 
 
 def _numbers(row: Row) -> tuple[int, int]:

@@ -14,8 +14,7 @@ import numpy as np
 from typing_extensions import override
 
 from cluster_est.errors import DataError
-from cluster_est.problem.tables.formats.arrays import columns_of
-from cluster_est.problem.tables.formats.clocks import Clocks
+from cluster_est.problem.tables.formats.arrays import Clocks, columns_of
 from cluster_est.problem.tables.formats.table_format import TableFormat, library
 from cluster_est.problem.tables.measured_table import Column, MeasuredTable, Reading
 

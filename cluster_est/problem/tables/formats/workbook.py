@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,7 +13,7 @@ import pyarrow as pa
 from typing_extensions import override
 
 from cluster_est.errors import DataError
-from cluster_est.problem.tables.formats.header import Header, find_header
+from cluster_est.problem.tables.formats.header import Header, find_header, refuse_several
 from cluster_est.problem.tables.formats.table_format import TableFormat, library
 from cluster_est.problem.tables.measured_table import (
     Column,
@@ -51,32 +51,29 @@ class Workbook(TableFormat):
             sheet, rows, header = _chosen(opened, reading)
         finally:
             opened.close()
-        notes = [f"sheet {inline(sheet)} is read"] if len(opened.sheetnames) > 1 else []
+        found: dict[str, Any] = {}
+        notes = []
+        if len(opened.sheetnames) > 1:
+            notes.append(f"sheet {inline(sheet)} is read")
+            found |= {} if reading.sheet else {"sheet": sheet}
         if header.header and reading.skip_rows is None:
             notes.append(f"its header is row {header.header + 1} (skip_rows = {header.header})")
-        found: dict[str, Any] = (
-            {"sheet": sheet} if len(opened.sheetnames) > 1 and not reading.sheet else {}
-        )
-        if header.header and reading.skip_rows is None:
-            found |= {"skip_rows": header.header}
-        width = len(header.names)
-        numbers = [i for i in range(header.first, len(rows)) if rows[i]]
-        data = [rows[i] for i in numbers]
-        columns: list[tuple[str, Column]] = [
-            (name, _column([row[i] if i < len(row) else None for row in data]))
-            for i, name in enumerate(header.names[:width])
-            if name
-        ]
-        units = {header.names[i]: unit for i, unit in header.units.items()}
-        return MeasuredTable(
-            path,
-            *once(columns),
-            ";",
-            units,
-            notes=tuple(notes),
-            found=found,
-            lines=_Rows(tuple(i + 1 for i in numbers)),
-        )
+            found["skip_rows"] = header.header
+        return replace(_table(path, rows, header), notes=tuple(notes), found=found)
+
+
+def _table(path: Path, rows: Sequence[Sequence[Any]], header: Header) -> MeasuredTable:
+    """Return the rows below a header as a table; their texts are in no known language."""
+    numbers = [i for i in range(header.first, len(rows)) if rows[i]]
+    data = [rows[i] for i in numbers]
+    columns: list[tuple[str, Column]] = [
+        (name, _column([row[i] if i < len(row) else None for row in data]))
+        for i, name in enumerate(header.names)
+        if name
+    ]
+    units = {header.names[i]: unit for i, unit in header.units.items()}
+    lines = _Rows(tuple(i + 1 for i in numbers))
+    return MeasuredTable(path, *once(columns), ";", units, lines=lines)
 
 
 @dataclass(frozen=True)
@@ -135,7 +132,10 @@ def _header(rows: list[Sequence[Any]], skip_rows: int | None) -> Header | None:
         [_text(cell) for cell in row] + [""] * (width - len(row)) if row and i >= start else None
         for i, row in enumerate(head)
     ]
-    return find_header(texts, start)
+    found = find_header(texts, start)
+    if found is not None and skip_rows is None:
+        refuse_several(found)
+    return found
 
 
 def _text(cell: Any) -> str:
