@@ -21,7 +21,7 @@ SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}
 NUMERIC = range(6, 16)
 """Classes of arrays of numbers."""
 CLASSES = {1: "a cell array", 2: "a structure", 3: "an object", 4: "text", 5: "a sparse matrix"}
-STRUCTURE = 2
+STRUCTURE, OPAQUE = 2, 17
 DEEPEST = 8
 """Structures in structures that are looked into."""
 MOST_ELEMENTS = 100
@@ -130,6 +130,9 @@ def _variables(
     at, flags = _element(body, 0, order, (FLAGS_TYPE,))
     (first,) = _unpack(f"{order}I", flags, 0)
     kind = first & 0xFF
+    if kind == OPAQUE:
+        yield _object(body, at, order, inside, own)
+        return
     if kind not in NUMERIC and kind not in CLASSES:
         yield _Variable(inside + own, "of an unknown class")
         return
@@ -150,6 +153,17 @@ def _variables(
     what = f"{CLASSES[kind]} of {sizes}" if kind in CLASSES else ""
     matrix = _named(before, whole, body[data:at], order) if inside and not what else b""
     yield _Variable(whole, what, matrix)
+
+
+def _object(body: bytes, at: int, order: str, inside: str, own: str) -> _Variable:
+    """Return an object of a class of MATLAB's, whose values stand in an undocumented form."""
+    texts = []
+    for _ in range(3):  # its name, the system of its class, and its class
+        at, text = _element(body, at, order, (NAME_TYPE, COMPRESSED_NAME_TYPE))
+        texts.append(text.decode("latin-1"))
+    name, _, kind = texts
+    what = f"a {kind} of MATLAB, which only MATLAB can read; save its times and values as vectors"
+    return _Variable(inside + (own or name), what)
 
 
 def _structure(

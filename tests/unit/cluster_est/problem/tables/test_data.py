@@ -280,6 +280,22 @@ def test_a_mat_file_without_any_signal_says_what_it_has(tmp_path):
         read_mat(tmp_path, file.getvalue()).numbers("t", "here")
 
 
+def test_an_object_of_matlab_is_named_with_what_can_be_done(tmp_path):
+    """A timeseries is saved in a form of MATLAB's own; other variables beside it are read."""
+    texts = b"".join(
+        np.array([1, len(text)], "<u4").tobytes() + text + bytes(-len(text) % 8)
+        for text in (b"speed", b"MCOS", b"timeseries")
+    )
+    body = np.array([6, 8, 17, 0], "<u4").tobytes() + texts
+    file = io.BytesIO()
+    savemat(file, {"t": np.arange(3.0)})
+    whole = file.getvalue() + np.array([14, len(body)], "<u4").tobytes() + body
+    table = read_mat(tmp_path, whole)
+    assert table.numbers("t", "here").tolist() == [0.0, 1.0, 2.0]
+    with pytest.raises(DataError, match=r"'speed': .*is a timeseries of MATLAB.*as vectors"):
+        table.numbers("speed", "here")
+
+
 def test_a_mat_file_without_tags_is_left_to_scipy(tmp_path):
     old = io.BytesIO()
     savemat(old, {"t": np.arange(3.0)}, format="4")
