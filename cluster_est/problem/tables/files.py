@@ -59,6 +59,7 @@ def read_table(
         )
     _refuse_idle(kind, reading, path, where)
     try:
+        path.stat()  # before a library is asked for that may be missing
         table = replace(kind.read(path, reading), reading=reading)
         return wide(table, *reading.long) if reading.long else table
     except DataError as error:
