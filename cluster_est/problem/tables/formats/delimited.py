@@ -30,6 +30,10 @@ from cluster_est.toml import inline
 
 HEAD_BYTES: Final = 2**18
 """Bytes of the beginning that are looked at."""
+LINES_OF_LAYOUT: Final = 400
+"""Lines in which the header is looked for, after those that the user skips."""
+LINES_LOOKED_AT: Final = 1500
+"""Lines whose cells tell what separates decimals, and which columns have numbers."""
 COMMENTS: Final = ("#", "%", "//")
 """Begin lines that are no part of a table."""
 DELIMITERS: Final = (",", ";", "\t", "|", " ")
@@ -214,7 +218,8 @@ def _layout(lines: Sequence[str], encoding: str, reading: Reading) -> _Layout:
         raise DataError(
             f"must have more lines than skip_rows, {start}, but has fewer; lower skip_rows"
         )
-    found = _table(lines, start, given=reading.skip_rows is not None)
+    lines = lines[: start + LINES_LOOKED_AT]
+    found = _table(lines[: start + LINES_OF_LAYOUT], start, given=reading.skip_rows is not None)
     delimiter, header, comments = found or _plain(lines, start)
     if reading.skip_rows is None:
         refuse_several(header)
@@ -230,8 +235,11 @@ def _layout(lines: Sequence[str], encoding: str, reading: Reading) -> _Layout:
 def _table(lines: Sequence[str], start: int, *, given: bool) -> tuple[str, Header, bool] | None:
     """Return what separates cells, the header, and whether there are comments."""
     best: tuple[str, Header, bool] | None = None
+    marked = any(line.lstrip().startswith(COMMENTS) for line in lines)
     for delimiter in DELIMITERS:
-        for comments in (True, False):
+        if not any(delimiter in line for line in lines):
+            continue
+        for comments in (True, False) if marked else (True,):
             rows = _rows(lines, delimiter, comments=comments)
             if given:  # the line that was named is the header
                 rows = [None if i < start else row for i, row in enumerate(rows)]
