@@ -5,16 +5,22 @@ from __future__ import annotations
 from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from cluster_est.cli.parent_process import ExitCode
 from cluster_est.cli.printing import say
+from cluster_est.config.config_text import override
+from cluster_est.config.experiment_keys import ExperimentDefaultsSection
 from cluster_est.errors import ConfigError
 from cluster_est.preflight.draft import draft
 from cluster_est.preflight.draft_text import open_lines, write
+from cluster_est.problem.tables.measured_table import Reading
+from cluster_est.settings import checked
 from cluster_est.toml import dotted
 from cluster_est.whole_files import write_output
+from workers.fmu.description import nearest
 
 
 def init(options: Namespace) -> int:
@@ -26,10 +32,14 @@ def init(options: Namespace) -> int:
         raise ConfigError(
             f"--out: {out} is there already; choose another, or replace it with --overwrite"
         )
-    found = draft(options.fmu, options.data, read_mapping(options.map))
+    reading = read_reading(options.read)
+    found = draft(options.fmu, options.data, read_mapping(options.map), reading)
     text = write(found, out.parent)
     write_output(out, text.encode())
     console = Console()
+    for run in {run.columns.path: run for run in found.runs}.values():
+        for note in run.columns.notes:
+            say(console, f"{run.columns.path}: {note}")
     for number, line in open_lines(text):
         say(console, f"{out}, line {number}: fill in {line.partition('  # ')[0]}")
     for name in dict.fromkeys(name for run in found.runs for name in run.missing_inputs):
@@ -45,6 +55,29 @@ def init(options: Namespace) -> int:
         )
     say(console, f"{out} is written; look through it, then: cluster-est check {out}")
     return ExitCode.DONE
+
+
+def read_reading(texts: Sequence[str]) -> Reading:
+    """Read `KEY=VALUE` arguments that say how tables are to be read.
+
+    Raises
+    ------
+    ConfigError
+        If a key is unknown or has a wrong value.
+    """
+    raw: dict[str, Any] = {"read": {}}
+    known = [each for each in vars(Reading()) if each != "long"]
+    for text in texts:
+        key = text.partition("=")[0].strip()
+        if key not in known or "=" not in text:
+            raise ConfigError(
+                f"--read: must be KEY=VALUE with one of {', '.join(known)} but is {text!r}"
+                f"{nearest(key, known)}"
+            )
+        override(raw, f"read.{text}")
+    given = {key: str(v) if key != "skip_rows" else v for key, v in raw["read"].items()}
+    checked_keys = checked(ExperimentDefaultsSection, given, "--read")
+    return Reading(**{key: getattr(checked_keys, key) for key in given})
 
 
 def read_mapping(texts: Sequence[str]) -> dict[str, str]:

@@ -142,8 +142,18 @@ def _add_init(commands: Commands) -> None:
         "data",
         metavar="DATA",
         type=Path,
-        nargs="+",
-        help="tables, one an experiment: .csv, .parquet, .feather, .mat; the last is held out",
+        nargs="*",
+        help="tables, one an experiment (.csv, .parquet, .feather, .mat, and with "
+        "cluster-est[files] .h5, .mf4, .tdms, .xlsx), the last of several held out; or a folder of "
+        "PEtab-like tables; without: the reference results that the FMU carries",
+    )
+    init.add_argument(
+        "--read",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        help="how the tables are to be read, a key of an experiment: encoding, skip_rows, decimal, "
+        "sheet, time_format or time_zone, as in --read encoding=cp1252; may be given several times",
     )
     init.add_argument(
         "--map",

@@ -33,17 +33,19 @@ from workers.messages import Interpolation
 class InputSection(ConfigSection):
     """Keys of an input or signal: its column and interpolation."""
 
-    column: str = Field(description="column of the data")
+    column: str = Field(description="column of the data; * stands for any part of its name")
     interpolation: Interpolation = Field("linear", description="between samples")
+    time: str = Field("", description="column with times of its own, where it is sampled otherwise")
 
 
 class OutputSection(ConfigSection):
     """Keys of a measured output."""
 
-    column: str = Field(description="column of the data")
+    column: str = Field(description="column of the data; * stands for any part of its name")
     interpolation: Interpolation = Field(
         "linear", description="between samples, where the time base asks for other times"
     )
+    time: str = Field("", description="column with times of its own, where it is sampled otherwise")
     weight: Finite = Field(1.0, gt=0.0, description="of its squares in the cost")
     free_scale: Free = Field(
         False,
@@ -89,10 +91,21 @@ class CurveSection(ConfigSection):
     )
 
 
+class LongSection(ConfigSection):
+    """Keys of a table with a row for each value."""
+
+    names: str = Field(description="column that says which signal a value is of")
+    values: str = Field(description="column with the values")
+
+
 class _NamedSection(ConfigSection):
     """The key that no two experiments share."""
 
-    id: str = Field(min_length=1, description="name of the experiment, unique")
+    id: str = Field(
+        min_length=1,
+        description="name of the experiment, unique; * stands for the name of a file or test where "
+        "several are meant",
+    )
 
 
 class _ExperimentKeys(ConfigSection):
@@ -100,9 +113,38 @@ class _ExperimentKeys(ConfigSection):
 
     data: str | None = Field(
         None,
-        description="path of the table: csv, parquet, feather or mat; without: nothing is measured",
+        description="path of the table: csv, parquet, feather, mat, or with cluster-est[files] "
+        "HDF5, MDF, TDMS, xlsx; with * all such files, an experiment each; without: nothing is "
+        "measured",
     )
-    time: str | None = Field(None, description="column with the time in seconds")
+    encoding: str = Field(
+        "", description='of a text file, such as "cp1252"; without: UTF-8, or a guess that is said'
+    )
+    skip_rows: Count | None = Field(
+        None, description="lines above the header of a text file or sheet; without: found"
+    )
+    decimal: Literal["", ".", ","] = Field(
+        "", description="the sign before decimals; the other one separates thousands"
+    )
+    sheet: str = Field("", description="of a workbook, or the experiment of an FMU")
+    long: LongSection | None = Field(
+        None, description="{ names, values }: the table has a row for each value"
+    )
+    split_by: str | None = Field(
+        None, description="column that tells tests in one file apart, an experiment each"
+    )
+    split_value: str | None = Field(None, description="the test of that column that is meant")
+    time: str | None = Field(
+        None,
+        description="column with the time: seconds, or timestamps, which count from the first row; "
+        '"DATE + CLOCK": two columns',
+    )
+    time_format: str = Field(
+        "", description='of times as text, such as "%d/%m/%Y %H:%M:%S"; without: found'
+    )
+    time_zone: str = Field(
+        "", description='of timestamps without one, such as "Europe/Berlin", for summer time'
+    )
     sample_time: Finite | None = Field(
         None, gt=0.0, description="seconds between rows, where there is no time column"
     )

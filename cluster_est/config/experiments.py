@@ -20,15 +20,18 @@ from cluster_est.config.experiment_keys import ExperimentSection
 from cluster_est.config.sections import Config, Normalise, TimeBase
 from cluster_est.errors import ConfigError
 from cluster_est.problem.held_out import hold_out, within
-from cluster_est.problem.tables.files import MeasuredTable, read_table
+from cluster_est.problem.tables.files import read_table
+from cluster_est.problem.tables.grades import with_grades
 from cluster_est.problem.tables.measured import (
+    Clock,
     ColumnChange,
     MeasuredColumns,
     TableSource,
     interval,
-    with_grades,
 )
+from cluster_est.problem.tables.measured_table import MeasuredTable, Reading
 from cluster_est.problem.tables.stand_ins import by_column
+from cluster_est.problem.tables.times import JOINT
 from cluster_est.settings import MOST_TIMES
 from cluster_est.toml import dotted
 from workers.fmu.description import nearest
@@ -41,6 +44,9 @@ from workers.messages import (
     Output,
     SignalBound,
 )
+
+Tables = dict[tuple[Path, Reading], MeasuredTable]
+"""Files that were read, each once in each way."""
 
 
 def build_experiments(
@@ -68,7 +74,7 @@ def build_experiments(
         If a file is missing or wrong, or names do not fit together.
     """
     _check_weights(config)
-    tables: dict[Path, MeasuredTable] = {}
+    tables: Tables = {}
     found: list[Experiment] = []
     sources: list[TableSource] = []
     for section in config.experiments:
@@ -81,7 +87,7 @@ def build_experiments(
 
 
 def _source(
-    section: ExperimentSection, config: Config, base: Path, tables: dict[Path, MeasuredTable]
+    section: ExperimentSection, config: Config, base: Path, tables: Tables
 ) -> list[TableSource]:
     """Return the table of an experiment, if it has one over time, with the columns it uses."""
     named = (
@@ -91,18 +97,23 @@ def _source(
     )
     if section.data is None or not named:
         return []
-    path = find_file(section.data, base, config.data_folders, f"experiment {section.id!r}.data")
+    where = f"experiment {section.id!r}"
+    table = _table(section, config, base, tables, where)
     missing = tuple(section.missing)
-    raw = MeasuredColumns(tables[path], section.id, section.rows, missing=missing)
+    raw = MeasuredColumns(table, section.id, section.rows, missing=missing)
     graded = {each.column for each in section.outputs.values() if each.ordinal}
     numbers = {column: raw.column(column) for _, column in named if column not in graded}
     looked_at = [(key, column) for key, column in named if column in numbers]
-    times = () if section.time is None else (section.time,)
-    used = (*times, *(column for _, column in named))
+    times = () if section.time is None else tuple(section.time.split(JOINT))
+    used = (*times, *(table.resolved(column) for _, column in named))
+    notes = list(table.notes)
+    if section.time is not None:
+        said = replace(raw, changes=_changes(section)).clock(section.time).said
+        notes += [said] if said else []
     return [
         TableSource(
             section.id,
-            path,
+            Path(table.path),
             section.time,
             section.sample_time,
             section.rows,
@@ -110,8 +121,47 @@ def _source(
             named,
             missing,
             by_column(numbers, looked_at, section.id),
+            table.reading,
+            _test(section),
+            tuple(notes),
         )
     ]
+
+
+def _changes(section: ExperimentSection) -> dict[str, ColumnChange]:
+    return {
+        name: ColumnChange(each.factor, each.offset, each.demean)
+        for name, each in section.columns.items()
+    }
+
+
+def _test(section: ExperimentSection) -> tuple[str, str] | None:
+    """Return the column that tells tests apart, and the value of this one."""
+    if section.split_by is None or section.split_value is None:
+        return None
+    return section.split_by, section.split_value
+
+
+def _table(
+    section: ExperimentSection, config: Config, base: Path, tables: Tables, where: str
+) -> MeasuredTable:
+    """Return the table of an experiment, each file read once in each way."""
+    data = section.data or ""
+    path = find_file(data, base, config.data_folders, f"{where}.data")
+    key = (path, reading_of(section))
+    if key not in tables:
+        tables[key] = read_table(path, where, reading=key[1])
+    test = _test(section)
+    return tables[key] if test is None else tables[key].part(*test, where)
+
+
+def reading_of(section: ExperimentSection) -> Reading:
+    """Return what an experiment says of how its file is to be read."""
+    given = section.model_dump(include=set(vars(Reading())))
+    found = {key: value for key, value in given.items() if value is not None}
+    if "long" in found:
+        found["long"] = (found["long"]["names"], found["long"]["values"])
+    return Reading(**found)
 
 
 def _experiment(
@@ -119,7 +169,7 @@ def _experiment(
     config: Config,
     base: Path,
     code: UserCode,
-    tables: dict[Path, MeasuredTable],
+    tables: Tables,
 ) -> Experiment:
     where = f"experiment {section.id!r}"
     columns, times = _read(section, config, base, tables, where)
@@ -130,7 +180,14 @@ def _experiment(
         measured = tuple(_output(columns, times, section, name) for name in section.outputs)
         inputs, signals = (
             tuple(
-                columns.driving(times, name, each.column, each.interpolation, key)
+                columns.driving(
+                    times,
+                    name,
+                    each.column,
+                    each.interpolation,
+                    key,
+                    Clock(section.time, each.time),
+                )
                 for name, each in given.items()
             )
             for key, given in (("inputs", section.inputs), ("signals", section.signals))
@@ -161,20 +218,15 @@ def _read(
     section: ExperimentSection,
     config: Config,
     base: Path,
-    tables: dict[Path, MeasuredTable],
+    tables: Tables,
     where: str,
 ) -> tuple[MeasuredColumns | None, FloatArray]:
     """The experiment's table and its times; none where nothing is measured over time."""
     if section.data is None:
         return None, np.zeros(0)
-    path = find_file(section.data, base, config.data_folders, f"{where}.data")
-    if path not in tables:
-        tables[path] = read_table(path, where)
-    changes = {
-        name: ColumnChange(each.factor, each.offset, each.demean)
-        for name, each in section.columns.items()
-    }
-    columns = MeasuredColumns(tables[path], where, section.rows, changes, tuple(section.missing))
+    table = _table(section, config, base, tables, where)
+    missing = tuple(section.missing)
+    columns = MeasuredColumns(table, where, section.rows, _changes(section), missing)
     of_signals = (section.outputs, section.inputs, section.signals)
     named = [each.column for given in of_signals for each in given.values()]
     if not named:
@@ -191,7 +243,7 @@ def _output(
         columns = with_grades(columns, variable, how.column, how.ordinal)
     sigma, relative = section.sigma.get(variable, 1.0), section.relative_sigma.get(variable, 0.0)
     return replace(
-        columns.output(times, variable, how.column, sigma, relative),
+        columns.output(times, variable, how.column, sigma, relative, Clock(section.time, how.time)),
         free_scale=how.free_scale is True,  # shared ones are effects
         free_offset=how.free_offset is True,
         detection_limit=how.detection_limit,

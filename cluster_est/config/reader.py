@@ -27,6 +27,7 @@ from cluster_est.config.experiment_keys import (
     with_defaults,
 )
 from cluster_est.config.sections import Config
+from cluster_est.config.several_experiments import with_every_experiment
 from cluster_est.errors import ConfigError
 from cluster_est.executors import EXECUTORS
 from cluster_est.methods import METHOD_ALIASES, SEARCH_METHODS
@@ -63,13 +64,27 @@ def read_config(path: str | Path, overrides: Sequence[str] | None = None) -> Con
     path = as_path(path, "config", ConfigError)
     changes = as_tuple(() if overrides is None else overrides, str, "overrides", ConfigError)
     text, raw = read_toml(path, "there is no config file")
-    for change in changes:
-        override(raw, change)
+    late = [change for change in changes if not _changed(raw, change)]
     open_ = list(unfilled(raw, text, str(path)))
     if open_:
         raise ConfigError("\n".join(open_))
+    raw = with_every_experiment(raw, path.parent)
+    for change in late:
+        override(raw, change)
     tree, units = with_values_of_files(raw, path.parent)
     return parse_config(tree, str(path)).with_units_of_files(units)
+
+
+def _changed(raw: dict[str, Any], change: str) -> bool:
+    """Override a key, if it leads to what the file has itself; return whether it does."""
+    before = copy.deepcopy(raw)
+    try:
+        override(raw, change)
+    except ConfigError:
+        if raw == before and change.lstrip().startswith("experiments."):
+            return False  # it may be of an experiment that a pattern of files makes
+        raise
+    return True
 
 
 def parse_config(raw: dict[str, Any], where: str) -> Config:
@@ -136,7 +151,7 @@ def _wrong_source(where: str, experiment: ExperimentSection, *, constrained: boo
         yield f"{where}.outputs is missing; add it (FMU output = column), or a curve"
     elif experiment.data is None:
         if timed or experiment.curve is not None or given:
-            yield f"{where}.data is missing; add it (path of the table: csv, parquet, feather, mat)"
+            yield f"{where}.data is missing; add it (path of the table, such as a csv file)"
     elif timed and len(given) != 1:
         yield missing_time(where, experiment.time, experiment.sample_time)
     if not timed and (experiment.start is None or experiment.stop is None):
@@ -161,6 +176,11 @@ def _contradictions(experiment: ExperimentSection, *, constrained: bool) -> Iter
     where = f"experiments[{experiment.id!r}]"
     yield from _wrong_source(where, experiment, constrained=constrained)
     yield from _wrong_sigmas(where, experiment)
+    if (experiment.split_by is None) is not (experiment.split_value is None):
+        yield (
+            f"{where}: must have split_by and split_value together, outside of a config file, but "
+            "has one of them; add the other"
+        )
     for name in experiment.outputs:
         if name in experiment.inputs:
             yield (
@@ -216,7 +236,7 @@ def with_values_of_files(
         If a file is missing, is no list of values, or has some values of a map without a start.
     """
     tree = {key: copy.deepcopy(value) for key, value in raw.items() if key != VALUE_FILES}
-    given = {each.name: each for path in _paths(raw, base) for each in _read(path)}
+    given = {each.name: each for path in _paths(raw, base) for each in read_values(path)}
     if not given:
         return tree, {}
     parameters, listed = _inner(tree, "parameters"), tree.get("effects")
@@ -301,7 +321,7 @@ def _paths(raw: Mapping[str, Any], base: Path) -> list[Path]:
     return paths
 
 
-def _read(path: Path) -> list[GivenValue]:
+def read_values(path: Path) -> list[GivenValue]:
     """The values of a file.
 
     Raises

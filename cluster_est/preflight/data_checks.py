@@ -39,6 +39,7 @@ GAP = 1.5
 def data_findings(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
     """Look at what drives the model; nothing is simulated."""
     return [
+        *_readings(problem),
         *_inputs_without_data(problem, description),
         *_stand_ins(problem),
         *_bridged(problem, description),
@@ -46,6 +47,19 @@ def data_findings(problem: Problem, description: ModelDescription) -> list[Check
         *_rounded(problem),
         *_outlying(problem),
     ]
+
+
+def _readings(problem: Problem) -> list[CheckFinding]:
+    """Return a line for what was found out about the files, with how many experiments it is of."""
+    said: dict[str, list[str]] = {}
+    for table in problem.tables:
+        for each in table.notes:
+            said.setdefault(each, []).append(table.experiment)
+    lines = []
+    for each, ids in said.items():
+        more = f" (and {len(ids) - 1} more experiments)" if len(ids) > 1 else ""
+        lines.append(passed("reading", f"{ids[0]}{more}: {each}"))
+    return lines
 
 
 def _inputs_without_data(problem: Problem, description: ModelDescription) -> list[CheckFinding]:

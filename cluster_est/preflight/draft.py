@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from cluster_est.errors import DataError, ModelError
+from cluster_est.preflight.draft_sources import DraftSource, KnownParameter, sources
+from cluster_est.preflight.table_column import TableColumn, split_unit
 from cluster_est.preflight.table_columns import ColumnMatch, TableColumns, match, read_columns, same
-from cluster_est.problem.tables.files import MOST_NAMED_COLUMNS
+from cluster_est.problem.tables.measured_table import MOST_NAMED_COLUMNS, Reading
 from workers.fmu.description import ModelDescription, describe, nearest
 from workers.fmu.variable import ModelVariable
 from workers.messages import Role
@@ -82,6 +84,10 @@ class DraftExperiment:
         The variables of the FMU, and the columns found for them.
     further
         Other variables of the FMU that have a column of their name.
+    test
+        (column, value) of a test in its table; the value is "" where it stands for each of several.
+    lines
+        Of the config that only the origin of the table knows.
     """
 
     id: str
@@ -90,6 +96,8 @@ class DraftExperiment:
     inputs: tuple[ColumnMatch, ...]
     outputs: tuple[ColumnMatch, ...]
     further: tuple[ColumnMatch, ...]
+    test: tuple[str, str] | None = None
+    lines: tuple[str, ...] = ()
 
     @property
     def missing_inputs(self) -> tuple[str, ...]:
@@ -106,9 +114,15 @@ class ConfigDraft:
     parameters: tuple[ParameterCandidate, ...]
     states: tuple[ModelVariable, ...]
     runs: tuple[DraftExperiment, ...]
+    values: Mapping[str, float] = field(default_factory=dict)
 
 
-def draft(fmu: Path, data: Sequence[Path], mapping: Mapping[str, str] | None = None) -> ConfigDraft:
+def draft(
+    fmu: Path,
+    data: Sequence[Path],
+    mapping: Mapping[str, str] | None = None,
+    reading: Reading | None = None,
+) -> ConfigDraft:
     """Draft a config from an FMU and measured tables.
 
     Parameters
@@ -116,9 +130,12 @@ def draft(fmu: Path, data: Sequence[Path], mapping: Mapping[str, str] | None = N
     fmu
         The model.
     data
-        One table for each experiment; the last of several is held out.
+        Tables, one an experiment; the last of several is held out. Or one folder of tables, or
+        none: then the FMU's own reference results.
     mapping
         Variables of the FMU, or "time", with the columns that they have.
+    reading
+        What is known of the tables' files.
 
     Raises
     ------
@@ -135,21 +152,67 @@ def draft(fmu: Path, data: Sequence[Path], mapping: Mapping[str, str] | None = N
         raise ModelError(f"init: {fmu} cannot be read ({error.strerror}); check it") from error
     description = describe(fmu.name, archive)
     check_variables(known, description)
-    tables = [read_columns(path, known.get(TIME_NAME, "")) for path in data]
-    check_columns(known, tables)
-    roles: list[Role] = ["train"] * len(tables)
-    if len(tables) > 1:
-        roles[-1] = "test"
-    runs = [
-        _run(name, columns, role, description, known)
-        for name, columns, role in zip(_ids(data), tables, roles, strict=True)
-    ]
+    found = sources(fmu, data, Reading() if reading is None else reading)
+    known = {n: c for n, c in found.mapping.items() if n in description.variables} | {**known}
+    tables = _tables(found.tables, known.get(TIME_NAME, ""))
+    check_columns(known, [columns for _, columns in tables])
+    held_out = len(tables) - 1 if len(tables) > 1 else -1
+    runs: list[DraftExperiment] = []
+    ids = _ids([source.id or source.path.stem for source, _ in tables])
+    for i, ((source, columns), name) in enumerate(zip(tables, ids, strict=True)):
+        role: Role = "test" if i == held_out else "train"
+        run = _run(name, columns, role, description, known)
+        run = replace(run, test=source.test, lines=source.lines)
+        alone = len(tables) == 1
+        runs += _of_tests(run, alone=alone) if columns.tests and not source.test else [run]
+    given = found.parameters
     return ConfigDraft(
         fmu,
         description,
-        tuple(candidates(description)),
+        tuple(_with_known(each, given) for each in candidates(description)),
         tuple(initial_states(description)),
         tuple(runs),
+        {n: each.start for n, each in given.items() if not each.estimate},
+    )
+
+
+def _tables(given: Sequence[DraftSource], time: str) -> list[tuple[DraftSource, TableColumns]]:
+    """Return the columns of each source; a file with many tests is read once."""
+    read: dict[tuple[Path, Reading], TableColumns] = {}
+    for each in given:
+        if (each.path, each.reading) not in read:
+            read[each.path, each.reading] = read_columns(each.path, time, each.reading)
+    return [(each, read[each.path, each.reading]) for each in given]
+
+
+def _of_tests(run: DraftExperiment, *, alone: bool) -> list[DraftExperiment]:
+    """Return one entry for all tests of a file but the last, and one for that, held out."""
+    columns, name = run.columns, "*" if alone else f"{run.id} *"
+    last = columns.tests[-1]
+    several = replace(run, id=name, test=(columns.split_by, ""))
+    if not alone:
+        return [several]
+    held = replace(run, id=last, role="test", test=(columns.split_by, last))
+    return [several, held]
+
+
+def _with_known(
+    candidate: ParameterCandidate, known: Mapping[str, KnownParameter]
+) -> ParameterCandidate:
+    """Return a parameter as a folder of tables says; it is estimated if that says so."""
+    if not known:
+        return candidate
+    given = known.get(candidate.variable.name)
+    if given is None or not given.estimate:
+        return replace(candidate, why_not="the folder's parameters do not ask for it")
+    bounds = given.bounds or candidate.bounds
+    return replace(
+        candidate,
+        start=given.start,
+        bounds=bounds,
+        origin="as the folder's parameters say",
+        why_not="",
+        scale=given.scale,
     )
 
 
@@ -173,6 +236,7 @@ def _run(
     together = match([*inputs, *numbers], free, known)
     given = {each.name for m in together for each in (m.column, m.similar) if each is not None}
     left = [column for column in free if column.name not in given]
+    _refuse_spoiled([m.variable for m in together if m.column is None], columns)
     others = [v for v in description.variables.values() if _computed(v) and v.name not in own]
     further = [
         ColumnMatch(description.variables[n], column)
@@ -186,6 +250,13 @@ def _run(
         tuple(together[len(inputs) :]),
         tuple(further),
     )
+
+
+def _refuse_spoiled(variables: Sequence[ModelVariable], columns: TableColumns) -> None:
+    """Refuse a table whose column of a variable has something in it that is no number."""
+    spoiled = [TableColumn(name, *split_unit(name)) for name in columns.refused]
+    for column in same(variables, spoiled).values():
+        raise DataError(columns.refused[column.name])
 
 
 def _computed(variable: ModelVariable) -> bool:
@@ -202,9 +273,8 @@ def _check_once(data: Sequence[Path]) -> None:
         )
 
 
-def _ids(data: Sequence[Path]) -> list[str]:
-    """Return the names of the files, with a number where several are the same."""
-    stems = [path.stem for path in data]
+def _ids(stems: Sequence[str]) -> list[str]:
+    """Return names, with a number where several are the same."""
     found: list[str] = []
     for stem in stems:
         name, number = stem, 2
@@ -244,6 +314,8 @@ class ParameterCandidate:
         The reason why it is not estimated at first; "" if it is.
     per
         "experiment" if each is likely to have a value of its own; else "".
+    scale
+        "linear" or "log".
     """
 
     variable: ModelVariable
@@ -252,6 +324,7 @@ class ParameterCandidate:
     origin: str
     why_not: str = ""
     per: str = ""
+    scale: str = "linear"
 
 
 def candidates(description: ModelDescription) -> list[ParameterCandidate]:

@@ -15,13 +15,9 @@ from cluster_est.preflight.draft import (
     DraftExperiment,
     ParameterCandidate,
 )
-from cluster_est.preflight.table_columns import (
-    TIME_COLUMN_NAMES,
-    ColumnMatch,
-    TableColumn,
-    fold,
-    split_unit,
-)
+from cluster_est.preflight.table_column import TableColumn, fold, split_unit
+from cluster_est.preflight.table_columns import ColumnMatch
+from cluster_est.preflight.table_times import DAYS_OR_SECONDS, TIME_COLUMN_NAMES
 from cluster_est.problem.tables.units import conversion, same_unit
 from cluster_est.toml import dotted, inline
 from workers.fmu.description import ModelDescription
@@ -44,6 +40,9 @@ def write(draft: ConfigDraft, folder: Path) -> str:
         "",
         *_parameters(draft),
     ]
+    if draft.values:
+        lines += ["", "[values]"]
+        lines += [f"{dotted(name)} = {inline(value)}" for name, value in draft.values.items()]
     lines += experiments(draft.runs, draft.description, folder)
     return "\n".join(_clean(line) for line in lines) + "\n"
 
@@ -95,6 +94,7 @@ def _parameters(draft: ConfigDraft) -> Iterator[str]:
 def _parameter(candidate: ParameterCandidate) -> str:
     variable = candidate.variable
     per = {"per": candidate.per} if candidate.per else {}
+    per |= {"scale": candidate.scale} if candidate.scale != "linear" else {}
     value = {"start": candidate.start, "bounds": candidate.bounds, **per}
     line = f"{dotted(variable.name)} = {inline(value)}{said(variable, candidate.origin)}"
     return f"# {line}; not estimated: {candidate.why_not}" if candidate.why_not else line
@@ -134,6 +134,9 @@ def experiments(
         yield f"data = {inline(relative(run.columns.path, folder))}"
         if run.role == "test":
             yield 'role = "test"  # held out: reported, never fitted'
+        if run.test is not None and run.test[1]:
+            yield f"split_value = {inline(run.test[1])}"
+        yield from run.lines
         yield from body
 
 
@@ -158,6 +161,7 @@ def _body(
 ) -> Iterator[str]:
     """Yield what an experiment says of its table."""
     columns = run.columns
+    yield from _reading(run)
     yield from _time(run)
     for match in run.inputs:
         yield from _input(match, columns.signals)
@@ -174,6 +178,22 @@ def _body(
         yield from _signals(unused, description)
     if columns.unusable:
         yield f"# columns that hold no numbers: {', '.join(columns.unusable)}"
+
+
+def _reading(run: DraftExperiment) -> Iterator[str]:
+    """Yield the keys that say how its file is read, and what was found out about it."""
+    columns = run.columns
+    for key, value in vars(columns.reading).items():
+        if key == "long" and value is not None:
+            yield f"long = {inline(dict(zip(('names', 'values'), value, strict=True)))}"
+        elif value not in ("", None):
+            yield f"{key} = {inline(value)}"
+    for key, value in columns.found.items():
+        if key != "long":
+            guess = "  # a guess" if key == "encoding" else ""
+            yield f"{key} = {inline(value)}{guess}"
+    if run.test is not None:
+        yield f"split_by = {inline(run.test[0])}"
 
 
 def _signals(unused: Sequence[TableColumn], description: ModelDescription) -> Iterator[str]:
@@ -230,7 +250,7 @@ def _held(column: TableColumn, name: str) -> str:
 
 def _why_held(column: TableColumn) -> str:
     """Say why each sample of an input is kept, where it is."""
-    return 'it keeps its value and jumps; "linear" if it does not' if column.jumps else ""
+    return 'it jumps; "linear" if it does not' if column.jumps else ""
 
 
 def _outputs(run: DraftExperiment) -> Iterator[str]:
@@ -299,6 +319,8 @@ def _sigmas(run: DraftExperiment, noise: Mapping[str, float]) -> Iterator[str]:
     guesses = [_in_unit(noise.get(v.name, c.noise), c, v) for v, c in compared]
     several = len(compared) > 1 and all(guesses)
     for (variable, _), guess in zip(compared, guesses, strict=True):
+        if any(line.startswith(f"{dotted('sigma', variable.name)} =") for line in run.lines):
+            continue
         line = f"{dotted('sigma', variable.name)} = {inline(guess or 0.01)}"
         why = "standard deviation of its noise, a guess"
         yield f"{line}  # {why}; outputs weigh by it" if several else f"# {line}  # {why}"
@@ -312,7 +334,11 @@ def _in_unit(noise: float, column: TableColumn, variable: ModelVariable) -> floa
 
 def _conversions(run: DraftExperiment) -> Iterator[str]:
     """Yield lines for columns whose unit is not that of their variable."""
-    if run.columns.time is not None and run.columns.time.unit:
+    time = run.columns.time
+    if time is not None and time.unit == DAYS_OR_SECONDS:
+        value = inline({"factor": f"{FILL_IN}: 86400 if it counts days, as Excel does, else 1"})
+        yield f"{dotted('columns', time.name)} = {value}"
+    elif run.columns.time is not None and run.columns.time.unit:
         yield from _conversion(run.columns.time, "s", "times are in seconds")
     inputs = [(m.variable, m.column or m.similar) for m in run.inputs]
     for variable, column in (*inputs, *_compared(run)):

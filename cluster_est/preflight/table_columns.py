@@ -1,4 +1,4 @@
-"""The columns of a measured table: names, units, the time among them, and whose they are."""
+"""The columns of a measured table: which are signals, which is the time, and whose they are."""
 
 from __future__ import annotations
 
@@ -6,69 +6,42 @@ import difflib
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from cluster_est.errors import DataError
-from cluster_est.problem.tables.files import MeasuredTable, read_table
+from cluster_est.preflight.table_column import (
+    TableColumn,
+    fold,
+    split_suffix,
+    split_unit,
+    with_suffix,
+)
+from cluster_est.preflight.table_times import (
+    FoundTime,
+    find_tests,
+    find_time,
+    may_hold_numbers,
+)
+from cluster_est.problem.tables.files import read_table
 from cluster_est.problem.tables.jumps import count_jumps
-from cluster_est.problem.tables.units import UNIT_SUFFIXES, conversion, is_known
+from cluster_est.problem.tables.long_tables import long_columns, wide
+from cluster_est.problem.tables.measured_table import (
+    MeasuredTable,
+    Reading,
+    UndecidedError,
+)
+from cluster_est.problem.tables.units import conversion
 from workers.fmu.variable import ModelVariable
 from workers.messages import FloatArray
-
-TIME_COLUMN_NAMES = (
-    "time",
-    "t",
-    "times",
-    "zeit",
-    "seconds",
-    "second",
-    "sec",
-    "timesec",
-    "timestamp",
-)
-"""Names of a time column, folded."""
 
 LEAST_GUESSED_NOISE = 1e-3
 """Least guess of the noise, as a share of a signal's standard deviation."""
 LEAST_SAMPLES_FOR_NOISE = 10
 """Samples from which on noise can be guessed at all."""
-
-_IN_BRACKETS = re.compile(r"(.*?)[\s_]*[\[(<]([^\[\](){}<>]*)[\])>]\s*")
-_AFTER_SLASH = re.compile(r"(.*\S)\s+(?:/|in)\s+(\S+)\s*")
-
-
-MOST_PARTS = 3
-"""Parts of a name that may be a unit: "rad_per_s"."""
-
-
-@dataclass(frozen=True)
-class TableColumn:
-    """One column of numbers.
-
-    Attributes
-    ----------
-    name
-        As it stands in the table.
-    plain, unit
-        "force" and "N" of "force [N]".
-    noise
-        A first guess of the standard deviation of its noise, in its unit; 0 without noise.
-    jumps
-        Times that it jumps, if it keeps its value in between.
-    """
-
-    name: str
-    plain: str
-    unit: str
-    noise: float = 0.0
-    jumps: int = 0
-
-    @property
-    def folded(self) -> str:
-        return fold(self.plain)
 
 
 @dataclass(frozen=True)
@@ -87,6 +60,14 @@ class TableColumns:
         Names of columns that increase from row to row, where there is no time.
     unusable
         Names of columns that hold no numbers.
+    reading, found
+        What the user says of the file, and keys that say what was found.
+    notes
+        How it was read, a sentence each.
+    split_by, tests
+        The column that tells apart the tests in it, and their names; empty where it is one.
+    refused
+        What is wrong in a column of numbers in which something is none, by its name.
     """
 
     path: Path
@@ -94,6 +75,12 @@ class TableColumns:
     time: TableColumn | None
     increasing: tuple[str, ...]
     unusable: tuple[str, ...]
+    reading: Reading = field(default_factory=Reading)
+    found: Mapping[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    split_by: str = ""
+    tests: tuple[str, ...] = ()
+    refused: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def named(self) -> dict[str, TableColumn]:
@@ -102,12 +89,7 @@ class TableColumns:
         return {column.name: column for column in every}
 
 
-def fold(name: str) -> str:
-    """Return a name without case, blanks, underscores, brackets: "motorspeed" of "Motor_Speed"."""
-    return "".join(letter for letter in name.casefold() if letter.isalnum())
-
-
-def read_columns(path: Path, time_column: str = "") -> TableColumns:
+def read_columns(path: Path, time_column: str = "", reading: Reading | None = None) -> TableColumns:
     """Read a table and sort its columns.
 
     Parameters
@@ -116,88 +98,97 @@ def read_columns(path: Path, time_column: str = "") -> TableColumns:
         Of the table.
     time_column
         Name of the column with the time, if it has one of that name; else the name must tell.
+    reading
+        What the user says of it.
 
     Raises
     ------
     DataError
         If it cannot be read, or has no column of numbers.
     """
-    table = read_table(path, "init")
-    numbers, unusable = _numbers(table)
-    if not numbers:
+    table = read_table(path, "init", reading=reading)
+    long = long_columns([*table.columns]) if table.reading.long is None else None
+    if long is not None:
+        table = replace(wide(table, *long), reading=replace(table.reading, long=long))
+        table = replace(table, found={**table.found, "long": long})
+    found = find_time(table, time_column)
+    split_by = find_tests(table, found)
+    tests = tuple(table.tests(split_by, "init")) if split_by else ()
+    whole = table
+    if tests:
+        table = table.part(split_by, tests[0], "init")
+        found = found if found is None else found.of(table)
+    columns, others, refused = _columns(table, found, split_by)
+    if not columns and refused:
+        raise DataError(next(iter(refused.values())))
+    if not columns:
         raise DataError(
-            f"init: {path} must have columns of numbers but has none; check what separates its "
-            "columns, and that its first row holds their names"
+            f"init: {path} must have columns of numbers but has none{_why_none(table)}; check what "
+            "separates its columns, and that its first row holds their names"
         )
-    columns = [TableColumn(name, *split_unit(name), _noise(v)) for name, v in numbers.items()]
-    time = _time(columns, time_column)
-    rows = Counter(len(values) for values in numbers.values()).most_common(1)[0][0]
-    if time is not None:
-        rows = len(numbers[time.name])
-    times = np.arange(float(rows)) if time is None else numbers[time.name]
-    kept = [
-        replace(c, jumps=count_jumps(times, numbers[c.name]))
-        for c in columns
-        if (time is None or c.name != time.name) and len(numbers[c.name]) == rows
-    ]
-    rising = [] if time is not None else [c.name for c in kept if _increases(numbers[c.name])]
-    return TableColumns(path, tuple(kept), time, tuple(rising), tuple(unusable))
+    rising = [] if found is not None else [c.name for c in columns if c.increases]
+    return TableColumns(
+        path,
+        tuple(columns),
+        None if found is None else found.column,
+        tuple(rising),
+        tuple(others),
+        reading=whole.reading,
+        found=whole.found,
+        notes=(*whole.notes, *([found.said] if found is not None and found.said else [])),
+        split_by=split_by,
+        tests=tests,
+        refused=refused,
+    )
 
 
-def _numbers(table: MeasuredTable) -> tuple[dict[str, FloatArray], list[str]]:
-    """Return the columns of numbers by name, and the names of the others."""
-    found, others = {}, list(table.unusable)
-    for name in table.columns:
-        try:
-            values = table.numbers(name, "init")
-        except DataError:
-            others.append(name)
-            continue
-        if name and np.isfinite(values).any():
-            found[name] = values
-        elif name:
-            others.append(name)
-    return found, others
+def _columns(
+    table: MeasuredTable, time: FoundTime | None, split_by: str
+) -> tuple[list[TableColumn], list[str], dict[str, str]]:
+    """Return the columns of numbers that can be signals, the others, and what is wrong in some.
 
-
-def split_unit(name: str) -> tuple[str, str]:
-    """Return "force" and "N" of "force [N]"; the unit is "" where the name has no unit."""
-    found = _IN_BRACKETS.fullmatch(name) or _AFTER_SLASH.fullmatch(name)
-    if found is None or not found.group(1).strip():
-        return name, ""
-    return found.group(1).strip(), found.group(2).strip()
-
-
-def split_suffix(name: str, wanted: str) -> tuple[str, str] | None:
-    """Return "speed" and "rpm" of "speed_rpm"; None if the end of a name is no unit.
-
-    Parameters
-    ----------
-    name
-        Of a column.
-    wanted
-        The unit of its variable. The end of the name must be convertible to it: "x_m" may be
-        measured in metres, "u_m" of a voltage is not. Where it is "", only units of two letters and
-        more count, and not "min".
+    One is read at a time, so that a large file is not there twice.
     """
-    parts = name.split("_")
-    for count in range(min(MOST_PARTS, len(parts) - 1), 0, -1):
-        plain, tail = "_".join(parts[:-count]), parts[-count:]
-        unit = "/".join(part for part in tail if part != "per")
-        unit = UNIT_SUFFIXES.get(unit, unit)
-        if wanted:
-            fits = conversion(unit, wanted) is not None
-        else:
-            fits = is_known(unit) and len(unit) > 1 and unit != "min"
-        if fits and plain.strip("_"):
-            return plain.strip("_"), unit
-    return None
+    refused: dict[str, str] = {}
+    clocks = {*table.clocks.values(), *(() if time is None else time.names)}
+    found: list[tuple[int, TableColumn]] = []
+    others = [*table.unusable]
+    for name in table.columns:
+        if name in clocks or name == split_by:
+            continue
+        values = np.zeros(0)
+        try:
+            if name and may_hold_numbers(table.columns[name]):
+                values = table.numbers(name, "init")
+        except UndecidedError:
+            raise
+        except DataError as error:
+            refused[name] = str(error)
+        if not np.isfinite(values).any():
+            others += [name] if name else []
+            continue
+        times = None if time is None else time.times_of(table, name)
+        rows = len(values) if times is None or len(times) != len(values) else -1
+        plain, unit = split_unit(name)
+        jumps = count_jumps(np.arange(float(len(values))) if times is None else times, values)
+        column = TableColumn(
+            name,
+            plain,
+            unit or table.units.get(name, ""),
+            _noise(values),
+            jumps if time is None or rows < 0 else 0,
+            increases=_increases(values),
+        )
+        found.append((rows, column))
+    if time is not None:
+        return [column for rows, column in found if rows < 0], others, refused
+    usual = Counter(rows for rows, _ in found).most_common(1)
+    return [column for rows, column in found if usual and rows == usual[0][0]], others, refused
 
 
-def with_suffix(column: TableColumn, wanted: str) -> TableColumn:
-    """Return a column with the unit at the end of its name, if it has no other."""
-    found = None if column.unit else split_suffix(column.name, wanted)
-    return column if found is None else replace(column, plain=found[0], unit=found[1])
+def _why_none(table: MeasuredTable) -> str:
+    """Return what is wrong with the first column that cannot be used."""
+    return next((f" ({name!r} {why})" for name, why in table.unusable.items()), "")
 
 
 def _noise(values: FloatArray) -> float:
@@ -211,23 +202,6 @@ def _noise(values: FloatArray) -> float:
         return 0.0
     spread = float(1.4826 * np.median(np.abs(np.diff(finite, 2))) / np.sqrt(6.0))
     return max(spread, LEAST_GUESSED_NOISE * float(np.std(finite)))
-
-
-def _time(columns: list[TableColumn], given: str) -> TableColumn | None:
-    """Return the column with the time, its unit split off."""
-    for column in columns:
-        if column.name == given:
-            return with_suffix(column, "s")
-    if any(_is_time(column) for column in columns):
-        return next(column for column in columns if _is_time(column))
-    ended = [with_suffix(column, "s") for column in columns]
-    return next((c for c in ended if _is_time(c) and c.plain != "T"), None)
-
-
-def _is_time(column: TableColumn) -> bool:
-    if column.folded not in TIME_COLUMN_NAMES:
-        return False
-    return not column.unit or conversion(column.unit, "s") is not None
 
 
 def _increases(values: FloatArray) -> bool:
@@ -266,8 +240,9 @@ def match(
     """Match each variable to a column, and no column twice.
 
     A column has the same name, or the same but for case, blanks, underscores, brackets and a unit
-    at its end. Where neither decides, a similar column is a suggestion, or the only one that is
-    left, or the only one with a unit that can be converted to the variable's.
+    at its end; or the last part of its name is so, behind its group or structure. Where neither
+    decides, a similar column is a suggestion, or the only one that is left, or the only one with a
+    unit that can be converted to the variable's.
 
     Parameters
     ----------
@@ -299,6 +274,7 @@ def same(
     sure |= _same([(v, v.name) for v in variables], [(c, c.plain) for c in columns], sure)
     folded = [(v, fold(v.name)) for v in variables]
     sure |= _same(folded, [(c, c.folded) for c in columns], sure)
+    sure |= _same(folded, [(c, fold(c.last_part)) for c in columns], sure)
     return sure | _suffixed(variables, columns, sure)
 
 

@@ -20,7 +20,7 @@ from cluster_est.preflight.subject import (
     note,
     unanswered,
 )
-from cluster_est.preflight.table_columns import split_suffix, split_unit
+from cluster_est.preflight.table_column import split_suffix, split_unit
 from cluster_est.problem.tables.measured import TableSource
 from cluster_est.problem.tables.units import (
     UnitConversion,

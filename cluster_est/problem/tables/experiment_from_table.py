@@ -9,18 +9,26 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
 import pyarrow as pa
 
 from cluster_est.errors import DataError
-from cluster_est.problem.tables.files import MeasuredTable, named_columns, read_table, repeated
+from cluster_est.problem.tables.files import read_table
+from cluster_est.problem.tables.grades import with_grades
 from cluster_est.problem.tables.measured import (
+    Clock,
     ColumnChange,
     MeasuredColumns,
     interval,
     missing_time,
     relative_without_sigma,
     sigma_without_output,
-    with_grades,
+)
+from cluster_est.problem.tables.measured_table import (
+    Column,
+    MeasuredTable,
+    named_columns,
+    repeated,
 )
 from workers.fmu.description import nearest
 from workers.messages import Experiment, FloatArray, Input, Interpolation, Output, Role, Value
@@ -61,6 +69,8 @@ def table_of(given: Any, where: str) -> MeasuredTable:
         index: Any = getattr(given, "index", None)
         if getattr(index, "name", None) is not None:  # of pandas
             pairs.insert(0, (str(index.name), index.to_series()))
+        elif getattr(getattr(index, "dtype", None), "kind", "") in ("M", "m"):
+            pairs.insert(0, (INDEX, index.to_series()))
         return _from_columns(pairs)
     if hasattr(given, "__arrow_c_stream__") or isinstance(given, pa.RecordBatch):
         return named_columns("the table", pa.table(given))
@@ -73,11 +83,13 @@ def table_of(given: Any, where: str) -> MeasuredTable:
 def _from_columns(pairs: Sequence[tuple[str, Any]]) -> MeasuredTable:
     """Columns of pandas or of a dict; one that Arrow cannot read is unusable, not an error yet."""
     counts = Counter(name for name, _ in pairs)
-    columns: dict[str, pa.ChunkedArray | FloatArray] = {}
+    columns: dict[str, Column] = {}
     unusable = {name: repeated(count) for name, count in counts.items() if count > 1}
     for name, column in pairs:
         if name in unusable:
             continue
+        if isinstance(column, np.ndarray) and column.dtype.kind in "Mm":
+            column = column.astype(f"{column.dtype.kind}8[ns]")  # not all units are Arrow's
         try:
             columns[name] = pa.chunked_array([pa.array(column, from_pandas=True)])
         except (pa.ArrowException, TypeError, ValueError, OverflowError) as error:
@@ -88,9 +100,11 @@ def _from_columns(pairs: Sequence[tuple[str, Any]]) -> MeasuredTable:
 
 Columns = Mapping[str, str | Mapping[str, Any]] | Sequence[str]
 """Variables of the FMU, each with its column, or its column and more; or names that both have."""
-OF_INPUTS = ("column", "interpolation")
+INDEX = "index"
+"""Name of the times that a frame of pandas has as its index without a name."""
+OF_INPUTS = ("column", "interpolation", "time")
 OBSERVED = ("free_scale", "free_offset", "detection_limit", "ordinal")
-OF_OUTPUTS = ("column", *OBSERVED)
+OF_OUTPUTS = ("column", "time", *OBSERVED)
 """What may be said of an input or an output, in place of its column alone."""
 
 
@@ -134,15 +148,19 @@ def experiment_from_table(
         Name of the experiment.
     outputs
         {FMU output: column}, a list of names that both have, or {FMU output: {"column": ...,
-        "free_scale": True}}. Besides `free_scale` there are `free_offset`, `detection_limit` and
+        "free_scale": True}}. Besides `free_scale` there are `time` (a column with times of its
+        own), `free_offset`, `detection_limit` and
         `ordinal`, as in `Output`; `ordinal` may be a list of words too, the lowest first, if these
         stand in the column.
     time
-        Column with the time in seconds.
+        Column with the time: seconds, timestamps, or durations. Timestamps, and numbers of seconds
+        since 1970, count from the first used row. "DATE + CLOCK" joins two columns. Of a frame of
+        pandas "index" is an index of times without a name.
     sample_time
         Seconds between rows, where there is no such column.
     inputs, signals
-        {FMU input: column}, or {FMU input: {"column": ..., "interpolation": "hold"}}; signals are
+        {FMU input: column}, or {FMU input: {"column": ..., "interpolation": "hold", "time": ...}};
+        `time` names a column with times of its own. Signals are
         measured too, but are no inputs of the model: effects may depend on them.
     sigma
         Standard deviation of the noise, of all outputs or by output.
@@ -187,11 +205,13 @@ def experiment_from_table(
     counted = next(iter(wanted["outputs"].values()))["column"]
     times = reader.times(time, sample_time, counted)
     measured = [
-        _output(reader, times, name, given, (sigmas[name], parts[name]))
+        _output(reader, times, name, given, (sigmas[name], parts[name]), time)
         for name, given in wanted["outputs"].items()
     ]
     start, stop = interval(start, stop, times, measured, where)
-    driving = {key: _driving(reader, times, wanted[key], key) for key in ("inputs", "signals")}
+    driving = {
+        key: _driving(reader, times, wanted[key], key, time) for key in ("inputs", "signals")
+    }
     return Experiment(
         id=id,
         start=start,
@@ -240,6 +260,7 @@ def _output(
     name: str,
     given: Mapping[str, Any],
     sigmas: tuple[float, float],
+    time: str | None,
 ) -> Output:
     """A measured output, with what is said of how it was observed."""
     observed = {key: given[key] for key in OBSERVED if key in given}
@@ -248,7 +269,8 @@ def _output(
         words = as_tuple(words, str, f"{reader.where}.outputs.{name}.ordinal", DataError)
         reader = with_grades(reader, name, given["column"], words)
         observed["ordinal"] = True
-    return replace(reader.output(times, name, given["column"], *sigmas), **observed)
+    clock = Clock(time, given.get("time", ""))
+    return replace(reader.output(times, name, given["column"], *sigmas, clock), **observed)
 
 
 def _of_outputs(
@@ -334,11 +356,13 @@ def _driving(
     times: FloatArray,
     wanted: Mapping[str, Mapping[str, Any]],
     key: str,
+    time: str | None,
 ) -> tuple[Input, ...]:
-    return tuple(
-        reader.driving(times, name, given["column"], given.get("interpolation", "linear"), key)
-        for name, given in wanted.items()
-    )
+    found = []
+    for name, given in wanted.items():
+        how, clock = given.get("interpolation", "linear"), Clock(time, given.get("time", ""))
+        found.append(reader.driving(times, name, given["column"], how, key, clock))
+    return tuple(found)
 
 
 def _within(output: Output, start: float, stop: float) -> Output:

@@ -1,4 +1,6 @@
-"""Signals that keep their value and jump: a switch, a set point, the output of a controller.
+"""Signals that jump: a switch, a set point, the output of a controller.
+
+Between jumps they keep their value, or move in small steps.
 
 Between two samples a straight line makes a ramp of such a jump, which begins up to a sampling
 interval too early. A fit calls that a delay or a lag.
@@ -21,6 +23,14 @@ LEAST_ISOLATED_SHARE = 0.8
 """Least share of the changes that stand alone, with samples that repeat before and after."""
 LEAST_JUMP = 0.05
 """Least median change, over the range of the signal: smaller ones are the steps of a converter."""
+NEAR_STEPS = 3
+"""Steps to either side that a jump of a moving signal is compared with."""
+OVER_NEAR_STEPS = 6.0
+"""Least size of such a jump, in the largest of those."""
+USUAL_STEPS, OVER_USUAL_STEPS = 0.75, 5.0
+"""A quantile of the sizes of all steps, and the least size of such a jump in it."""
+LEAST_JUMPS_WHILE_MOVING = 2
+"""A single one may be anything."""
 SAMPLES_AFTER_JUMP = 3
 """Samples from the jump of an input on, in which what is fast answers."""
 REGULAR = 0.1
@@ -28,7 +38,7 @@ REGULAR = 0.1
 
 
 def count_jumps(times: FloatArray, values: FloatArray) -> int:
-    """Return the number of jumps of a signal that keeps its value between them; 0 for any other.
+    """Return the number of jumps of a signal; 0 for one that has none.
 
     A ramp that a table gives two points of its own, closer than its other samples, is no jump.
 
@@ -37,14 +47,25 @@ def count_jumps(times: FloatArray, values: FloatArray) -> int:
     times, values : (n,)
         Of its samples, in order.
     """
+    return len(_jumps(times, values))
+
+
+def _jumps(times: FloatArray, values: FloatArray) -> npt.NDArray[np.int64]:
+    """Return the intervals between samples in which a signal jumps."""
     if len(values) < LEAST_SAMPLES_WITH_JUMPS or not np.isfinite(values).all():
-        return 0
-    size = np.abs(np.diff(values))
+        return np.zeros(0, np.int64)
     intervals = np.diff(times)
-    changes = _changes(values)
     wide = intervals >= 0.5 * float(np.median(intervals))
+    found = _between_levels(values, wide)
+    return found if len(found) else _while_moving(values, wide)
+
+
+def _between_levels(values: FloatArray, wide: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+    """Return the jumps of a signal that keeps its value between them."""
+    size, changes = np.abs(np.diff(values)), _changes(values)
+    none = np.zeros(0, np.int64)
     if not changes.any() or np.mean(~changes) < LEAST_REPEATED_SHARE:
-        return 0
+        return none
     around = np.concatenate([[False], changes, [False]])
     alone = changes & wide & ~around[:-2] & ~around[2:]
     binary = len(np.unique(values)) == 2 and bool(np.all(wide[changes]))
@@ -54,16 +75,35 @@ def count_jumps(times: FloatArray, values: FloatArray) -> int:
         or _is_rounded(values, changes)
         or not (binary or np.sum(alone) >= LEAST_ISOLATED_SHARE * np.sum(changes))
     ):
-        return 0
-    return int(np.sum(changes))
+        return none
+    return np.flatnonzero(changes)
+
+
+def _while_moving(values: FloatArray, wide: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+    """Return the jumps of a signal that moves in small steps between them.
+
+    Each is large beside all steps near it, to both sides, and beside most steps of the signal: the
+    one of a spike has another beside it, and those of noise are as large as their neighbours.
+    """
+    steps = np.abs(np.diff(values))
+    extended = np.pad(steps, NEAR_STEPS, constant_values=0.0)
+    near = np.zeros(len(steps))
+    for shift in range(2 * NEAR_STEPS + 1):
+        if shift != NEAR_STEPS:
+            np.maximum(near, extended[shift : shift + len(steps)], out=near)
+    usual = float(np.quantile(steps, USUAL_STEPS))
+    large = (steps > OVER_NEAR_STEPS * near) & (steps > OVER_USUAL_STEPS * usual)
+    large &= wide & (steps > LEAST_JUMP * float(np.ptp(values)))
+    large[:NEAR_STEPS] = large[-NEAR_STEPS:] = False
+    found = np.flatnonzero(large)
+    moves = usual > 1e-9 * float(np.ptp(values))  # else it has levels, and was looked at before
+    return found if moves and len(found) >= LEAST_JUMPS_WHILE_MOVING else found[:0]
 
 
 def jump_times(given: Input) -> FloatArray:
-    """Return when an input that keeps its value between jumps begins to change; none for others."""
-    if not count_jumps(given.times, given.values):
-        return np.zeros(0)
-    changes = np.flatnonzero(_changes(given.values))
-    return given.times[changes if given.interpolation == "linear" else changes + 1]
+    """Return when an input that jumps begins to do so; none for others."""
+    jumps = _jumps(given.times, given.values)
+    return given.times[jumps if given.interpolation == "linear" else jumps + 1]
 
 
 def after_jumps(experiment: Experiment, output: str) -> npt.NDArray[np.bool_]:
@@ -142,7 +182,7 @@ def jump_findings(
     """
     return tuple(
         (
-            f"input {name} keeps its value and jumps {count} time{'s' if count > 1 else ''}; "
+            f"input {name} jumps {count} time{'s' if count > 1 else ''}; "
             "straight lines between its samples make ramps of the jumps, which a fit may take for "
             "a delay",
             f"{dotted('inputs', name)} = {inline(held)}, if it keeps each sample until the next",

@@ -21,9 +21,11 @@ SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}
 NUMERIC = range(6, 16)
 """Classes of arrays of numbers."""
 CLASSES = {1: "a cell array", 2: "a structure", 3: "an object", 4: "text", 5: "a sparse matrix"}
-STRUCTURE = 2
+STRUCTURE, OPAQUE = 2, 17
 DEEPEST = 8
 """Structures in structures that are looked into."""
+MOST_ELEMENTS = 100
+"""Structures of an array of them that are looked into."""
 LONGEST_FIELD_NAME = 1024
 MOST_NAMED_FIELDS = 12
 COMPLEX = 0x0800
@@ -128,6 +130,9 @@ def _variables(
     at, flags = _element(body, 0, order, (FLAGS_TYPE,))
     (first,) = _unpack(f"{order}I", flags, 0)
     kind = first & 0xFF
+    if kind == OPAQUE:
+        yield _object(body, at, order, inside, own)
+        return
     if kind not in NUMERIC and kind not in CLASSES:
         yield _Variable(inside + own, "of an unknown class")
         return
@@ -138,8 +143,8 @@ def _variables(
     before = body[:at]
     at, name = _element(body, at, order, (NAME_TYPE, COMPRESSED_NAME_TYPE))
     whole = inside + (own or name.decode("latin-1"))
-    if kind == STRUCTURE and math.prod(shape) == 1 and depth < DEEPEST:
-        yield from _structure(body, at, order, whole, depth)
+    if kind == STRUCTURE and 0 < math.prod(shape) <= MOST_ELEMENTS and depth < DEEPEST:
+        yield from _structure(body, at, order, whole, (depth, shape))
         return
     data = at
     for _ in range(0 if kind in CLASSES else 2 if first & COMPLEX else 1):
@@ -150,8 +155,23 @@ def _variables(
     yield _Variable(whole, what, matrix)
 
 
-def _structure(body: bytes, at: int, order: str, whole: str, depth: int) -> Iterator[_Variable]:
-    """Yield a structure and its fields."""
+def _object(body: bytes, at: int, order: str, inside: str, own: str) -> _Variable:
+    """Return an object of a class of MATLAB's, whose values stand in an undocumented form."""
+    texts = []
+    for _ in range(3):  # its name, the system of its class, and its class
+        at, text = _element(body, at, order, (NAME_TYPE, COMPRESSED_NAME_TYPE))
+        texts.append(text.decode("latin-1"))
+    name, _, kind = texts
+    what = f"a {kind} of MATLAB, which only MATLAB can read; save its times and values as vectors"
+    return _Variable(inside + (own or name), what)
+
+
+def _structure(
+    body: bytes, at: int, order: str, whole: str, place: tuple[int, tuple[int, ...]]
+) -> Iterator[_Variable]:
+    """Yield a structure and its fields; of an array of structures those of each, from 0 on."""
+    depth, shape = place
+    count = math.prod(shape)
     at, length = _element(body, at, order, (5,), 1)
     (longest,) = _unpack(f"{order}i", length, 0)
     at, texts = _element(body, at, order, (NAME_TYPE,))
@@ -161,14 +181,17 @@ def _structure(body: bytes, at: int, order: str, whole: str, depth: int) -> Iter
         texts[i : i + longest].split(b"\0")[0].decode("latin-1")
         for i in range(0, len(texts), longest)
     ]
-    yield _Variable(whole, f"a structure with {', '.join(names[:MOST_NAMED_FIELDS]) or 'nothing'}")
-    for name in names:
+    listed = ", ".join(names[:MOST_NAMED_FIELDS]) or "nothing"
+    sizes = f" of {' x '.join(str(n) for n in shape)}" if count > 1 else ""
+    yield _Variable(whole, f"a structure{sizes} with {listed}")
+    elements = [f"{whole}[{i}]" for i in range(count)] if count > 1 else [whole]
+    for element, name in ((element, name) for element in elements for name in names):
         kind, size = _unpack(f"{order}II", body, at)
         if kind != MATRIX or at + 8 + size > len(body):
             raise ValueError(f"a tag says {size} bytes of kind {kind}")
         if size:  # an empty one may have nothing but a tag
             inner = body[at + 8 : at + 8 + size]
-            yield from _variables(inner, order, f"{whole}.", name, depth + 1)
+            yield from _variables(inner, order, f"{element}.", name, depth + 1)
         at += 8 + size
 
 

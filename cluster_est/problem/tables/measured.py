@@ -1,22 +1,24 @@
 """Columns of a measured table as signals of an experiment: the rows used, scaled, and checked.
 
-Config files and `Experiment.from_table` both read their columns here, words that stand in an order
-(low, medium, high) among them, and what a config leaves unused is found here.
+Config files and `Experiment.from_table` both read their columns here, and what a config leaves
+unused is found here.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pyarrow as pa
+import numpy.typing as npt
 
 from cluster_est.errors import DataError
-from cluster_est.problem.tables.files import MeasuredTable, is_text, read_table, trimmed_cells
+from cluster_est.problem.tables.files import read_table
+from cluster_est.problem.tables.measured_table import MeasuredTable, Reading
 from cluster_est.problem.tables.stand_ins import FoundStandIn, is_missing
+from cluster_est.problem.tables.times import JOINT, TableTimes, read_times
 from workers.fmu.description import nearest
 from workers.messages import FloatArray, Input, Interpolation, Output
 from workers.messages.signals import check_length, check_times, refuse_value
@@ -29,6 +31,25 @@ class ColumnChange:
     factor: float = 1.0
     offset: float = 0.0
     demean: bool = False
+
+
+@dataclass(frozen=True)
+class Clock:
+    """What is said of the times of a column.
+
+    Attributes
+    ----------
+    time
+        The column with the times of the rows; None where they have a period.
+    own
+        The column with its own times, which a user names; empty: those of the file, or of the rows.
+    """
+
+    time: str | None = None
+    own: str = ""
+
+
+OF_ROWS = Clock()
 
 
 @dataclass(frozen=True)
@@ -57,7 +78,7 @@ class MeasuredColumns:
 
     def __post_init__(self) -> None:
         for name in self.changes:
-            if name not in self.table.columns:
+            if self.table.resolved(name, self.where) not in self.table.columns:
                 raise DataError(f"{self.where}.columns: {self.table.without(name)}")
 
     def times(self, column: str | None, sample_time: float | None, counted: str) -> FloatArray:
@@ -74,7 +95,9 @@ class MeasuredColumns:
         """
         path = self.table.path
         if column is not None:
-            times = replace(self, missing=()).column(column)
+            times = self.clock(column).seconds
+            if self.table.signals:  # it has a row for each value, so that times come again
+                times = np.unique(times[np.isfinite(times)])
             source = f"{path}, column {column!r}"
         else:
             with np.errstate(over="ignore"):
@@ -89,6 +112,78 @@ class MeasuredColumns:
         check_times(times, f"{self.where}: {source}", lambda i: f"row {self._row(i)}")
         return times
 
+    def clock(self, column: str) -> TableTimes:
+        """The times in a column, in seconds of its file or since the first used row.
+
+        Raises
+        ------
+        DataError
+            If it has no times, or may be read in several ways.
+        """
+        if (self._change(column) or ColumnChange()).demean:
+            return TableTimes(self.column(column))
+        rows = self.table.rows_of(column)
+        if self.rows is not None:
+            whole = self.table.column(column.split(JOINT)[0], self.where) if rows is None else rows
+            rows = self._used(np.arange(len(whole)) if rows is None else rows)
+        factor, offset = self._scale(column)
+        return read_times(self.table, column, rows, self.where, factor=factor, offset=offset)
+
+    def _scale(self, column: str) -> tuple[float | None, float]:
+        """The factor and offset of a time, a factor of None where nothing is said."""
+        change = self._change(column)
+        return (None, 0.0) if change is None else (change.factor, change.offset)
+
+    def _change(self, name: str) -> ColumnChange | None:
+        """The change of a column, which a pattern may name."""
+        own = self.table.resolved(name)
+        return next((c for n, c in self.changes.items() if self.table.resolved(n) == own), None)
+
+    def _used(self, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """The used ones of all rows."""
+        if self.rows is None:
+            return rows
+        first, last = self.rows
+        if last > len(rows):
+            raise DataError(
+                f"{self.where}.rows: must lie within the {len(rows)} rows of "
+                f"{self.table.path} but is [{first}, {last}]; lower its end"
+            )
+        return rows[first:last]
+
+    def own_times(self, name: str, clock: Clock, times: FloatArray) -> FloatArray:
+        """The times of one column: those of its own clock, or those of the rows.
+
+        Parameters
+        ----------
+        name
+            Of the column.
+        clock
+            What is said of its times.
+        times
+            Of the rows.
+        """
+        table, resolved = self.table, self.table.resolved(name)
+        own = clock.own or table.clocks.get(resolved)
+        selected = resolved in table.signals
+        if clock.time is None or (own in (None, table.resolved(clock.time)) and not selected):
+            return times
+        if self.rows is not None:
+            raise DataError(
+                f"{self.where}.rows: must be left out where columns have times of their own, as "
+                f"{name!r} has, but is there; use start and stop"
+            )
+        first, rows = self.clock(clock.time), table.rows_of(resolved)
+        source = clock.time if selected else str(own)
+        factor, offset = self._scale(source)
+        found = read_times(
+            table, source, rows, self.where, factor=factor, offset=offset, since=first
+        ).seconds
+        known = np.flatnonzero(np.isfinite(found)) if clock.own else np.arange(len(found))
+        where = f"{self.where}: {table.path}, times of column {name!r}"
+        check_times(found[known], where, lambda i: f"row {table.row(int(known[i]), resolved)}")
+        return found
+
     def driving(
         self,
         times: FloatArray,
@@ -96,18 +191,27 @@ class MeasuredColumns:
         column: str,
         interpolation: Interpolation,
         key: str,
+        clock: Clock = OF_ROWS,
     ) -> Input:
         """A signal that drives the model, without the rows where it was not measured."""
+        times = self.own_times(column, clock, times)
         values = self._values(times, column, f"{key}.{variable}")
-        known = np.isfinite(values)
+        known = self._known(times, values, column)
         return Input(variable, times[known], values[known], interpolation)
 
     def output(
-        self, times: FloatArray, variable: str, column: str, sigma: float, relative_sigma: float
+        self,
+        times: FloatArray,
+        variable: str,
+        column: str,
+        sigma: float,
+        relative_sigma: float,
+        clock: Clock = OF_ROWS,
     ) -> Output:
         """A signal that the model should follow, where it was measured."""
+        times = self.own_times(column, clock, times)
         values = self._values(times, column, f"outputs.{variable}")
-        measured = np.isfinite(values)
+        measured = self._known(times, values, column)
         return Output(variable, times[measured], values[measured], sigma, relative_sigma)
 
     def points(self, columns: Collection[str]) -> FloatArray:
@@ -136,18 +240,10 @@ class MeasuredColumns:
 
     def column(self, name: str) -> FloatArray:
         """The used rows of a column in its new unit, NaN where nothing was measured."""
-        values = self.table.numbers(name, self.where)
-        if self.rows is not None:
-            first, last = self.rows
-            if last > len(values):
-                raise DataError(
-                    f"{self.where}.rows: must lie within the {len(values)} rows of "
-                    f"{self.table.path} but is [{first}, {last}]; lower its end"
-                )
-            values = values[first:last]
+        values = self._used(self.table.numbers(name, self.where))
         if self.missing:
             values = np.where(is_missing(values, self.missing), np.nan, values)
-        change = self.changes.get(name)
+        change = self._change(name)
         if change is None:
             return values
         known = np.isfinite(values)
@@ -170,6 +266,18 @@ class MeasuredColumns:
             where = f"{self.where}: {self.table.path}, column {name!r}, row {self._row(i)}"
             raise refuse_value(float(values[i]), where, "leave it empty")
         return values
+
+    def _known(self, times: FloatArray, values: FloatArray, name: str) -> npt.NDArray[np.bool_]:
+        """Which values are measured; a column with its own times may end before the others."""
+        known = np.isfinite(values)
+        without = np.flatnonzero(known & ~np.isfinite(times))
+        if len(without):
+            raise DataError(
+                f"{self.where}: {self.table.path}, column {name!r}, row "
+                f"{self.table.row(int(without[0]), name)}: must have a time where it has a value "
+                "but has none; correct that row"
+            )
+        return known
 
     def _row(self, used: int) -> int:
         """The row in the file of one of the used rows."""
@@ -224,55 +332,6 @@ def relative_without_sigma(where: str, name: str) -> str:
     )
 
 
-def with_grades(
-    columns: MeasuredColumns, variable: str, column: str, grades: Sequence[str]
-) -> MeasuredColumns:
-    """Return columns with the words of one as their places among the grades, from 1 on.
-
-    Parameters
-    ----------
-    columns
-        Of the experiment's table.
-    variable, column
-        The output that was measured, and its column.
-    grades
-        All words, the lowest first.
-
-    Raises
-    ------
-    DataError
-        If a word is given twice or is none of the grades, or the column has no words.
-    """
-    table, where = columns.table, f"{columns.where}.outputs.{variable}"
-    repeated = [word for word, count in Counter(grades).items() if count > 1]
-    if repeated:
-        raise DataError(
-            f"{where}.ordinal: must name each grade once but names {repeated[0]!r} more often; "
-            "remove one"
-        )
-    cells = table.columns.get(column)
-    if cells is None:
-        raise DataError(f"{where}: {table.without(column)}")
-    if isinstance(cells, pa.ChunkedArray) and pa.types.is_dictionary(cells.type):
-        cells = cells.cast(cells.type.value_type)
-    if isinstance(cells, np.ndarray) or not is_text(cells):
-        raise DataError(
-            f"{where}.ordinal: {table.path}, column {column!r}: must hold the words that are "
-            "listed but holds numbers; write ordinal = true"
-        )
-    words = trimmed_cells(cells, decimal_comma=False).to_pylist()
-    places = {word: float(place) for place, word in enumerate(grades, 1)}
-    for i, word in enumerate(words):
-        if word is not None and word not in places:
-            raise DataError(
-                f"{where}.ordinal: {table.path}, column {column!r}, row {table.row(i)}: must be "
-                f"one of the grades that are listed but is {word!r}{nearest(word, grades)}"
-            )
-    numbers = np.array([np.nan if w is None else places[w] for w in words], np.float64)
-    graded = replace(table, columns={**table.columns, column: numbers})
-    return replace(columns, table=graded, missing=())  # words are no numbers of the file
-
-
 @dataclass(frozen=True)
 class TableSource:
     """The table of an experiment, and what of it is used.
@@ -293,6 +352,12 @@ class TableSource:
         Numbers that mean that nothing was measured.
     stand_ins
         Numbers in the columns of its signals that hardly are measurements.
+    reading
+        What is said of the file.
+    test
+        The column that tells tests apart, and the value of this one; None where a file is one.
+    notes
+        How the file was read, a sentence each.
     """
 
     experiment: str
@@ -304,6 +369,9 @@ class TableSource:
     named: tuple[tuple[str, str], ...] = ()
     missing: tuple[float, ...] = ()
     stand_ins: tuple[FoundStandIn, ...] = ()
+    reading: Reading = field(default_factory=Reading)
+    test: tuple[str, str] | None = None
+    notes: tuple[str, ...] = ()
 
     def unused(self) -> UnusedColumns:
         """Read the file again, for its other columns.
@@ -311,14 +379,15 @@ class TableSource:
         Empty where the file cannot be read any more, or does not say the times.
         """
         try:
-            table = read_table(self.path)
+            table = read_table(self.path, reading=self.reading)
+            table = table if self.test is None else table.part(*self.test, self.experiment)
             reader = MeasuredColumns(table, self.experiment, self.rows, missing=self.missing)
             times = reader.times(self.time, self.sample_time, self.used[-1])
         except DataError:
             return UnusedColumns(np.zeros(0), {})
         found = {}
         for name in reader.table.columns:
-            if name in self.used:
+            if name in self.used or name in reader.table.clocks.values():
                 continue
             try:
                 values = reader.column(name)

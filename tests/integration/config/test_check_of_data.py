@@ -163,7 +163,7 @@ def rounded(sigma):
         (
             run(TRUTH),
             "jumps",
-            "input V keeps its value and jumps 2 times; straight lines",
+            "input V jumps 2 times; straight lines",
             'inputs.V = { column = "COLUMN", interpolation = "hold" }',
         ),
         (

@@ -109,6 +109,28 @@ class TestWhereColumnsMatch:
         assert problem.experiments[0].inputs[0].values.max() == 1000.0
 
 
+class TestWhereAnInputJumps:
+    MOVING = FORCE + np.repeat([0.0, 1.0, -1.0, 0.5, 2.0], 10)
+
+    @pytest.mark.parametrize("signal", [STEP, MOVING])
+    @pytest.mark.parametrize(("name", "given"), [("F", ()), ("Load cell", ("F=Load cell",))])
+    def test_it_is_held_in_each_file_in_which_it_does(self, written, tmp_path, signal, name, given):
+        one = table(tmp_path / "one.csv", {"time": TIMES, name: signal, "y": FORCE})
+        other = table(tmp_path / "other.csv", {"time": TIMES, name: FORCE, "y": FORCE})
+        written(one, other, given=given)
+        held, straight = ce.read_problem("first.toml").experiments
+        assert held.inputs[0].interpolation == "hold"
+        assert straight.inputs[0].interpolation == "linear"
+
+    def test_check_names_it_where_it_is_not_held(self, written, tmp_path, capsys):
+        data = table(tmp_path / "one.csv", time=TIMES, F=self.MOVING, y=FORCE)
+        text, _, _ = written(data)
+        text = re.sub(r"inputs.F = {.*}", 'inputs.F = "F"', text)
+        Path("first.toml").write_text(text, encoding="utf-8")
+        main(["check", "first.toml"])
+        assert "input F jumps 4 times" in " ".join(capsys.readouterr().out.split())
+
+
 class TestWhereExperimentsAreAlike:
     def test_what_they_share_stands_once(self, written, tmp_path):
         """Sixteen tables, one line to fill in, and one guess of each output's noise."""
@@ -207,7 +229,7 @@ def test_an_input_that_jumps_keeps_each_sample(written, tmp_path):
     text, tree, _ = written(table(tmp_path / "a.csv", time=TIMES, F=STEP, y=STEP))
     assert tree["experiments"][0]["inputs"]["F"] == {"column": "F", "interpolation": "hold"}
     assert tree["experiments"][0]["outputs"]["y"] == "y"
-    assert 'it keeps its value and jumps; "linear" if it does not' in text
+    assert 'it jumps; "linear" if it does not' in text
     text, _, said = written(
         table(tmp_path / "b.csv", time=TIMES, force=STEP, position=FORCE), out="second.toml"
     )
@@ -350,9 +372,20 @@ class TestWhereSomethingIsOpen:
 
     def test_a_time_that_is_text_is_named(self, written, tmp_path):
         path = tmp_path / "a.csv"
-        path.write_text("time,F,y\n12:00,1,2\n12:01,1,2\n", encoding="utf-8")
+        path.write_text("time,F,y\nnoon,1,2\nlater,1,2\n", encoding="utf-8")
         text, _, _ = written(path)
         assert "# column 'time' holds no numbers: dates, or a row of units" in text
+
+    def test_a_time_with_two_meanings_is_asked_for(self, written, tmp_path, capsys):
+        path = tmp_path / "a.csv"
+        path.write_text("time,F,y\n12:00,1,2\n12:01,1,2\n", encoding="utf-8")
+        assert main(["init", str(FMU), str(path)]) == 2
+        said = capsys.readouterr().err
+        assert 'say which with time_format = "%H:%M" or "%M:%S"' in " ".join(said.split())
+        for given, stop in (("%H:%M", 60.0), ("%M:%S", 1.0)):
+            out = ["--out", "first.toml", "--overwrite", "--read", f"time_format={given}"]
+            assert main(["init", str(FMU), str(path), *out]) == 0
+            assert ce.read_problem("first.toml").experiments[0].stop == stop
 
     def test_an_input_without_any_column_keeps_its_start(self, written, tmp_path):
         path = table(tmp_path / "a.csv", time=TIMES, y=FORCE, Zzz=FORCE, Www=FORCE)

@@ -99,7 +99,7 @@ REFUSED = [
     ({"outputs": {3: "position"}}, "outputs: a variable: .*text.*3"),
     ({"outputs": "y"}, "outputs: .*a list of text.*alone; put it in brackets"),
     ({"inputs": {"F": {"column": "force", "how": 1}}}, "inputs.F: unknown key how"),
-    ({"inputs": {"F": 3}}, "inputs.F: .*a column's name or {column, interpolation}.*3"),
+    ({"inputs": {"F": 3}}, "inputs.F: .*a column's name or {column, interpolation, time}.*3"),
     ({"time": None}, "either time .*or sample_time .*neither"),
     ({"time": 3}, "time: .*text.*3"),
     ({"sample_time": 1.0}, "either time .*or sample_time .*both"),
@@ -144,7 +144,7 @@ def test_what_is_wrong_is_said(change, pattern):
         (COLUMNS | {"position": [1.0]}, "must have as many rows as the time, 4, but has 1"),
         (COLUMNS | {"force": [1, "a", 2.0, 3]}, "column 'force': must hold numbers but cannot be"),
         (COLUMNS | {"force": [10**400, 1, 2, 3]}, "'force': must hold numbers but cannot be"),
-        (COLUMNS | {"t": COLUMNS["when"]}, "must hold numbers but holds duration"),
+        (COLUMNS | {"force": COLUMNS["when"]}, "must hold numbers but holds duration"),
         (
             pd.DataFrame([[0, 1, 2], [1, 2, 3], [2, 3, 4]], columns=["t", "force", "force"]),
             "must be there once but 2 columns have that name",
@@ -208,3 +208,64 @@ def test_words_are_no_units():
     assert not any(is_known(word) for word in ("", "10", "flow", "kgs", "kg/x", "/s", "m/"))
     assert all(is_known(unit) for unit in ("1", "kg/min", "1/s", "W/(m2.K)", "km/h"))
     assert same_unit("m/s^2", "m/s²")
+
+
+WHEN = pd.Timestamp("2026-03-29 00:59:58", tz="UTC") + pd.to_timedelta(COLUMNS["t"], unit="s")
+TIMES = {
+    "datetimes with a zone": WHEN.tz_convert("Europe/Berlin"),
+    "datetimes": WHEN.tz_localize(None),
+    "numpy": WHEN.tz_localize(None).to_numpy(),
+    "numpy in milliseconds": WHEN.tz_localize(None).to_numpy().astype("datetime64[ms]"),
+    "seconds since 1970": WHEN.as_unit("ns").asi8 / 1e9,
+    "nanoseconds since 1970": WHEN.as_unit("ns").asi8,
+    "durations": pd.to_timedelta(COLUMNS["t"], unit="s"),
+    "texts": [str(each) for each in WHEN],
+    "Python's own": list(WHEN.to_pydatetime()),
+    "times of day": [each.time() for each in WHEN],
+}
+
+
+@pytest.mark.parametrize("kind", TIMES)
+def test_times_count_from_the_first_row(kind):
+    found = ce.Experiment.from_table(COLUMNS | {"t": TIMES[kind]}, **GIVEN)
+    np.testing.assert_allclose(found.inputs[0].times, COLUMNS["t"], atol=1e-6)
+    assert found.outputs[0].times[0] == 0.0
+    rows = ce.Experiment.from_table(COLUMNS | {"t": TIMES[kind]}, **GIVEN, rows=(2, 4))
+    first = 1.0 if kind == "durations" else 0.0
+    np.testing.assert_allclose(rows.inputs[0].times, [first, first + 0.5], atol=1e-6)
+
+
+def test_an_index_of_times_without_a_name_is_a_column():
+    frame = pd.DataFrame(COLUMNS, index=WHEN).drop(columns="t")
+    found = ce.Experiment.from_table(frame, **GIVEN | {"time": "index"})
+    assert found.inputs[0].times.tolist() == COLUMNS["t"]
+
+
+def test_a_column_has_times_of_its_own_where_they_are_named():
+    table = COLUMNS | {"slow": [0.0, 1.0, None, None], "position": [1.0, 2.0, None, None]}
+    outputs = {"y": {"column": "position", "time": "slow"}}
+    found = ce.Experiment.from_table(table, **GIVEN | {"outputs": outputs})
+    assert found.outputs[0].times.tolist() == [0.0, 1.0]
+    assert found.inputs[0].times.tolist() == COLUMNS["t"]
+    late = table | {"position": [1.0, 2.0, 3.0, None]}
+    with pytest.raises(DataError, match="row 3: must have a time where it has a value"):
+        ce.Experiment.from_table(late, **GIVEN | {"outputs": outputs})
+
+
+@pytest.mark.parametrize(
+    ("reading", "said"),
+    [
+        ({"encoding": "utf-16"}, "UTF-16"),
+        ({"encoding": "no such"}, "must have an encoding that Python knows but has 'no such'"),
+        ({"encodin": "utf-8"}, "reading: unknown key encodin; did you mean 'encoding'"),
+        ({"skip_rows": -1}, "reading.skip_rows: must be"),
+        ({"skip_rows": 99}, "must have more lines than skip_rows, 99"),
+        ({"decimal": "'"}, 'reading.decimal: must be "." or ","'),
+        ({"long": ["a"]}, "reading.long: must be .names, values."),
+        ({"sheet": "A"}, "sheet: must be left out, because .* is a csv file"),
+        (3, "reading"),
+    ],
+)
+def test_what_is_said_of_a_file_is_checked(tmp_path, reading, said):
+    with pytest.raises(DataError, match=said):
+        ce.read_table(written(tmp_path), reading=reading).numbers("t", "here")

@@ -2,6 +2,7 @@ import tomllib
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import cluster_est as ce
 from cluster_est.errors import DataError
@@ -13,6 +14,7 @@ STEPS = np.repeat(np.random.default_rng(3).uniform(-1.0, 1.0, 8), 50)
 BINARY = np.repeat(np.sign(np.random.default_rng(7).standard_normal(200)), 2)
 HOURS = np.linspace(0.0, 24.0, 300)
 ROOM = 21.0 + 1.2 * np.sin(2.0 * np.pi * HOURS / 24.0)
+NOISY = np.random.default_rng(8).standard_normal(400)
 POINTS = np.sort(np.concatenate([np.arange(12.0), [2.99, 6.99]]))
 SIGNALS = {
     "steps": (TIMES, STEPS, 7),
@@ -28,6 +30,14 @@ SIGNALS = {
     "noise": (TIMES, np.random.default_rng(4).standard_normal(400), 0),
     "a room's temperature on a display": (HOURS, np.round(ROOM / 0.5) * 0.5, 0),
     "the same on a finer one": (HOURS, np.round(ROOM / 0.3) * 0.3, 0),
+    "steps on a sine, of which one is small": (TIMES, np.sin(3.0 * TIMES) + STEPS, 6),
+    "steps on a ramp with noise": (TIMES, TIMES + STEPS + 0.002 * NOISY, 6),
+    "a staircase on a ramp": (TIMES[:300], TIMES[:300] + np.repeat(np.arange(6.0), 50), 5),
+    "spikes on a sine": (TIMES, np.sin(TIMES) + 2.0 * (np.arange(400) % 90 == 50), 0),
+    "a sine that is sampled coarsely": (TIMES, np.sin(150.0 * TIMES), 0),
+    "answers to steps": (TIMES, lfilter([0.2], [1.0, -0.8], STEPS), 0),
+    "one step on a sine": (TIMES, np.sin(TIMES) + (TIMES > 2.0), 0),
+    "a walk": (TIMES, np.cumsum(NOISY), 0),
     # straight lines are meant: the two points of a ramp are closer than the others
     "a ramp with points of its own": (
         POINTS,
@@ -54,7 +64,7 @@ def test_what_is_held_already_needs_no_note():
     assert notes("hold") == ()
     assert notes("linear", holds="u") == ()
     ((said, do),) = notes("linear")
-    assert said.startswith("input u keeps its value and jumps 14 times; straight lines")
+    assert said.startswith("input u jumps 14 times; straight lines")
     assert 'inputs.u = { column = "COLUMN", interpolation = "hold" }' in do
     ((_, do),) = notes("linear", columns=[("inputs.u", 'set "point"')])
     assert tomllib.loads(do.partition(", if")[0])["inputs"]["u"]["column"] == 'set "point"'

@@ -1,0 +1,102 @@
+"""A column of a measured table: its name, the unit in it, and what is known of its values."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+
+from cluster_est.problem.tables.units import UNIT_SUFFIXES, conversion, is_known
+
+_IN_BRACKETS = re.compile(r"(.*?)[\s_]*[\[(<]([^\[\](){}<>]*)[\])>]\s*")
+_AFTER_SLASH = re.compile(r"(.*\S)\s+(?:/|in)\s+(\S+)\s*")
+
+
+MOST_PARTS = 3
+"""Parts of a name that may be a unit: "rad_per_s"."""
+
+
+OF_VALUES = ("data", "values", "value", "signals")
+"""Parts of a name, in small letters, that say that it has the values of what stands before."""
+
+
+@dataclass(frozen=True)
+class TableColumn:
+    """One column of numbers.
+
+    Attributes
+    ----------
+    name
+        As it stands in the table.
+    plain, unit
+        "force" and "N" of "force [N]".
+    noise
+        A first guess of the standard deviation of its noise, in its unit; 0 without noise.
+    jumps
+        Times that it jumps, if it keeps its value or moves little in between.
+    increases
+        Whether it increases from row to row.
+    """
+
+    name: str
+    plain: str
+    unit: str
+    noise: float = 0.0
+    jumps: int = 0
+    increases: bool = False
+
+    @property
+    def folded(self) -> str:
+        return fold(self.plain)
+
+    @property
+    def last_part(self) -> str:
+        """The name without its group or structure: "force" of "log.force" and "force.Data"."""
+        parts = re.split(r"[./\\]", self.plain)
+        while len(parts) > 1 and parts[-1].casefold() in OF_VALUES:
+            parts.pop()
+        return parts[-1]
+
+
+def fold(name: str) -> str:
+    """Return a name without case, blanks, underscores, brackets: "motorspeed" of "Motor_Speed"."""
+    return "".join(letter for letter in name.casefold() if letter.isalnum())
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """Return "force" and "N" of "force [N]"; the unit is "" where the name has no unit."""
+    found = _IN_BRACKETS.fullmatch(name) or _AFTER_SLASH.fullmatch(name)
+    if found is None or not found.group(1).strip():
+        return name, ""
+    return found.group(1).strip(), found.group(2).strip()
+
+
+def split_suffix(name: str, wanted: str) -> tuple[str, str] | None:
+    """Return "speed" and "rpm" of "speed_rpm"; None if the end of a name is no unit.
+
+    Parameters
+    ----------
+    name
+        Of a column.
+    wanted
+        The unit of its variable. The end of the name must be convertible to it: "x_m" may be
+        measured in metres, "u_m" of a voltage is not. Where it is "", only units of two letters and
+        more count, and not "min".
+    """
+    parts = name.split("_")
+    for count in range(min(MOST_PARTS, len(parts) - 1), 0, -1):
+        plain, tail = "_".join(parts[:-count]), parts[-count:]
+        unit = "/".join(part for part in tail if part != "per")
+        unit = UNIT_SUFFIXES.get(unit, unit)
+        if wanted:
+            fits = conversion(unit, wanted) is not None
+        else:
+            fits = is_known(unit) and len(unit) > 1 and unit != "min"
+        if fits and plain.strip("_"):
+            return plain.strip("_"), unit
+    return None
+
+
+def with_suffix(column: TableColumn, wanted: str) -> TableColumn:
+    """Return a column with the unit at the end of its name, if it has no other."""
+    found = None if column.unit else split_suffix(column.name, wanted)
+    return column if found is None else replace(column, plain=found[0], unit=found[1])

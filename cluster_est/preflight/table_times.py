@@ -1,0 +1,231 @@
+"""The times of a measured table, and the tests in it: found by names and by what columns hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pyarrow as pa
+
+from cluster_est.errors import DataError
+from cluster_est.preflight.table_column import TableColumn, fold, split_unit, with_suffix
+from cluster_est.problem.tables.cells import MISSING, is_text, looks_like_a_number, without_groups
+from cluster_est.problem.tables.measured_table import Column, MeasuredTable, UndecidedError
+from cluster_est.problem.tables.time_stamps import Stamps, read_stamps
+from cluster_est.problem.tables.times import JOINT, read_times
+from cluster_est.problem.tables.units import conversion
+from workers.messages import FloatArray
+
+TIME_COLUMN_NAMES = (
+    "time", "t", "times", "zeit", "seconds", "second", "sec", "timesec", "timestamp", "timestamps",
+    "elapsedtime", "elapsed", "testtime", "zeitstempel", "xvalue",
+)  # fmt: skip
+"""Names of a time column, folded."""
+STAMP_COLUMN_NAMES = (
+    *TIME_COLUMN_NAMES, "datetime", "date", "datum", "datumzeit", "datumuhrzeit", "uhrzeit",
+    "datetimeutc", "index",
+)  # fmt: skip
+"""Likewise of one with timestamps."""
+TEST_COLUMN_NAMES = (
+    "run", "runid", "test", "testid", "experiment", "experimentid", "trial", "cycle", "versuch",
+    "messung", "simulationconditionid", "condition",
+)  # fmt: skip
+"""Names of a column that tells tests apart, folded."""
+MOST_TESTS = 10_000
+LOOKED_AT = 1000
+"""Cells of a column of text in which numbers are looked for."""
+DAYS_OR_SECONDS = "days or seconds"
+"""In place of the unit of a time that has to be filled in."""
+
+
+@dataclass(frozen=True)
+class FoundTime:
+    """The time of a table.
+
+    Attributes
+    ----------
+    column
+        With the time; of two columns with both names.
+    names
+        Of the columns that it is made of.
+    seconds : (n,)
+        Of all rows.
+    said
+        How timestamps were read; "" for numbers.
+    """
+
+    column: TableColumn
+    names: tuple[str, ...]
+    seconds: FloatArray = field(repr=False)
+    said: str = ""
+
+    def of(self, table: MeasuredTable) -> FoundTime:
+        """The same in a part of the table."""
+        found = read_times(table, self.column.name, table.rows, "init")
+        return replace(self, seconds=found.seconds)
+
+    def times_of(self, table: MeasuredTable, name: str) -> FloatArray:
+        """The times of a column, which may have a clock of its own."""
+        clock = table.clocks.get(name)
+        if clock is not None and clock != self.column.name:
+            return read_times(table, clock, table.rows_of(name), "init").seconds
+        if name in table.signals:
+            return read_times(table, self.column.name, table.rows_of(name), "init").seconds
+        return self.seconds
+
+
+def find_time(table: MeasuredTable, given: str = "") -> FoundTime | None:
+    """Find the time of a table; None if no column is called so, nor the only one with times.
+
+    Parameters
+    ----------
+    table
+        Of all tests.
+    given
+        Its column, as the user says.
+
+    Raises
+    ------
+    DataError
+        If there are times that can be read in several ways.
+    """
+    names = [given] if given and (given in table.columns or JOINT in given) else [*_by_name(table)]
+    if not names:
+        names = [*_by_content(table)]
+    if not names:
+        return None
+    name = names[0]
+    plain, unit = split_unit(name)
+    column = TableColumn(name, plain, unit or table.units.get(name, ""))
+    column = with_suffix(column, "s")
+    if not _is_number(table, name):
+        column = replace(column, unit="")
+    factor = conversion(column.unit, "s") if column.unit else None
+    size = None if factor is None else factor.factor
+    try:
+        found = read_times(table, name, None, "init", factor=size)
+    except UndecidedError:
+        column, size = replace(column, unit=DAYS_OR_SECONDS), 1.0
+        found = read_times(table, name, None, "init", factor=size)
+    return FoundTime(column, tuple(name.split(JOINT)), found.seconds, found.said)
+
+
+def _is_number(table: MeasuredTable, name: str) -> bool:
+    column = table.columns.get(name)
+    return isinstance(column, np.ndarray) or (column is not None and _stamps(table, name) is None)
+
+
+def _by_name(table: MeasuredTable) -> Iterator[str]:
+    """Yield the columns of numbers that are called as the time is, the surest first."""
+    if table.clocks:
+        counts: dict[str, int] = {}
+        for clock in table.clocks.values():
+            counts[clock] = counts.get(clock, 0) + 1
+        yield max(counts, key=lambda name: counts[name])
+    split = {name: _column(table, name) for name in table.columns if name}
+    numeric = [name for name in split if _holds_numbers(table, name)]
+    yield from (name for name in numeric if _is_time(split[name]))
+    ended = {name: with_suffix(split[name], "s") for name in numeric}
+    yield from (n for n, column in ended.items() if _is_time(column) and column.plain != "T")
+
+
+def _column(table: MeasuredTable, name: str) -> TableColumn:
+    plain, unit = split_unit(name)
+    return TableColumn(name, plain, unit or table.units.get(name, ""))
+
+
+def _is_time(column: TableColumn) -> bool:
+    if column.folded not in TIME_COLUMN_NAMES:
+        return False
+    return not column.unit or conversion(column.unit, "s") is not None
+
+
+def _holds_numbers(table: MeasuredTable, name: str) -> bool:
+    if not may_hold_numbers(table.columns[name]):
+        return False
+    try:
+        return bool(np.isfinite(table.numbers(name, "init")).any())
+    except UndecidedError:
+        raise
+    except DataError:
+        return False
+
+
+def may_hold_numbers(column: Column) -> bool:
+    """Return False for times and for text that does not begin with a number anywhere near its top.
+
+    A long text need not be looked at whole to know that it has none.
+    """
+    if isinstance(column, np.ndarray):
+        return True
+    if not is_text(column):
+        return not _is_temporal(column.type)
+    head = [str(cell).strip() for cell in column.slice(0, LOOKED_AT).to_pylist() if cell]
+    there = [cell for cell in head if cell not in MISSING]
+    return not there or any(looks_like_a_number(without_groups(cell)) for cell in there)
+
+
+def _is_temporal(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_temporal(kind))
+
+
+def _by_content(table: MeasuredTable) -> Iterator[str]:
+    """Yield the column with timestamps, or two with dates and times of day, if one is it."""
+    found = {name: each for name in table.columns if (each := _stamps(table, name)) is not None}
+    dates = [name for name, each in found.items() if each.kind == "date"]
+    clocks = [name for name, each in found.items() if each.kind == "clock"]
+    whole = [name for name, each in found.items() if each.kind in ("instant", "elapsed")]
+    called = [n for n in whole if fold(split_unit(n)[0]) in STAMP_COLUMN_NAMES]
+    if called or len(whole) == 1:
+        yield (called or whole)[0]
+    elif len(clocks) == 1:
+        yield f"{dates[0]}{JOINT}{clocks[0]}" if len(dates) == 1 else clocks[0]
+    elif len(dates) == 1 and not clocks:
+        yield dates[0]
+
+
+def _stamps(table: MeasuredTable, name: str) -> Stamps | None:
+    """Return the timestamps of a column; None if it has none."""
+    column = table.columns[name]
+    if isinstance(column, np.ndarray) or not (is_text(column) or _is_temporal(column.type)):
+        return None
+    called = fold(split_unit(name)[0]) in STAMP_COLUMN_NAMES
+    try:
+        if name not in table.stamps:
+            table.stamps[name] = read_stamps(column, table.reading)
+    except ValueError:
+        if called:  # it is the time, so that what is wrong with it must be said
+            read_times(table, name, None, "init")
+        return None
+    found: Stamps | None = table.stamps[name]
+    return found
+
+
+def find_tests(table: MeasuredTable, time: FoundTime | None) -> str:
+    """Return the column that tells tests apart; "" if the table is one test.
+
+    It is called so, or the time begins anew exactly where its value changes. In each test the time
+    must increase.
+    """
+    if time is None or table.clocks:
+        return ""
+    seconds = time.seconds
+    anew = np.flatnonzero(np.diff(seconds) <= 0.0)
+    names = [name for name in table.columns if name not in time.names and name not in table.signals]
+    called = [name for name in names if fold(name) in TEST_COLUMN_NAMES]
+    if not table.signals and not len(anew):
+        return ""
+    for name in [*called, *(n for n in names if n not in called)]:
+        try:
+            groups = table.tests(name, "init")
+        except (DataError, pa.ArrowException):
+            continue
+        if not 1 < len(groups) <= min(MOST_TESTS, len(seconds) // 2):
+            continue
+        if table.signals:
+            if name in called:
+                return name
+        elif all(np.all(np.diff(seconds[rows]) > 0.0) for rows in groups.values()):
+            return name
+    return ""

@@ -1,0 +1,436 @@
+"""Text files with a table: CSV and its relatives, as programs, loggers and spreadsheets write them.
+
+The beginning is looked at for the encoding, the lines before the table, what separates cells and
+decimals. Then Arrow reads the rest once, numbers at once as numbers. A column in which that fails
+is read again as text, because whether it is one of numbers matters only if it is used.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import gzip
+import io
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+import pyarrow as pa
+import pyarrow.csv as pacsv
+from typing_extensions import override
+
+from cluster_est.errors import DataError
+from cluster_est.problem.tables.cells import MISSING, decimal_in, looks_like_a_number
+from cluster_est.problem.tables.formats.header import Header, find_header, refuse_several
+from cluster_est.problem.tables.formats.table_format import TableFormat
+from cluster_est.problem.tables.measured_table import LineNumbers, MeasuredTable, Reading, once
+from cluster_est.toml import inline
+
+HEAD_BYTES: Final = 2**18
+"""Bytes of the beginning that are looked at."""
+LINES_OF_LAYOUT: Final = 400
+"""Lines in which the header is looked for, after those that the user skips."""
+LINES_LOOKED_AT: Final = 1500
+"""Lines whose cells tell what separates decimals, and which columns have numbers."""
+COMMENTS: Final = ("#", "%", "//")
+"""Begin lines that are no part of a table."""
+DELIMITERS: Final = (",", ";", "\t", "|", " ")
+MARKS: Final = (
+    (codecs.BOM_UTF8, "utf-8"),
+    (codecs.BOM_UTF32_LE, "utf-32"),
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+"""Marks at the beginning of a file, with the encoding that they stand for."""
+OTHER_FORMATS: Final = (
+    (b"MDF  ", ".mdf"),
+    (b"TDSm", ".tdms"),
+    (b"\x89HDF", ".h5"),
+    (b"PK\x03\x04", ".xlsx"),
+    (b"PAR1", ".parquet"),
+    (b"MATLAB ", ".mat"),
+)
+"""How files of other formats begin, which may have any ending."""
+GUESSED_ENCODING: Final = "cp1252"
+"""Of text without a mark that is not in UTF-8: what Windows writes in Western Europe."""
+MOST_NULS_OF_TEXT, LEAST_NULS_OF_UTF16 = 0.05, 0.3
+"""Shares of zero bytes at the two places of a pair, by which UTF-16 without a mark is told."""
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How a file is laid out.
+
+    Attributes
+    ----------
+    encoding
+        Of its text.
+    delimiter
+        Between cells; a blank stands for any number of them.
+    header
+        Its names and units, and the line of its first row.
+    comments
+        Whether lines that begin as comments are none of its rows.
+    decimal
+        As in `MeasuredTable`.
+    numeric
+        Positions of columns that are read as numbers.
+    notes
+        What was found, a sentence each.
+    """
+
+    encoding: str
+    delimiter: str
+    header: Header
+    comments: bool
+    decimal: str
+    numeric: tuple[int, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def width(self) -> int:
+        return len(self.header.names)
+
+
+class DelimitedText(TableFormat):
+    """Rows of cells as text."""
+
+    name: ClassVar[str] = "csv"
+    endings: ClassVar[tuple[str, ...]] = (".csv", ".tsv", ".txt", ".dat", ".asc", ".csv.gz")
+    keys: ClassVar[tuple[str, ...]] = ("encoding", "skip_rows", "decimal")
+
+    @override
+    def read(self, path: Path, reading: Reading) -> MeasuredTable:
+        head = _head(path)
+        kind = next((ending for mark, ending in OTHER_FORMATS if head.startswith(mark)), "")
+        if kind:
+            raise DataError(f"must be text but is a {kind} file; rename it so that it ends in that")
+        encoding, note = _encoding(head, reading.encoding)
+        try:
+            return _read(path, head, encoding, note, reading)
+        except _NotUtf8Error:
+            with _opened(path) as file:
+                guess = _guessed_encoding(file.read())
+            return _read(path, head, *guess, reading)
+
+
+class _NotUtf8Error(Exception):
+    """The text of a file, far from its beginning, is not in UTF-8."""
+
+
+def _head(path: Path) -> bytes:
+    with _opened(path) as file:
+        head: bytes = file.read(HEAD_BYTES)
+    return head
+
+
+def _opened(path: Path) -> Any:
+    return gzip.open(path, "rb") if path.suffix.lower() == ".gz" else path.open("rb")
+
+
+def _encoding(head: bytes, given: str) -> tuple[str, str]:
+    """Return the encoding of a text, and a sentence if it is a guess."""
+    for mark, encoding in MARKS:
+        if head.startswith(mark):
+            return encoding, "" if encoding == "utf-8" else f"its text is {encoding.upper()}"
+    if given:
+        return given, ""
+    first, second = head[:4096:2].count(0), head[1:4096:2].count(0)
+    pairs = len(head[:4096]) // 2
+    for few, many, encoding in ((first, second, "utf-16-le"), (second, first, "utf-16-be")):
+        if pairs and many > LEAST_NULS_OF_UTF16 * pairs and few < MOST_NULS_OF_TEXT * pairs:
+            return encoding, f"its text is {encoding.upper()} without a mark, a guess"
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return _guessed_encoding(head)
+    return "utf-8", ""
+
+
+def _guessed_encoding(text: bytes) -> tuple[str, str]:
+    try:
+        text.decode(GUESSED_ENCODING)
+    except UnicodeDecodeError as error:
+        raise DataError(
+            f"must say its encoding, because it is neither UTF-8 nor {GUESSED_ENCODING} (byte "
+            f'{error.start}), but does not; add encoding = "NAME", such as "shift_jis", or save it '
+            "as UTF-8"
+        ) from None
+    return GUESSED_ENCODING, (
+        f"its text is not UTF-8 and is read as {GUESSED_ENCODING}, a guess "
+        f"(encoding = {inline(GUESSED_ENCODING)})"
+    )
+
+
+def _read(path: Path, head: bytes, encoding: str, note: str, reading: Reading) -> MeasuredTable:
+    try:
+        text = codecs.getincrementaldecoder(encoding)(errors="replace").decode(head)
+    except LookupError:
+        raise DataError(
+            f"must have an encoding that Python knows but has {encoding!r}; write one such as "
+            '"utf-8", "cp1252" or "utf-16"'
+        ) from None
+    lines = re.split(r"\r\n|\n|\r", text.removeprefix("\ufeff"))
+    if len(head) == HEAD_BYTES and len(lines) > 1:
+        lines.pop()  # it is cut off
+    layout = _layout(lines, encoding, reading)
+    if note:
+        layout = replace(layout, notes=(note, *layout.notes))
+    table, skipped = _parse(path, layout)
+    table = _without_empty_end(table)
+    if not table.num_rows:
+        _explain(path, layout)
+    if skipped:
+        kinds = "lines" if skipped > 1 else "line"
+        said = f"{skipped} {kinds} of comments between its rows are left out"
+        layout = replace(layout, notes=(*layout.notes, said))
+    pairs = [(name, table.column(i)) for i, name in enumerate(layout.header.names)]
+    columns, unusable = once(pairs)
+    names = layout.header.names
+    return MeasuredTable(
+        path,
+        columns,
+        unusable,
+        layout.decimal,
+        {names[i].strip(): unit for i, unit in layout.header.units.items()},
+        notes=layout.notes,
+        found=_found(layout, reading, guessed=bool(note)),
+        lines=_Lines(path, layout),
+    )
+
+
+def _found(layout: _Layout, reading: Reading, *, guessed: bool) -> dict[str, Any]:
+    """Return the keys that say how the file was read, where that was a matter of finding out."""
+    found: dict[str, Any] = {}
+    if guessed and not layout.encoding.startswith("utf-16"):
+        found["encoding"] = layout.encoding
+    if layout.header.header and reading.skip_rows is None:
+        found["skip_rows"] = layout.header.header
+    return found
+
+
+def _layout(lines: Sequence[str], encoding: str, reading: Reading) -> _Layout:
+    start = reading.skip_rows or 0
+    if start > len(lines):
+        raise DataError(
+            f"must have more lines than skip_rows, {start}, but has fewer; lower skip_rows"
+        )
+    lines = lines[: start + LINES_LOOKED_AT]
+    found = _table(lines[: start + LINES_OF_LAYOUT], start, given=reading.skip_rows is not None)
+    delimiter, header, comments = found or _plain(lines, start)
+    if reading.skip_rows is None:
+        refuse_several(header)
+    cells = _columns(lines, delimiter, header, comments=comments)
+    decimal = reading.decimal or decimal_in(cell for column in cells for cell in column)
+    numeric = _numeric(cells, decimal or ("." if delimiter == "," else ""))
+    if decimal == "" and delimiter != ",":
+        decimal = ";"
+    notes = _notes(header, delimiter, reading)
+    return _Layout(encoding, delimiter, header, comments, decimal, numeric, notes)
+
+
+def _table(lines: Sequence[str], start: int, *, given: bool) -> tuple[str, Header, bool] | None:
+    """Return what separates cells, the header, and whether there are comments."""
+    best: tuple[str, Header, bool] | None = None
+    marked = any(line.lstrip().startswith(COMMENTS) for line in lines)
+    for delimiter in DELIMITERS:
+        if not any(delimiter in line for line in lines):
+            continue
+        for comments in (True, False) if marked else (True,):
+            rows = _rows(lines, delimiter, comments=comments)
+            if given:  # the line that was named is the header
+                rows = [None if i < start else row for i, row in enumerate(rows)]
+            found = find_header(rows, start)
+            if found is not None and (found.header is not None or not comments):
+                break
+        if found is None or (best is not None and found.score <= best[1].score):
+            continue
+        best = delimiter, found, comments
+    return best
+
+
+def _rows(lines: Sequence[str], delimiter: str, *, comments: bool) -> list[list[str] | None]:
+    """Return the cells of lines; None for empty ones, and for comments if they are no rows."""
+    found: list[list[str] | None] = []
+    for line in lines:
+        bare = line.strip()
+        mark = next((each for each in COMMENTS if bare.startswith(each)), "")
+        if not bare or (mark and comments):
+            found.append(None)
+        else:
+            found.append(_cells(bare.removeprefix(mark).strip() if mark else line, delimiter))
+    return found
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    if delimiter == " ":
+        return line.split()
+    try:
+        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    except (csv.Error, StopIteration):  # a cell beyond Python's limit
+        return line.split(delimiter)
+
+
+def _plain(lines: Sequence[str], start: int) -> tuple[str, Header, bool]:
+    """Return the layout of a table that begins with the first line that is not empty."""
+    there = [i for i in range(start, len(lines)) if lines[i]]
+    if not there:
+        raise DataError(
+            "must have a header and rows of numbers but has nothing in it; check the file"
+        )
+    line = lines[there[0]]
+    delimiter = max(",;\t", key=line.count)
+    names = tuple(_cells(line, delimiter))
+    return delimiter, Header(names, there[0], there[0] + 1, {}, 0, 0.0), True
+
+
+def _columns(
+    lines: Sequence[str], delimiter: str, header: Header, *, comments: bool
+) -> list[list[str]]:
+    """Return the cells of each column, as far as they were looked at, without missing ones."""
+    width = len(header.names)
+    found: list[list[str]] = [[] for _ in range(width)]
+    for row in _rows(lines[header.first :], delimiter, comments=comments):
+        if row is not None and len(row) == width:
+            for column, cell in zip(found, map(str.strip, row), strict=True):
+                if cell not in MISSING:
+                    column.append(cell)
+    return found
+
+
+def _numeric(cells: Sequence[Sequence[str]], decimal: str) -> tuple[int, ...]:
+    """Return the positions of columns that can be read as numbers with that decimal sign."""
+    if decimal not in (",", "."):
+        return ()
+    other = "," if decimal == "." else "."
+    return tuple(
+        i
+        for i, column in enumerate(cells)
+        if column and all(looks_like_a_number(c) and other not in c for c in column)
+    )
+
+
+def _notes(header: Header, delimiter: str, reading: Reading) -> tuple[str, ...]:
+    notes = []
+    line = header.header
+    if line is None:
+        notes.append(
+            f"it has no header, so its columns are called {header.names[0]} to {header.names[-1]}"
+        )
+    elif line and reading.skip_rows is None:
+        notes.append(
+            f"its header is row {line + 1}; the rows above are no part of the table "
+            f"(skip_rows = {line})"
+        )
+    if header.units:
+        shown = ", ".join(f"{header.names[i]} {unit}" for i, unit in [*header.units.items()][:6])
+        notes.append(f"the row below its header has units: {shown}")
+    if delimiter == " ":
+        notes.append("blanks separate its cells")
+    return tuple(notes)
+
+
+def _parse(path: Path, layout: _Layout) -> tuple[pa.Table, int]:
+    """Return the columns in their order, and how many lines of comments were left out."""
+    skipped: list[None] = []
+
+    def meet(row: Any) -> str:
+        if layout.comments and row.text.lstrip().startswith(COMMENTS):
+            skipped.append(None)
+            return "skip"
+        return "error"
+
+    parse = pacsv.ParseOptions(
+        delimiter="\t" if layout.delimiter == " " else layout.delimiter, invalid_row_handler=meet
+    )
+    names = [str(i) for i in range(layout.width)]
+    read = pacsv.ReadOptions(
+        column_names=names, skip_rows=layout.header.first, encoding=layout.encoding
+    )
+    for numeric in dict.fromkeys((layout.numeric, ())):
+        types = dict.fromkeys(names, pa.string()) | {str(i): pa.float64() for i in numeric}
+        convert = pacsv.ConvertOptions(
+            column_types=types,
+            null_values=MISSING,
+            strings_can_be_null=False,
+            decimal_point="," if layout.decimal == "," else ".",
+        )
+        skipped.clear()
+        try:
+            return pacsv.read_csv(_source(path, layout), read, parse, convert), len(skipped)
+        except (pa.ArrowInvalid, UnicodeError) as error:
+            last = error
+        if "conversion error to double" not in str(last):
+            break
+    if "invalid UTF8" in str(last) and layout.encoding == "utf-8":
+        raise _NotUtf8Error from last
+    _explain(path, layout)
+    raise last
+
+
+def _source(path: Path, layout: _Layout) -> Any:
+    """Return what Arrow reads from; cells that blanks separate are put together with tabs."""
+    if layout.delimiter != " ":
+        if path.suffix.lower() == ".gz":
+            return pa.CompressedInputStream(pa.OSFile(str(path)), "gzip")
+        return str(path)
+    with _opened(path) as file:
+        text = file.read()
+    text = re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", text)
+    return pa.BufferReader(re.sub(rb"[ \t]+", b"\t", text))
+
+
+def _without_empty_end(table: pa.Table) -> pa.Table:
+    """Return a table without rows at its end that have no cell with anything in it."""
+    end = table.num_rows
+    while end and all(c[end - 1].as_py() in (None, "") for c in table.columns):
+        end -= 1
+    return table.slice(0, end)
+
+
+def _explain(path: Path, layout: _Layout) -> None:
+    """Say what is wrong in a text file that Arrow refused, if it is one of the usual things."""
+    count = 0
+    for number, line in _Lines(path, layout).rows():
+        cells = _cells(line, layout.delimiter)
+        count += 1
+        if len(cells) != layout.width:
+            raise DataError(
+                f"must have as many cells in each row as in its header, {layout.width}, but row "
+                f"{number} has {len(cells)}; correct that row, or say with skip_rows how many "
+                "lines are above the header"
+            )
+    if not count:
+        raise DataError(
+            "must have a header and rows of numbers but has only a header; check the file"
+        )
+
+
+@dataclass(frozen=True)
+class _Lines(LineNumbers):
+    """The lines of a text file that are rows of its table."""
+
+    path: Path
+    layout: _Layout
+
+    def number(self, index: int) -> int:
+        for i, (number, _) in enumerate(self.rows()):
+            if i == index:
+                return number
+        return index + self.layout.header.first + 1
+
+    def rows(self) -> Iterator[tuple[int, str]]:
+        """Yield the rows with their numbers, from 1, as an editor shows them."""
+        layout = self.layout
+        with _opened(self.path) as raw:
+            text = io.TextIOWrapper(raw, encoding=layout.encoding, errors="replace")
+            for number, line in enumerate(text, 1):
+                bare = line.rstrip("\r\n")
+                if number <= layout.header.first or not bare:
+                    continue
+                comment = layout.comments and bare.lstrip().startswith(COMMENTS)
+                if not (comment and len(_cells(bare, layout.delimiter)) != layout.width):
+                    yield number, bare

@@ -1,0 +1,188 @@
+"""Reference results of an FMU, as FMI-LS-REF puts them into its archive.
+
+The manifest `extra/org.fmi-standard.fmi-ls-ref/fmi-ls-manifest.xml` names files with their roles.
+One of the role `experiment` lists experiments (MA-HS-Experiments): start and stop, a file of
+parameters, one of stimuli, and one of references, each a CSV table with a column for the time.
+FMI-LS-REF 1.0.0-alpha.1 (Modelica Association, 2025), https://github.com/modelica/fmi-ls-ref.
+"""
+
+from __future__ import annotations
+
+import posixpath
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import ClassVar, Final
+from xml.etree import ElementTree
+
+from typing_extensions import override
+
+from cluster_est.errors import DataError
+from cluster_est.problem.tables.formats.delimited import DelimitedText
+from cluster_est.problem.tables.formats.table_format import TableFormat
+from cluster_est.problem.tables.measured_table import Column, MeasuredTable, Reading
+from cluster_est.toml import inline
+from workers.fmu.description import nearest
+
+FOLDER: Final = "extra/org.fmi-standard.fmi-ls-ref"
+MANIFEST: Final = f"{FOLDER}/fmi-ls-manifest.xml"
+MOST_BYTES: Final = 2**31
+"""Bytes of one file of the archive, unpacked."""
+
+
+@dataclass(frozen=True)
+class ReferenceExperiment:
+    """An experiment that an FMU carries.
+
+    Attributes
+    ----------
+    name
+        Of the experiment.
+    references, stimuli, parameters
+        Files of the archive; empty where it has none.
+    start, stop
+        In seconds; None where it does not say.
+    """
+
+    name: str
+    references: str
+    stimuli: str = ""
+    parameters: str = ""
+    start: float | None = None
+    stop: float | None = None
+
+
+class FmuReferences(TableFormat):
+    """Experiments in the archive of an FMU; `sheet` names one of several."""
+
+    name: ClassVar[str] = "FMU"
+    endings: ClassVar[tuple[str, ...]] = (".fmu",)
+    keys: ClassVar[tuple[str, ...]] = ("sheet",)
+
+    @override
+    def read(self, path: Path, reading: Reading) -> MeasuredTable:
+        found = {each.name: each for each in reference_experiments(path)}
+        if not found:
+            raise DataError(
+                f"must have reference results ({MANIFEST}, with a file of the role experiment) but "
+                "has none; name a table instead"
+            )
+        names = ", ".join(map(repr, found))
+        if not reading.sheet and len(found) > 1:
+            first = inline(next(iter(found)))
+            raise DataError(
+                f"must say which experiment is meant, of {names}, but does not; add sheet = {first}"
+            )
+        if reading.sheet and reading.sheet not in found:
+            hint = nearest(reading.sheet, [*found])
+            raise DataError(f"has no experiment {reading.sheet!r}{hint}")
+        return _read(path, found[reading.sheet or next(iter(found))])
+
+
+def reference_experiments(path: Path) -> tuple[ReferenceExperiment, ...]:
+    """Return the experiments with reference results that an FMU carries.
+
+    Raises
+    ------
+    DataError
+        If it is no archive, or what describes them is damaged or names a file that is not there.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return tuple(_experiments(archive))
+    except (zipfile.BadZipFile, ElementTree.ParseError, KeyError) as error:
+        raise DataError(f"must be an FMU but cannot be read as one ({error}); check it") from error
+
+
+def _experiments(archive: zipfile.ZipFile) -> Iterator[ReferenceExperiment]:
+    names = set(archive.namelist())
+    if MANIFEST not in names:
+        return
+    for related in _tree(archive, MANIFEST):
+        if _bare(related.tag) != "Related" or not related.get("role", "").startswith("experiment"):
+            continue
+        file = posixpath.normpath(posixpath.join(FOLDER, related.get("source", "")))
+        if file not in names:  # an importer must bear that, FMI-LS-REF, section "Related Files"
+            continue
+        for each in _tree(archive, file):
+            found = {_bare(part.tag): part.get("source", "") for part in each}
+            if _bare(each.tag) != "Experiment" or not found.get("References"):
+                continue
+            files = {role: _inside(source, file, names) for role, source in found.items() if source}
+            yield ReferenceExperiment(
+                each.get("name") or f"experiment {file}",
+                files["References"],
+                files.get("Stimuli", ""),
+                files.get("Parameters", ""),
+                _seconds(each.get("startTime")),
+                _seconds(each.get("stopTime")),
+            )
+
+
+def _tree(archive: zipfile.ZipFile, name: str) -> ElementTree.Element:
+    if archive.getinfo(name).file_size > MOST_BYTES:
+        raise DataError(f"must have a small file {name} but it is too large; check it")
+    content = archive.read(name)
+    if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
+        raise DataError(f"must have no document type in {name} but has one; remove it")
+    return ElementTree.fromstring(content)
+
+
+def _bare(tag: str) -> str:
+    """Return a tag without its namespace."""
+    return tag.rpartition("}")[2]
+
+
+def _inside(source: str, beside: str, names: set[str]) -> str:
+    """Return the file of an archive that a path means: beside the file that names it, or above."""
+    for base in (posixpath.dirname(beside), ""):
+        found = posixpath.normpath(posixpath.join(base, source))
+        if found in names:
+            return found
+    raise DataError(f"must have the file {source}, which {beside} names, but has not; check it")
+
+
+def _seconds(text: str | None) -> float | None:
+    try:
+        return None if text is None else float(text)
+    except ValueError:
+        raise DataError(f"must have numbers as startTime and stopTime but has {text!r}") from None
+
+
+def _read(path: Path, experiment: ReferenceExperiment) -> MeasuredTable:
+    """Return the columns of references and stimuli, each with the times of its file."""
+    columns: dict[str, Column] = {}
+    unusable: dict[str, str] = {}
+    units: dict[str, str] = {}
+    clocks: dict[str, str] = {}
+    notes: list[str] = [f"experiment {experiment.name!r} of the FMU's reference results is read"]
+    for role, file in (("references", experiment.references), ("stimuli", experiment.stimuli)):
+        if not file:
+            continue
+        table = _table(path, file)
+        first = next(iter(table.columns), "")
+        clock = first if role == "references" else f"{first} of stimuli"
+        for name, column in table.columns.items():
+            own = clock if name == first else name
+            if own in columns:
+                continue  # a reference result may repeat a stimulus
+            columns[own] = column
+            clocks[own] = clock
+        unusable |= table.unusable
+        units |= table.units
+        notes += [f"{file}: {note}" for note in table.notes]
+    clocks = {name: clock for name, clock in clocks.items() if name != clock}
+    return MeasuredTable(path, columns, unusable, units=units, clocks=clocks, notes=tuple(notes))
+
+
+def _table(path: Path, file: str) -> MeasuredTable:
+    if not file.lower().endswith(DelimitedText.endings):
+        raise DataError(f"must have references as CSV but has {file}; convert it")
+    with zipfile.ZipFile(path) as archive, TemporaryDirectory() as folder:
+        if archive.getinfo(file).file_size > MOST_BYTES:
+            raise DataError(f"must have references of at most 2 GB but {file} is larger")
+        copy = Path(folder) / "table.csv"
+        copy.write_bytes(archive.read(file))
+        return DelimitedText().read(copy, Reading())

@@ -1,0 +1,58 @@
+"""Long tables, with a row for each value: a column says which signal it is, and another has it.
+
+Databases and PEtab write them. Each signal becomes a column that has some of the rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from cluster_est.errors import DataError
+from cluster_est.problem.tables.measured_table import MeasuredTable
+
+NAME_COLUMNS = ("observableid", "signal", "channel", "variable", "_field", "quantity", "tag")
+"""Names of columns, in small letters, that say which signal a value is of."""
+VALUE_COLUMNS = ("measurement", "value", "_value", "reading")
+"""Names of columns, in small letters, with the values."""
+
+
+def wide(table: MeasuredTable, names: str, values: str) -> MeasuredTable:
+    """Return a long table with a column for each signal.
+
+    Parameters
+    ----------
+    table
+        With a row for each value.
+    names, values
+        The columns that name the signals, and that have their values.
+
+    Raises
+    ------
+    DataError
+        If it has no such columns, or a signal is called as another column.
+    """
+    for name in (names, values):
+        if name not in table.columns:
+            raise DataError(f"has no column {name!r}, which long names; {table.without(name)}")
+    signals = table.tests(names, "long")
+    others = {name: each for name, each in table.columns.items() if name not in (names, values)}
+    for signal in signals:
+        if signal in others:
+            raise DataError(
+                f"must have signals in {names!r} that are called otherwise than its columns but "
+                f"has {signal!r}; rename one"
+            )
+    columns = others | dict.fromkeys(signals, table.columns[values])
+    note = f"it has a row for each value, of the {len(signals)} signals in {names!r}"
+    return replace(
+        table, columns=columns, long_values=values, signals=signals, notes=(*table.notes, note)
+    )
+
+
+def long_columns(names: list[str]) -> tuple[str, str] | None:
+    """Return the columns with names and values of a table that is called like a long one."""
+    found = [
+        next((name for name in names if name.casefold() in known), "")
+        for known in (NAME_COLUMNS, VALUE_COLUMNS)
+    ]
+    return (found[0], found[1]) if all(found) else None
