@@ -71,16 +71,23 @@ def interrupts_arrive() -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def kept_core() -> list[Path]:
+    """The core's library with what a cache notes of it; an installation in place needs no cache."""
+    core = build.built()
+    return sorted(core.parent.glob(f"{core.name}*")) if core.parent != build.BINARIES else []
+
+
 @pytest.fixture(scope="session", autouse=True)
 def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Unpack FMUs into a folder of this session, not into the user's cache; the core is in both.
 
     They are looked for there by all processes that tests start.
     """
-    core, folder = build.built(), tmp_path_factory.mktemp("cache")
+    core, folder = kept_core(), tmp_path_factory.mktemp("cache")
     before = os.environ.get("CLUSTER_EST_CACHE")
     os.environ["CLUSTER_EST_CACHE"] = str(folder)
-    shutil.copy(core, kept_for_good("core") / core.name)
+    for file in core:
+        shutil.copy(file, kept_for_good("core"))
     yield folder
     if before is None:
         del os.environ["CLUSTER_EST_CACHE"]
@@ -91,9 +98,10 @@ def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 @pytest.fixture
 def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A cache folder of the test, with nothing but the core in it."""
-    core = build.built()
+    core = kept_core()
     monkeypatch.setenv("CLUSTER_EST_CACHE", str(tmp_path / "cache"))
-    shutil.copy(core, kept_for_good("core") / core.name)
+    for file in core:
+        shutil.copy(file, kept_for_good("core"))
 
 
 @pytest.fixture(scope="session")
