@@ -265,30 +265,27 @@ def build_host(platform: str, folder: Path) -> str:
     return name
 
 
-def build_model(platform: str, folder: Path, name: str) -> str:
-    """Build the binary of a model, of the examples or of the test models, from its sources."""
-    file = name + build.PLATFORMS[platform].suffix
+def sources_of(name: str) -> dict[str, bytes]:
+    """Return the sources of a model, of the examples or of the test models, for FMI 2.0."""
     if (OWN_MODELS / name).is_dir():
-        model = read_model(name, 2)
-        generated = {"version.h": b"#define FMI 2\n", "model_variables.h": header(model).encode()}
-    else:
-        model = build_fmus.read_model(build_fmus.MODELS / name)
-        generated = {"model_variables.h": build_fmus.c_header(model).encode()}
+        own = read_model(name, 2)
+        generated = {"version.h": b"#define FMI 2\n", "model_variables.h": header(own).encode()}
+        return {**own.sources, **generated}
+    example = build_fmus.read_model(build_fmus.MODELS / name)
+    return {**example.sources, "model_variables.h": build_fmus.c_header(example).encode()}
+
+
+def build_model(platform: str, folder: Path, name: str) -> str:
+    """Build the binary of a model."""
+    file = name + build.PLATFORMS[platform].suffix
     sources = folder / name
     sources.mkdir()
-    for source, text in {**model.sources, **generated}.items():
+    for source, text in sources_of(name).items():
         (sources / source).write_bytes(text)
     files = sorted(map(str, sources.glob("*.c")))
     flags = ["-std=gnu11", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-fPIC", "-shared"]
-    command = [
-        *zig_for(platform),
-        *flags,
-        f"-I{build_fmus.FMI_HEADERS}",
-        *files,
-        "-o",
-        str(folder / file),
-    ]
-    subprocess.run([*command, "-lm"], check=True)
+    command = [*zig_for(platform), *flags, f"-I{build_fmus.FMI_HEADERS}", *files]
+    subprocess.run([*command, "-o", str(folder / file), "-lm"], check=True)
     return file
 
 
