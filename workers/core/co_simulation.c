@@ -134,8 +134,8 @@ ALWAYS End co_simulate(Work *w, const double *point, double *y, const Shape s) {
             status = several_steps(w, i, steps);
         }
         if (UNLIKELY(status >= DISCARD)) return (End){failed_step(status), t[i], i};
-        if (FMI == 3 && UNLIKELY(w->info.ended))
-            return (End){TERMINATED, larger(t[i], w->info.next_time), i};
+        if (FMI == 3 && UNLIKELY(w->info.ended)) /* whatever it says of when */
+            return (End){TERMINATED, smaller(larger(t[i], w->info.next_time), t[i + 1]), i};
     }
     c->progress[STEPS] = all_steps;
     return (End){FINISHED, t[last], last};

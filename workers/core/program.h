@@ -12,6 +12,9 @@
 #define PROGRAM_H
 #include "core.h"
 
+/* Of a number that is none it is none: that has a sign too, but another on each processor. */
+#define SIGN_OF(a) (a > 0.0 ? 1.0 : a < 0.0 ? -1.0 : a == 0.0 ? 0.0 : a)
+
 /* UNARY(name, value, d/da), BINARY(name, value, d/da, d/db), of operands a and b; v is the value.
  * Comparisons give 1 or 0, and their derivatives are 0. */
 #define OPERATIONS(UNARY, BINARY)                                                     \
@@ -23,8 +26,8 @@
     BINARY(LEAST, b < a ? b : a, b < a ? 0.0 : 1.0, b < a ? 1.0 : 0.0)                \
     BINARY(LARGEST, a < b ? b : a, a < b ? 0.0 : 1.0, a < b ? 1.0 : 0.0)              \
     UNARY(NEGATE, -a, -1.0)                                                           \
-    UNARY(ABSOLUTE, fabs(a), a == 0.0 ? 0.0 : copysign(1.0, a))                       \
-    UNARY(SIGN, a == 0.0 ? 0.0 : copysign(1.0, a), 0.0)                               \
+    UNARY(ABSOLUTE, fabs(a), SIGN_OF(a))                                              \
+    UNARY(SIGN, SIGN_OF(a), 0.0)                                                      \
     UNARY(ROOT, sqrt(a), 0.5 / v)                                                     \
     UNARY(EXP, ce_exp(a), v)                                                          \
     UNARY(LOG, ce_log(a), 1.0 / a)                                                    \

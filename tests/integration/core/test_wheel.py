@@ -103,11 +103,11 @@ def test_its_library_has_the_bits_of_this_machines_compiler(wheel, tmp_path):
 
 def hashes(packages, cache, **surroundings):
     """A hash of each of some simulations by the core of the packages in a folder."""
-    paths = os.pathsep.join([str(packages), str(ROOT / "tests")])
+    paths = os.pathsep.join([str(packages), str(ROOT / "tests"), str(ROOT / "scripts")])
     given = {"PYTHONPATH": paths, "CLUSTER_EST_CACHE": str(cache)}
     script = ROOT / "tests" / "support" / "simulation_hashes.py"
     done = subprocess.run(
-        [sys.executable, "-P", str(script)], capture_output=True, text=True, check=False,
+        [sys.executable, "-P", str(script), "effects"], capture_output=True, text=True, check=False,
         cwd=cache.parent, env=os.environ | given | surroundings,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

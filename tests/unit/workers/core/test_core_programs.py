@@ -125,6 +125,7 @@ def test_a_division_by_zero_is_infinite_and_what_has_no_value_is_not_a_number():
     assert value_of("1 / x", 0.0) == math.inf
     assert math.isnan(value_of("log(x)", -1.0))
     assert math.isnan(value_of("x / y", 0.0, 0.0))
+    assert math.isnan(value_of("sign(log(x))", -1.0))  # its sign is the processor's own
 
 
 def test_equal_parts_are_computed_once():
