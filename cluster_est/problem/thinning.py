@@ -24,6 +24,7 @@ from cluster_est.statistics.block_fits import (
     BlockFits,
     block_values,
     even_blocks,
+    unpredicted,
 )
 from cluster_est.statistics.fewer_samples import fewer_knots, without_repeats
 from workers.fmu.description import describe_model
@@ -41,6 +42,10 @@ MOST_EVEN = 0.75
 
 COLOURED = 1.3
 """Variance of slow noise, over that of all noise within a block, from which it counts as slow."""
+
+FAST = 5.0
+"""Variance within blocks, over that which no prediction explains, from which it is a signal that
+changes within a block and no noise; of coloured noise it is below 2."""
 
 MOST_COMPARED = 1000
 """Blocks of a length from which their curvature is told."""
@@ -205,14 +210,25 @@ class _Thinning:
         """Return even blocks as long as the signals allow, and whether none are long enough."""
         long = stretches[np.diff(stretches)[:, 0] >= SHORTEST_BLOCK]
         length = max(2 * len(times) // self.most, SHORTEST_BLOCK)
-        while length >= 2 * SHORTEST_BLOCK:
-            ways = [_some(even_blocks(long, each)) for each in (length, length // 2)]
-            bent = [[BlockFits.of(way, times, y).bent for way in ways] for y in signals]
-            if all(whole <= MOST_BENT * half for whole, half in bent):
-                break
+        while not self._short_enough(length, long, times, signals):
             length //= 2
         length //= self.fineness.shorter
         return _long(even_blocks(long, max(length, SHORTEST_BLOCK))), length < SHORTEST_BLOCK
+
+    def _short_enough(
+        self, length: int, long: IntArray, times: FloatArray, signals: Sequence[FloatArray]
+    ) -> bool:
+        """Return whether blocks are so short that parabolas follow what is no noise."""
+        if length < SHORTEST_BLOCK:
+            return True
+        for y in signals:
+            fits = BlockFits.of(_some(even_blocks(long, length)), times, y)
+            if fits.noise > FAST * unpredicted(y):
+                return False
+            half = BlockFits.of(_some(even_blocks(long, length // 2)), times, y)
+            if length >= 2 * SHORTEST_BLOCK and fits.bent > MOST_BENT * half.bent:
+                return False
+        return True
 
     def _driven(self, experiment: Experiment) -> Experiment:
         """Return the experiment with inputs and signals of as few samples as they need."""
@@ -361,9 +377,9 @@ def _sentence(before: Problem, after: Problem) -> str:
         for one, other in zip(before.experiments, after.experiments, strict=True)
         if other.stop < one.stop
     ]
-    shortened = f"; it would have taken more for all of {', '.join(cut)}" if cut else ""
+    shortened = f"; what would take more rows is cut: {', '.join(cut)}" if cut else ""
     return (
-        f"long records were thinned to {new} rows of {old}: the value of a parabola in each block, "
+        f"long records are thinned to {new} rows of {old}: the value of a parabola in each block, "
         f"and denser rows where the outputs move fast{shortened}"
     )
 

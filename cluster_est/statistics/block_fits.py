@@ -32,6 +32,9 @@ MANY_SAMPLES = 200_000
 MEDIAN_OF_SQUARE = 0.4549
 """Median of x^2 where x is normal with variance 1."""
 
+PREDICTING, MOST_PREDICTED = 8, 5000
+"""Samples that predict the next one, and samples from which it is learnt how."""
+
 UNLIKELY = 25.0
 """Sum of two squares of normal numbers, of variance 1, that is no noise: p = 4e-6."""
 
@@ -135,6 +138,15 @@ def _polynomials(
             scaled = (t - t.mean(axis=1)[:, None]) / (0.5 * (t[:, -1:] - t[:, :1]))
             q, r = np.linalg.qr(scaled[:, :, None] ** np.arange(DEGREE + 1))
             yield own, at, q, r
+
+
+def unpredicted(values: FloatArray) -> float:
+    """Variance of what a linear prediction from the samples before leaves: noise, and no signal."""
+    some = values[:MOST_PREDICTED]
+    windows = np.lib.stride_tricks.sliding_window_view(some, PREDICTING + 1)
+    before = np.column_stack([windows[:, :-1], np.ones(len(windows))])
+    found = np.linalg.lstsq(before, windows[:, -1], rcond=None)[0]
+    return float(np.median((windows[:, -1] - before @ found) ** 2)) / MEDIAN_OF_SQUARE
 
 
 def even_blocks(stretches: IntArray, length: int) -> IntArray:
