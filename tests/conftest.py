@@ -88,6 +88,14 @@ def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         os.environ["CLUSTER_EST_CACHE"] = before
 
 
+@pytest.fixture
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cache folder of the test, with nothing but the core in it."""
+    core = build.built()
+    monkeypatch.setenv("CLUSTER_EST_CACHE", str(tmp_path / "cache"))
+    shutil.copy(core, kept_for_good("core") / core.name)
+
+
 @pytest.fixture(scope="session")
 def kept_fmus(pytestconfig: pytest.Config) -> Path:
     """A folder for FMUs built from the sources as they are, for all processes and later runs."""

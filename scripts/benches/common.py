@@ -32,7 +32,7 @@ def example(name: str) -> ce.Problem:
 def by_turns(runs: Mapping[str, Callable[[], object]], rounds: int) -> dict[str, float]:
     """Median seconds of each run, all of them by turns.
 
-    Each has run once before: the first run compiles and fills caches.
+    Each has run once before: the first run fills caches.
     """
     seconds: dict[str, list[float]] = {name: [] for name in runs}
     for run in runs.values():
@@ -54,7 +54,7 @@ def searches_by_turns(
     for turn in range(rounds + 1):
         for name, fit in ways.items():
             found[name] = fit()
-            if turn > 0:  # the first compiles
+            if turn > 0:  # the first fills caches
                 seconds[name].append(found[name].search_seconds)
     return {name: (statistics.median(each), found[name]) for name, each in seconds.items()}
 

@@ -1,7 +1,7 @@
 """Processes that stand ready in milliseconds: template, fork servers and forks, from outside.
 
 What they say to each other stands here, and so does who starts and asks them. Whoever only asks
-imports this alone: an evaluator, and what compiles its loops, stays in the processes that simulate.
+imports this alone: an evaluator, and all that it needs, stays in the processes that simulate.
 """
 
 from __future__ import annotations

@@ -27,8 +27,8 @@ from workers.process.progress_watch import ProgressWatch
 from workers.wire import TaskBatch
 
 LOAD_SECONDS = 300.0
-"""Seconds for which a process may stand still outside of a simulation: it loads the FMU, compiles
-what simulates, or compares the outputs with what was measured."""
+"""Seconds for which a process may stand still outside of a simulation: it loads the FMU, or
+compares the outputs with what was measured."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def _too_late_outside(watch: ProgressWatch, most: float) -> ProcessFailure | Non
         return None
     return ProcessFailure(
         Status.TIMEOUT,
-        f"what comes before or after the simulation, such as loading, compiling or a function of "
+        f"what comes before or after the simulation, such as loading or a function of "
         f"the config's, took {most:.3g} s without an end and was stopped; check that function, or "
         "raise executor.stall",
     )

@@ -105,8 +105,6 @@ class BatchRun:
     ----------
     result
         What is filled.
-    stopped_at : (points,)
-        Times of failures.
     """
 
     def __init__(
@@ -118,18 +116,23 @@ class BatchRun:
     ) -> None:
         self.bound, self.effects, self.values = bound, effects, values
         count, given = values.shape
-        rows = np.empty((count, given + len(bound.known_values)))
-        rows[:, :given], rows[:, given:] = values, bound.known_values
+        rows = np.array(values, np.float64, order="C")
+        if len(bound.known_values) > 0:
+            rows = np.empty((count, given + len(bound.known_values)))
+            rows[:, :given], rows[:, given:] = values, bound.known_values
         outputs = np.empty((count, bound.structure.n_times, len(bound.outputs)))
         outputs.fill(np.nan)
-        numbers = np.zeros((4, count), np.int64)
-        codes, _, steps, stopped_at = numbers
-        self.result = SimulationBatch(outputs, [""] * count, codes, steps)
-        self.stopped_at: FloatArray = stopped_at.view(np.float64)
+        self._numbers = numbers = np.zeros((4, count), np.int64)
+        self.result = SimulationBatch(outputs, [""] * count, numbers[0], numbers[2])
         self._rows, self._bounds = rows, None if bounds is None else np.array(bounds, np.float64)
         self._rows_at, self._outputs_at = address_of(rows) or 0, address_of(outputs) or 0
         self._numbers_at = address_of(numbers) or 0
         self._bounds_at = address_of(self._bounds) if self._bounds is not None else None
+
+    @property
+    def stopped_at(self) -> FloatArray:
+        """(points,) times of failures."""
+        return self._numbers[3].view(np.float64)  # type: ignore[no-any-return]
 
     def batch(self, first: int, count: int, fmu: Fmu, settings: Settings, method: int) -> Batch:
         """Return what is asked of the core for some of the points; progress is still missing.

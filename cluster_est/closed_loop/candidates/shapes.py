@@ -1,7 +1,7 @@
 """Forms of effects as functions over whole signals, for looking at many candidates at once.
 
-A worker compiles an effect before it simulates with it. To rank hundreds of candidates nothing is
-simulated: their equations are evaluated along signals that are already there.
+A worker makes byte code of an effect before it simulates with it. To rank hundreds of candidates
+nothing is simulated: their equations are evaluated along signals that are already there.
 """
 
 from __future__ import annotations

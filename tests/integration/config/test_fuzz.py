@@ -10,13 +10,11 @@ from hypothesis import HealthCheck, given, settings
 
 
 @pytest.fixture
-def folders(tmp_path, monkeypatch):
-    monkeypatch.setenv("CLUSTER_EST_CACHE", str(tmp_path / "cache"))
+def folders(own_cache):
     return itertools.count()
 
 
-def test_the_inputs_are_spoiled_versions_of_ones_that_work(tmp_path, monkeypatch):
-    monkeypatch.setenv("CLUSTER_EST_CACHE", str(tmp_path / "cache"))
+def test_the_inputs_are_spoiled_versions_of_ones_that_work(tmp_path, own_cache):
     full = Path(__file__).parents[3] / "scripts" / "fuzzing" / "full.toml"
     for command in (CHECK, FIT):
         whole = Input("config", command, (("config.toml", full.read_bytes()),))

@@ -43,7 +43,7 @@ def config(folder, own_fmu, strength=2.5, **keys):
     columns = {"time": TIMES, "F": driving(strength), "x": moved(strength) + noise}
     pacsv.write_csv(pa.table(columns), folder / "run.csv")
     section = {"variables": [f"f{i}" for i in range(1, 10)], "points": POINTS.tolist()}
-    section |= {"start": (5.0 * POINTS).tolist(), "bounds": [-20.0, 20.0]}
+    section |= {"start": (4.5 * POINTS).tolist(), "bounds": [-20.0, 20.0]}
     run = {"id": "run", "data": str(folder / "run.csv"), "time": "time", "sigma": {"y": NOISE}}
     return {
         "model": {"fmu": str(own_fmu("spring_table", 2))},
