@@ -17,8 +17,8 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
 from cluster_est.problem.thinning import Fineness, ThinnedProblem, thinned
 from cluster_est.results.solver_error.measure import simulate_with_solver
-from cluster_est.running.resources import Resources
-from workers.messages import FloatArray, Output
+from cluster_est.running.resources import Resources, TaskOrigin
+from workers.messages import FloatArray, Outcome, Output
 
 FINENESS = (Fineness(), Fineness(tolerance=5e-4), Fineness(tolerance=5e-4, shorter=2))
 """Ways to thin, the coarsest first."""
@@ -117,7 +117,10 @@ def _noise(problem: Problem) -> Mapping[str, float]:
 def open_whole_workbench(
     request: LoopRequest, thin: ThinnedProblem, workbench: LoopWorkbench
 ) -> Iterator[LoopWorkbench]:
-    """Open a workbench with all rows, weighted as those of a search on thinned records."""
+    """Open a workbench with all rows, weighted as those of a search on thinned records.
+
+    Its few simulations would be most of a log.
+    """
     weights = {
         (e, o.variable): o
         for e, experiment in enumerate(workbench.problem.experiments)
@@ -128,8 +131,16 @@ def open_whole_workbench(
         own = weights[e, output.variable]
         return replace(output, sigma=own.sigma, relative_sigma=own.relative_sigma)
 
+    environment = request.environment
+    record = environment.monitor.record
+
+    def slim(origin: TaskOrigin, outcome: Outcome) -> None:
+        if record is not None:
+            record(replace(origin, slim=True), outcome)
+
+    environment = replace(environment, monitor=replace(environment.monitor, record=slim))
     problem = with_outputs(thin.whole, change)
-    with open_workbench(replace(request, problem=problem)) as whole:
+    with open_workbench(replace(request, problem=problem, environment=environment)) as whole:
         yield replace(whole, sigma_declared=workbench.sigma_declared)
 
 

@@ -49,7 +49,7 @@ def beating(show: Show, seconds: float = SECONDS_BETWEEN_BEATS) -> Iterator[Show
                     since = last.seconds + passed
                     show(replace(last, seconds=since, left=math.nan, pace=math.nan))
 
-    thread = threading.Thread(target=beat, daemon=True)
+    thread = threading.Thread(target=beat, name="beat", daemon=True)
     thread.start()
     try:
         yield forward
