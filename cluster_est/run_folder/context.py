@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
-from cluster_est.errors import ClusterEstError, ExecutorError, UnwritableError
+from cluster_est.errors import BudgetError, ClusterEstError, ExecutorError, UnwritableError
 from cluster_est.run_folder.lock import RunLock
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.run_folder.resume import check_resumable, is_finished
@@ -172,6 +172,8 @@ class RunContext:
         """Say in the run folder how a run ended that did not end by itself."""
         if self.folder is not None and error is not None:
             reason, status = _ending(error)
+            if self.has_results and isinstance(error, BudgetError):
+                status = RunStatus.INTERRUPTED
             self.folder.abandon(f"{reason}; {self.steps}", status)
         elif self.folder is None and self._lock is not None:
             self._lock.release()

@@ -253,8 +253,8 @@ def _stopped(error: BaseException, context: RunContext) -> RunEnd:
     interrupted = isinstance(error, KeyboardInterrupt)
     why = "interrupted" if interrupted else str(error)
     status = RunStatus.INTERRUPTED if interrupted else RunStatus.FAILED
-    if context.has_results:
-        return RunEnd(status)
+    if context.has_results:  # what was found so far is shown in the place of a sentence
+        return RunEnd(RunStatus.INTERRUPTED)
     return RunEnd(status, f"{why}; {context.steps}; the log is in {context.out}")
 
 
