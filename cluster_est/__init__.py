@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from cluster_est.problem.parameter import Parameter
     from cluster_est.problem.problem import Problem
     from cluster_est.problem.tables.files import read_table
-    from cluster_est.problem.thinning import ThinningSettings
     from cluster_est.results.result import Result
     from cluster_est.running.multistart import Multistart
     from cluster_est.running.resources import Budget, Resources
@@ -70,7 +69,6 @@ __all__ = [
     "Resources",
     "Result",
     "Solver",
-    "ThinningSettings",
     "UncertaintySettings",
     "add_effect",
     "build_problem",
@@ -107,7 +105,6 @@ _MODULES = {
     "cluster_est.problem.tables.files": ("read_table",),
     "cluster_est.studies.residual_function": ("residuals",),
     "cluster_est.studies.save_report_export": ("export", "report", "save"),
-    "cluster_est.problem.thinning": ("ThinningSettings",),
     "cluster_est.results.result": ("Result",),
     "cluster_est.results.fit_tables": ("Estimate",),
     "cluster_est.running.multistart": ("Multistart",),

@@ -10,6 +10,7 @@ import cluster_est as ce
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.loop import ClosedLoop
 from cluster_est.html_report.reported_run import read_run
+from cluster_est.problem.thinning import ThinningSettings
 from cluster_est.run_folder.context import ExistingRun, RunContext
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from cluster_est.running.environment import Monitor, RunEnvironment
@@ -59,7 +60,7 @@ def test_no_rows_are_left_out_where_that_is_not_wanted(problem):
     result = ce.close_loop(
         problem,
         settings=SETTINGS.model_copy(update={"draws": 100}),
-        thinning=ce.ThinningSettings(rows="no"),
+        thinning=ThinningSettings(rows="no"),
     )
     assert result.verdict is Verdict.FOUND
     assert not any("thinned" in note for note in result.notes)
