@@ -14,8 +14,8 @@ from cluster_est.cli.terminal import build_core, complain
 from cluster_est.config.choices import build_resources
 from cluster_est.errors import ModelError
 from cluster_est.preflight.all_checks import SECONDS, run_checks
-from cluster_est.preflight.data_checks import sigma_findings
-from cluster_est.preflight.subject import CheckPage, bare_problem
+from cluster_est.preflight.data_checks import long_records, sigma_findings
+from cluster_est.preflight.subject import CheckPage, bare_problem, passed
 from cluster_est.preflight.unit_checks import unit_findings
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
@@ -119,6 +119,8 @@ def check(options: Namespace) -> int:
     declared = [
         *sigma_findings(config, problem.describe()),
         *unit_findings(config, problem.describe()),
+        *(passed("long records", f"for a fit {each}") for each in run.notes),
+        *long_records(config, problem),
     ]
     page = replace(page, findings=(*page.findings, *declared))
     if page.simulations:

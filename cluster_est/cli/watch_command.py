@@ -85,9 +85,7 @@ def rendered(view: RunView) -> Group:
     if view.message:
         parts.append(Text(view.message))
     if not view.ended and view.quiet > QUIET_SECONDS:
-        parts.append(
-            Text(f"nothing has come for {duration(view.quiet)}; the run may have been killed")
-        )
+        parts.append(Text(f"nothing has come for {duration(view.quiet)}, not even a sign of life"))
     if view.searches:
         parts.append(_searches(view.searches))
     if view.failures:
@@ -250,8 +248,11 @@ class RunFollower:
         if self._facts.get("started") != started:
             self._begin()
         self.tail.read(ended=is_ended(self._facts))
+        state = self._progress.state
         for line in self._progress.new():
             self._note(line)
+        if self._progress.state is not state:  # a sign of life, whether simulations come or not
+            self._moved = self._clock()
         counts = self.tail.counts
         rate = self._rate(counts.rows)
         status, quiet = str(self._facts["status"]), self._clock() - self._moved

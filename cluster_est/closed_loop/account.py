@@ -72,9 +72,16 @@ class LastFits:
 
 
 def last_fits(workbench: LoopWorkbench, found: SelectionResult, begin: float) -> LastFits:
-    """Fit both models to convergence from where the search ended."""
-    before = final_fit(workbench, found.base.start, begin)
-    after = final_fit(workbench, found.current.start, begin) if found.current.added else before
+    """Fit both models to convergence from where the search ended, on the rows of a workbench."""
+    experiments = workbench.problem.experiments
+
+    def fitted(model: FittedModel) -> Result:
+        start = model.start
+        problem = replace(start.problem, experiments=experiments)
+        return final_fit(workbench, replace(start, problem=problem), begin)
+
+    before = fitted(found.base)
+    after = fitted(found.current) if found.current.added else before
     changes = [error_changes(workbench, found, before, each) for each in (after, before)]
     return LastFits(before, after, changes[0], changes[1])
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +23,9 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
 from cluster_est.problem.tables.jumps import after_jumps
 from cluster_est.results.output_errors import output_residuals
+from cluster_est.statistics.noise.estimate import estimate_noise
 from cluster_est.statistics.noise.outliers import PROVEN, IsolatedOutliers, isolated_outliers
+from cluster_est.statistics.records import OutputRecord, StackedRecords
 from workers.messages import FloatArray, Output
 
 Place = tuple[int, str]
@@ -121,9 +124,49 @@ def without(problem: Problem, outliers: Sequence[OutliersOfOutput]) -> Problem:
         mask = masks.get((e, output.variable))
         if mask is None or not mask.any():
             return output
-        return replace(output, times=output.times[~mask], values=output.values[~mask])
+        return output.only(~mask)
 
     return with_outputs(problem, change)
+
+
+def outliers_of_long_records(
+    problem: Problem, thresholds: PreparationThresholds, most: int
+) -> list[OutliersOfOutput]:
+    """Return outliers in records that are about to be thinned, which a filter would spread.
+
+    What is sampled that fast is smooth between its samples whatever the model is, so that the
+    measured signal itself takes the place of a residual. Just after jumps of inputs there are none.
+    """
+    found = []
+    for held_out, role in ((False, "train"), (True, "test")):
+        runs = problem.indices(role)
+        for name in dict.fromkeys(o.variable for e in runs for o in problem.experiments[e].outputs):
+            signals = {
+                e: output.values / output.sigmas
+                for e in runs
+                for output in problem.experiments[e].outputs
+                if output.variable == name and len(output.times) >= 2 * most
+            }
+            if not signals:
+                continue
+            jumps = {e: after_jumps(problem.experiments[e], name) for e in signals}
+            noise = _noise_of_signals(list(signals.values()), thresholds.exact)
+            outliers = OutliersOfOutput(name, held_out, _of_sensor(signals, jumps, noise))
+            if outliers.count and outliers.few(thresholds):
+                found.append(outliers)
+    return found
+
+
+def _noise_of_signals(signals: Sequence[FloatArray], exact: float) -> float:
+    """The noise of signals of one sensor, no less than what a simulation may get wrong."""
+    stacked = np.concatenate(signals)
+    ends = np.cumsum([0, *map(len, signals)])
+    records = tuple(
+        OutputRecord(e, 0, slice(first, last), np.arange(last - first, dtype=float))
+        for e, (first, last) in enumerate(pairwise(ends.tolist()))
+    )
+    (noise,) = estimate_noise(stacked, StackedRecords(("",), records), stacked)
+    return max(float(noise), exact * float(np.ptp(stacked)))
 
 
 def _masks(outliers: Sequence[OutliersOfOutput]) -> dict[Place, Mask]:

@@ -19,14 +19,27 @@ from cluster_est.closed_loop.account import account, last_fits
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.findings.simulation_cost import dear_structures
 from cluster_est.closed_loop.first_pass import open_checked_workbench
+from cluster_est.closed_loop.long_records import (
+    CONFIRMED_ON_ALL,
+    open_whole_workbench,
+    reopened,
+    thinned_records,
+)
 from cluster_est.closed_loop.prepare import LoopRequest, check_arguments
-from cluster_est.closed_loop.process_noise.passes import close_loop_under_noise
-from cluster_est.closed_loop.search import search_for_effects
+from cluster_est.closed_loop.process_noise.passes import (
+    SpentSimulations,
+    close_loop_under_noise,
+    with_all,
+)
+from cluster_est.closed_loop.search import SearchedModel, search_for_effects
+from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.workbench import FitStart
+from cluster_est.closed_loop.so_far import result_so_far
+from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import make_space
+from cluster_est.problem.thinning import ThinnedProblem, ThinningSettings
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Note, Record, Resources, Show
 from cluster_est.running.study import Study, run_study
@@ -44,11 +57,14 @@ class ClosedLoop(Study[LoopResult]):
         Thresholds and sizes.
     seed
         Starts every random generator.
+    thinning
+        Rows of long records that effects are looked for on.
     """
 
     problem: Problem
     settings: LoopSettings = field(default_factory=LoopSettings)
     seed: int = 0
+    thinning: ThinningSettings = field(default_factory=ThinningSettings)
 
     @override
     def check(self) -> None:
@@ -58,7 +74,8 @@ class ClosedLoop(Study[LoopResult]):
 
     @override
     def run(self, environment: RunEnvironment) -> LoopResult:
-        return run_loop(LoopRequest(self.problem, environment, self.settings, self.seed))
+        rows = self.thinning.most()
+        return run_loop(LoopRequest(self.problem, environment, self.settings, self.seed, rows))
 
 
 def close_loop(
@@ -66,6 +83,7 @@ def close_loop(
     resources: Resources | None = None,
     settings: LoopSettings | None = None,
     seed: int = 0,
+    thinning: ThinningSettings | None = None,
     *,
     record: Record | None = None,
     show: Show | None = None,
@@ -84,6 +102,8 @@ def close_loop(
         Thresholds and sizes.
     seed
         Starts every random generator; the result is the same for any number of workers.
+    thinning
+        Rows of long records that effects are looked for on.
     record, show, note
         Called for each simulation, whenever something came back, and for each iteration; see
         `Runner`.
@@ -94,7 +114,8 @@ def close_loop(
         If model, experiments and machine do not fit together, or the data cannot carry a search.
     """
     settings = LoopSettings() if settings is None else settings
-    study = ClosedLoop(problem, settings, seed)
+    thinning = ThinningSettings() if thinning is None else thinning
+    study = ClosedLoop(problem, settings, seed, thinning)
     return run_study(study, resources, record=record, show=show, note=note)
 
 
@@ -109,15 +130,56 @@ def run_loop(request: LoopRequest) -> LoopResult:
     begin = time.monotonic()
     if noise_names(request.problem):
         return close_loop_under_noise(request, begin)
+    thin = thinned_records(request, request.rows)
+    request = replace(request, problem=thin.problem)
     with open_checked_workbench(request) as workbench:
         start = FitStart(workbench.problem, {})
-        searched = search_for_effects(workbench, start, request.environment.resources)
+
+        def keep_so_far(found: SelectionResult) -> None:
+            kept = request.environment.monitor.reached
+            result = None if kept is None else result_so_far(workbench, found, begin, thin.sentence)
+            if kept is not None and result is not None:
+                kept(result)
+
+        searched = search_for_effects(workbench, start, request.environment.resources, keep_so_far)
         workbench.enter("before and after")
-        fits = last_fits(workbench, searched.found, begin)
-        result = account(workbench, searched.found, searched.judged, fits)
-        error = searched.error
-        last = searched.error_at(searched.found.current) if result.effects else error
-    seconds = time.monotonic() - begin
-    said = (*error.notes, *(last.notes_with_effects if last is not error else ()))
+        result = None
+        if not thin.is_thinner:
+            fits = last_fits(workbench, searched.found, begin)
+            result = account(workbench, searched.found, searched.judged, fits)
+        added = searched.found.current.added if result is None else result.effects
+        last = searched.error_at(searched.found.current) if added else searched.error
+    if result is None:
+        result = _confirmed_on_all_rows(request, thin, workbench, searched, begin)
+    seconds, error = time.monotonic() - begin, searched.error
+    known = last if result.effects else error
+    said = (*error.notes, *(known.notes_with_effects if known is not error else ()))
     notes = (*said, *result.notes, *dear_structures(searched.found.path))
     return replace(result, notes=notes, seconds=seconds, failures_in_search=searched.failures)
+
+
+def _confirmed_on_all_rows(
+    request: LoopRequest,
+    thin: ThinnedProblem,
+    searching: LoopWorkbench,
+    searched: SearchedModel,
+    begin: float,
+) -> LoopResult:
+    """Fit both models to convergence on all rows, and put what was found into words."""
+    found, spent = searched.found, [SpentSimulations.at(searching)]
+
+    def left() -> LoopRequest:
+        used = sum(each.evaluations for each in spent)
+        return replace(
+            request, environment=request.environment.left(used, time.monotonic() - begin)
+        )
+
+    with open_whole_workbench(left(), thin, searching) as whole:
+        whole.enter("before and after")
+        fits = last_fits(whole, found, begin)
+        spent.append(SpentSimulations.at(whole))
+        noise = whole.noise_in_units(found.noise)
+    with reopened(left(), searching) as workbench:
+        result = account(workbench, found, searched.judged, fits)
+    said = f"{thin.sentence}; {CONFIRMED_ON_ALL}"
+    return with_all(replace(result, noise=noise, notes=(said, *result.notes)), spent)

@@ -52,12 +52,15 @@ class LoopRequest:
         Workers, budget, and who is told of the simulations.
     settings, seed
         Sizes and thresholds; the start of every random generator.
+    rows
+        That are left of each long record while effects are looked for; None for all.
     """
 
     problem: Problem
     environment: RunEnvironment = field(default_factory=RunEnvironment)
     settings: LoopSettings = field(default_factory=LoopSettings)
     seed: int = 0
+    rows: int | None = None
 
 
 def checked_request(

@@ -49,7 +49,10 @@ class SearchedModel:
 
 
 def search_for_effects(
-    workbench: LoopWorkbench, start: FitStart, resources: Resources
+    workbench: LoopWorkbench,
+    start: FitStart,
+    resources: Resources,
+    reached: Callable[[SelectionResult], None] = lambda _: None,
 ) -> SearchedModel:
     """Fit the declared model, and look for effects that it lacks.
 
@@ -59,6 +62,8 @@ def search_for_effects(
         Of the declared model.
     resources
         For the simulations with a finer solver.
+    reached
+        Called after each round in which something was added, with all that was found so far.
 
     Raises
     ------
@@ -78,16 +83,21 @@ def search_for_effects(
         found = without_search(workbench, base)
         judged = ReasonedVerdict(Verdict.UNEXPLAINED, error.refusal)
     else:
-        found, judged = _searched(workbench, base, lambda fit: with_effects(fit).explainable)
+        found, judged = _searched(
+            workbench, base, lambda fit: with_effects(fit).explainable, reached
+        )
     failed = workbench.runner.failures - before
     return SearchedModel(found, judged, error, with_effects, failed)
 
 
 def _searched(
-    workbench: LoopWorkbench, base: FittedModel, numerical: Callable[[FittedModel], float]
+    workbench: LoopWorkbench,
+    base: FittedModel,
+    numerical: Callable[[FittedModel], float],
+    reached: Callable[[SelectionResult], None],
 ) -> tuple[SelectionResult, ReasonedVerdict]:
     """Look for effects; a function of time is one only where it leaves noise."""
-    found = beam_search(workbench, base, numerical)
+    found = beam_search(workbench, base, numerical, reached=reached)
     judged = judge(workbench, found)
     gone = functions_of_time(found)
     if judged.verdict is not Verdict.PARTIAL or not gone:

@@ -27,6 +27,7 @@ class LoopStage(enum.Enum):
     DECLARED_MODEL = "base", "fitting the declared model"
     LEAVE_ONE_OUT = "leave one out", "predicting experiments that were left out"
     TRAJECTORIES = "course", "screening the candidates"
+    TESTS = "tests", "testing the candidates"
     PROBE = "probe", "screening the candidates"
     TRIALS = "trial", "trying candidates"
     REFITS = "candidate", "refitting candidates"

@@ -33,10 +33,7 @@ class ShortenedCopy:
         for output in experiment.outputs:
             if len(output.times):
                 stop = max(stop, float(output.times[min(self.samples, len(output.times)) - 1]))
-        outputs = []
-        for output in experiment.outputs:
-            kept = output.times <= stop
-            outputs.append(replace(output, times=output.times[kept], values=output.values[kept]))
+        outputs = [output.only(output.times <= stop) for output in experiment.outputs]
         name = f"{experiment.id} (first {self.share:.0%})"
         return replace(experiment, id=name, stop=stop, outputs=tuple(outputs))
 

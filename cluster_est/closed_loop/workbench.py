@@ -200,6 +200,10 @@ class LoopWorkbench:
         """Tell who watches the run what it is about from now on."""
         self.runner.display.phase = phase
 
+    def compared(self, done: int, of: int) -> None:
+        """Tell who watches the run how many candidates were compared with the residual."""
+        self.runner.display.step(LoopStage.TRAJECTORIES.value, done, of)
+
     def noise_floor(self, noise: FloatArray) -> float:
         """The sum of squares that the noise alone would leave; never 0."""
         sizes = [len(self.records.of_output(o)) for o in range(len(self.records.outputs))]

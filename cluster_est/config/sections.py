@@ -14,6 +14,7 @@ from cluster_est.config.experiment_keys import ExperimentDefaultsSection, Experi
 from cluster_est.executors import EXECUTORS
 from cluster_est.problem.costs import COSTS
 from cluster_est.problem.free_curves import Monotone
+from cluster_est.problem.thinning import ThinningSettings
 from cluster_est.running.multistart import Multistart
 from cluster_est.running.resources import Budget, LogSettings, Resources
 from cluster_est.sensitivity.settings import SensitivitySettings
@@ -412,6 +413,9 @@ class Config(ConfigSection):
     )
     sensitivity: SensitivitySection = Field(
         SensitivitySection(), description="what cluster-est sensitivity samples and computes"
+    )
+    thinning: ThinningSettings = Field(
+        ThinningSettings(), description="how many rows of long records a step is done on"
     )
     executor: ExecutorSection = Field(ExecutorSection(), description="where")
     budget: Budget = Field(Budget(), description="for how long")

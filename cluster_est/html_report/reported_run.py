@@ -114,8 +114,9 @@ def read_run(path: Path, activity: LogActivity | None = None) -> ReportedRun:
     """
     stored = read_stored_run(path, SMALL_TABLES)
     facts, running = stored.facts, stored.facts["status"] == RunStatus.RUNNING
-    # while it runs, tables are those of an earlier run in a folder that is taken up again
-    tables = {name: () if running else tuple(rows) for name, rows in stored.tables.items()}
+    # tables without facts of theirs are those of an earlier run in a folder that is taken up again
+    before = running and facts.get("verdict") is None
+    tables = {name: () if before else tuple(rows) for name, rows in stored.tables.items()}
     progress = ProgressTail(path / PROGRESS)
     tables["progress"] = tuple(vars(line) for line in progress.new())
     if not running:

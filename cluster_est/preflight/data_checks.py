@@ -16,6 +16,7 @@ from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.tables.jumps import after_jumps, jump_findings, samples_after
 from cluster_est.problem.tables.stand_ins import stand_ins
+from cluster_est.problem.thinning import thinned
 from cluster_est.problem.variables import driven_or_constant, idle_inputs, stays
 from cluster_est.statistics.noise.estimate import estimate_noise, quantisation_step
 from cluster_est.statistics.noise.outliers import isolated_outliers
@@ -219,6 +220,13 @@ def _gaps(times: FloatArray, rows: FloatArray, experiment: Experiment) -> tuple[
         f"bridged; the longest gap is {after - before:.3g} s, from {before:.4g} to {after:.4g} s"
     )
     return after - before, said
+
+
+def long_records(config: Config, problem: Problem) -> list[CheckFinding]:
+    """Return a line on what becomes of long records, where they are thinned."""
+    found = thinned(problem, config.thinning.most())
+    said = f"for close-loop, sensitivity and design {found.sentence}"
+    return [passed("long records", said)] if found.is_thinner else []
 
 
 def sigma_findings(config: Config, description: ModelDescription) -> list[CheckFinding]:

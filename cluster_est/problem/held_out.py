@@ -93,10 +93,7 @@ def within(times: FloatArray, windows: Sequence[tuple[float, float]]) -> npt.NDA
 
 
 def _kept(outputs: Sequence[Output], kept: Sequence[npt.NDArray[np.bool_]]) -> tuple[Output, ...]:
-    return tuple(
-        replace(output, times=output.times[keep], values=output.values[keep])
-        for output, keep in zip(outputs, kept, strict=True)
-    )
+    return tuple(output.only(keep) for output, keep in zip(outputs, kept, strict=True))
 
 
 def _learning(held_out: Sequence[Output], train: Sequence[Output]) -> tuple[Output, ...]:

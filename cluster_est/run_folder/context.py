@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
-from cluster_est.errors import ClusterEstError, ExecutorError, UnwritableError
+from cluster_est.errors import BudgetError, ClusterEstError, ExecutorError, UnwritableError
 from cluster_est.run_folder.lock import RunLock
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
 from cluster_est.run_folder.resume import check_resumable, is_finished
@@ -119,7 +119,7 @@ class RunContext:
             if self.folder is not None:
                 self.folder.show(snapshot)
 
-        return Monitor(self._record, both, self._note, self._note_reset)
+        return Monitor(self._record, both, self._note, self._note_reset, self._reached)
 
     def finish(self, result: RunResult) -> RunStatus:
         """Write all tables, and return how the run stands."""
@@ -130,6 +130,11 @@ class RunContext:
                 "repeat them bit for bit, and the result may not be that of an uninterrupted run"
             )
         return self.begin().write(result)
+
+    @property
+    def has_results(self) -> bool:
+        """Whether something was found before the run ended."""
+        return self.folder is not None and self.folder.has_results
 
     @property
     def steps(self) -> str:
@@ -144,6 +149,10 @@ class RunContext:
         self._searches.pop(origin.search, None)
         self._searches[origin.search] = None
         folder.record(origin, outcome)
+
+    def _reached(self, result: RunResult) -> None:
+        """Write what there is so far, in case nothing comes after it."""
+        self.begin().keep(result)
 
     def _note(self, iteration: SearchIteration) -> None:
         if self.folder is not None:
@@ -163,6 +172,8 @@ class RunContext:
         """Say in the run folder how a run ended that did not end by itself."""
         if self.folder is not None and error is not None:
             reason, status = _ending(error)
+            if self.has_results and isinstance(error, BudgetError):
+                status = RunStatus.INTERRUPTED
             self.folder.abandon(f"{reason}; {self.steps}", status)
         elif self.folder is None and self._lock is not None:
             self._lock.release()

@@ -62,7 +62,9 @@ def batch_of(
         Whether residuals and trajectories are among them.
     """
     origins, outcomes, ended = zip(*rows, strict=True)
-    paths = [outcome.trajectory if residuals else None for outcome in outcomes]
+    whole = [residuals and not origin.slim for origin in origins]
+    pairs = list(zip(outcomes, whole, strict=True))
+    paths = [outcome.trajectory if kept else None for outcome, kept in pairs]
     names = [origin.installed or experiments[origin.task.experiment] for origin in origins]
     keys = [
         simulation_key(model_key, key, origin.task.effects, origin.task.values, origin.task.bound)
@@ -80,7 +82,7 @@ def batch_of(
         pa.array([str(outcome.status) for outcome in outcomes]),
         pa.array([outcome.message for outcome in outcomes]),
         pa.array([logged_cost(row.outcome, row.origin.task.want) for row in rows], pa.float64()),
-        _lists([outcome.residuals if residuals else None for outcome in outcomes]),
+        _lists([outcome.residuals if kept else None for outcome, kept in pairs]),
         pa.array([residuals_hash(outcome.residuals) for outcome in outcomes], pa.string()),
         _lists([outcome.constraints if outcome.ok else None for outcome in outcomes]),
         pa.array([outcome.seconds for outcome in outcomes], pa.float64()),

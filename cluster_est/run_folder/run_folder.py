@@ -19,7 +19,12 @@ from cluster_est.errors import RunFolderError, UnwritableError
 from cluster_est.run_folder.evaluation_log import EvaluationLog
 from cluster_est.run_folder.lock import LOCK, OWNER, RunLock
 from cluster_est.run_folder.logged_outcomes import LoggedOutcomes
-from cluster_est.run_folder.run_files import RunStatus, may_be_resumed, write_run_columns
+from cluster_est.run_folder.run_files import (
+    RunStatus,
+    may_be_resumed,
+    read_facts,
+    write_run_columns,
+)
 from cluster_est.run_folder.run_identity import FORMAT, RunIdentity, RunKind, versions
 from cluster_est.run_folder.run_progress import PROGRESS, ProgressFile
 from cluster_est.running.reset_policy import ResetDecision
@@ -104,6 +109,7 @@ class RunFolder:
         self._reset: ResetDecision | None = None
         self._iterations: dict[tuple[str, int, str], dict[str, Any]] = {}
         self._workers: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
+        self._so_far: dict[str, Any] = {} if logged is None else _found_before(path)
         self._begin = time.time()
         self._lock = held or take_folder(path)
         try:
@@ -162,6 +168,18 @@ class RunFolder:
         """Let others see how far it is."""
         self._progress.show(snapshot)
 
+    @property
+    def has_results(self) -> bool:
+        """Whether a result was kept on the way."""
+        return bool(self._so_far)
+
+    def keep(self, result: RunResult) -> None:
+        """Write the tables of a result that others may follow, while the run goes on."""
+        for name in result.tables:
+            self._write_table(name, result.table(name))
+        self._so_far = {**result.facts(), "status": RunStatus.RUNNING}
+        self._write_status(RunStatus.RUNNING, {})
+
     def write(self, result: RunResult) -> RunStatus:
         """Write all tables at the end of a run, and return how it stands."""
         self._log.close()
@@ -176,6 +194,7 @@ class RunFolder:
         searched = result.search_seconds
         self._write_workers(searched if np.isfinite(searched) else facts["seconds"])
         status = RunStatus(facts["status"])
+        self._so_far = {}
         self._write_status(status, facts)
         if status is RunStatus.DONE:  # nothing will ask for them again; any other may be resumed
             if self._logged is not None:
@@ -217,7 +236,7 @@ class RunFolder:
             "format": FORMAT,
             "status": status,
             "verdict": None,
-            **numbers,
+            **(self._so_far | numbers | {"status": status}),
             "seed": self._identity.seed,
             "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self._begin)),
             "config_hash": self._config_hash,
@@ -234,6 +253,14 @@ class RunFolder:
         }
         text = json.dumps({SEAL_KEY: SEAL, **_finite(facts)}, indent=2) + "\n"
         write_whole(self.path / "run.json", sealed(text.encode()), MAKE_ROOM_AND_RESUME)
+
+
+def _found_before(path: Path) -> dict[str, Any]:
+    """What a loop that is taken up again had found; its tables are still there."""
+    with suppress(RunFolderError):
+        facts = read_facts(path)
+        return {} if facts.get("verdict") is None else facts
+    return {}
 
 
 def check_free(path: Path, *, overwrite: bool) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import threading
 import time
 from contextlib import suppress
 from dataclasses import dataclass, fields
@@ -34,6 +35,8 @@ class ProgressFile:
         self._last: dict[str, str] = {}
         self._shown = 0.0
         self._size = 0
+        self._ended = False
+        self._lock = threading.Lock()  # a heartbeat comes from a thread of its own
         path.write_bytes(b"")
 
     def iteration(self, iteration: SearchIteration) -> None:
@@ -47,7 +50,7 @@ class ProgressFile:
         self._write(line)
 
     def show(self, snapshot: RunSnapshot) -> None:
-        """The state of the whole run, at most once a second."""
+        """The state of the whole run, at most once a second; nothing after the end."""
         now = time.monotonic()
         if now - self._shown < SECONDS_BETWEEN_LINES:
             return
@@ -58,13 +61,16 @@ class ProgressFile:
 
     def end(self) -> None:
         """Nothing follows: whatever reads less than this of a run that has ended lacks lines."""
-        self._write(_line({"end": True}))
+        self._write(_line({"end": True}), end=True)
 
-    def _write(self, line: str) -> None:
-        text = line.encode()
-        if self._size > MOST_PROGRESS_BYTES:
-            text, self._size = "".join(self._last.values()).encode() + text, 0
-        with suppress(OSError):
+    def _write(self, line: str, *, end: bool = False) -> None:
+        with self._lock, suppress(OSError):
+            if self._ended:
+                return
+            self._ended = end
+            text = line.encode()
+            if self._size > MOST_PROGRESS_BYTES:
+                text, self._size = "".join(self._last.values()).encode() + text, 0
             with self._path.open("r+b") as file:
                 file.truncate(self._size)  # what of a line was written before the disk was full
                 file.seek(self._size)

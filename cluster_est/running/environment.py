@@ -35,12 +35,15 @@ class Monitor:
         `Runner`.
     reset
         Called with what every simulation begins with, before the first one that counts.
+    reached
+        Called with a result on the way: what there is if nothing comes after it.
     """
 
     record: Record | None = None
     show: Show | None = None
     note: Note | None = None
     reset: Callable[[ResetDecision], None] | None = None
+    reached: Callable[[Any], None] | None = None
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,8 @@ class LogSettings(Settings):
 class TaskOrigin:
     """A task and who asked for it: what the log says of it besides its outcome.
 
-    `installed` is (id, key) of the experiment where it is none of the problem's own.
+    `installed` is (id, key) of the experiment where it is none of the problem's own. Of what is
+    `slim` a log keeps no residuals: a run that is resumed simulates it again.
     """
 
     task: Task
@@ -68,6 +69,7 @@ class TaskOrigin:
     evaluation: int
     purpose: str
     installed: tuple[str, str] | None = None
+    slim: bool = False
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -97,6 +97,20 @@ class Runner:
     def failures(self) -> int:
         """Simulations that failed, of those that were run or found in a log."""
         return self._pending.failures
+
+    @contextlib.contextmanager
+    def uncounted(self) -> Iterator[None]:
+        """Let what is simulated here be neither counted nor recorded.
+
+        For what is shown on the way, without which the run is the same.
+        """
+        budget, pending = self._budget, self._pending
+        before = budget.evaluations, budget.requests
+        try:
+            with pending.uncounted():
+                yield
+        finally:
+            budget.evaluations, budget.requests = before
 
     def free_instances(self, workers: int) -> ResetPolicy:
         """Have the first workers let their instances go until they are asked again.

@@ -7,6 +7,7 @@ way or remembered.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -237,6 +238,17 @@ class PendingTasks:
         self._sizes: dict[tuple[int, bool], int] = {}
         self.simulations = 0
         self.failures = 0
+
+    @contextmanager
+    def uncounted(self) -> Iterator[None]:
+        """Record and count nothing of what ends here."""
+        record, before = self._record, (self.simulations, self.failures)
+        self._record = lambda *_: None
+        try:
+            yield
+        finally:
+            self._record = record
+            self.simulations, self.failures = before
 
     @property
     def under_way(self) -> int:

@@ -11,12 +11,13 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from cluster_est.errors import BudgetError
 from cluster_est.executors.executor import Executor
-from cluster_est.methods.method import GivenPoints
+from cluster_est.methods.method import GivenPoints, Progress
 from cluster_est.running.resources import Budget, RunSnapshot, Show
 from cluster_est.running.search_state import PendingTasks, SearchState
 from workers.messages import FloatArray
@@ -174,6 +175,7 @@ class RunDisplay:
         self._pending, self._clock = pending, clock
         self._begun = clock()
         self._before = (0, 0, 0)
+        self._last: RunSnapshot | None = None
         self.phase = ""
 
     def begin(self) -> None:
@@ -190,7 +192,7 @@ class RunDisplay:
         busy, seconds = self._executor.busy, self._clock() - self._begun
         left, at_most = self._left(searches, seconds)
         iterations = searches[0].progress.iteration if len(searches) == 1 else 0
-        self._show(
+        self._tell(
             RunSnapshot(
                 search=running[0].request.name,
                 progress=running[0].progress,
@@ -209,6 +211,33 @@ class RunDisplay:
                 pace=seconds / iterations if iterations else math.nan,
             )
         )
+
+    def step(self, name: str, done: int, of: int) -> None:
+        """Show how far a step is that simulates nothing; `name` is as that of a search."""
+        seconds = self._budget.seconds
+        before = self._last or RunSnapshot(
+            name, Progress(0, math.nan), self._budget.evaluations, 0, 0, 0, 0, seconds
+        )
+        self._tell(
+            replace(
+                before,
+                search=name,
+                progress=Progress(0, math.nan),
+                seconds=seconds,
+                phase=self.phase,
+                busy=0,
+                waiting=0,
+                ended=done,
+                searches=of,
+                left=math.nan,
+                pace=math.nan,
+            )
+        )
+
+    def _tell(self, snapshot: RunSnapshot) -> None:
+        self._last = snapshot
+        if self._show is not None:
+            self._show(snapshot)
 
     def _left(self, searches: Sequence[SearchState], seconds: float) -> tuple[float, bool]:
         """Return the seconds that searches take from now on, and whether they are a limit.

@@ -335,7 +335,7 @@ def _segment(
     for output in experiment.outputs:
         inside = (output.times >= start) & ((output.times < stop) | last)
         chosen = np.flatnonzero(inside)  # none of them: it is recorded all the same
-        outputs.append(replace(output, times=output.times[chosen], values=output.values[chosen]))
+        outputs.append(output.only(chosen))
         places.append(first + chosen)
         first += len(output.times)
     if not last:

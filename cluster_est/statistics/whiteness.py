@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -262,22 +262,43 @@ def smoothed(
 
 
 def traces(kernel: StructureKernel, counts: Sequence[int], q: float) -> tuple[float, float, float]:
-    """Traces of A, A^2 and A^3 with A = K - q I in records of these lengths."""
+    """Traces of A, A^2 and A^3 with A = K - q I in records of these lengths.
+
+    Those of powers of K are linear in the length of a record that has room for all lags.
+    """
     first = second = third = 0.0
     for count, times in Counter(counts).items():
         reach = kernel.reach(count)
-        lags = np.arange(-reach, reach + 1)
-        values = kernel.at(lags)
+        squares, cubes = _diagonals(kernel, reach)
         first += times * count
-        second += times * float(np.add.reduce(values**2 * (count - np.abs(lags))))
-        a, b = lags[:, None], lags[None, :]
-        both = a + b
-        span = np.maximum(np.maximum(a, both), 0) - np.minimum(np.minimum(a, both), 0)
-        product = values[:, None] * values * kernel.at(both)
-        product[np.abs(both) > reach] = 0.0
-        third += times * float(np.add.reduce((product * np.maximum(count - span, 0)).ravel()))
+        second += times * (count * squares[0] - squares[1])
+        third += times * (count * cubes[0] - cubes[1])
     return (
         first * (1.0 - q),
         second - 2.0 * q * first + q**2 * first,
         third - 3.0 * q * second + 3.0 * q**2 * first - q**3 * first,
+    )
+
+
+@lru_cache(maxsize=256)
+def _diagonals(
+    kernel: StructureKernel, reach: int
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """For K^2 and K^3, the rise of the trace with each sample, and what its ends take off.
+
+    A product of lags a and b has its place in a record as often as 0, a and a + b have room there.
+    """
+    lags = np.arange(-reach, reach + 1)
+    values = kernel.at(lags)
+    a, both = lags[:, None], lags[:, None] + lags
+    span = np.maximum(np.maximum(a, both), 0) - np.minimum(np.minimum(a, both), 0)
+    product = values[:, None] * values * kernel.at(both)
+    product[np.abs(both) > reach] = 0.0
+    squares = values**2
+    return (
+        (float(np.add.reduce(squares)), float(np.add.reduce(squares * np.abs(lags)))),
+        (
+            float(np.add.reduce(product.ravel())),
+            float(np.add.reduce((product * span).ravel())),
+        ),
     )

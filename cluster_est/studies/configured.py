@@ -7,7 +7,7 @@ the same config gives the same bits and the same run.json, whoever asks for it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,11 +17,13 @@ from cluster_est.config.reader import read_config
 from cluster_est.config.sections import Config
 from cluster_est.errors import BudgetError, ProblemError, UnwritableError
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.thinning import ThinnedProblem, thinned
 from cluster_est.run_folder.context import ExistingRun, RunContext
 from cluster_est.run_folder.run_files import RunStatus
 from cluster_est.run_folder.run_folder import RunResult
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from cluster_est.running.environment import RunEnvironment, SharedPools, WorkerSource
+from cluster_est.running.heartbeat import beating
 from cluster_est.running.interrupts import stopped_by
 from cluster_est.running.resources import Resources, Show
 from cluster_est.running.study import Study
@@ -44,11 +46,14 @@ class ConfiguredStudy:
         All that it was made from.
     study
         What to do.
+    notes
+        What a user should know of its data before it begins.
     """
 
     identity: RunIdentity
     config: Config
     study: Study[RunResult]
+    notes: tuple[str, ...] = ()
 
 
 def _fit(config: Config, problem: Problem) -> Study[RunResult]:
@@ -69,7 +74,7 @@ def _sensitivity(config: Config, problem: Problem) -> Study[RunResult]:
 def _closed_loop(config: Config, problem: Problem) -> Study[RunResult]:
     from cluster_est.closed_loop.loop import ClosedLoop  # needs SymPy, which is slow
 
-    return ClosedLoop(problem, config.closed_loop, config.closed_loop.seed)
+    return ClosedLoop(problem, config.closed_loop, config.closed_loop.seed, config.thinning)
 
 
 STUDIES: dict[RunKind, Callable[[Config, Problem], Study[RunResult]]] = {
@@ -156,9 +161,22 @@ def configure(config: Config, base: Path, kind: RunKind, *, allow_code: bool) ->
         If something is wrong.
     """
     problem = build_problem(config, base, allow_code=allow_code)
-    study = STUDIES[kind](config, problem)
+    thin = thinned_for(kind, config, problem)
+    study = STUDIES[kind](config, thin.problem)
     study.check()
-    return ConfiguredStudy(RunIdentity.of(kind, config, base, problem), config, study)
+    notes = (thin.sentence,) if thin.is_thinner else ()
+    identity = RunIdentity.of(kind, config, base, thin.problem)
+    return ConfiguredStudy(identity, config, study, notes)
+
+
+def thinned_for(kind: RunKind, config: Config, problem: Problem) -> ThinnedProblem:
+    """Thin the records of a study that is done on thinned ones throughout.
+
+    A closed loop thins them itself, and reports on all rows.
+    """
+    if kind is RunKind.CLOSED_LOOP:
+        return thinned(problem, None)
+    return thinned(problem, config.thinning.most(auto=kind is not RunKind.FIT))
 
 
 def do_run(
@@ -190,7 +208,7 @@ def do_run(
         If it is interrupted before anything was simulated.
     """
     resources = build_resources(run.config)
-    said = (*resources.notes(), *run.identity.problem.data_notes())
+    said = (*resources.notes(), *run.identity.problem.data_notes(), *run.notes)
     for sentence in said:
         listener.say(sentence)
     to = replace(to, out=to.out.absolute())  # an FMU may leave this process in another folder
@@ -207,8 +225,12 @@ def do_run(
             listener.progress(resources) as show,
             context,
             stopped_by(to.out / STOP),
+            ExitStack() as stack,
         ):
-            environment = RunEnvironment(resources, context.monitor(show), context.earlier, workers)
+            monitor = context.monitor(show)
+            shown = stack.enter_context(beating(monitor.show or show))
+            monitor = replace(monitor, show=shown)
+            environment = RunEnvironment(resources, monitor, context.earlier, workers)
             result = run.study.run(environment)
             if context.folder is None and getattr(result, "interrupted", False):
                 raise KeyboardInterrupt  # a run that is there stays: nothing was simulated
@@ -231,6 +253,8 @@ def _stopped(error: BaseException, context: RunContext) -> RunEnd:
     interrupted = isinstance(error, KeyboardInterrupt)
     why = "interrupted" if interrupted else str(error)
     status = RunStatus.INTERRUPTED if interrupted else RunStatus.FAILED
+    if context.has_results:  # what was found so far is shown in the place of a sentence
+        return RunEnd(RunStatus.INTERRUPTED)
     return RunEnd(status, f"{why}; {context.steps}; the log is in {context.out}")
 
 

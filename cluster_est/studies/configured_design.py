@@ -31,7 +31,7 @@ from cluster_est.run_folder.run_files import (
     read_run_table,
 )
 from cluster_est.run_folder.run_identity import UNHASHED, RunIdentity, RunKind
-from cluster_est.studies.configured import ConfiguredStudy
+from cluster_est.studies.configured import ConfiguredStudy, thinned_for
 from workers.messages import Experiment, content_hash
 
 ADDED = ("found", "partial")
@@ -129,7 +129,7 @@ def _models(
         raise RunFolderError(f"{run_folder}: must be the folder of a finished run but is not")
     rows = [row for row in read_run_table(path) if row["estimated_on"] in ("train", "test")]
     values = {row["label"]: float(row["value"]) for row in rows}
-    problem = build_problem(config, base, allow_code=allow_code)
+    problem = _rows_for_design(build_problem(config, base, allow_code=allow_code), config)
     return (CandidateModel(FITTED_MODEL, _with_noise(problem, facts), values),)
 
 
@@ -145,9 +145,14 @@ def _model(
     blocks = tomllib.loads(known["config"]).get("effects", [])
     added = [EffectSection.model_validate(block) for block in blocks]
     changed = config.model_copy(update={"effects": [*config.effects, *added]})
-    problem = build_problem(changed, base, allow_code=allow_code)
+    problem = _rows_for_design(build_problem(changed, base, allow_code=allow_code), config)
     values = {label: float(value) for label, value in known["values"].items()}
     return CandidateModel(known["name"], _with_noise(problem, facts), values, known["weight"])
+
+
+def _rows_for_design(problem: Problem, config: Config) -> Problem:
+    """Return a problem whose long records are thinned: they say as much of its parameters."""
+    return thinned_for(RunKind.DESIGN, config, problem).problem
 
 
 def _with_noise(problem: Problem, facts: Mapping[str, Any]) -> Problem:

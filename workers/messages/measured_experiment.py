@@ -393,6 +393,8 @@ class Experiment:
                 signals += ["reference", repr((before.sigma, before.relative_sigma))]
                 signals += [before.times.tobytes(), before.values.tobytes()]
             signals += [output.times.tobytes(), output.values.tobytes()]
+            factors = output.noise_factors
+            signals += [] if factors is None else ["noise factors", factors.tobytes()]
         if self.curve is not None:
             signals += ["curve", repr(self.curve.variables), repr(self.curve.tolerances)]
             signals += [self.curve.points.tobytes(), self.curve.times.tobytes()]

@@ -6,7 +6,7 @@ The checks are the same for arrays that are handed over and for columns of a fil
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, get_args
 
 import numpy as np
@@ -21,7 +21,7 @@ from workers.messages.checks import (
     check_number,
     shown,
 )
-from workers.messages.types import FloatArray, Interpolation, by_content
+from workers.messages.types import FloatArray, IntArray, Interpolation, by_content
 
 
 def as_floats(values: Any, where: str, dimensions: int = 1) -> FloatArray:
@@ -224,6 +224,9 @@ class Output:
         Whether the measured values say an order and nothing else, such as grades from 1 to 5: equal
         values are one category, and a larger value says that the output was larger. `sigma` is then
         in standard deviations of the simulated signal.
+    noise_factors : (n,)
+        What the standard deviation of each sample is multiplied by: that of a value made of many
+        samples is smaller. None for 1.
     reference
         Of a held-out part of a record the same output in the training part: scale, offset and the
         bounds of categories are found from it alone. None where they are found from the output
@@ -246,6 +249,7 @@ class Output:
     detection_limit: float | None = None
     ordinal: bool = False
     reference: Output | None = field(default=None, repr=False)
+    noise_factors: FloatArray | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         where = _check_samples(self, "output")
@@ -263,6 +267,10 @@ class Output:
                 )
         check_number(self.sigma, f"{where}.sigma", DataError, above=0.0)
         check_number(self.relative_sigma, f"{where}.relative_sigma", DataError, least=0.0)
+        if self.noise_factors is not None:
+            factors = kept_floats(self.noise_factors, f"{where}.noise_factors")
+            check_length(factors, self.times, f"{where}.noise_factors:")
+            object.__setattr__(self, "noise_factors", factors)
         if self.ordinal:
             self._check_ordinal(where)
         if self.reference is not None:
@@ -291,10 +299,25 @@ class Output:
 
     @property
     def sigmas(self) -> FloatArray:
-        """The standard deviation of each sample, sqrt(sigma^2 + (relative_sigma value)^2)."""
+        """The standard deviation of each sample, sqrt(sigma^2 + (relative_sigma value)^2).
+
+        Times its noise factor.
+        """
         if self.relative_sigma == 0.0:
-            return np.full(len(self.times), self.sigma)
-        return np.hypot(self.sigma, self.relative_sigma * self.values)
+            found = np.full(len(self.times), self.sigma)
+        else:
+            found = np.hypot(self.sigma, self.relative_sigma * self.values)
+        return found if self.noise_factors is None else found * self.noise_factors
+
+    def only(self, kept: npt.NDArray[np.bool_] | IntArray) -> Output:
+        """Return the output with these of its samples alone."""
+        factors = self.noise_factors
+        return replace(
+            self,
+            times=self.times[kept],
+            values=self.values[kept],
+            noise_factors=None if factors is None else factors[kept],
+        )
 
     @property
     def is_plain(self) -> bool:

@@ -10,10 +10,17 @@ import numpy as np
 import sympy as sp
 from scipy.integrate import cumulative_trapezoid
 
-from cluster_est.closed_loop.candidates.step_matrices import StepMatrices, step_matrices
+from cluster_est.closed_loop.candidates.step_matrices import (
+    StepMatrices,
+    propagate,
+    step_matrices,
+)
 from workers.effects.expression import parse
 from workers.effects.forms import EffectForm
 from workers.messages import FloatArray
+
+RELATIVE = 1e-9
+"""Of a power of ten: steps that differ by less are one."""
 
 Function = Callable[..., Any]
 """Of the arguments of a form, each (n,), and then of its coefficients."""
@@ -112,12 +119,8 @@ def _follow(
     first = h * (settled - (1.0 - settled) / bh)
     last = h * (1.0 - settled) / bh
     pushed = first * drive[:-1] + last * drive[1:]
-    z = np.empty(len(times))
-    z[0] = value = float(start[0])
-    for n, (keep, push) in enumerate(zip(decay.tolist(), pushed.tolist(), strict=True)):
-        value = keep * value + push
-        z[n + 1] = value
-    return z
+    (z,) = _recursion(decay[:, None, None], pushed[:, None], start[:1])
+    return np.asarray(z)
 
 
 def _follow_coupled(
@@ -125,22 +128,35 @@ def _follow_coupled(
 ) -> FloatArray:
     """Integrate states that act on each other, (states, n); exact where the drives are linear.
 
-    Steps of one length share their matrices.
+    Steps of one length share their matrices, which are made for all lengths at once.
     """
     times = arguments[0]
     matrix = np.asarray(states.matrix(*coefficients), float)
     drives = np.array([_along(f, arguments, coefficients) for f in states.drives])
-    found = np.empty((len(matrix), len(times)))
-    found[:, 0] = [_along(f, arguments, coefficients)[0] for f in states.starts]
-    known: dict[float, StepMatrices] = {}
-    for n, step in enumerate(np.diff(times).tolist()):
-        length = float(f"{step:.9e}")  # the differences of equal times differ in their last bits
-        if length not in known:
-            known[length] = step_matrices(matrix, length)
-        by = known[length]
-        forced = by.from_first @ drives[:, n] + by.from_last @ drives[:, n + 1]
-        found[:, n + 1] = by.keep @ found[:, n] + forced
-    return found
+    start = np.array([_along(f, arguments, coefficients)[0] for f in states.starts])
+    lengths = np.diff(times)
+    # the differences of equal times differ in their last bits
+    unit = 10.0 ** np.floor(np.log10(lengths)) * RELATIVE
+    steps, which = np.unique(np.rint(lengths / unit) * unit, return_inverse=True)
+    by = step_matrices(matrix, steps)
+    forced = np.matmul(by.from_first[which], drives.T[:-1, :, None])
+    forced += np.matmul(by.from_last[which], drives.T[1:, :, None])
+    return _recursion(by.keep[which], forced[:, :, 0], start)
+
+
+def _recursion(keep: FloatArray, pushed: FloatArray, start: FloatArray) -> FloatArray:
+    """(x, n) of z' = keep z + pushed, for (n - 1, x, x) and (n - 1, x), by the core.
+
+    A step before the first one puts the start where a recursion from 0 has its second value.
+    """
+    count, x = pushed.shape
+    first = np.zeros((count + 1, x, x))
+    first[1:] = keep
+    values = np.zeros((count + 2, x, 1))
+    values[:-1, :, 0] = np.vstack([start, pushed])
+    unit = np.broadcast_to(np.eye(x), first.shape)
+    found = propagate(StepMatrices(first, unit, np.zeros_like(first)), values)
+    return np.ascontiguousarray(found[1:, :, 0].T)
 
 
 def _along(

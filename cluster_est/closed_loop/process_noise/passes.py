@@ -63,7 +63,7 @@ def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
     with open_workbench(request) as workbench:
         workbench.enter("the process noise")
         held = hold_noise(workbench, request.problem, FitStart(request.problem, {}), {})
-        spent = [_Spent.at(workbench)]
+        spent = [SpentSimulations.at(workbench)]
     passed: list[frozenset[str]] = []
     while True:
         used = sum(each.evaluations for each in spent)
@@ -74,15 +74,15 @@ def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
             passed.append(structure)
             if not structure or structure in passed[:-1] or len(passed) == MOST_PASSES:
                 result = _accounted(workbench, request, searched, passed, begin)
-                return _with_all(result, spent)
+                return with_all(result, spent)
             workbench.enter("the process noise that is left")
             start = released(searched.found.current.start, request.problem)
             held = hold_noise(workbench, request.problem, start, held.values)
-            spent.append(_Spent.at(workbench))
+            spent.append(SpentSimulations.at(workbench))
 
 
 @dataclass(frozen=True)
-class _Spent:
+class SpentSimulations:
     """What a workbench has simulated; see `LoopResult`."""
 
     simulations: float
@@ -96,7 +96,7 @@ class _Spent:
         return cls(workbench.meter.full, runner.simulations, runner.evaluations, runner.failures)
 
 
-def _with_all(result: LoopResult, spent: Sequence[_Spent]) -> LoopResult:
+def with_all(result: LoopResult, spent: Sequence[SpentSimulations]) -> LoopResult:
     """Add what was simulated at the workbenches before the last one."""
     return replace(
         result,

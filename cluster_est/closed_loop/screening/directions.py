@@ -10,7 +10,7 @@ output adds to y and needs nothing else.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -27,6 +27,9 @@ from cluster_est.closed_loop.screening.linear_system import (
 )
 from workers.effects.site import EffectSite
 from workers.messages import FloatArray, IntArray, Linearisation
+
+Told = Callable[[int, int], None]
+"""Hears how many candidates are done, and of how many."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,7 @@ def directions(
     trials: Sequence[CandidatePoint],
     known: Sequence[FloatArray],
     rows: IntArray | None = None,
+    told: Told = lambda *_: None,
 ) -> list[FloatArray]:
     """The directions of trials, each (residuals, width), from the linearised trajectories alone.
 
@@ -60,13 +64,22 @@ def directions(
         Values of the model's parameters there.
     rows
         The residuals that are kept, ascending; None for all of them.
+    told
+        Called on the way with how many are done, and of how many.
     """
     if not trials:
         return []
     stops = np.cumsum([0, *(len(trajectory.rows) for trajectory in trajectories)]).tolist()
+    count = len(trials)
+
+    def telling(before: int) -> Callable[[int], None]:
+        return lambda done: told(before + done, len(trajectories) * count)
+
     parts = [
-        _of_trajectory(trajectory, trials, values, _within(rows, *ends))
-        for trajectory, values, ends in zip(trajectories, known, pairwise(stops), strict=True)
+        _of_trajectory(trajectory, trials, values, _within(rows, *ends), telling(e * count))
+        for e, (trajectory, values, ends) in enumerate(
+            zip(trajectories, known, pairwise(stops), strict=True)
+        )
     ]
     joined = np.concatenate(parts)
     ends = np.cumsum([0, *(trial.width for trial in trials)])
@@ -86,6 +99,7 @@ def _of_trajectory(
     trials: Sequence[CandidatePoint],
     known: FloatArray,
     kept: IntArray | slice,
+    told: Callable[[int], None],
 ) -> FloatArray:
     """(kept residuals of one experiment, columns of all trials)."""
     system = linear_system(trajectory.linear) if trajectory.linear is not None else None
@@ -93,9 +107,10 @@ def _of_trajectory(
     found: list[FloatArray] = []
     block: list[CandidatePoint] = []
     columns = 0
-    for trial in trials:
+    for done, trial in enumerate(trials):
         if block and columns + trial.width > most:
             found.append(_of_block(trajectory, system, block, known)[kept])
+            told(done)
             block, columns = [], 0
         block.append(trial)
         columns += trial.width

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
-from scipy.linalg import expm
 
 from cluster_est.closed_loop.candidates.step_matrices import StepMatrices, step_matrices
 from workers.messages import FloatArray, Linearisation
@@ -17,23 +15,9 @@ hold for the next one: a fifth of what tells a direction from the declared param
 
 
 def discretise(linear: Linearisation) -> StepMatrices:
-    """Matrices of all steps at once, exact where A is constant within each step.
-
-    C. F. Van Loan, IEEE Trans. Automatic Control 23 (1978) 395-404, doi:10.1109/TAC.1978.1101743.
-    """
+    """Matrices of all steps at once, exact where A is constant within each step."""
     a = np.asarray(linear.A)
-    h = np.diff(linear.times)
-    x = a.shape[1]
-    mean = 0.5 * (a[1:] + a[:-1])
-    joined = np.zeros((len(h), 3 * x, 3 * x))
-    eye: npt.NDArray[np.float64] = np.eye(x)
-    joined[:, :x, :x] = mean * h[:, None, None]
-    joined[:, :x, x : 2 * x] = eye * h[:, None, None]
-    joined[:, x : 2 * x, 2 * x :] = eye
-    powers = expm(joined)
-    last = powers[:, :x, 2 * x :]
-    parts = powers[:, :x, :x], powers[:, :x, x : 2 * x] - last, last
-    return StepMatrices(*(np.ascontiguousarray(part) for part in parts))
+    return step_matrices(0.5 * (a[1:] + a[:-1]), np.diff(linear.times))
 
 
 def streamed_steps(linear: Linearisation, *, backwards: bool = False) -> Iterator[StepMatrices]:

@@ -15,9 +15,8 @@ from typing import final
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.step_matrices import StepMatrices
+from cluster_est.closed_loop.candidates.step_matrices import propagate, run_recursion
 from cluster_est.closed_loop.screening.discrete_time import discretise, streamed_steps
-from workers.core.library import core
 from workers.messages import FloatArray, IntArray, Linearisation
 
 LARGE = 24
@@ -102,7 +101,7 @@ class SmallSystem(LinearSystem):
         return np.asarray(np.matmul(self._linear.C, propagate(self._steps, forced)))
 
     def weigh(self, source: FloatArray) -> FloatArray:
-        return _run("core_run_adjoint", self._steps, source)
+        return run_recursion("core_run_adjoint", self._steps, source)
 
 
 @final
@@ -155,31 +154,3 @@ def _along(matrix: FloatArray, directions: Sequence[int | FloatArray], time: int
         for direction in directions
     ]
     return np.column_stack(columns)
-
-
-def propagate(steps: StepMatrices, forcing: FloatArray) -> FloatArray:
-    """Integrate d(dx)/dt = A dx + f from dx = 0.
-
-    Parameters
-    ----------
-    steps
-        The system.
-    forcing : (n, x, m)
-        m right-hand sides at every time of the grid, linear in between. The states take their
-        place.
-
-    Returns
-    -------
-    (n, x, m)
-    """
-    return _run("core_run_linear", steps, forcing)
-
-
-def _run(recursion: str, steps: StepMatrices, values: FloatArray) -> FloatArray:
-    """Run a recursion of the core over (n, x, m) values, which its results take the place of."""
-    values = np.ascontiguousarray(values)
-    matrices = [np.ascontiguousarray(m) for m in (steps.keep, steps.from_first, steps.from_last)]
-    n, x, m = values.shape
-    scratch = np.empty((2, x, m))
-    getattr(core(), recursion)(*(a.ctypes.data for a in (*matrices, values, scratch)), n, x, m)
-    return values

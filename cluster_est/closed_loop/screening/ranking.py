@@ -180,7 +180,7 @@ def candidate_columns(
         names = trajectory.linear.parameter_names if trajectory.linear is not None else ()
         values.append(np.array([row[targets.index(name)] for name in names], float))
     if workbench.by_linear_systems:
-        return directions(trajectories, trials, values, rows)
+        return directions(trajectories, trials, values, rows, workbench.compared)
     outside = [t for t in trials if t.candidate.site.kind == "output"]
     inside = [t for t in trials if t.candidate.site.kind != "output"]
     kept = slice(None) if rows is None else rows

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
 from cluster_est.closed_loop.screening.ranking import CandidateRanking, rank
+from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.statistics.omnibus import OmnibusTest, omnibus
 from cluster_est.statistics.projection import ProjectedResidual
-from cluster_est.statistics.score import family_wise
+from cluster_est.statistics.score import ScoreTests, family_wise
 from workers.messages import FloatArray
 
 
@@ -66,13 +69,20 @@ def screen(workbench: LoopWorkbench, fitted: FittedModel, step: int) -> Screenin
             thresholds.omnibus_lengths,
         )
 
-    return ScreeningResult(
-        ranking=ranking,
-        omnibus=smooth(ranking.residual, streams[0]),
-        omnibus_white=smooth(ranking.residual_white, streams[3]),
-        p=min(ranking.unseen * family_wise(ranking.plain, streams[1], draws).p, 1.0),
-        p_white=min(ranking.unseen * family_wise(ranking.white, streams[2], draws).p, 1.0),
-    )
+    def best(scores: ScoreTests, generator: np.random.Generator) -> float:
+        return min(ranking.unseen * family_wise(scores, generator, draws).p, 1.0)
+
+    tests: list[Callable[[], Any]] = [
+        lambda: smooth(ranking.residual, streams[0]),
+        lambda: smooth(ranking.residual_white, streams[3]),
+        lambda: best(ranking.plain, streams[1]),
+        lambda: best(ranking.white, streams[2]),
+    ]
+    found = []
+    for done, test in enumerate(tests):
+        workbench.runner.display.step(LoopStage.TESTS.value, done, len(tests))
+        found.append(test())
+    return ScreeningResult(ranking, *found)
 
 
 def findings(

@@ -51,6 +51,7 @@ from cluster_est.closed_loop.selection.single_effect import (
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
+from workers.messages import FloatArray
 
 AGAIN = LeastSquares(trials=1, max_iterations=15, ftol=1e-6, xtol=1e-7, differences="forward")
 
@@ -61,6 +62,7 @@ def beam_search(
     numerical: Callable[[FittedModel], float] = lambda _: 0.0,
     *,
     again: bool = True,
+    reached: Callable[[SelectionResult], None] = lambda _: None,
 ) -> SelectionResult:
     """Add effects to the declared model while they earn it.
 
@@ -73,6 +75,8 @@ def beam_search(
         fitted model.
     again
         Begin once more where the declared model turns out to have been in a local minimum.
+    reached
+        Called after each round in which something was added, with all that was found so far.
     """
     noise = noise_of(workbench, base.residuals)
     floor = workbench.noise_floor(noise)
@@ -91,14 +95,13 @@ def beam_search(
             break
         if again and not begun.model.added and _was_local(workbench, base, end.won):
             restart = FitStart(base.problem, _declared_only(end.won), base.added)
-            return beam_search(workbench, fit_declared(workbench, restart), numerical, again=False)
+            declared = fit_declared(workbench, restart)
+            return beam_search(workbench, declared, numerical, again=False, reached=reached)
         if not search.grow(begun, end, end.won, end.prediction):
             break
         search.replace_by_single(whole=True)
-    return SelectionResult(
-        base, search.current, predicted, search.prediction, search.rivals, tuple(search.steps),
-        tuple(search.seen), noise, tuple(search.path),
-    )  # fmt: skip
+        reached(search.result(predicted, noise))
+    return search.result(predicted, noise)
 
 
 @dataclass
@@ -185,6 +188,13 @@ class _Search:
             return False
         self.current, self.prediction, self.beside = grown, prediction, end.compared
         return True
+
+    def result(self, predicted: LeaveOneOutPrediction, noise: FloatArray) -> SelectionResult:
+        """Return all that was found so far."""
+        return SelectionResult(
+            self.base, self.current, predicted, self.prediction, self.rivals, tuple(self.steps),
+            tuple(self.seen), noise, tuple(self.path),
+        )  # fmt: skip
 
     def replace_by_single(self, *, whole: bool = False) -> bool:
         """Put a single effect in the place of all, if there is a better one; return whether."""

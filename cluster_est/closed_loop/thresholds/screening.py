@@ -45,7 +45,7 @@ class ScreeningThresholds:
         Residuals that are screened; longer records are thinned. Memory: all directions of some
         hundred candidates at once.
     most_values
-        The same times the columns of all candidates. Memory: 160 MB, and some five copies of it.
+        The same times the columns of all candidates. Memory: 128 MB, and some five copies of it.
     peaks
         Frequencies of the residual's spectrum that periodic effects begin with. Benchmark.
     peak_samples
@@ -75,7 +75,7 @@ class ScreeningThresholds:
     """
 
     most_rows: int = 20_000
-    most_values: int = 20_000_000
+    most_values: int = 16_000_000
     peaks: int = 2
     peak_samples: int = 16
     peak_distance: float = 0.1

@@ -166,7 +166,7 @@ def simulate_with_solver(
     want: Want,
     resources: Resources,
     *,
-    beside: Runner,
+    beside: Runner | None,
 ) -> list[Outcome]:
     """Simulate experiments with another solver, in a process of their own where there are such.
 
@@ -185,7 +185,8 @@ def simulate_with_solver(
     resources
         For the limits of a simulation, and of instances.
     beside
-        Whose first worker lets its instance go before, where their number is limited.
+        Whose first worker lets its instance go before, where their number is limited; None where
+        no workers are there yet.
 
     Raises
     ------
@@ -194,7 +195,7 @@ def simulate_with_solver(
     """
     # what a simulation leaves behind must not look like an error of the solver
     reset: ResetPolicy = "instance" if problem.model.reset == "auto" else problem.model.reset
-    if resources.instances is not None:  # and instances are expensive
+    if resources.instances is not None and beside is not None:  # and instances are expensive
         reset = beside.free_instances(1)
     model = replace(problem.model, solver=solver, reset=reset, seats=resources.seats)
     kind = executor_class("processes" if hasattr(os, "fork") else "local")

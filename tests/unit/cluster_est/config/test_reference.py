@@ -13,6 +13,7 @@ from cluster_est.config import experiment_keys, sections
 from cluster_est.config.choices import build_resources
 from cluster_est.config.reader import parse_config
 from cluster_est.errors import ClusterEstError, ProblemError
+from cluster_est.problem.thinning import ThinningSettings
 from cluster_est.running.multistart import Multistart
 from cluster_est.running.resources import Budget, LogSettings, Resources
 from cluster_est.sensitivity.settings import SensitivitySettings
@@ -42,6 +43,7 @@ SECTIONS = {
     "uncertainty": UncertaintySettings,
     "method": sections.MethodSection,
     "executor": sections.ExecutorSection,
+    "thinning": ThinningSettings,
     "budget": Budget,
     "log": LogSettings,
 }

@@ -1,0 +1,151 @@
+"""Long records in a closed loop: what is looked for on thinned ones is confirmed on all rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+
+from cluster_est.closed_loop.first_pass import outliers_of_long_records, without
+from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
+from cluster_est.closed_loop.synthetic_experiments import with_outputs
+from cluster_est.closed_loop.workbench import LoopWorkbench
+from cluster_est.errors import ClusterEstError
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.search_space import make_space
+from cluster_est.problem.thinning import Fineness, ThinnedProblem, thinned
+from cluster_est.results.solver_error.measure import simulate_with_solver
+from cluster_est.running.resources import Resources, TaskOrigin
+from workers.messages import FloatArray, Outcome, Output
+
+FINENESS = (Fineness(), Fineness(tolerance=5e-4), Fineness(tolerance=5e-4, shorter=2))
+"""Ways to thin, the coarsest first."""
+
+FAINT = 0.3
+"""Times the noise of a thinned row by which the model may differ there, as a root mean square."""
+
+CONFIRMED_ON_ALL = "estimates, errors and what they say of the effects are those of all rows"
+
+
+def thinned_records(request: LoopRequest, most: int | None) -> ThinnedProblem:
+    """Thin the long records of a loop, as coarsely as the model allows.
+
+    The declared model is simulated at its start on all rows and on the thinned ones: what the
+    filter and the inputs of fewer samples change must be far below the noise that is left in a row.
+    Where no way of thinning does that, records stay as they are.
+
+    Returns
+    -------
+    ThinnedProblem
+        `whole` of it has no outliers any more.
+    """
+    whole = request.problem
+    first = thinned(whole, most)
+    if most is None or not first.is_thinner:
+        return first
+    outliers = outliers_of_long_records(whole, request.settings.thresholds.preparation, most)
+    whole = without(whole, outliers)
+    resources = request.environment.resources
+    full: list[list[FloatArray]] | None = None
+    for fineness in FINENESS:
+        found = thinned(whole, most, fineness)
+        if not found.is_thinner:
+            break
+        full = full or _simulated(whole, resources)
+        if full is None or _difference(found, whole, full, resources) <= FAINT:
+            said = [each.sentence(request.settings.thresholds.preparation) for each in outliers]
+            return replace(found, whole=whole, sentence="; ".join([found.sentence, *said]))
+    return thinned(request.problem, None)
+
+
+def _simulated(problem: Problem, resources: Resources) -> list[list[FloatArray]] | None:
+    """The outputs of the training experiments at the start; None where they cannot be simulated."""
+    train = problem.indices("train")
+    space = make_space(problem, train)
+    runs = tuple(problem.experiments[e] for e in train)
+    values = space.physical(space.start)
+    try:
+        outcomes = simulate_with_solver(
+            problem, runs, values, problem.model.solver, "residuals", resources, beside=None
+        )
+    except ClusterEstError:
+        return None
+    found = []
+    for run, outcome in zip(runs, outcomes, strict=True):
+        if not outcome.ok or outcome.residuals is None:
+            return None
+        ends = np.cumsum([len(o.times) for o in run.outputs])[:-1]
+        parts = np.split(outcome.residuals, ends)
+        found.append([o.values - o.sigmas * r for o, r in zip(run.outputs, parts, strict=True)])
+    return found
+
+
+def _difference(
+    thin: ThinnedProblem, whole: Problem, full: list[list[FloatArray]], resources: Resources
+) -> float:
+    """Largest difference of an output on thinned rows from the same on all, over their noise."""
+    simulated = _simulated(thin.problem, resources)
+    if simulated is None:
+        return np.inf
+    noise = _noise(whole)
+    squares: dict[str, list[FloatArray]] = {}
+    for e, all_rows, rows in zip(whole.indices("train"), full, simulated, strict=True):
+        outputs = thin.problem.experiments[e].outputs
+        for output, matrix, one, other in zip(outputs, thin.rows[e], all_rows, rows, strict=True):
+            if matrix is not None:
+                unit = output.sigmas * noise.get(output.variable, 1.0)
+                off = (matrix @ one - other) / unit
+                squares.setdefault(output.variable, []).append(off**2)
+    means = [float(np.mean(np.concatenate(parts))) for parts in squares.values()]
+    return float(np.sqrt(max(means, default=0.0)))
+
+
+def _noise(problem: Problem) -> Mapping[str, float]:
+    """The noise of outputs whose sigma is not given, in units of that."""
+    found: dict[str, float] = {}
+    for experiment in problem.experiments:
+        for output in experiment.outputs:
+            if not output.has_sigma and len(output.values) > 5:
+                spread = np.median(np.abs(np.diff(output.values, 4))) / 0.6745 / np.sqrt(70.0)
+                found[output.variable] = max(float(spread), found.get(output.variable, 1e-12))
+    return found
+
+
+@contextmanager
+def open_whole_workbench(
+    request: LoopRequest, thin: ThinnedProblem, workbench: LoopWorkbench
+) -> Iterator[LoopWorkbench]:
+    """Open a workbench with all rows, weighted as those of a search on thinned records.
+
+    Its few simulations would be most of a log.
+    """
+    weights = {
+        (e, o.variable): o
+        for e, experiment in enumerate(workbench.problem.experiments)
+        for o in experiment.outputs
+    }
+
+    def change(e: int, output: Output) -> Output:
+        own = weights[e, output.variable]
+        return replace(output, sigma=own.sigma, relative_sigma=own.relative_sigma)
+
+    environment = request.environment
+    record = environment.monitor.record
+
+    def slim(origin: TaskOrigin, outcome: Outcome) -> None:
+        if record is not None:
+            record(replace(origin, slim=True), outcome)
+
+    environment = replace(environment, monitor=replace(environment.monitor, record=slim))
+    problem = with_outputs(thin.whole, change)
+    with open_workbench(replace(request, problem=problem, environment=environment)) as whole:
+        yield replace(whole, sigma_declared=workbench.sigma_declared)
+
+
+@contextmanager
+def reopened(request: LoopRequest, workbench: LoopWorkbench) -> Iterator[LoopWorkbench]:
+    """Open a workbench of before once more: there are workers of one at a time."""
+    with open_workbench(replace(request, problem=workbench.problem)) as again:
+        yield replace(workbench, runner=again.runner, meter=again.meter)

@@ -1,0 +1,389 @@
+"""Long records as short ones: what a model's time constants and the noise ask for, and no more.
+
+The outputs of a record are filtered and decimated (`statistics/block_fits.py`), with the noise that
+is left in each value; where they move fast, as after a jump of an input, rows become denser, down
+to those that were measured. Inputs keep their course, with as many samples as that needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+from scipy.sparse import csr_array, eye_array, vstack
+
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.process_noise import noise_names
+from cluster_est.problem.tables.jumps import jump_times
+from cluster_est.settings import Positive, Settings
+from cluster_est.statistics.block_fits import (
+    SHORTEST_BLOCK,
+    BlockFits,
+    block_values,
+    even_blocks,
+    unpredicted,
+)
+from cluster_est.statistics.fewer_samples import fewer_knots, without_repeats
+from workers.fmu.description import describe_model
+from workers.messages import Experiment, FloatArray, Input, IntArray, Output
+
+MOST_ROWS = 2000
+"""Rows that "auto" leaves of each output at most."""
+
+MOST_BENT = 1.3
+"""Mean square of the fourth coefficient, over that in blocks half as long: where these were too
+long it is up to 512. The error of a value is then below 0.4 of its noise."""
+
+MOST_EVEN = 0.75
+"""Share of the rows that may be those of even blocks; the others are for where signals jump."""
+
+COLOURED = 1.3
+"""Variance of slow noise, over that of all noise within a block, from which it counts as slow."""
+
+FAST = 5.0
+"""Variance within blocks, over that which no prediction explains, from which it is a signal that
+changes within a block and no noise; of coloured noise it is below 2."""
+
+MOST_COMPARED = 1000
+"""Blocks of a length from which their curvature is told."""
+
+
+class ThinningSettings(Settings):
+    """Rows of long records that a step is done on."""
+
+    section: ClassVar[str] = "thinning"
+
+    rows: Literal["auto", "no"] | Positive = Field(
+        "auto",
+        description="that are left of each output of a record, while close-loop looks for effects, "
+        f"at most; auto: {MOST_ROWS} where there are twice as many",
+    )
+
+    def most(self, *, auto: bool = True) -> int | None:
+        """Return how many rows a record may have; None for as many as it has.
+
+        `auto` is whether "auto" means that records are thinned.
+        """
+        if isinstance(self.rows, int):
+            return self.rows
+        return MOST_ROWS if auto and self.rows == "auto" else None
+
+
+@dataclass(frozen=True)
+class Fineness:
+    """What a thinned record may be off by.
+
+    Attributes
+    ----------
+    tolerance
+        Of the inputs, over the range of each.
+    shorter
+        What the length of blocks is divided by.
+    """
+
+    tolerance: float = 3e-3
+    shorter: int = 1
+
+
+@dataclass(frozen=True)
+class ThinnedProblem:
+    """A problem with thinned records.
+
+    Attributes
+    ----------
+    whole
+        With all rows.
+    problem
+        With as many experiments as before, of the same names.
+    rows
+        For each experiment and output, what makes its values of those that were measured; None for
+        an output that is as it was.
+    sentence
+        What was done; "" if nothing was.
+    """
+
+    whole: Problem
+    problem: Problem
+    rows: tuple[tuple[csr_array | None, ...], ...] = field(repr=False)
+    sentence: str
+
+    @property
+    def is_thinner(self) -> bool:
+        return bool(self.sentence)
+
+
+def thinned(problem: Problem, most: int | None, fineness: Fineness | None = None) -> ThinnedProblem:
+    """Thin the long records of a problem.
+
+    Records of up to twice as many rows stay as they are, and so does everything with process noise,
+    whose filter counts steps, or with residuals that are no differences at measured times. In
+    co-simulation inputs stay too: their samples are the communication points.
+
+    Parameters
+    ----------
+    problem
+        With records that have no outliers.
+    most
+        Rows that are left of each output; None leaves all.
+    fineness
+        What may be lost.
+    """
+    nothing = tuple((None,) * len(e.outputs) for e in problem.experiments)
+    plain = problem.plain and all(o.is_plain for e in problem.experiments for o in e.outputs)
+    if most is None or not plain or noise_names(problem):
+        return ThinnedProblem(problem, problem, nothing, "")
+    fineness = fineness or Fineness()
+    parts = [_Thinning(problem, e, most, fineness).run() for e in problem.experiments]
+    rows = tuple(own for _, own in parts)
+    changed = replace(problem, experiments=tuple(e for e, _ in parts))
+    return ThinnedProblem(problem, changed, rows, _sentence(problem, changed))
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Where the rows of some outputs come from: blocks, and single samples."""
+
+    blocks: IntArray
+    samples: IntArray
+    complete: bool = True
+
+
+@dataclass(frozen=True)
+class _Thinning:
+    """The thinning of one experiment."""
+
+    problem: Problem
+    experiment: Experiment
+    most: int
+    fineness: Fineness
+
+    def run(self) -> tuple[Experiment, tuple[csr_array | None, ...]]:
+        experiment = self.experiment
+        made: list[tuple[Output, csr_array | None]] = [(o, None) for o in experiment.outputs]
+        stop = experiment.stop
+        for times, own in _of_equal_times(experiment.outputs):
+            outputs = [experiment.outputs[i] for i in own]
+            found = self._rows(times, [o.values for o in outputs])
+            if found is None:
+                continue
+            for i, output in zip(own, outputs, strict=True):
+                made[i] = _of_rows(output, found)
+            if not found.complete:
+                stop = min(stop, float(made[own[0]][0].times[-1]))
+        if all(matrix is None for _, matrix in made):
+            return experiment, (None,) * len(made)
+        kept = [(o, o.times <= stop, matrix) for o, matrix in made]
+        fewer = tuple(o.only(inside) for o, inside, _ in kept)
+        rows = tuple(None if matrix is None else matrix[inside] for _, inside, matrix in kept)
+        shorter = replace(experiment, outputs=fewer, stop=stop)
+        if self.problem.model.interface == "model_exchange":
+            shorter = self._driven(shorter)
+        return shorter, rows
+
+    def _rows(self, times: FloatArray, signals: Sequence[FloatArray]) -> _Rows | None:
+        """Choose the rows of outputs that were measured together; None where all are kept."""
+        if len(times) < 2 * self.most:
+            return None
+        stretches = self._stretches(times)
+        blocks, finest = self._even(stretches, times, signals)
+        if finest:
+            return None
+        slow = [_slow(BlockFits.of(blocks, times, y)) for y in signals]
+        pieces = _refined(blocks, times, signals, slow)
+        short = _single(stretches[np.diff(stretches)[:, 0] < SHORTEST_BLOCK])
+        found = _within_budget(pieces, short, self.most)
+        return found if len(found.blocks) + len(found.samples) < 0.7 * len(times) else None
+
+    def _stretches(self, times: FloatArray) -> IntArray:
+        """Samples between the jumps of inputs, (s, 2)."""
+        jumps = [jump_times(given) for given in self.experiment.inputs]
+        at = np.searchsorted(times, np.concatenate([np.zeros(0), *jumps]), side="right")
+        edges = np.unique(np.concatenate([[0], at, [len(times)]]))
+        return np.column_stack([edges[:-1], edges[1:]])
+
+    def _even(
+        self, stretches: IntArray, times: FloatArray, signals: Sequence[FloatArray]
+    ) -> tuple[IntArray, bool]:
+        """Return even blocks as long as the signals allow, and whether none are long enough."""
+        long = stretches[np.diff(stretches)[:, 0] >= SHORTEST_BLOCK]
+        length = max(2 * len(times) // self.most, SHORTEST_BLOCK)
+        while not self._short_enough(length, long, times, signals):
+            length //= 2
+        length //= self.fineness.shorter
+        return _long(even_blocks(long, max(length, SHORTEST_BLOCK))), length < SHORTEST_BLOCK
+
+    def _short_enough(
+        self, length: int, long: IntArray, times: FloatArray, signals: Sequence[FloatArray]
+    ) -> bool:
+        """Return whether blocks are so short that parabolas follow what is no noise."""
+        if length < SHORTEST_BLOCK:
+            return True
+        for y in signals:
+            fits = BlockFits.of(_some(even_blocks(long, length)), times, y)
+            if fits.noise > FAST * unpredicted(y):
+                return False
+            half = BlockFits.of(_some(even_blocks(long, length // 2)), times, y)
+            if length >= 2 * SHORTEST_BLOCK and fits.bent > MOST_BENT * half.bent:
+                return False
+        return True
+
+    def _driven(self, experiment: Experiment) -> Experiment:
+        """Return the experiment with inputs and signals of as few samples as they need."""
+        knots = np.unique(np.concatenate([o.times for o in experiment.outputs]))
+        holds = describe_model(self.problem.model).holds
+        changed = {
+            key: tuple(
+                self._shorter(given, knots, experiment.stop, held=holds(given.variable))
+                for given in getattr(experiment, key)
+            )
+            for key in ("inputs", "signals")
+        }
+        return replace(experiment, inputs=changed["inputs"], signals=changed["signals"])
+
+    def _shorter(self, given: Input, knots: FloatArray, stop: float, *, held: bool) -> Input:
+        last = int(np.searchsorted(given.times, stop)) + 1
+        times, values, kind = given.times[:last], given.values[:last], given.interpolation
+        if kind == "hold":
+            times, values = without_repeats(times, values)
+            if held or len(times) < self.most:
+                return replace(given, times=times, values=values)
+            # the course of steps without order is that of lines through their middles
+            times, kind = np.append(times[:1], 0.5 * (times[1:] + times[:-1])), "linear"
+            values = np.append(values[:1], values[:-1])
+        if held or len(times) <= len(knots):
+            return given
+        times, values = fewer_knots(times, values, knots, self.fineness.tolerance)
+        return replace(given, times=times, values=values, interpolation=kind)
+
+
+def _of_equal_times(outputs: Sequence[Output]) -> Iterator[tuple[FloatArray, list[int]]]:
+    """Give the times of outputs, and which were measured at these."""
+    found: dict[bytes, list[int]] = {}
+    for i, output in enumerate(outputs):
+        found.setdefault(output.times.tobytes(), []).append(i)
+    for own in found.values():
+        yield outputs[own[0]].times, own
+
+
+def _long(blocks: IntArray) -> IntArray:
+    return blocks[np.diff(blocks)[:, 0] >= SHORTEST_BLOCK]
+
+
+def _some(blocks: IntArray) -> IntArray:
+    """Some of the blocks, evenly spread: enough for a median."""
+    return _long(blocks)[:: 1 + len(blocks) // MOST_COMPARED]
+
+
+def _single(blocks: IntArray) -> IntArray:
+    """The samples of some blocks, one by one."""
+    parts = [np.arange(first, last) for first, last in blocks.tolist()]
+    return np.concatenate([np.zeros(0, int), *parts])
+
+
+def _slow(fits: BlockFits) -> float:
+    """Variance of noise that is slow enough for a polynomial: more than the rest if coloured."""
+    return fits.bent if fits.bent > COLOURED * fits.noise else fits.noise
+
+
+def _refined(
+    blocks: IntArray, times: FloatArray, signals: Sequence[FloatArray], slow: Sequence[float]
+) -> list[tuple[IntArray, IntArray]]:
+    """Halve the blocks in which a parabola is not enough, down to samples.
+
+    Returns what has become of each: blocks and single samples.
+    """
+    pieces: list[tuple[list[list[int]], list[int]]] = [([], []) for _ in blocks]
+    left, owners = blocks, np.arange(len(blocks))
+    while len(left):
+        fits = [BlockFits.of(left, times, y) for y in signals]
+        poor = np.any([f.poor(s) for f, s in zip(fits, slow, strict=True)], axis=0)
+        for owner, block in zip(owners[~poor].tolist(), left[~poor].tolist(), strict=True):
+            pieces[owner][0].append(block)
+        middle = (left[poor].sum(axis=1) + 1) // 2
+        halves = np.vstack(
+            [
+                np.column_stack([left[poor][:, 0], middle]),
+                np.column_stack([middle, left[poor][:, 1]]),
+            ]
+        )
+        owners = np.tile(owners[poor], 2)
+        enough = np.diff(halves)[:, 0] >= SHORTEST_BLOCK
+        for owner, block in zip(owners[~enough].tolist(), halves[~enough].tolist(), strict=True):
+            pieces[owner][1].extend(range(*block))
+        left, owners = halves[enough], owners[enough]
+    return [(np.array(b, int).reshape(-1, 2), np.array(s, int)) for b, s in pieces]
+
+
+def _within_budget(
+    pieces: Sequence[tuple[IntArray, IntArray]], short: IntArray, most: int
+) -> _Rows:
+    """Leave out what is too much: the end of a record, then some of the places that are dense."""
+    kept = pieces[: int(MOST_EVEN * most)]
+    counts = np.array([len(blocks) + len(samples) for blocks, samples in kept])
+    dense = np.flatnonzero(counts > 1)
+    room = most - int((counts == 1).sum())
+    every = 1
+    while every < len(dense) and int(counts[dense[::every]].sum()) > room:
+        every += 1
+    gone = np.setdiff1d(dense, dense[::every])
+    chosen = [piece for i, piece in enumerate(kept) if i not in set(gone.tolist())]
+    blocks = np.concatenate([np.zeros((0, 2), int), *(b for b, _ in chosen)])
+    end = int(max([b[:, 1].max(initial=0) for b, _ in chosen], default=0))
+    complete = len(kept) == len(pieces)
+    between = short if complete else short[short < end]
+    samples = np.concatenate([between if every == 1 else np.zeros(0, int), *(s for _, s in chosen)])
+    return _Rows(blocks, samples, complete)
+
+
+def _of_rows(output: Output, rows: _Rows) -> tuple[Output, csr_array]:
+    """The output at its rows, each with the noise that is left in it."""
+    middle, weights = block_values(rows.blocks, output.times)
+    single = eye_array(len(output.times), format="csr")[rows.samples]
+    matrix = csr_array(vstack([weights, single]).tocsr())
+    times = np.concatenate([middle, output.times[rows.samples]])
+    factors = np.sqrt(np.asarray(matrix.power(2).sum(axis=1)).ravel())
+    fits = BlockFits.of(rows.blocks, output.times, output.values)
+    if fits.noise > 0.0:
+        factors[: len(middle)] *= np.sqrt(_slow(fits) / fits.noise)
+    order = np.argsort(times, kind="stable")
+    matrix = csr_array(matrix[order])
+    return (
+        replace(
+            output,
+            times=times[order],
+            values=matrix @ output.values,
+            noise_factors=np.minimum(factors[order], 1.0),
+        ),
+        matrix,
+    )
+
+
+def _sentence(before: Problem, after: Problem) -> str:
+    """Say how many rows were left of how many."""
+    pairs = [
+        (len(old.times), len(new.times))
+        for one, other in zip(before.experiments, after.experiments, strict=True)
+        for old, new in zip(one.outputs, other.outputs, strict=True)
+        if new.noise_factors is not old.noise_factors
+    ]
+    if not pairs:
+        return ""
+    old, new = (_range([pair[i] for pair in pairs]) for i in (0, 1))
+    cut = [
+        f"{one.id!r} to its first {other.stop - one.start:.4g} s"
+        for one, other in zip(before.experiments, after.experiments, strict=True)
+        if other.stop < one.stop
+    ]
+    shortened = f"; what would take more rows is cut: {', '.join(cut)}" if cut else ""
+    return (
+        f"long records are thinned to {new} rows of {old}: the value of a parabola in each block, "
+        f"and denser rows where the outputs move fast{shortened}"
+    )
+
+
+def _range(counts: Sequence[int]) -> str:
+    low, high = min(counts), max(counts)
+    return f"{low:,}" if low == high else f"{low:,} to {high:,}"

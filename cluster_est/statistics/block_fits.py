@@ -1,0 +1,166 @@
+"""Rows of a long record as fewer values: in each block a parabola, and its value in the middle.
+
+The mean of a block is off by as much as its signal is bent in it. The value of a parabola is off by
+its fourth derivative alone, at 1.5 times the standard deviation of the mean: for the same error
+blocks may be many times as long (A. Savitzky, M. J. E. Golay, Anal. Chem. 36 (1964) 1627-1639,
+doi:10.1021/ac60214a047). What is of third and fourth degree in a block says whether it was too
+long.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import median_filter
+from scipy.sparse import coo_array, csr_array
+
+from workers.messages import FloatArray, IntArray
+
+DEGREE = 4
+"""Of the polynomial that a block is compared with."""
+
+SHORTEST_BLOCK = 8
+"""Samples that a block has at least; what cannot be cut into such blocks stays as it is."""
+
+MANY_SAMPLES = 200_000
+"""In blocks that are fitted at once: 40 MB."""
+
+MEDIAN_OF_SQUARE = 0.4549
+"""Median of x^2 where x is normal with variance 1."""
+
+PREDICTING, MOST_PREDICTED = 8, 5000
+"""Samples that predict the next one, and samples from which it is learnt how."""
+
+UNLIKELY = 25.0
+"""Sum of two squares of normal numbers, of variance 1, that is no noise: p = 4e-6."""
+
+NEIGHBOURS = 15
+"""Blocks whose median says how large the noise is around a block, where it is not even."""
+
+SPREAD = 6.0
+"""Standard errors by which the variance in a block may exceed that of the noise."""
+
+
+@dataclass(frozen=True)
+class BlockFits:
+    """Polynomials in blocks of a record.
+
+    Attributes
+    ----------
+    bounds : (b, 2)
+        The first sample of each block, and the one behind its last.
+    third, fourth : (b,)
+        Coefficients of polynomials that are orthonormal on the samples: for a parabola in white
+        noise their standard deviation is that of the noise.
+    variances : (b,)
+        Of what is left within each block.
+    """
+
+    bounds: IntArray
+    third: FloatArray = field(repr=False)
+    fourth: FloatArray = field(repr=False)
+    variances: FloatArray = field(repr=False)
+
+    @classmethod
+    def of(cls, bounds: IntArray, times: FloatArray, values: FloatArray) -> Self:
+        """Fit all blocks; each has at least `SHORTEST_BLOCK` samples."""
+        third, fourth, variances = np.empty((3, len(bounds)))
+        for own, at, q, _ in _polynomials(bounds, times):
+            y = values[at]
+            found = np.einsum("bkp,bk->bp", q, y)
+            left = y - np.einsum("bkp,bp->bk", q, found)
+            third[own], fourth[own] = found[:, 3], found[:, 4]
+            variances[own] = (left**2).sum(axis=1) / (at.shape[1] - DEGREE - 1)
+        return cls(bounds, third, fourth, variances)
+
+    @property
+    def noise(self) -> float:
+        """Variance of the noise within blocks, also where some blocks have more than noise."""
+        return float(np.median(self.variances)) if len(self.variances) else 0.0
+
+    @property
+    def bent(self) -> float:
+        """Mean square of the fourth coefficient, whatever a few blocks are like."""
+        return float(np.median(self.fourth**2)) / MEDIAN_OF_SQUARE if len(self.fourth) else 0.0
+
+    def poor(self, slow: float) -> npt.NDArray[np.bool_]:
+        """Return in which blocks there is more than a parabola and noise.
+
+        Parameters
+        ----------
+        slow
+            Variance of the noise in a coefficient; `noise` where it is white.
+        """
+        around = median_filter(self.variances, NEIGHBOURS, mode="nearest")
+        variances = np.maximum(around, self.noise)
+        degrees = np.diff(self.bounds)[:, 0] - DEGREE - 1
+        curved = self.third**2 + self.fourth**2 > UNLIKELY * np.maximum(variances, slow)
+        wide = self.variances > variances * (1.0 + SPREAD * np.sqrt(2.0 / degrees))
+        return np.asarray(curved | wide)
+
+
+def block_values(bounds: IntArray, times: FloatArray) -> tuple[FloatArray, csr_array]:
+    """Return the middle of each block, and what makes the value of its parabola there.
+
+    Returns
+    -------
+    times : (b,)
+    weights : (b, n)
+    """
+    middle = np.zeros(len(bounds))
+    rows, columns, entries = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
+    for own, at, q, r in _polynomials(bounds, times):
+        middle[own] = times[at].mean(axis=1)
+        # at the middle the powers are (1, 0, 0)
+        share = np.linalg.inv(r[:, :3, :3])[:, 0, :]
+        rows.append(np.repeat(own, at.shape[1]))
+        columns.append(at.ravel())
+        entries.append(np.einsum("bp,bkp->bk", share, q[:, :, :3]).ravel())
+    places = (np.concatenate(rows), np.concatenate(columns))
+    made = coo_array((np.concatenate(entries), places), (len(bounds), len(times)))
+    return middle, csr_array(made.tocsr())
+
+
+def _polynomials(
+    bounds: IntArray, times: FloatArray
+) -> Iterator[tuple[IntArray, IntArray, FloatArray, FloatArray]]:
+    """Give blocks of one length: which, their samples, and polynomials as Q and R of the powers."""
+    counts = np.diff(bounds)[:, 0]
+    for count in np.unique(counts).tolist():
+        same = np.flatnonzero(counts == count)
+        for own in np.array_split(same, 1 + len(same) * count // MANY_SAMPLES):
+            at = bounds[own, :1] + np.arange(count)
+            t = times[at]
+            scaled = (t - t.mean(axis=1)[:, None]) / (0.5 * (t[:, -1:] - t[:, :1]))
+            q, r = np.linalg.qr(scaled[:, :, None] ** np.arange(DEGREE + 1))
+            yield own, at, q, r
+
+
+def unpredicted(values: FloatArray) -> float:
+    """Variance of what a linear prediction from the samples before leaves: noise, and no signal."""
+    some = values[:MOST_PREDICTED]
+    windows = np.lib.stride_tricks.sliding_window_view(some, PREDICTING + 1)
+    before = np.column_stack([windows[:, :-1], np.ones(len(windows))])
+    found = np.linalg.lstsq(before, windows[:, -1], rcond=None)[0]
+    return float(np.median((windows[:, -1] - before @ found) ** 2)) / MEDIAN_OF_SQUARE
+
+
+def even_blocks(stretches: IntArray, length: int) -> IntArray:
+    """Cut stretches of samples into blocks of about one length, (b, 2).
+
+    Parameters
+    ----------
+    stretches : (s, 2)
+        The first sample of each, and the one behind its last. What is shorter than the length is a
+        block of its own.
+    """
+    found = [np.zeros((0, 2), int)]
+    for first, last in stretches.tolist():
+        count = max(round((last - first) / length), 1)
+        edges = first + np.round(np.linspace(0.0, last - first, count + 1)).astype(int)
+        found.append(np.column_stack([edges[:-1], edges[1:]]))
+    return np.concatenate(found)

@@ -1,0 +1,99 @@
+"""A signal that drives a model, described by fewer samples."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import solveh_banded
+
+from workers.messages import FloatArray, IntArray
+
+ROUNDS = 12
+"""Of halving the intervals in which straight lines are too far off."""
+
+NOISY = 6.0
+"""Standard deviations of a signal's own noise that straight lines may be off by besides."""
+
+HELD_FAST = 1e-6
+"""Weight, over that of a sample, of the signal itself at a knot that no sample lies beside."""
+
+
+def without_repeats(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a held signal without the samples that repeat the one before: the same course."""
+    kept = np.concatenate([[True], values[1:] != values[:-1]])
+    return times[kept], values[kept]
+
+
+def fewer_knots(
+    times: FloatArray, values: FloatArray, knots: FloatArray, tolerance: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return a signal of straight lines as one of fewer: those nearest by least squares.
+
+    So the mean over a few of them is that of the signal, as is what an integral makes of it. Where
+    they are off by more than a tolerance, at a jump, their knots become denser down to the samples.
+
+    Parameters
+    ----------
+    times, values : (n,)
+        Of its samples.
+    knots
+        Times to begin with, in order; those outside of the samples are left out.
+    tolerance
+        Over the range of the signal. What the signal has of noise counts besides.
+
+    Returns
+    -------
+    times, values
+        Of the knots.
+    """
+    if len(times) < 3 or not np.ptp(values) > 0.0:
+        return times[[0, -1]], values[[0, -1]]
+    limit = tolerance * float(np.ptp(values)) + NOISY * _noise(values)
+    inside = knots[(knots > times[0]) & (knots < times[-1])]
+    knots = np.unique(np.concatenate([times[:1], inside, times[-1:]]))
+    fitted = _least_squares(times, values, knots)
+    for _ in range(ROUNDS):
+        off = np.abs(np.interp(times, knots, fitted) - values) > limit
+        between = np.unique(np.clip(np.searchsorted(knots, times[off]) - 1, 0, len(knots) - 2))
+        denser = np.union1d(knots, times[_inner(times, values, knots, between)])
+        if len(denser) == len(knots):
+            break
+        knots = denser
+        fitted = _least_squares(times, values, knots)
+    return knots, fitted
+
+
+def _inner(times: FloatArray, values: FloatArray, knots: FloatArray, which: IntArray) -> IntArray:
+    """Samples that cut some intervals between knots: both ends of a jump, else the middle one."""
+    first = np.searchsorted(times, knots[which])
+    last = np.searchsorted(times, knots[which + 1], side="right") - 1
+    found = [(first + last) // 2]
+    for low, high in zip(first.tolist(), last.tolist(), strict=True):
+        steps = np.abs(np.diff(values[max(low - 1, 0) : high + 2]))
+        if len(steps) and steps.max() > 0.5 * steps.sum():
+            jump = max(low - 1, 0) + int(np.argmax(steps))
+            found.append(np.array([jump, jump + 1]))
+    return np.asarray(np.clip(np.concatenate(found), 0, len(times) - 1))
+
+
+def _noise(values: FloatArray) -> float:
+    """Standard deviation of what changes from sample to sample without order."""
+    if len(values) < 6:
+        return 0.0
+    return float(np.median(np.abs(np.diff(values, 4))) / 0.6745 / np.sqrt(70.0))
+
+
+def _least_squares(times: FloatArray, values: FloatArray, knots: FloatArray) -> FloatArray:
+    """Values at knots of the straight lines that are nearest to the samples."""
+    place = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, len(knots) - 2)
+    right = (times - knots[place]) / (knots[place + 1] - knots[place])
+    left, count = 1.0 - right, len(knots)
+
+    def summed(weights: FloatArray, at: IntArray) -> FloatArray:
+        return np.asarray(np.bincount(at, weights, count), np.float64)
+
+    bands = np.zeros((2, count))
+    bands[1] = HELD_FAST + summed(left**2, place) + summed(right**2, place + 1)
+    bands[0, 1:] = summed(left * right, place)[:-1]
+    target = summed(left * values, place) + summed(right * values, place + 1)
+    target += HELD_FAST * np.interp(knots, times, values)
+    return np.asarray(solveh_banded(bands, target))

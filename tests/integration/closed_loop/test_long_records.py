@@ -1,0 +1,87 @@
+"""Loops on records that are thinned while effects are looked for, and what is kept on the way."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.truth.systems_with_missing_effects import measured, missing_effect_problem, waves
+
+import cluster_est as ce
+from cluster_est.closed_loop.findings.effects import Verdict
+from cluster_est.closed_loop.loop import ClosedLoop
+from cluster_est.html_report.reported_run import read_run
+from cluster_est.problem.thinning import ThinningSettings
+from cluster_est.run_folder.context import ExistingRun, RunContext
+from cluster_est.run_folder.run_identity import RunIdentity, RunKind
+from cluster_est.running.environment import Monitor, RunEnvironment
+
+ROWS, NOISE, WIDTH = 6001, 0.01, 1.0
+SETTINGS = ce.LoopSettings(
+    sites=("input F",), forms=("dead_zone",), draws=200, pairs=False, max_effects=1
+)
+
+
+def long_springs() -> ce.Problem:
+    """A mass on a spring at 1 kHz, behind a dead zone of the force."""
+    spring = missing_effect_problem("mass_spring_damper", signals=())
+    times = np.linspace(0.0, 6.0, ROWS)
+    runs, forces = [], []
+    for e, run in enumerate(spring.experiments):
+        force = 6.0 * (1.0 + 0.4 * e) * waves(times, float(e))
+        acting = np.sign(force) * np.maximum(np.abs(force) - WIDTH, 0.0)
+        output = ce.Output("y", times, np.zeros(ROWS), NOISE)
+        runs.append(replace(run, inputs=(ce.Input("F", times, acting),), outputs=(output,)))
+        forces.append(ce.Input("F", times, force))
+    made = measured(replace(spring, experiments=tuple(runs)), NOISE)
+    given = [
+        replace(run, inputs=(force,)) for run, force in zip(made.experiments, forces, strict=True)
+    ]
+    return replace(made, experiments=tuple(given))
+
+
+@pytest.fixture(scope="module")
+def problem() -> ce.Problem:
+    return long_springs()
+
+
+def test_what_is_found_on_thinned_records_is_confirmed_on_all_rows(problem):
+    result = ce.close_loop(problem, settings=SETTINGS)
+    assert result.verdict is Verdict.FOUND
+    (effect,) = result.effects
+    assert effect.effect.form == "dead_zone"
+    assert effect.coefficients[0].value == pytest.approx(WIDTH, rel=0.02)
+    assert [len(run.outputs[0].times) for run in result.problem.experiments] == [ROWS, ROWS]
+    assert len(result.fun) == 2 * ROWS
+    assert result.notes[0].startswith("long records are thinned to")
+    assert result.noise["y"] == pytest.approx(NOISE, rel=0.1)
+
+
+def test_no_rows_are_left_out_where_that_is_not_wanted(problem):
+    result = ce.close_loop(
+        problem,
+        settings=SETTINGS.model_copy(update={"draws": 100}),
+        thinning=ThinningSettings(rows="no"),
+    )
+    assert result.verdict is Verdict.FOUND
+    assert not any("thinned" in note for note in result.notes)
+
+
+def test_a_loop_that_is_stopped_leaves_what_its_last_round_has_found(problem, tmp_path):
+    out = tmp_path / "run"
+    identity = RunIdentity(RunKind.CLOSED_LOOP, problem, "# no config\n", "", 0)
+    context = RunContext(identity, out, ExistingRun.REFUSE, lambda _: None)
+    kept = context.monitor(lambda _: None)
+
+    def keep_and_stop(result):
+        kept.reached(result)
+        raise KeyboardInterrupt
+
+    monitor = Monitor(kept.record, kept.show, kept.note, kept.reset, keep_and_stop)
+    with pytest.raises(KeyboardInterrupt), context:
+        ClosedLoop(problem, SETTINGS).run(RunEnvironment(monitor=monitor))
+    run = read_run(out)
+    assert (run.status, run.facts["verdict"]) == ("interrupted", "partial")
+    assert run.facts["summary"].startswith("stopped after round 1 of at most 1")
+    assert [effect["form"] for effect in run.facts["effects"]] == ["dead_zone"]
+    assert run.finished
+    assert len(run.tables["errors"]) == len(problem.experiments)

@@ -1,0 +1,89 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.problems.springs import ROOT
+
+from cluster_est import Experiment, Input, Output, Parameter, Problem, read_model
+from cluster_est.problem.thinning import MOST_ROWS, ThinningSettings, thinned
+
+RATE, NOISE = 1000.0, 0.01
+ROWS = 20_000
+TIMES = np.arange(ROWS) / RATE
+
+
+def spring(rows: int, *, sigma: float = NOISE, colour: float = 0.0) -> Problem:
+    """A record of a slow wave in noise."""
+    times = TIMES[:rows]
+    noise = np.random.default_rng(7).standard_normal(rows)
+    for n in range(1, rows if colour else 0):
+        noise[n] = colour * noise[n - 1] + np.sqrt(1.0 - colour**2) * noise[n]
+    force = np.where(times % 4.0 < 2.0, 1.0, -1.0)
+    run = Experiment(
+        "long",
+        0.0,
+        float(times[-1]),
+        (Input("F", times, force, "hold"),),
+        (Output("y", times, np.sin(3.0 * times) + NOISE * noise, sigma),),
+    )
+    model = read_model(ROOT / "configs" / "models" / "mass_spring_damper.fmu", ("m",))
+    return Problem(model, (Parameter("m", 1.2, 0.1, 10.0),), (run,))
+
+
+@pytest.mark.parametrize("most", [None, MOST_ROWS])
+def test_short_records_stay_as_they_are(most):
+    problem = spring(3000)
+    found = thinned(problem, most)
+    assert found.problem is problem or found.problem == problem
+    assert found.problem.experiments[0] is problem.experiments[0]
+    assert not found.is_thinner
+
+
+def test_a_long_record_has_fewer_rows_with_the_noise_that_is_left():
+    found = thinned(spring(ROWS), MOST_ROWS)
+    (output,) = found.problem.experiments[0].outputs
+    assert 900 <= len(output.times) <= MOST_ROWS
+    off = (output.values - np.sin(3.0 * output.times)) / output.sigmas
+    assert np.sqrt(np.mean(off**2)) == pytest.approx(1.0, abs=0.1)
+    assert "20,000" in found.sentence
+
+
+def test_rows_come_from_the_measured_ones_by_the_matrix_that_is_handed_out():
+    problem = spring(ROWS)
+    found = thinned(problem, MOST_ROWS)
+    (matrix,) = found.rows[0]
+    (output,) = found.problem.experiments[0].outputs
+    np.testing.assert_allclose(matrix @ problem.experiments[0].outputs[0].values, output.values)
+
+
+def test_held_inputs_keep_their_jumps():
+    (given,) = thinned(spring(ROWS), MOST_ROWS).problem.experiments[0].inputs
+    assert given.interpolation == "hold"
+    np.testing.assert_allclose(given.times, [0.0, *np.arange(2.0, 20.0, 2.0)])
+
+
+def test_coloured_noise_is_less_quiet_after_thinning():
+    white, coloured = (
+        thinned(spring(ROWS, colour=each), MOST_ROWS).problem.experiments[0].outputs[0]
+        for each in (0.0, 0.8)
+    )
+    off = coloured.values - np.sin(3.0 * coloured.times)
+    assert np.median(coloured.sigmas) > 1.5 * np.median(white.sigmas)
+    assert np.std(off) == pytest.approx(float(np.median(coloured.sigmas)), rel=0.3)
+
+
+def test_a_signal_that_is_too_fast_for_blocks_is_not_thinned():
+    problem = spring(ROWS)
+    (run,) = problem.experiments
+    fast = np.sin(2.0 * np.pi * 200.0 * TIMES)
+    outputs = (replace(run.outputs[0], values=fast),)
+    problem = replace(problem, experiments=(replace(run, outputs=outputs),))
+    assert not thinned(problem, MOST_ROWS).is_thinner
+
+
+@pytest.mark.parametrize(
+    ("rows", "loop", "fit"), [("auto", MOST_ROWS, None), ("no", None, None), (500, 500, 500)]
+)
+def test_a_fit_is_thinned_only_where_a_number_is_given(rows, loop, fit):
+    settings = ThinningSettings(rows=rows)
+    assert (settings.most(), settings.most(auto=False)) == (loop, fit)
