@@ -17,10 +17,11 @@ import numpy as np
 from closed_loop_benchmark import waveforms as wave
 from closed_loop_benchmark.data import Data, Experiment, draw_noise, guess_starts, make_problem
 from closed_loop_benchmark.effect import Effect
-from closed_loop_benchmark.mechanical import DC_MOTOR_BELT, belt_rates
+from closed_loop_benchmark.mechanical import belt_rates
 from closed_loop_benchmark.scenarios import Noise
 from closed_loop_benchmark.scenarios import scenario as scenario_of
 from closed_loop_benchmark.system import Array, Run, System, Values, make_run, measured
+from closed_loop_benchmark.systems import SYSTEMS
 from closed_loop_benchmark.truth import simulate
 from cluster_est import Problem
 
@@ -40,6 +41,7 @@ PARAMETERS = {
     "b_load": 4e-4,
 }
 NOISE = Noise(0.02)
+DC_MOTOR_BELT = SYSTEMS["dc_motor_belt"]
 
 
 def motor_rates(x: Values, u: Values, p: Values) -> tuple[Array | float, ...]:
