@@ -33,7 +33,8 @@ static uint32_t *references(Tape *tape, size_t n) {
 
 /* ---- variables --------------------------------------------------------------------------- */
 
-/* Variables of n columns: float64 scalars, then others, which may be arrays with fixed elements. */
+/* Variables of n columns: float64 scalars, then others, which may be arrays with fixed elements
+ * behind the first. */
 static Variables variables(Asked *a, size_t n, int reals_only) {
     enum { MOST_ELEMENTS = 16 };
     static const int64_t types2[] = {0, 6, 10};
@@ -46,7 +47,7 @@ static Variables variables(Asked *a, size_t n, int reals_only) {
         const int64_t type = fmi2 ? types2[below(tape, 3)] : (int64_t)below(tape, N_TYPES);
         const size_t size = fmi2 ? 1 : 1 + below(tape, 3);
         for (size_t e = 0; e < size; e++) {
-            const int fixed = column >= n || (size > 1 && below(tape, 2));
+            const int fixed = column >= n || (e > 0 && below(tape, 2));
             const double value = next_number(tape);
             Element element = {type, next_byte(tape), (int64_t)size, -1, 0};
             if (fixed)
