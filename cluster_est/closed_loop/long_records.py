@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from cluster_est.closed_loop.first_pass import outliers_of_long_records, without
 from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
+from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.synthetic_experiments import with_outputs
 from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.errors import ClusterEstError
@@ -17,6 +18,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
 from cluster_est.problem.thinning import Fineness, ThinnedProblem, thinned
 from cluster_est.results.solver_error.measure import simulate_with_solver
+from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Resources, TaskOrigin
 from workers.messages import FloatArray, Outcome, Output
 
@@ -25,6 +27,9 @@ FINENESS = (Fineness(), Fineness(tolerance=5e-4), Fineness(tolerance=5e-4, short
 
 FAINT = 0.3
 """Times the noise of a thinned row by which the model may differ there, as a root mean square."""
+
+MANY = (LoopStage.TRIALS, LoopStage.REFITS, LoopStage.PROBE, LoopStage.SWAP, LoopStage.DROP)
+"""Stages of most simulations."""
 
 CONFIRMED_ON_ALL = "estimates, errors and what they say of the effects are those of all rows"
 
@@ -113,6 +118,23 @@ def _noise(problem: Problem) -> Mapping[str, float]:
     return found
 
 
+def with_slim_log(
+    environment: RunEnvironment, stages: Collection[LoopStage] | None = None
+) -> RunEnvironment:
+    """Return an environment whose log keeps no residuals of some stages; None for all.
+
+    A run that is resumed simulates these again, which takes less than all else that it does.
+    """
+    record = environment.monitor.record
+    names = None if stages is None else {stage.value for stage in stages}
+
+    def slim(origin: TaskOrigin, outcome: Outcome) -> None:
+        if record is not None:
+            record(replace(origin, slim=names is None or origin.search in names), outcome)
+
+    return replace(environment, monitor=replace(environment.monitor, record=slim))
+
+
 @contextmanager
 def open_whole_workbench(
     request: LoopRequest, thin: ThinnedProblem, workbench: LoopWorkbench
@@ -131,14 +153,7 @@ def open_whole_workbench(
         own = weights[e, output.variable]
         return replace(output, sigma=own.sigma, relative_sigma=own.relative_sigma)
 
-    environment = request.environment
-    record = environment.monitor.record
-
-    def slim(origin: TaskOrigin, outcome: Outcome) -> None:
-        if record is not None:
-            record(replace(origin, slim=True), outcome)
-
-    environment = replace(environment, monitor=replace(environment.monitor, record=slim))
+    environment = with_slim_log(request.environment)
     problem = with_outputs(thin.whole, change)
     with open_workbench(replace(request, problem=problem, environment=environment)) as whole:
         yield replace(whole, sigma_declared=workbench.sigma_declared)

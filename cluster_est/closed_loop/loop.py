@@ -21,9 +21,11 @@ from cluster_est.closed_loop.findings.simulation_cost import dear_structures
 from cluster_est.closed_loop.first_pass import open_checked_workbench
 from cluster_est.closed_loop.long_records import (
     CONFIRMED_ON_ALL,
+    MANY,
     open_whole_workbench,
     reopened,
     thinned_records,
+    with_slim_log,
 )
 from cluster_est.closed_loop.prepare import LoopRequest, check_arguments
 from cluster_est.closed_loop.process_noise.passes import (
@@ -132,6 +134,9 @@ def run_loop(request: LoopRequest) -> LoopResult:
         return close_loop_under_noise(request, begin)
     thin = thinned_records(request, request.rows)
     request = replace(request, problem=thin.problem)
+    if thin.is_thinner:
+        slim = with_slim_log(request.environment, MANY)
+        request = replace(request, environment=slim)
     with open_checked_workbench(request) as workbench:
         start = FitStart(workbench.problem, {})
 
