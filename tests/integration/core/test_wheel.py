@@ -127,8 +127,10 @@ def test_an_installation_in_place_has_the_library_of_its_machine(tmp_path, with_
     (python,) = (tmp_path / "venv").glob("*/python")
     path = {} if with_compiler else {"PATH": str(python.parent), "CC": ""}
     said = pip(python, "install", "-v", "--no-deps", "-e", tree, **path)
-    (made,) = (tree / "workers" / "core" / "binaries").iterdir()
-    assert made.name == build.carried_path("core", build.this_platform()).name
-    assert hasattr(ctypes.CDLL(str(made)), "core_simulate")
-    assert f"building {made.name} with " in said
+    made = sorted((tree / "workers" / "core" / "binaries").iterdir())
+    here = build.this_platform()
+    assert [each.name for each in made] == [build.carried_path(k, here).name for k in build.KINDS]
+    for library, function in zip(made, ("core_simulate", "fmi2DoStep"), strict=True):
+        assert hasattr(ctypes.CDLL(str(library)), function)
+        assert f"building {library.name} with " in said
     assert ("ziglang" in said) is not with_compiler
