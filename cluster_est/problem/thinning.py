@@ -57,9 +57,9 @@ class ThinningSettings(Settings):
     section: ClassVar[str] = "thinning"
 
     rows: Literal["auto", "no"] | Positive = Field(
-        "auto",
+        "no",
         description="that are left of each output of a record, while close-loop looks for effects, "
-        f"at most; auto: {MOST_ROWS} where there are twice as many",
+        f"at most; auto: {MOST_ROWS} where there are twice as many; no: all",
     )
 
     def most(self, *, auto: bool = True) -> int | None:

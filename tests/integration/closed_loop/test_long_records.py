@@ -45,7 +45,7 @@ def problem() -> ce.Problem:
 
 
 def test_what_is_found_on_thinned_records_is_confirmed_on_all_rows(problem):
-    result = ce.close_loop(problem, settings=SETTINGS)
+    result = ce.close_loop(problem, settings=SETTINGS, thinning=ThinningSettings(rows="auto"))
     assert result.verdict is Verdict.FOUND
     (effect,) = result.effects
     assert effect.effect.form == "dead_zone"
@@ -57,11 +57,7 @@ def test_what_is_found_on_thinned_records_is_confirmed_on_all_rows(problem):
 
 
 def test_no_rows_are_left_out_where_that_is_not_wanted(problem):
-    result = ce.close_loop(
-        problem,
-        settings=SETTINGS.model_copy(update={"draws": 100}),
-        thinning=ThinningSettings(rows="no"),
-    )
+    result = ce.close_loop(problem, settings=SETTINGS.model_copy(update={"draws": 100}))
     assert result.verdict is Verdict.FOUND
     assert not any("thinned" in note for note in result.notes)
 
@@ -77,8 +73,9 @@ def test_a_loop_that_is_stopped_leaves_what_its_last_round_has_found(problem, tm
         raise KeyboardInterrupt
 
     monitor = Monitor(kept.record, kept.show, kept.note, kept.reset, keep_and_stop)
+    study = ClosedLoop(problem, SETTINGS, thinning=ThinningSettings(rows="auto"))
     with pytest.raises(KeyboardInterrupt), context:
-        ClosedLoop(problem, SETTINGS).run(RunEnvironment(monitor=monitor))
+        study.run(RunEnvironment(monitor=monitor))
     run = read_run(out)
     assert (run.status, run.facts["verdict"]) == ("interrupted", "partial")
     assert run.facts["summary"].startswith("stopped after round 1 of at most 1")
