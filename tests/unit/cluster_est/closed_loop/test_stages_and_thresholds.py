@@ -19,8 +19,8 @@ def test_a_stage_is_found_by_its_name_in_the_log(stage):
 
 def test_names_in_the_log_stay_what_they_are():
     assert [stage.value for stage in LoopStage] == [
-        "weights", "base", "leave one out", "course", "probe", "trial", "candidate", "enlarged",
-        "return", "other starts", "swap", "drop", "final",
+        "weights", "base", "leave one out", "course", "tests", "probe", "trial", "candidate",
+        "enlarged", "return", "other starts", "swap", "drop", "final",
         "process noise",
     ]  # fmt: skip
 
