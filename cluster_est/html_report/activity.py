@@ -195,6 +195,12 @@ class ActivityTail:
         RunFolderError
             If the log is damaged.
         """
+        self._take_in()
+        if ended:
+            self._take_in()  # a segment that was replaced just now, as a run does at its end
+            self._tail.check_ended()
+
+    def _take_in(self) -> None:
         names = self._names
         for batch in self._tail.new():
             self.counts.add(batch)
@@ -203,8 +209,6 @@ class ActivityTail:
             own = np.array(known, np.int64)[np.asarray(coded.indices)]
             when, seconds = (np.array(batch.column(n)) for n in ("ended", "seconds"))
             self._parts.append((own, when, seconds))
-        if ended:
-            self._tail.check_ended()
 
     @property
     def activity(self) -> LogActivity:
