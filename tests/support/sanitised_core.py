@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ import pytest
 from workers.core import build, library
 from workers.errors import ModelError
 
+ROOT = Path(__file__).parents[2]
 SANITISED = (
     "-std=c11", "-O1", "-g", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden",
     "-fno-math-errno", "-foptimize-sibling-calls", "-fsanitize=address,undefined",
@@ -24,11 +26,26 @@ SANITISED = (
 """Flags of such a build."""
 
 
-def sanitised(folder: Path, kind: str, *, own_functions: bool) -> Path:
+def assert_nothing_is_found(folder: Path, kind: str, tests: str) -> None:
+    """Run tests in a process of their own, with the library of a kind built so."""
+    surroundings = os.environ | {
+        f"{kind.upper()}_UNDER_TEST": str(sanitised(folder, kind)),
+        "LD_PRELOAD": preloaded(),
+        "ASAN_OPTIONS": "detect_leaks=0",
+        "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")]),
+    }
+    command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "support.sanitised_core"]
+    done = subprocess.run(
+        [*command, tests], capture_output=True, text=True, cwd=ROOT, env=surroundings, check=False
+    )
+    assert done.returncode == 0, (done.stdout + done.stderr)[-4000:]
+
+
+def sanitised(folder: Path, kind: str) -> Path:
     """Build a library so, or skip the test where there is no such compiler."""
     target = folder / f"{kind}.so"
     try:
-        build.compile_to(target, build.sources(kind, own_functions=own_functions), SANITISED)
+        build.compile_to(target, build.sources(kind), SANITISED)
     except ModelError as error:
         if "sanitize" in str(error):
             pytest.skip("this compiler has no sanitizers")

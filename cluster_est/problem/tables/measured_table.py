@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -279,12 +280,12 @@ class UndecidedError(DataError):
     """A column may be read in several ways, and the user has to say in which."""
 
 
-class LineNumbers:
+class LineNumbers(ABC):
     """Says which lines of a text file its rows are, when a message asks for one."""
 
+    @abstractmethod
     def number(self, index: int) -> int:
         """The line, from 1, of the row at an index."""
-        raise NotImplementedError
 
 
 def _fits(name: str, start: str, middle: Sequence[str], end: str) -> bool:

@@ -1,24 +1,19 @@
 """The file that an exported FMU reads: whatever becomes of it, a message and no instance."""
 
-import os
 import random
 import shutil
 import struct
-import subprocess
-import sys
 import zlib
-from pathlib import Path
 
 import pytest
 from support.exported import Exported, repair_of, unpacked
 from support.problems.driven_spring import driven, model_of
-from support.sanitised_core import preloaded, sanitised
+from support.sanitised_core import assert_nothing_is_found
 from support.truth.springs_with_effects import FORCE, C, K, M
 
 from cluster_est.model_export.repaired_fmu import TABLE
 from workers.messages import Effect, Solver
 
-ROOT = Path(__file__).parents[3]
 EFFECTS = (
     Effect("late", "input F", "lag"),
     Effect("later", "input F", "delay"),
@@ -137,15 +132,4 @@ def test_a_neutral_coefficient_gives_the_bits_of_the_original(spring, tmp_path):
     ],
 )
 def test_sanitizers_find_nothing(tmp_path, tests):
-    library = sanitised(tmp_path, "wrapper", own_functions=True)
-    surroundings = os.environ | {
-        "WRAPPER_UNDER_TEST": str(library),
-        "LD_PRELOAD": preloaded(),
-        "ASAN_OPTIONS": "detect_leaks=0",
-        "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")]),
-    }
-    command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "support.sanitised_core"]
-    done = subprocess.run(
-        [*command, tests], capture_output=True, text=True, cwd=ROOT, env=surroundings, check=False
-    )
-    assert done.returncode == 0, (done.stdout + done.stderr)[-4000:]
+    assert_nothing_is_found(tmp_path, "wrapper", tests)
