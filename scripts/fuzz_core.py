@@ -41,7 +41,10 @@ SECONDS_OF_ONE = 30
 
 def sources(fuzzer: str, *others: str) -> list[Path]:
     """Return the files of a fuzzer, with the core's."""
-    own = [SOURCES / f"{name}.c" for name in ("tape", "stub", "integrator", fuzzer, *others)]
+    own = [
+        SOURCES / f"{name}.c"
+        for name in ("tape", "stub", "integrator", "machines", fuzzer, *others)
+    ]
     return [*own, *build.sources("core")]
 
 

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import ctypes
 import struct
 from dataclasses import dataclass
+from pathlib import Path
 
+import fuzz_core
 import numpy as np
 from support.problems.springs import FMU
 
+from workers.core import build
 from workers.core.assemble import MARK, OPERATIONS, Registers, assemble
 from workers.effects.compiled import CompiledEquations, equations
 from workers.effects.definition import TIME_SYMBOL, define
 from workers.effects.forms import FORMS, SiteKind
 from workers.fmu.description import describe_model
-from workers.messages import Effect, Model, Solver
+from workers.messages import Effect, FloatArray, Model, Solver
 
 MODEL = Model("spring", FMU.read_bytes(), "model_exchange", Solver("rk4"), ())
 SITES = {
@@ -21,6 +25,9 @@ SITES = {
 }  # fmt: skip
 SIMULATED = sorted(key for key, form in FORMS.items() if key[0] in SITES and not form.memory)
 CODES = {name: code for code, name in enumerate(OPERATIONS)}
+SOURCES = Path(fuzz_core.__file__).parent / "fuzzing" / "core"
+FAST, PLAIN = range(2)
+"""Machines, as `machines.h` numbers them."""
 
 
 @dataclass(frozen=True)
@@ -80,16 +87,25 @@ def written(n_registers, n_states, pieces, sites=(), own=0, constants=()):
     ])  # fmt: skip
 
 
-def evaluated(library, program, given, n_results, directions=None):
-    """Results of a program; with derivatives of the given registers (registers, 1 + n)."""
-    given = np.ascontiguousarray(given, float)
-    if directions is None:
-        results = np.zeros(n_results)
-        code = library.core_evaluate(program.address, given.ctypes.data, results.ctypes.data)
-    else:
-        results = np.zeros((n_results, 1 + directions))
-        code = library.core_evaluate_dual(
-            program.address, given.ctypes.data, directions, results.ctypes.data
-        )
-    assert code == 0
-    return results
+class Machines:
+    """The machines that run byte code, with what a fuzzer compares them by; built from sources."""
+
+    def __init__(self, folder: Path) -> None:
+        core = [build.HERE / f"{name}.c" for name in ("program", "machine", "elementary")]
+        file = folder / "machines.so"
+        flags = [flag for flag in build.FLAGS if flag != "-fvisibility=hidden"]
+        build.compile_to(file, [SOURCES / "machines.c", *core], flags)
+        self._library = ctypes.CDLL(str(file))
+        self._library.core_program.restype = ctypes.c_void_p
+        self._library.core_program_free.argtypes = [ctypes.c_void_p]
+        self._library.evaluate.argtypes = [ctypes.c_void_p, ctypes.c_int, *2 * [ctypes.c_void_p]]
+
+    def evaluated(self, code: bytes, given, n_results: int, machine: int = FAST) -> FloatArray:
+        """Return the results of byte code, given time, states, inputs and so on."""
+        given, results = np.ascontiguousarray(given, float), np.zeros(n_results)
+        wrong = ctypes.c_char_p()
+        program = self._library.core_program(code, len(code), ctypes.byref(wrong))
+        assert program, wrong.value
+        self._library.evaluate(program, machine, given.ctypes.data, results.ctypes.data)
+        self._library.core_program_free(program)
+        return results

@@ -59,7 +59,7 @@ def preloaded() -> str:
     return subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
 
 
-def chosen(*, own_functions: bool = True) -> Path:
+def chosen() -> Path:
     return Path(os.environ["CORE_UNDER_TEST"])
 
 
@@ -69,9 +69,7 @@ def pytest_configure(config):
     if wrapper := os.environ.get("WRAPPER_UNDER_TEST"):
         found = build.library
 
-        def replaced(kind: str, platform: str, *, own_functions: bool = True) -> Path:
-            if kind == "wrapper":
-                return Path(wrapper)
-            return found(kind, platform, own_functions=own_functions)
+        def replaced(kind: str, platform: str) -> Path:
+            return Path(wrapper) if kind == "wrapper" else found(kind, platform)
 
         setattr(build, "library", replaced)  # noqa: B010

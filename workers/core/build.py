@@ -34,11 +34,8 @@ FLAGS = (
 """No contraction of products and sums: it would give other bits on processors that have it."""
 COMPILERS = ("gcc", "cc", "clang")
 
-KINDS: dict[str, tuple[str, ...]] = {
-    "core": (),
-    "wrapper": ("wrapper/*.c",),
-}
-"""Kinds of libraries: the patterns of the sources that each has beside those of the core."""
+KINDS = {"core": ("*.c",), "wrapper": ("*.c", "wrapper/*.c")}
+"""Kinds of libraries, with the patterns of their sources."""
 
 
 @dataclass(frozen=True)
@@ -86,23 +83,12 @@ def this_platform() -> str:
     return f"{architecture}-{system}" + ("-musl" if system == "linux" and not _is_glibc() else "")
 
 
-def sources(kind: str = "core", *, own_functions: bool = True) -> list[Path]:
-    """Return the files to compile.
-
-    Parameters
-    ----------
-    kind
-        One of `KINDS`.
-    own_functions
-        With the core's own elementary functions; else with those of the C library, to compare with.
-    """
-    others = {path for k, patterns in KINDS.items() if k != kind for path in _found(patterns)}
-    unused = "elementary_libm.c" if own_functions else "elementary.c"
-    wanted = {*HERE.glob("*.c"), *_found(KINDS[kind])} - others
-    return sorted(path for path in wanted if path.name != unused)
+def sources(kind: str = "core") -> list[Path]:
+    """Return the files that a library of one of `KINDS` is compiled from."""
+    return sorted(path for pattern in KINDS[kind] for path in HERE.glob(pattern))
 
 
-def built(*, own_functions: bool = True) -> Path:
+def built() -> Path:
     """Return the core's library of this version for this machine; it is built if it is not there.
 
     Raises
@@ -110,10 +96,10 @@ def built(*, own_functions: bool = True) -> Path:
     ModelError
         If it must be built but there is no compiler, or it fails.
     """
-    return library("core", this_platform(), own_functions=own_functions)
+    return library("core", this_platform())
 
 
-def library(kind: str, platform: str, *, own_functions: bool = True) -> Path:
+def library(kind: str, platform: str) -> Path:
     """Return a library for a platform.
 
     One that is not carried along is built: for this machine with any compiler, for others of
@@ -125,25 +111,21 @@ def library(kind: str, platform: str, *, own_functions: bool = True) -> Path:
         One of `KINDS`.
     platform
         In FMI 3.0's names; `this_platform()` is this machine's.
-    own_functions
-        As for `sources`.
 
     Raises
     ------
     ModelError
         If it is not there and cannot be built.
     """
-    files = sources(kind, own_functions=own_functions)
-    carried = BINARIES / _name(kind, platform, files)
+    carried, cached = carried_path(kind, platform), _cached_path(kind, platform)
     if carried.is_file():
         return carried
-    cached = _cached(kind, platform, files)
     if _is_whole(cached):
         return cached
     if platform == this_platform():
-        build_into(cached, lambda target: compile_to(target, files))
+        build_into(cached, lambda target: compile_to(target, sources(kind)))
     elif platform in PLATFORMS and zig() is not None:
-        build_into(cached, lambda target: compile_for(platform, target, kind, files))
+        build_into(cached, lambda target: compile_for(platform, target, kind))
     else:
         raise ModelError(missing(kind, platform))
     _noted(cached).write_text(_digest(cached), encoding="ascii")
@@ -153,12 +135,12 @@ def library(kind: str, platform: str, *, own_functions: bool = True) -> Path:
 def is_built() -> bool:
     """Return whether the core is there already, so that nobody has to wait some seconds for it."""
     here = this_platform()
-    return carried_path("core", here).is_file() or _is_whole(_cached("core", here, sources()))
+    return carried_path("core", here).is_file() or _is_whole(_cached_path("core", here))
 
 
 def carried_path(kind: str, platform: str) -> Path:
     """Return where a wheel, or an installation in place, has a library of this version."""
-    return BINARIES / _name(kind, platform, sources(kind))
+    return BINARIES / _name(kind, platform)
 
 
 def missing(kind: str, platform: str) -> str:
@@ -190,9 +172,7 @@ def compile_to(target: Path, files: Sequence[Path], flags: Sequence[str] = FLAGS
     _run([*_for_this_machine(), *flags], target, files)
 
 
-def compile_for(
-    platform: str, target: Path, kind: str = "core", files: Sequence[Path] | None = None
-) -> None:
+def compile_for(platform: str, target: Path, kind: str = "core") -> None:
     """Compile a library for any platform, with zig.
 
     Parameters
@@ -203,8 +183,6 @@ def compile_for(
         The file; on Windows an import library falls out beside it.
     kind
         One of `KINDS`.
-    files
-        Other sources than its own.
 
     Raises
     ------
@@ -212,8 +190,7 @@ def compile_for(
         If zig is not installed, or fails.
     """
     options = [o.format(name=kind) for o in _known(platform).options]
-    command = [*_zig_for(platform), *FLAGS, *options]
-    _run(command, target, files or sources(kind))
+    _run([*_zig_for(platform), *FLAGS, *options], target, sources(kind))
 
 
 def build_into(place: Path, compiled: Callable[[Path], None]) -> None:
@@ -283,11 +260,11 @@ def _run(command: Sequence[str], target: Path, files: Sequence[Path]) -> None:
         )
 
 
-def _cached(kind: str, platform: str, files: Sequence[Path]) -> Path:
+def _cached_path(kind: str, platform: str) -> Path:
     """Return where this user's cache has a library, or will have it."""
     from workers.caches import cache_folder  # the hook, which needs no cache, lacks platformdirs
 
-    return cache_folder("core") / _name(kind, platform, files, os.environ.get("CC", ""))
+    return cache_folder("core") / _name(kind, platform, os.environ.get("CC", ""))
 
 
 def _is_whole(library: Path) -> bool:
@@ -309,15 +286,11 @@ def _digest(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def _name(kind: str, platform: str, files: Sequence[Path], chosen: str = "") -> str:
+def _name(kind: str, platform: str, chosen: str = "") -> str:
     digest = hashlib.sha256(" ".join((chosen, *FLAGS)).encode())
-    for path in [*files, *sorted(HERE.rglob("*.h"))]:
+    for path in [*sources(kind), *sorted(HERE.rglob("*.h"))]:
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return f"{kind}-{platform}-{digest.hexdigest()[:16]}{_known(platform).suffix}"
-
-
-def _found(patterns: Sequence[str]) -> set[Path]:
-    return {path for pattern in patterns for path in HERE.glob(pattern)}
 
 
 def _is_glibc() -> bool:

@@ -122,15 +122,6 @@ typedef struct {
  * for what is none. It may be used by many batches at once. */
 EXPORT Program *core_program(const void *bytes, size_t n_bytes, const char **wrong);
 EXPORT void core_program_free(Program *program);
-EXPORT size_t core_program_states(const Program *program); /* own states of its effects */
-/* Evaluate its pieces for one point, for tests and for effects at outputs. `registers` begin with
- * time, states, inputs, coefficients and base values; `results` are effective inputs, effective
- * parameters and what derivatives are changed by, a value an assignment. */
-EXPORT int core_evaluate(const Program *program, const double *registers, double *results);
-/* The same with derivatives in n directions: (registers, 1 + n), (results, 1 + n). */
-EXPORT int core_evaluate_dual(const Program *program, const double *registers, size_t n,
-                              double *results);
-EXPORT int core_start(const Program *program, const double *registers, double *states);
 
 /* ---- simulations ------------------------------------------------------------------------- */
 

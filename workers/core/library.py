@@ -242,10 +242,6 @@ _P = c_void_p
 _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "core_program": (c_void_p, [c_char_p, c_size_t, POINTER(c_char_p)]),
     "core_program_free": (None, [_P]),
-    "core_program_states": (c_size_t, [_P]),
-    "core_evaluate": (c_int, [_P, _P, _P]),
-    "core_evaluate_dual": (c_int, [_P, _P, c_size_t, _P]),
-    "core_start": (c_int, [_P, _P, _P]),
     "core_simulate": (c_size_t, [_P]),
     "core_is_stiff": (c_int, [_P]),
     "core_linearise": (c_int, [_P, _P]),
@@ -302,8 +298,6 @@ class LoadedProgram:
     ----------
     code
         Of `workers.core.assemble`.
-    library
-        The core; that of this machine if None.
 
     Raises
     ------
@@ -311,8 +305,8 @@ class LoadedProgram:
         If it is no byte code of this version.
     """
 
-    def __init__(self, code: bytes, library: Any = None) -> None:
-        self._library = core() if library is None else library
+    def __init__(self, code: bytes) -> None:
+        self._library = core()
         wrong = c_char_p()
         self.address: int | None = self._library.core_program(code, len(code), byref(wrong))
         if not self.address:

@@ -46,10 +46,10 @@ STEP(do_choose) {
 #define BOTH_ENDS(name, operands, value)     \
     FORM(name, _keeping, operands, value) \
     FORM(name, _storing, operands, value)
-#define DO1(name, value, da)                      \
+#define DO1(name, value)                          \
     BOTH_ENDS(name, const double a = x, value)    \
     BOTH_ENDS(of_##name, const double a = r[i->a], value)
-#define DO2(name, value, da, db)                                                   \
+#define DO2(name, value)                                                           \
     BOTH_ENDS(name, const double a = x; const double b = r[i->b], value)           \
     BOTH_ENDS(with_##name, const double a = r[i->a]; const double b = x, value)    \
     BOTH_ENDS(of_##name, const double a = r[i->a]; const double b = r[i->b], value)
@@ -86,8 +86,8 @@ enum { OF_X, OF_R_AND_X, OF_R };
 /* [operation][where the operands are][whether the value is stored] */
 static Action *const forms[][3][2] = {
     {{do_end, do_end}},
-#define OF1(name, value, da) {PAIR(name), {0}, PAIR(of_##name)},
-#define OF2(name, value, da, db) {PAIR(name), PAIR(with_##name), PAIR(of_##name)},
+#define OF1(name, value) {PAIR(name), {0}, PAIR(of_##name)},
+#define OF2(name, value) {PAIR(name), PAIR(with_##name), PAIR(of_##name)},
     OPERATIONS(OF1, OF2)};
 /* [operation][x * r or r * r][p op r, r op p, p op x, x op p][stored] */
 static Action *const fused_forms[][2][4][2] = {

@@ -1,4 +1,4 @@
-/* Programs: read from bytes and checked, and the plain machines that run them. */
+/* Programs: read from bytes and checked, and the machine that runs them at many points. */
 #include "program.h"
 
 #include <math.h>
@@ -10,83 +10,11 @@
 
 static const uint8_t operands[] = {
     0,
-#define N1(name, value, da) 1,
-#define N2(name, value, da, db) 2,
+#define N1(name, value) 1,
+#define N2(name, value) 2,
     OPERATIONS(N1, N2) 2};
 
 int n_operands(uint16_t operation) { return operands[operation]; }
-
-/* ---- machines ---------------------------------------------------------------------------- */
-
-void run(const Instruction *i, double *r) {
-    for (;; i++) switch (i->operation) {
-        case END: return;
-        case CHOOSE:
-            if (r[i->a] != 0.0) r[i->to] = r[i->b];
-            break;
-#define DO1(name, value, da)          \
-        case name: {                  \
-            const double a = r[i->a]; \
-            r[i->to] = value;         \
-            break;                    \
-        }
-#define DO2(name, value, da, db)                       \
-        case name: {                                   \
-            const double a = r[i->a], b = r[i->b];     \
-            r[i->to] = value;                          \
-            break;                                     \
-        }
-        OPERATIONS(DO1, DO2)
-#undef DO1
-#undef DO2
-        }
-}
-
-/* n is a constant where this is inlined. */
-ALWAYS void run_dual_of(const Instruction *i, double *r, const size_t n) {
-    const size_t width = n + 1;
-    for (;; i++) {
-        const double *const from = r + i->a * width, *const other = r + i->b * width;
-        double *const to = r + i->to * width;
-        switch (i->operation) {
-        case END: return;
-        case CHOOSE:
-            if (from[0] != 0.0) memmove(to, other, width * sizeof *to);
-            break;
-#define DO1(name, value, da)                                         \
-        case name: {                                                 \
-            const double a = from[0], v = value, pa = da;            \
-            (void)a, (void)v;                                        \
-            for (size_t j = 1; j < width; j++) to[j] = pa * from[j]; \
-            to[0] = v;                                               \
-            break;                                                   \
-        }
-#define DO2(name, value, da, db)                                                     \
-        case name: {                                                                 \
-            const double a = from[0], b = other[0], v = value, pa = da, pb = db;     \
-            (void)v;                                                                 \
-            for (size_t j = 1; j < width; j++)                                       \
-                to[j] = (pa == 0.0 ? 0.0 : pa * from[j])                             \
-                        + (pb == 0.0 ? 0.0 : pb * other[j]);                         \
-            to[0] = v;                                                               \
-            break;                                                                   \
-        }
-        OPERATIONS(DO1, DO2)
-#undef DO1
-#undef DO2
-        }
-    }
-}
-
-static void run_dual_1(const Instruction *code, double *r) { run_dual_of(code, r, 1); }
-static void run_dual_n(const Instruction *code, double *r, size_t n) { run_dual_of(code, r, n); }
-
-void run_dual(const Instruction *code, double *r, size_t n) {
-    if (n == 1)
-        run_dual_1(code, r);
-    else
-        run_dual_n(code, r, n);
-}
 
 void run_block(const Instruction *i, double *r) {
     for (;; i++) {
@@ -97,23 +25,21 @@ void run_block(const Instruction *i, double *r) {
         case CHOOSE:
             for (int j = 0; j < BLOCK; j++) to[j] = from[j] != 0.0 ? other[j] : to[j];
             break;
-#define DO1(name, value, da)                \
-        case name:                          \
+#define DO1(name, value)                      \
+        case name:                            \
             for (int j = 0; j < BLOCK; j++) { \
-                const double a = from[j];   \
-                to[j] = value;              \
-            }                               \
+                const double a = from[j];     \
+                to[j] = value;                \
+            }                                 \
             break;
-#define DO2(name, value, da, db)                          \
-        case name:                                        \
-            for (int j = 0; j < BLOCK; j++) {             \
-                const double a = from[j], b = other[j];   \
-                to[j] = value;                            \
-            }                                             \
+#define DO2(name, value)                                \
+        case name:                                      \
+            for (int j = 0; j < BLOCK; j++) {           \
+                const double a = from[j], b = other[j]; \
+                to[j] = value;                          \
+            }                                           \
             break;
         OPERATIONS(DO1, DO2)
-#undef DO1
-#undef DO2
         }
     }
 }
@@ -153,6 +79,22 @@ static int writes_its_own(const Program *p, int piece) {
             || (piece == BEFORE && effective))
             continue;
         return 0;
+    }
+    return 1;
+}
+
+/* Whether all that is added goes to derivatives of the FMU's states, and each own state has one. */
+static int has_derivatives(const Program *p) {
+    const uint32_t first_own = p->n_states - p->n_own;
+    for (uint32_t s = 0; s < p->n_sites; s++) {
+        const Site *at = &p->sites[s];
+        if (at->state >= p->n_states || at->r >= p->n_registers) return 0;
+        if ((s < p->n_added) != (at->state < first_own)) return 0;
+    }
+    for (uint32_t own = first_own; own < p->n_states; own++) {
+        uint32_t s = p->n_added;
+        while (s < p->n_sites && p->sites[s].state != own) s++;
+        if (s == p->n_sites) return 0;
     }
     return 1;
 }
@@ -206,9 +148,7 @@ static const char *fill(Program *p, const Header *h, const char *bytes) {
             return "byte code with an instruction that is none";
         code += h->n_code[piece], steps += h->n_code[piece];
     }
-    for (uint32_t s = 0; s < p->n_sites; s++)
-        if (p->sites[s].state >= p->n_states || p->sites[s].r >= p->n_registers)
-            return "byte code for a state that is none";
+    if (!has_derivatives(p)) return "byte code with derivatives of other states than it must have";
     return translate_all(p);
 }
 
@@ -240,54 +180,4 @@ Program *core_program(const void *bytes, size_t n_bytes, const char **wrong) {
 void core_program_free(Program *p) {
     if (p != NULL) free(p->constants);
     free(p);
-}
-
-size_t core_program_states(const Program *p) { return p->n_own; }
-
-/* ---- evaluations ------------------------------------------------------------------------- */
-
-static double *filled(const Program *p, const double *given, size_t width) {
-    double *r = calloc(p->n_registers * width + 1, sizeof *r);
-    if (r == NULL) return NULL;
-    memcpy(r, given, p->first_effective * width * sizeof *r);
-    for (uint32_t j = 0; j < p->n_constants; j++)
-        r[(p->first_constant + j) * width] = p->constants[j];
-    return r;
-}
-
-static void collect(const Program *p, const double *r, size_t width, double *results) {
-    const uint32_t n_before = p->first_constant - p->first_effective;
-    memcpy(results, r + p->first_effective * width, n_before * width * sizeof *r);
-    for (uint32_t s = 0; s < p->n_sites; s++)
-        memcpy(results + (n_before + s) * width, r + p->sites[s].r * width, width * sizeof *r);
-}
-
-int core_evaluate(const Program *p, const double *registers, double *results) {
-    double *r = filled(p, registers, 1);
-    if (r == NULL) return NO_MEMORY;
-    const int pieces[] = {ONCE, BEFORE, AFTER};
-    for (int j = 0; j < 3; j++) run_fast(p->fast[pieces[j]], r);
-    collect(p, r, 1, results);
-    free(r);
-    return FINISHED;
-}
-
-int core_evaluate_dual(const Program *p, const double *registers, size_t n, double *results) {
-    double *r = filled(p, registers, n + 1);
-    if (r == NULL) return NO_MEMORY;
-    const int pieces[] = {ONCE, BEFORE, AFTER};
-    for (int j = 0; j < 3; j++) run_dual(p->code[pieces[j]], r, n);
-    collect(p, r, n + 1, results);
-    free(r);
-    return FINISHED;
-}
-
-int core_start(const Program *p, const double *registers, double *states) {
-    double *r = filled(p, registers, 1);
-    if (r == NULL) return NO_MEMORY;
-    run_fast(p->fast[ONCE], r);
-    run_fast(p->fast[START], r);
-    memcpy(states, r + 1 + p->n_states - p->n_own, p->n_own * sizeof *states);
-    free(r);
-    return FINISHED;
 }

@@ -15,44 +15,40 @@
 /* Of a number that is none it is none: that has a sign too, but another on each processor. */
 #define SIGN_OF(a) (a > 0.0 ? 1.0 : a < 0.0 ? -1.0 : a == 0.0 ? 0.0 : a)
 
-/* UNARY(name, value, d/da), BINARY(name, value, d/da, d/db), of operands a and b; v is the value.
- * Comparisons give 1 or 0, and their derivatives are 0. */
-#define OPERATIONS(UNARY, BINARY)                                                     \
-    UNARY(MOVE, a, 1.0)                                                               \
-    BINARY(ADD, a + b, 1.0, 1.0)                                                      \
-    BINARY(MULTIPLY, a *b, b, a)                                                      \
-    BINARY(SUBTRACT, a - b, 1.0, -1.0)                                                \
-    BINARY(DIVIDE, a / b, 1.0 / b, -v / b)                                            \
-    BINARY(LEAST, b < a ? b : a, b < a ? 0.0 : 1.0, b < a ? 1.0 : 0.0)                \
-    BINARY(LARGEST, a < b ? b : a, a < b ? 0.0 : 1.0, a < b ? 1.0 : 0.0)              \
-    UNARY(NEGATE, -a, -1.0)                                                           \
-    UNARY(ABSOLUTE, fabs(a), SIGN_OF(a))                                              \
-    UNARY(SIGN, SIGN_OF(a), 0.0)                                                      \
-    UNARY(ROOT, sqrt(a), 0.5 / v)                                                     \
-    UNARY(EXP, ce_exp(a), v)                                                          \
-    UNARY(LOG, ce_log(a), 1.0 / a)                                                    \
-    UNARY(SIN, ce_sin(a), ce_cos(a))                                                  \
-    UNARY(COS, ce_cos(a), -ce_sin(a))                                                 \
-    UNARY(TAN, ce_tan(a), 1.0 + v * v)                                                \
-    UNARY(TANH, ce_tanh(a), 1.0 - v * v)                                              \
-    UNARY(ATAN, ce_atan(a), 1.0 / (1.0 + a * a))                                      \
-    BINARY(POW, ce_pow(a, b), b == 0.0 ? 0.0 : b * ce_pow(a, b - 1.0),                \
-           a > 0.0 ? v * ce_log(a) : 0.0)                                             \
-    BINARY(LESS, (double)(a < b), 0.0, 0.0)                                           \
-    BINARY(LESS_OR_EQUAL, (double)(a <= b), 0.0, 0.0)                                 \
-    BINARY(EQUAL, (double)(a == b), 0.0, 0.0)                                         \
-    BINARY(UNEQUAL, (double)(a != b), 0.0, 0.0)                                       \
-    BINARY(AND, (double)((a != 0.0) & (b != 0.0)), 0.0, 0.0)                          \
-    BINARY(OR, (double)((a != 0.0) | (b != 0.0)), 0.0, 0.0)                           \
-    UNARY(NOT, (double)(a == 0.0), 0.0)
+/* UNARY(name, value), BINARY(name, value), of operands a and b; comparisons give 1 or 0. */
+#define OPERATIONS(UNARY, BINARY)                          \
+    UNARY(MOVE, a)                                         \
+    BINARY(ADD, a + b)                                     \
+    BINARY(MULTIPLY, a *b)                                 \
+    BINARY(SUBTRACT, a - b)                                \
+    BINARY(DIVIDE, a / b)                                  \
+    BINARY(LEAST, b < a ? b : a)                           \
+    BINARY(LARGEST, a < b ? b : a)                         \
+    UNARY(NEGATE, -a)                                      \
+    UNARY(ABSOLUTE, fabs(a))                               \
+    UNARY(SIGN, SIGN_OF(a))                                \
+    UNARY(ROOT, sqrt(a))                                   \
+    UNARY(EXP, ce_exp(a))                                  \
+    UNARY(LOG, ce_log(a))                                  \
+    UNARY(SIN, ce_sin(a))                                  \
+    UNARY(COS, ce_cos(a))                                  \
+    UNARY(TAN, ce_tan(a))                                  \
+    UNARY(TANH, ce_tanh(a))                                \
+    UNARY(ATAN, ce_atan(a))                                \
+    BINARY(POW, ce_pow(a, b))                              \
+    BINARY(LESS, (double)(a < b))                          \
+    BINARY(LESS_OR_EQUAL, (double)(a <= b))                \
+    BINARY(EQUAL, (double)(a == b))                        \
+    BINARY(UNEQUAL, (double)(a != b))                      \
+    BINARY(AND, (double)((a != 0.0) & (b != 0.0)))         \
+    BINARY(OR, (double)((a != 0.0) | (b != 0.0)))          \
+    UNARY(NOT, (double)(a == 0.0))
 
 enum {
     END,
-#define NAME1(name, value, da) name,
-#define NAME2(name, value, da, db) name,
-    OPERATIONS(NAME1, NAME2)
-#undef NAME1
-#undef NAME2
+#define NAME(name, value) name,
+    OPERATIONS(NAME, NAME)
+#undef NAME
     CHOOSE, /* to = a != 0 ? b : to */
     N_OPERATIONS
 };
@@ -88,12 +84,9 @@ struct Program {
     Site *sites;
 };
 
-/* The machines, all with the same bits: one instruction after the other; with derivatives in n
- * directions, register i being r[i * (n + 1)], its derivatives behind; at BLOCK points at once,
- * register i being r[i * BLOCK] and following; and the fast one. */
+/* The machines, with the same bits: one instruction after the other at BLOCK points at once,
+ * register i being r[i * BLOCK] and following; and the fast one, at one point. */
 enum { BLOCK = 64 };
-void run(const Instruction *code, double *r);
-void run_dual(const Instruction *code, double *r, size_t n);
 void run_block(const Instruction *code, double *r);
 static inline void run_fast(const Step *code, double *r) { code->action(code, r, 0.0); }
 

@@ -79,8 +79,6 @@ class CvodeIntegrator:
     ----------
     states
         Their number.
-    library
-        The core; that of this machine if None.
 
     Raises
     ------
@@ -88,9 +86,8 @@ class CvodeIntegrator:
         If the libraries are missing.
     """
 
-    def __init__(self, states: int, library: Any = None) -> None:
+    def __init__(self, states: int) -> None:
         lib = libraries()
-        right_hand_side = (core() if library is None else library).core_right_hand_side
         context, size = c_void_p(), c_int64(states)
         lib.core["SUNContext_Create"](c_int(0), byref(context))
         _pointer(lib.core, "SUNContext_ClearErrHandlers", context)  # they write to stderr
@@ -103,7 +100,7 @@ class CvodeIntegrator:
         solver = _pointer(lib.linear, "SUNLinSol_Dense", vectors[0], matrix, context)
         memory = _pointer(lib.cvode, "CVodeCreate", c_int(BDF), context)
         lib.cvode["CVodeSetMaxHnilWarns"](memory, c_int(-1))  # as does this, to stdout
-        at = cast(right_hand_side, c_void_p)
+        at = cast(core().core_right_hand_side, c_void_p)
         lib.cvode["CVodeInit"](memory, at, c_double(0.0), vectors[0])
         lib.cvode["CVodeSetLinearSolver"](memory, solver, matrix)
         self._structure = Cvode(

@@ -99,7 +99,8 @@ const void *make_program(Tape *tape, const Counts *c, size_t *size) {
     const size_t first_effective = 1 + c->states + c->inputs + c->coefficients + c->base;
     const size_t first_temporary = first_effective + n_effective + n_constants;
     const size_t n_registers = first_temporary + N_PIECES * TEMPORARIES;
-    const size_t added = c->states > 0 ? n_added : 0, n_sites = added + c->own;
+    const size_t of_fmu = c->states - c->own; /* states */
+    const size_t added = of_fmu > 0 ? n_added : 0, n_sites = added + c->own;
     uint32_t header[16] = {(uint32_t)n_registers, c->states, c->own, c->inputs, c->coefficients,
                            c->base, (uint32_t)n_constants, c->parameters, c->changes_inputs,
                            (uint32_t)n_sites, (uint32_t)added};
@@ -127,8 +128,7 @@ const void *make_program(Tape *tape, const Counts *c, size_t *size) {
         put(&w, &end, sizeof end);
     }
     for (size_t j = 0; j < n_sites; j++) {
-        const size_t own = c->states - c->own + j - added;
-        const Site s = {(uint16_t)(j < added ? below(tape, c->states) : own),
+        const Site s = {(uint16_t)(j < added ? below(tape, of_fmu) : of_fmu + j - added),
                         source(tape, AFTER, first_temporary)};
         put(&w, &s, sizeof s);
     }

@@ -73,17 +73,7 @@ def test_the_table_has_all_platforms_of_a_wheel():
 def test_every_source_is_built():
     there = {path.name for path in build.HERE.rglob("*.c")}
     built = {path.name for kind in build.KINDS for path in build.sources(kind)}
-    assert built == there - {"elementary_libm.c"}
-
-
-def test_a_second_kind_has_sources_of_its_own(tmp_path, monkeypatch):
-    for name in ("work.c", "elementary.c", "wrapper.c", "wrapper_values.c"):
-        (tmp_path / name).write_text("")
-    monkeypatch.setattr(build, "HERE", tmp_path)
-    monkeypatch.setattr(build, "KINDS", {"core": (), "wrapper": ("wrapper*.c",)})
-    core, wrapper = ({path.name for path in build.sources(kind)} for kind in ("core", "wrapper"))
-    assert core == {"work.c", "elementary.c"}
-    assert wrapper == core | {"wrapper.c", "wrapper_values.c"}
+    assert built == there
 
 
 @pytest.mark.parametrize(

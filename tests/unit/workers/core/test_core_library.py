@@ -54,9 +54,3 @@ def test_structures_are_those_of_the_header():
             if name.strip()
         ]
         assert fields == [name for name, _ in structure._fields_], structure
-
-
-def test_elementary_functions_are_one_file():
-    chosen = {path.name for path in build.sources()}
-    assert len(chosen & {"elementary.c", "elementary_libm.c"}) == 1
-    assert "elementary_libm.c" in {p.name for p in build.sources(own_functions=False)}

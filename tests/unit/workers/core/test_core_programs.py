@@ -8,11 +8,11 @@ import pytest
 import sympy as sp
 from hypothesis import given
 from hypothesis import strategies as st
-from support.core_programs import CODES, SIMULATED, evaluated, form_program, written
+from support.core_programs import CODES, FAST, PLAIN, SIMULATED, Machines, form_program, written
 from support.thinning import thinned
 
 from workers.core.assemble import OPERATIONS, Assignment, EffectArray, Registers, assemble
-from workers.core.library import LoadedProgram, core
+from workers.core.library import LoadedProgram
 from workers.effects.definition import TIME_SYMBOL
 from workers.effects.expression import EQUATION_FUNCTIONS, parse
 from workers.effects.forms import FORMS
@@ -23,19 +23,22 @@ LOCATIONS = {X: (EffectArray.STATES, 0), Y: (EffectArray.STATES, 1)}
 NAMES = {"x": X, "y": Y, "t": TIME_SYMBOL}
 
 
-def program_of(*texts, library=None):
-    """Of equations of two states that are added to the first of them."""
-    added = [
-        Assignment(EffectArray.DERIVATIVES, 0, parse(text, NAMES, "here"), add=True)
-        for text in texts
-    ]
-    return LoadedProgram(
-        assemble(Registers(2, 0, 0, 0), LOCATIONS, TIME_SYMBOL, after=added), library
-    )
+@pytest.fixture(scope="module")
+def machines(tmp_path_factory):
+    return Machines(tmp_path_factory.mktemp("machines"))
 
 
-def value_of(text, x, y=0.0):
-    return float(evaluated(core(), program_of(text), [1.5, x, y], 1)[0])
+@pytest.fixture
+def value_of(machines):
+    """The value of an equation of two states."""
+
+    def value(text, x, y=0.0):
+        equation = parse(text, NAMES, "here")
+        added = Assignment(EffectArray.DERIVATIVES, 0, equation, add=True)
+        code = assemble(Registers(2, 0, 0, 0), LOCATIONS, TIME_SYMBOL, after=[added])
+        return float(machines.evaluated(code, [1.5, x, y], 1)[0])
+
+    return value
 
 
 def random_registers(form, trial):
@@ -65,37 +68,19 @@ def values_in_python(form, given):
 @pytest.mark.parametrize(
     ("kind", "name"), thinned(SIMULATED, lambda kind, name: (kind, FORMS[kind, name].family))
 )
-def test_every_form_is_what_python_computes(kind, name):
+def test_every_form_is_what_python_computes(machines, kind, name):
     form = form_program(kind, name)
-    program = LoadedProgram(form.code)
     for trial in range(4):
         given = random_registers(form, trial)
-        found = evaluated(core(), program, given, form.n_before + len(form.sites))
+        found = machines.evaluated(form.code, given, form.n_before + len(form.sites))
         expected = values_in_python(form, given)
         np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-13)
-
-
-@pytest.mark.parametrize(("kind", "name"), thinned(SIMULATED, lambda kind, _: kind))
-def test_derivatives_are_those_of_the_equations(kind, name):
-    """By the states, against central differences of the values."""
-    form = form_program(kind, name)
-    program, results = LoadedProgram(form.code), form.n_before + len(form.sites)
-    given = np.abs(random_registers(form, 1)) + 0.1
-    for state in range(form.registers.states):
-        dual = np.zeros((form.n_given, 2))
-        dual[:, 0], dual[1 + state, 1] = given, 1.0
-        found = evaluated(core(), program, dual, results, 1)
-        step = np.zeros(form.n_given)
-        step[1 + state] = 1e-6 * max(1.0, given[1 + state])
-        above, below = (evaluated(core(), program, given + s, results) for s in (step, -step))
-        expected = (np.ravel(above) - np.ravel(below)) / (2.0 * step[1 + state])
-        assert found[:, 1] == pytest.approx(expected, rel=1e-5, abs=1e-5)
 
 
 @pytest.mark.parametrize(
     "name", sorted(EQUATION_FUNCTIONS.keys() - {"where", "min", "max", "sign", "abs"})
 )
-def test_functions_are_elementary(name):
+def test_functions_are_elementary(value_of, name):
     for x in (0.3, 1.7, 25.0):
         assert value_of(f"{name}(x)", x) == pytest.approx(getattr(math, name)(x), rel=1e-15)
 
@@ -116,12 +101,12 @@ def test_functions_are_elementary(name):
         ("7", lambda x, y: 7.0),
     ],
 )
-def test_arithmetic_is_that_of_doubles(text, expected):
+def test_arithmetic_is_that_of_doubles(value_of, text, expected):
     for x, y in ((0.7, -1.3), (-0.4, 2.5), (-2.0, -3.0), (1.0, 1.0)):
         assert value_of(text, x, y) == pytest.approx(expected(x, y), rel=4e-16)
 
 
-def test_a_division_by_zero_is_infinite_and_what_has_no_value_is_not_a_number():
+def test_a_division_by_zero_is_infinite_and_what_has_no_value_is_not_a_number(value_of):
     assert value_of("1 / x", 0.0) == math.inf
     assert math.isnan(value_of("log(x)", -1.0))
     assert math.isnan(value_of("x / y", 0.0, 0.0))
@@ -171,14 +156,13 @@ def random_program(generator, n_states=5):
     return written(registers, n_states, [[], [], [], code], [(0, r) for r in wanted])
 
 
-def test_the_fast_machine_has_the_bits_of_the_plain_one():
+def test_the_fast_machine_has_the_bits_of_the_plain_one(machines):
     generator = random.Random(1)
     for trial in range(400):
-        program = LoadedProgram(random_program(generator))
+        program = random_program(generator)
         given = np.random.default_rng(trial).normal(size=6)
-        fast = evaluated(core(), program, given, 2)
-        plain = evaluated(core(), program, given[:, None], 2, 0)
-        np.testing.assert_array_equal(fast, plain[:, 0])
+        fast, plain = (machines.evaluated(program, given, 2, m) for m in (FAST, PLAIN))
+        np.testing.assert_array_equal(fast, plain)
 
 
 def test_spoiled_bytes_are_refused():
@@ -193,6 +177,8 @@ def test_spoiled_bytes_are_refused():
         (written(4, 2, [[], [], [], [(len(OPERATIONS), 3, 1, 2)]], [(0, 3)]), "instruction"),
         (written(4, 2, [[], [], [], [(CODES["ADD"], 1, 1, 2)]], [(0, 3)]), "instruction"),
         (written(4, 2, [[], [], [], []], [(2, 3)]), "state"),
+        (written(4, 2, [[], [], [], []], own=1), "state"),
+        (written(4, 2, [[], [], [], []], [(1, 3)], own=1), "state"),
         (written(2, 2, [[], [], [], []]), "counts"),
     ):
         with pytest.raises(ModelError, match=said):
@@ -200,13 +186,13 @@ def test_spoiled_bytes_are_refused():
 
 
 @given(st.data())
-def test_any_bytes_are_refused_or_run(data):
+def test_any_bytes_are_refused_or_run(machines, data):
     """A program that is spoiled somewhere does no harm, whatever it computes then."""
     code = bytearray(random_program(random.Random(data.draw(st.integers(0, 20)))))
     for _ in range(data.draw(st.integers(1, 4))):
         code[data.draw(st.integers(8, len(code) - 1))] = data.draw(st.integers(0, 255))
     try:
-        program = LoadedProgram(bytes(code))
+        LoadedProgram(bytes(code))
     except ModelError:
         return
-    evaluated(core(), program, np.ones(300_000), 300_000)
+    machines.evaluated(bytes(code), np.ones(300_000), 300_000)
