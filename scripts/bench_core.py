@@ -83,14 +83,14 @@ def made(folder: Path) -> tuple[Path, Path]:
 def term() -> bytes:
     """The effect: 20 operations of which one is tanh."""
     names = ("k0", "k1", "k2", "k3", "k4", "k5", "width")
-    symbols = {name: sp.Symbol(name, real=True) for name in (*names, "x", "v", "t")}
+    symbols = {name: sp.Symbol(name, real=True) for name in (*names, "x", "v")}
     locations: Locations = {
         symbols[name]: (EffectArray.COEFFICIENTS, i) for i, name in enumerate(names)
     }
     locations |= {symbols["x"]: (EffectArray.STATES, 0), symbols["v"]: (EffectArray.STATES, 1)}
     added = Assignment(EffectArray.DERIVATIVES, 1, sp.sympify(TERM, symbols), add=True)
     registers = Registers(states=2, own=0, inputs=1, coefficients=len(names))
-    code = assemble(registers, locations, symbols["t"], after=[added])
+    code = assemble(registers, locations, after=[added])
     LoadedProgram(code)
     return code
 

@@ -53,7 +53,7 @@ def as_fmi_2(root: Element, description: ModelDescription) -> Element:
     root
         In FMI 3.0.
     description
-        Description with the variables of FMI 2.0 (see `fmi3_variables.flatten`).
+        Description with the variables of FMI 2.0 (see `flatten` of `wrapper_layout.py`).
     """
     made = Element("fmiModelDescription", fmiVersion="2.0")
     made.attrib.update({key: root.get(key, "") for key in _ROOT if root.get(key) is not None})

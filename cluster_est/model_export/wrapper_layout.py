@@ -100,6 +100,7 @@ def fits(limit: float | None) -> bool:
 
 
 Kind = Literal["INPUT", "SIGNAL", "COEFFICIENT", "BASE", "START", "RATE", "OUTPUT", "STATE"]
+"""What stands for a reference, in the order of `table.h`."""
 
 
 @dataclass(frozen=True)

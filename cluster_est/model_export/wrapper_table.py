@@ -8,25 +8,21 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterable, Sequence
+from typing import get_args
 
 import sympy as sp
 
-from cluster_est.model_export.wrapper_layout import WrapperLayout
-from workers.core.assemble import Assignment, EffectArray, Registers, assemble
+from cluster_est.model_export.wrapper_layout import Kind, WrapperLayout
+from workers.core.assemble import EffectArray, Registers, assemble
 from workers.core.library import TYPES
-from workers.effects.definition import (
-    TIME_SYMBOL,
-    known_decay,
-    known_rates,
-)
+from workers.effects.definition import known_decay, known_rates
 from workers.effects.expression import Max
 from workers.effects.outputs import assigned, output_code, output_locations
+from workers.effects.signal_memory import MEMORIES
 from workers.fmu.variable import ModelVariable
 from workers.messages import Value
 
-MARK = b"CEWRAP1\0"
-_KINDS = ("INPUT", "SIGNAL", "COEFFICIENT", "BASE", "START", "RATE", "OUTPUT", "STATE")
-_MEMORIES = ("delay", "backlash", "rate_limit", "rate_limit_from_rest")
+TABLE_MARK = b"CEWRAP1\0"
 
 
 def wrapper_table(layout: WrapperLayout, guid: str) -> bytes:
@@ -48,7 +44,7 @@ def wrapper_table(layout: WrapperLayout, guid: str) -> bytes:
     body = b"".join(
         struct.pack("<Q", len(field)) + field + bytes(-len(field) % 8) for field in fields
     )
-    return MARK + struct.pack("<II", zlib.crc32(body), len(body)) + body
+    return TABLE_MARK + struct.pack("<II", zlib.crc32(body), len(body)) + body
 
 
 def _doubles(values: Iterable[float]) -> bytes:
@@ -112,8 +108,8 @@ def _rate_program(layout: WrapperLayout) -> bytes:
         return b""
     rates = [abs(rate) for i in layout.inner for rate in known_rates(layout.effect(i), ())]
     registers = Registers(0, 0, 0, _n_coefficients(layout), 0, 1)
-    fastest = [Assignment(EffectArray.RESULT, 0, Max(sp.Integer(0), *rates))]
-    return assemble(registers, layout.equations.locations, TIME_SYMBOL, before=fastest)
+    fastest = assigned(EffectArray.EFFECTIVE_PARAMETERS, [Max(sp.Integer(0), *rates)])
+    return assemble(registers, layout.equations.locations, before=fastest)
 
 
 # ---- variables ------------------------------------------------------------------------------
@@ -219,7 +215,7 @@ def _effects(layout: WrapperLayout) -> list[bytes]:
     memories = [_memory(layout, i) for i in layout.memories]
     outputs = [_output_effect(layout, i) for i in layout.outputs]
     answered = [
-        struct.pack("<Iiii", s.reference, _KINDS.index(s.kind), s.index, s.start)
+        struct.pack("<Iiii", s.reference, get_args(Kind).index(s.kind), s.index, s.start)
         for s in layout.answered
     ]
     return [
@@ -234,7 +230,7 @@ def _effects(layout: WrapperLayout) -> list[bytes]:
 def _memory(layout: WrapperLayout, index: int) -> tuple[int, ...]:
     effect = layout.effect(index)
     column = layout.columns.index(effect.site.target)
-    return _MEMORIES.index(effect.form.memory), column, layout.repair.positions[index]
+    return list(MEMORIES).index(effect.form.memory), column, layout.repair.positions[index]
 
 
 def _output_effect(layout: WrapperLayout, index: int) -> tuple[int, ...]:
@@ -256,7 +252,7 @@ def _output_programs(layout: WrapperLayout, index: int) -> tuple[bytes, bytes]:
     rates = [abs(rate) for rate in known_rates(effect, effect.uses)]
     motion = [Max(sp.Integer(0), *rates), known_decay(effect)]
     seen, n_coefficients = len(layout.columns) + len(layout.row), len(effect.coefficients)
-    registers = Registers(0, 0, seen, n_coefficients, 0, 2, len(layout.row))
+    registers = Registers(0, 0, seen, n_coefficients, 0, 2)
     locations = output_locations(effect, layout.row, layout.columns)
-    moved = assigned(EffectArray.RESULT, motion)
-    return program, assemble(registers, locations, TIME_SYMBOL, before=moved)
+    moved = assigned(EffectArray.EFFECTIVE_PARAMETERS, motion)
+    return program, assemble(registers, locations, before=moved)

@@ -27,7 +27,8 @@ from cluster_est.model_export.repaired_model import (
     gather,
 )
 from cluster_est.whole_files import ELSEWHERE, write_whole
-from workers.effects.definition import SIGNAL_SYMBOL, TIME_SYMBOL, EffectDefinition, variable_symbol
+from workers.core.assemble import TIME_SYMBOL
+from workers.effects.definition import SIGNAL_SYMBOL, EffectDefinition, variable_symbol
 from workers.messages import Value
 
 _NO_FUNCTION = {

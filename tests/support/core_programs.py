@@ -12,9 +12,9 @@ import numpy as np
 from support.problems.springs import FMU
 
 from workers.core import build
-from workers.core.assemble import MARK, OPERATIONS, Registers, assemble
+from workers.core.assemble import CODE_MARK, OPERATIONS, Registers, assemble
 from workers.effects.compiled import CompiledEquations, equations
-from workers.effects.definition import TIME_SYMBOL, define
+from workers.effects.definition import define
 from workers.effects.forms import FORMS, SiteKind
 from workers.fmu.description import describe_model
 from workers.messages import Effect, FloatArray, Model, Solver
@@ -67,7 +67,7 @@ def form_program(kind: SiteKind, name: str) -> FormProgram:
     coefficients = 1 + len(definition.coefficients)
     registers = Registers(2 + own, own, 1, coefficients, parameters, parameters)
     code = assemble(
-        registers, laid_out.locations, TIME_SYMBOL, laid_out.start_states, laid_out.modify_inputs,
+        registers, laid_out.locations, laid_out.start_states, laid_out.modify_inputs,
         laid_out.add_derivatives,
     )  # fmt: skip
     return FormProgram(code, laid_out, registers)
@@ -77,7 +77,7 @@ def written(n_registers, n_states, pieces, sites=(), own=0, constants=()):
     """Bytes of a program with nothing but states and temporaries."""
     code = [[*piece, (0, 0, 0, 0)] for piece in pieces]
     header = struct.pack(
-        "<8s16I", MARK, n_registers, n_states, own, 0, 0, 0, len(constants), 0, 0, len(sites),
+        "<8s16I", CODE_MARK, n_registers, n_states, own, 0, 0, 0, len(constants), 0, 0, len(sites),
         len(sites), *map(len, code), 0,
     )  # fmt: skip
     instructions = b"".join(struct.pack("<4H", *i) for piece in code for i in piece)

@@ -10,8 +10,9 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
+from enum import StrEnum, auto
 from functools import reduce
+from itertools import accumulate
 from typing import Any
 
 import sympy as sp
@@ -24,7 +25,7 @@ OPERATIONS = (
     "LESS_OR_EQUAL", "EQUAL", "UNEQUAL", "AND", "OR", "NOT", "CHOOSE",
 )  # fmt: skip
 """In the order of program.h."""
-MARK = b"CECORE1\0"
+CODE_MARK = b"CECORE1\0"
 MOST_REGISTERS = 2**16 - 1
 _CODES = {name: code for code, name in enumerate(OPERATIONS)}
 _FUNCTIONS: dict[type[sp.Basic], str] = {
@@ -49,34 +50,32 @@ _COMPARISONS: dict[type[sp.Basic], tuple[str, bool]] = {
 """Operations, and whether the sides change places."""
 _MOST_MULTIPLICATIONS = 64
 """Integer powers up to this one are products."""
-_TIME = sp.Symbol("t", real=True)
+TIME_SYMBOL = sp.Symbol("t", real=True)
 
 
 class EffectArray(StrEnum):
     """Arrays that equations of effects read and write."""
 
-    STATES = "states"
-    INPUTS = "raw"
-    COEFFICIENTS = "coefficients"
-    BASE = "base"
-    EFFECTIVE_INPUTS = "edited"
-    EFFECTIVE_PARAMETERS = "varied"
-    DERIVATIVES = "slopes"
-    OUTPUTS = "row"
-    RESULT = "result"
+    STATES = auto()
+    INPUTS = auto()
+    COEFFICIENTS = auto()
+    BASE = auto()
+    EFFECTIVE_INPUTS = auto()
+    EFFECTIVE_PARAMETERS = auto()
+    DERIVATIVES = auto()
 
 
 @dataclass(frozen=True)
 class Assignment:
     """`target[index] = value`, or `+=`."""
 
-    target: str
+    target: EffectArray
     index: int
     value: sp.Expr
     add: bool = False
 
 
-Locations = dict[sp.Symbol, tuple[str, int]]
+Locations = dict[sp.Symbol, tuple[EffectArray, int]]
 """(array, index) of each symbol."""
 
 
@@ -90,12 +89,11 @@ class Registers:
         Of the FMU and of effects together; of effects, which are the last of them.
     inputs
         Inputs and signals; for an effect at an output those and, behind them, the outputs.
-    outputs
-        How many of these inputs are outputs.
     coefficients
         In a row of the task's, with those of other effects.
     base, parameters
-        Parameters that effects change: values without effects, and with them.
+        Parameters that effects change: values without effects, and with them. What else is computed
+        from values, such as an output behind its effect, is a parameter here.
     """
 
     states: int
@@ -104,13 +102,11 @@ class Registers:
     coefficients: int
     base: int = 0
     parameters: int = 0
-    outputs: int = 0
 
 
 def assemble(
     registers: Registers,
     locations: Locations,
-    time: sp.Symbol,
     start: Sequence[Assignment] = (),
     before: Sequence[Assignment] = (),
     after: Sequence[Assignment] = (),
@@ -121,11 +117,11 @@ def assemble(
     ----------
     registers
         How many there are.
-    locations, time
-        Of the symbols of the equations; the symbol of the time.
+    locations
+        Of the symbols of the equations but the time, which is `TIME_SYMBOL`.
     start, before, after
-        Assignments to states at the start; to effective inputs and parameters, or to the result;
-        and to derivatives. All values of one of them are read before anything is written.
+        Assignments to own states at the start; to effective inputs and parameters; and to
+        derivatives. All values of one of them are read before anything is written.
 
     Raises
     ------
@@ -133,9 +129,9 @@ def assemble(
         If an equation has something in it that the core does not know, or there are too many.
     """
     code = _Code(registers)
-    code.write_start(_prepared(start, time), start, locations)
-    code.write_before(_prepared(before, time), before, locations)
-    code.write_after(_prepared(after, time), after, locations)
+    code.write_start(start, locations)
+    code.write_before(before, locations)
+    code.write_after(after, locations)
     return code.to_bytes(changes_inputs=bool(before))
 
 
@@ -158,11 +154,11 @@ class _PreparedEquations:
     values: tuple[sp.Expr, ...]
 
 
-def _prepared(assignments: Sequence[Assignment], time: sp.Symbol) -> _PreparedEquations:
-    used = set().union(*(a.value.free_symbols for a in assignments)) if assignments else set()
-    ordered = sorted(used - {time}, key=str)
+def _prepared(assignments: Sequence[Assignment]) -> _PreparedEquations:
+    used = set().union(*(a.value.free_symbols for a in assignments))
+    ordered = sorted(used - {TIME_SYMBOL}, key=str)
     read = tuple((sp.Symbol(f"s{i}", real=True), symbol) for i, symbol in enumerate(ordered))
-    short = {symbol: local for local, symbol in read} | {time: _TIME}
+    short = {symbol: local for local, symbol in read}
     values = [a.value.xreplace(short) for a in assignments]
     common, reduced = sp.cse(values, symbols=sp.numbered_symbols("c"))
     return _PreparedEquations(read, tuple(common), tuple(reduced))
@@ -190,64 +186,57 @@ class _Code:
 
     def __post_init__(self) -> None:
         r = self.registers
-        self._first = {"states": 1, "raw": 1 + r.states}
-        self._first["row"] = self._first["raw"] + r.inputs - r.outputs
-        self._first["coefficients"] = self._first["raw"] + r.inputs
-        self._first["base"] = self._first["coefficients"] + r.coefficients
-        self._first["edited"] = self._first["base"] + r.base
+        self._sizes = {
+            EffectArray.STATES: r.states,
+            EffectArray.INPUTS: r.inputs,
+            EffectArray.COEFFICIENTS: r.coefficients,
+            EffectArray.BASE: r.base,
+        }
+        first = accumulate(self._sizes.values(), initial=1)
+        self._first = dict(zip((*self._sizes, EffectArray.EFFECTIVE_INPUTS), first, strict=True))
+        self._first_effective = self._first[EffectArray.EFFECTIVE_INPUTS]
         self._known: _Known = {}
 
-    def write_start(
-        self, prepared: _PreparedEquations, given: Sequence[Assignment], where: Locations
-    ) -> None:
+    def write_start(self, given: Sequence[Assignment], where: Locations) -> None:
         """Own states at the start."""
-        results = self._write(START, prepared, where)
-        for assignment, result in zip(given, results, strict=True):
-            to = self._first["states"] + assignment.index
+        for assignment, result in self._write(START, given, where):
+            to = self._first[EffectArray.STATES] + assignment.index
             self.pieces[START].append(("MOVE", to, result, 0))
 
-    def write_before(
-        self, prepared: _PreparedEquations, given: Sequence[Assignment], where: Locations
-    ) -> None:
+    def write_before(self, given: Sequence[Assignment], where: Locations) -> None:
         """Effective inputs and parameters. Who computes one alone writes it in its place."""
-        results = self._write(BEFORE, prepared, where)
-        for assignment, result in zip(given, results, strict=True):
-            self._place(self._effective(assignment), result)
+        for assignment, result in self._write(BEFORE, given, where):
+            at_parameters = assignment.target == EffectArray.EFFECTIVE_PARAMETERS
+            behind = self.registers.inputs if at_parameters else 0
+            self._place(self._first_effective + behind + assignment.index, result)
 
-    def write_after(
-        self, prepared: _PreparedEquations, given: Sequence[Assignment], where: Locations
-    ) -> None:
+    def write_after(self, given: Sequence[Assignment], where: Locations) -> None:
         """What changes derivatives: registers, which the core adds or takes."""
-        results = self._write(AFTER, prepared, where)
-        for assignment, result in zip(given, results, strict=True):
+        for assignment, result in self._write(AFTER, given, where):
             self.sites.append((not assignment.add, assignment.index, result))
 
-    def _write(self, piece: int, prepared: _PreparedEquations, where: Locations) -> list[int]:
-        """Write equations; returns the registers of their values."""
-        own = {ONCE: self._known, piece: {}}
-        writer = _Writer(self, piece, own)
-        writer.define(_TIME, 0)
+    def _write(
+        self, piece: int, given: Sequence[Assignment], where: Locations
+    ) -> list[tuple[Assignment, int]]:
+        """Write equations; returns each with the register of its value."""
+        prepared = _prepared(given)
+        writer = _Writer(self, piece, {ONCE: self._known, piece: {}})
+        writer.define(TIME_SYMBOL, 0)
         for local, symbol in prepared.read:
             writer.define(local, self._place_of(symbol, *where[symbol]))
         for symbol, value in prepared.common:
             writer.define(symbol, writer.write(value))
-        return [writer.write(value) for value in prepared.values]
+        written = map(writer.write, prepared.values)
+        return list(zip(given, written, strict=True))
 
-    def _place_of(self, symbol: sp.Symbol, array: str, index: int) -> int:
+    def _place_of(self, symbol: sp.Symbol, array: EffectArray, index: int) -> int:
         """Return the register of an element of an array that equations read."""
-        r = self.registers
-        sizes = {"states": r.states, "raw": r.inputs - r.outputs, "row": r.outputs}
-        sizes |= {"coefficients": r.coefficients, "base": r.base}
-        if index >= sizes[array]:
+        if index >= self._sizes[array]:
             raise EffectError(
                 f"effects: {symbol} is number {index + 1} of {array}, of which there must be as "
-                f"many but are {sizes[array]}; give all of them"
+                f"many but are {self._sizes[array]}; give all of them"
             )
         return self._first[array] + index
-
-    def _effective(self, assignment: Assignment) -> int:
-        inputs = self.registers.inputs if assignment.target in ("varied", "result") else 0
-        return self._first["edited"] + inputs + assignment.index
 
     def _place(self, to: int, result: int) -> None:
         code = self.pieces[BEFORE]
@@ -265,8 +254,8 @@ class _Code:
         """Return whether a register keeps its value during a simulation."""
         if register < 0:
             return True
-        first = self._first["coefficients"]
-        return first <= register < self._first["edited"] or register in self._fixed
+        first = self._first[EffectArray.COEFFICIENTS]
+        return first <= register < self._first_effective or register in self._fixed
 
     def constant(self, value: float) -> int:
         """Return the register of a number: below 0 until it is known how many there are."""
@@ -284,7 +273,7 @@ class _Code:
     def to_bytes(self, *, changes_inputs: bool) -> bytes:
         """Give the registers their numbers, and put all together."""
         r = self.registers
-        first_constant = self._first["edited"] + r.inputs * changes_inputs + r.parameters
+        first_constant = self._first_effective + r.inputs * changes_inputs + r.parameters
         first_temporary = first_constant + len(self.constants)
         total = first_temporary + self._temporaries
         if total > MOST_REGISTERS:
@@ -302,7 +291,7 @@ class _Code:
         pieces = [[*piece, ("END", 0, 0, 0)] for piece in self.pieces]
         sites = sorted(self.sites, key=lambda site: site[0])
         header = struct.pack(
-            "<8s16I", MARK, total, r.states, r.own, r.inputs, r.coefficients, r.base,
+            "<8s16I", CODE_MARK, total, r.states, r.own, r.inputs, r.coefficients, r.base,
             len(self.constants), r.parameters, changes_inputs, len(sites),
             sum(not own for own, _, _ in sites), *map(len, pieces), 0,
         )  # fmt: skip

@@ -83,14 +83,6 @@ RARELY int several_steps(Work *w, size_t i, int64_t steps) {
     return OK;
 }
 
-ALWAYS int one_step(const Model *c, const Shape s, Work *w, size_t i) {
-    if (c->f.interpolates_inputs && c->continuous.n_reals > 0)
-        TRY(set_input_slopes(&c->f, c->inputs.reals, c->inputs.n_reals, w->orders,
-                             c->slopes + i * N_INPUTS));
-    c->progress[CALLED] = 1;
-    return do_step(&c->f, FMI, c->times[i], c->intervals[i], &w->info);
-}
-
 static int failed_step(int status) {
     if (status == DISCARD) return DISCARDED;
     return status == PENDING ? IS_PENDING + IS_FATAL : failed(STEP_FAILED, status);
@@ -153,9 +145,7 @@ LOOP(fmi2, 2, 0, 1, -1, -1)
 LOOP(fmi2_1, 2, 0, 1, -1, 1)
 LOOP(fmi3, 3, 0, 1, -1, -1)
 
-static Loop *choose(const Model *c) {
+Loop *co_simulation_loop(const Model *c) {
     if (c->program != NULL || !has_reals(c)) return any;
     return c->f.version == 3 ? fmi3 : c->n_inputs == 1 ? fmi2_1 : fmi2;
 }
-
-size_t core_co_simulate(const Batch *batch) { return for_all_points(batch, choose); }

@@ -282,7 +282,7 @@ static End along_grid(Run *run, double *y) {
     return (End){FINISHED, run->time, last};
 }
 
-static End simulate(Work *w, const double *point, double *y) {
+End cvode_loop(Work *w, const double *point, double *y) {
     Run run = {.w = w, .s = w->batch->cvode, .time = w->model.times[0], .step_reported = 1};
     const Cvode *s = run.s;
     set_number(s->set_max_step, s, w->batch->settings->step); /* 0: no limit */
@@ -293,10 +293,3 @@ static End simulate(Work *w, const double *point, double *y) {
     if (code != FINISHED) return (End){code, run.time, 0};
     return along_grid(&run, y);
 }
-
-static Loop *choose(const Model *c) {
-    (void)c;
-    return simulate;
-}
-
-size_t core_cvode(const Batch *batch) { return for_all_points(batch, choose); }

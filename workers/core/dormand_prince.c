@@ -222,7 +222,7 @@ LOOP(fmi3, 3, 0, 1, -1, -1)
 LOOP(fmi2_2_1, 2, 0, 1, 2, 1)
 LOOP(fmi2_2_1_effects, 2, 1, 1, 2, 1)
 
-static Loop *choose(const Model *c) {
+Loop *dormand_prince_loop(const Model *c) {
     const int effects = c->program != NULL;
     if (!has_reals(c) || (c->f.version == 3 && effects)) return any;
     if (c->f.version == 3) return fmi3;
@@ -230,8 +230,6 @@ static Loop *choose(const Model *c) {
         return effects ? fmi2_2_1_effects : fmi2_2_1;
     return effects ? fmi2_effects : fmi2;
 }
-
-size_t core_dormand_prince(const Batch *batch) { return for_all_points(batch, choose); }
 
 /* ---- stiffness --------------------------------------------------------------------------- *
  *

@@ -29,6 +29,7 @@
 #include <stdint.h>
 #include <string.h>
 
+#include "compiler.h"
 #include "elementary_tables.h"
 
 #if FLT_EVAL_METHOD != 0
@@ -41,14 +42,6 @@
 #pragma STDC FP_CONTRACT OFF
 #endif
 
-#if defined(__GNUC__)
-#define RARE __attribute__((noinline, cold))
-#define UNLIKELY(condition) __builtin_expect(!!(condition), 0)
-#else
-#define RARE
-#define UNLIKELY(condition) (condition)
-#endif
-
 #define SIGN 0x8000000000000000u
 #define INFINITE 0x7ff0000000000000u
 
@@ -56,15 +49,13 @@
  * 1.5 * 2**52, whose own last 51 bits are 0. */
 #define TO_INTEGER 0x1.8p52
 
-static inline uint64_t bits_of(double x)
-{
+static inline uint64_t bits_of(double x) {
     uint64_t bits;
     memcpy(&bits, &x, sizeof bits);
     return bits;
 }
 
-static inline double from_bits(uint64_t bits)
-{
+static inline double from_bits(uint64_t bits) {
     double x;
     memcpy(&x, &bits, sizeof x);
     return x;
@@ -82,15 +73,13 @@ static inline double not_a_number(void) { return from_bits(0x7ff8000000000000u);
 /* exp [T89]: x = n ln 2 / 128 + r, |r| <= ln 2 / 256, exp(x) = 2**(n/128) exp(r). */
 
 /* exp(r) - 1 and what 2**(n/128) misses, for small r. */
-static inline double exp_rest(double r, double missing)
-{
+static inline double exp_rest(double r, double missing) {
     const double *const c = EXP_POLYNOMIAL, square = r * r;
     return ((missing + r) + square * (c[0] + c[1] * r)) + (square * square) * (c[2] + c[3] * r);
 }
 
 /* scale (1 + rest) where scale's exponent may lie outside of the range: computed nearer to 1. */
-static RARE double exp_extreme(uint64_t scale_bits, double rest, int large)
-{
+RARELY static double exp_extreme(uint64_t scale_bits, double rest, int large) {
     if (large) {
         const double scale = from_bits(scale_bits - (1000ull << 52));
         return 0x1p1000 * (scale + scale * rest);
@@ -103,8 +92,7 @@ static RARE double exp_extreme(uint64_t scale_bits, double rest, int large)
     return 0x1p-1022 * (sum - 1.0);
 }
 
-double ce_exp(double x)
-{
+double ce_exp(double x) {
     const uint64_t field = exponent_field(bits_of(x));
     /* One comparison for |x| < 2**-54 and for |x| >= 512. */
     if (UNLIKELY(field - 0x3c9 >= 0x408 - 0x3c9)) {
@@ -124,8 +112,7 @@ double ce_exp(double x)
 }
 
 /* exp(x) - 1 [T92]: a polynomial for |x| < 1/16, else exp's parts with -1 added without error. */
-double ce_expm1(double x)
-{
+double ce_expm1(double x) {
     const uint64_t field = exponent_field(bits_of(x));
     if (field < 0x3fb) {
         if (UNLIKELY(field < 0x3c9)) return x;
@@ -154,8 +141,7 @@ double ce_expm1(double x)
 /* log [T90]: x = 2**k z, z near a tabulated c: log(x) = k ln 2 + log(c) + log(1 + r), r = z/c - 1.
  * Near 1, where log(x) is small, the reciprocals have so few bits that r is all but exact; next to
  * 1, c is 1. */
-double ce_log(double x)
-{
+double ce_log(double x) {
     uint64_t bits = bits_of(x);
     /* One comparison for all but positive normal numbers. */
     if (UNLIKELY(bits - 0x0010000000000000u >= 0x7fe0000000000000u)) {
@@ -186,8 +172,7 @@ typedef struct {
 } Base;
 
 /* 0: no integer, 1: odd, 2: even. */
-static inline int parity(uint64_t bits)
-{
+static inline int parity(uint64_t bits) {
     const uint64_t field = exponent_field(bits);
     if (field < 0x3ff) return bits << 1 ? 0 : 2;
     if (field > 0x3ff + 52) return 2;
@@ -197,8 +182,7 @@ static inline int parity(uint64_t bits)
 }
 
 /* C11, F.10.4.4, and y too large or too small for the method. */
-static RARE Base pow_special(double x, double y)
-{
+RARELY static Base pow_special(double x, double y) {
     const uint64_t y_bits = bits_of(y), one = bits_of(1.0), field = exponent_field(y_bits);
     uint64_t bits = bits_of(x) & ~SIGN, sign = 0;
     if (y == 0.0 || x == 1.0) return (Base){1, 1.0, 0, 0};
@@ -227,8 +211,7 @@ static RARE Base pow_special(double x, double y)
  * but 1/c has 11 bits, and z is cut in two, so that both parts of r = rough + fine are exact. rough
  * has 24 bits, of which the square is exact, and is at least twice fine, or 0. The product with y
  * splits both factors [D]. */
-double ce_pow(double x, double y)
-{
+double ce_pow(double x, double y) {
     uint64_t bits = bits_of(x), sign = 0;
     if (UNLIKELY(bits - 0x0010000000000000u >= 0x7fe0000000000000u
                  || exponent_field(bits_of(y)) - (0x3ff - 65) >= 65 + 64)) {
@@ -278,8 +261,7 @@ typedef struct {
 } Angle;
 
 /* The product of two integers of 64 bits: low half, and the high one by address. */
-static inline uint64_t wide_product(uint64_t a, uint64_t b, uint64_t *high)
-{
+static inline uint64_t wide_product(uint64_t a, uint64_t b, uint64_t *high) {
 #if defined(__SIZEOF_INT128__) && !defined(CE_WITHOUT_INT128)
     __extension__ typedef unsigned __int128 Wide;
     const Wide wide = (Wide)a * b;
@@ -295,8 +277,7 @@ static inline uint64_t wide_product(uint64_t a, uint64_t b, uint64_t *high)
 
 /* Any |x| >= 2**-6 [PH]: of the digits of 2/pi those that give multiples of 4 quadrants are left
  * out, 192 are used, which leaves 75 correct ones even of the rest nearest to 0 of all doubles. */
-static RARE Angle angle_exact(double x)
-{
+RARELY static Angle angle_exact(double x) {
     const uint64_t bits = bits_of(x), mantissa = (bits & 0x000fffffffffffffu) | 1ull << 52;
     const unsigned offset = (unsigned)exponent_field(bits) - 1013;
     const unsigned word = offset / 64, shift = offset % 64;
@@ -347,8 +328,7 @@ static inline int is_ordinary(double size) { return size >= 0x1p-27 && size < 0x
 
 /* 2**-27 <= |x| < 2**20 [CW]: pi/64 in three parts, of which n times the first two is exact. A rest
  * below 2**-27 lost too many digits, unless n is 0, which |x| excludes. */
-static inline Angle angle(double x)
-{
+static inline Angle angle(double x) {
     const double shifted = x * ANGLE_PER_STEP + TO_INTEGER, n = shifted - TO_INTEGER;
     const double second = n * ANGLE_STEP_2, third = n * ANGLE_STEP_3;
     const double a = x - n * ANGLE_STEP_1, b = a - second;
@@ -360,8 +340,7 @@ static inline Angle angle(double x)
 
 /* sin of an angle: S cos(h) + C sin(h) with S = sin(n pi/64), and C its cosine, never negative, as
  * A + B with A = 0, 1/2 or 1: (S + A h) + (B h + ..), whose first sum loses nothing. */
-static inline double sin_of(Angle at)
-{
+static inline double sin_of(Angle at) {
     const double *const s = SIN_POLYNOMIAL, *const c = COS_POLYNOMIAL;
     const uint64_t turned = at.n + 32, index = turned % 64, sign = turned << 57 & SIGN;
     const double sine = SIN_TABLE[index].high, h = at.h, u = h * h;
@@ -374,8 +353,7 @@ static inline double sin_of(Angle at)
     return from_bits(bits_of(high + low) ^ sign);
 }
 
-double ce_sin(double x)
-{
+double ce_sin(double x) {
     const double size = fabs(x);
     if (UNLIKELY(!is_ordinary(size))) {
         if (size < 1.0) return x;
@@ -386,8 +364,7 @@ double ce_sin(double x)
 
 static inline double cos_of(Angle at) { return sin_of((Angle){at.n + 32, at.h, at.l}); }
 
-double ce_cos(double x)
-{
+double ce_cos(double x) {
     const double size = fabs(x);
     if (UNLIKELY(!is_ordinary(size))) {
         if (size < 1.0) return 1.0;
@@ -399,8 +376,7 @@ double ce_cos(double x)
 /* tan(n pi/64 + h) = (T + t) / (1 - T t), |T| <= 1, t = tan(h), or minus its reciprocal in odd
  * quadrants: in both cases (e0 + e1 + e2 t) / (e3 + e4 + e5 t), without a branch. Numerator and
  * denominator have two parts; the quotient is corrected by what it leaves of the numerator [D]. */
-static inline double tan_of(Angle at)
-{
+static inline double tan_of(Angle at) {
     const double *const c = TAN_POLYNOMIAL, h = at.h, u = h * h;
     const double rest = at.l + (u * h) * ((c[0] + u * c[1]) + (u * u) * (c[2] + u * c[3]));
     const double t = h + rest, t_low = (h - t) + rest;
@@ -415,8 +391,7 @@ static inline double tan_of(Angle at)
     return quotient + (left + (top_low - quotient * bottom_low)) * inverse;
 }
 
-double ce_tan(double x)
-{
+double ce_tan(double x) {
     const double size = fabs(x);
     if (UNLIKELY(!is_ordinary(size))) {
         if (size < 1.0) return x;
@@ -426,8 +401,7 @@ double ce_tan(double x)
 }
 
 /* atan(x) = atan(c) + atan((x - c) / (1 + x c)), c of 6 bits near x [M], infinite from 64 on. */
-double ce_atan(double x)
-{
+double ce_atan(double x) {
     const uint64_t bits = bits_of(x) & ~SIGN;
     if (bits < bits_of(0.0625)) {
         if (UNLIKELY(bits < bits_of(0x1p-27))) return x;
@@ -451,8 +425,7 @@ double ce_atan(double x)
 }
 
 /* tanh(x) = T + (1 - T**2) t / (1 + T t), T = tanh(c), t = tanh(x - c), c of 7 bits near x [M]. */
-double ce_tanh(double x)
-{
+double ce_tanh(double x) {
     const uint64_t bits = bits_of(x) & ~SIGN;
     if (bits < bits_of(0.125)) {
         if (UNLIKELY(bits < bits_of(0x1p-27))) return x;

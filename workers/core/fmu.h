@@ -7,12 +7,8 @@
 #define FMU_H
 #include <math.h>
 
+#include "compiler.h"
 #include "core.h"
-
-#define ALWAYS static inline __attribute__((always_inline))
-#define RARELY __attribute__((noinline, cold))
-#define LIKELY(x) __builtin_expect(!!(x), 1)
-#define UNLIKELY(x) __builtin_expect(!!(x), 0)
 
 /* From DISCARD on a call brought no result; from ERROR on the instance must be reset. */
 enum { OK, WARNING, DISCARD, ERROR, FATAL, PENDING };

@@ -157,38 +157,21 @@ static int update(Filter *f, size_t i, const double *predicted, size_t n_outputs
     return measured;
 }
 
-static int correct_and_linearise(Filter *f, Differences *d, size_t i, double time,
-                                 const double *y) {
-    Work *w = d->w;
-    const size_t n = f->n, m = w->model.n_outputs;
-    TRY(linearise_at(d, i));
-    if (!update(f, i, y, m, w->x, d->l->C + i * m * n)) return OK;
-    memcpy(w->trial, w->x, n * sizeof *w->x);
-    TRY(set_model(&w->model, ANY, w, time));
-    return linearise_at(d, i);
-}
-
-static End along_grid(Filter *f, Differences *d) {
+/* Correct at grid time i, linearise where the filtered states are, and predict the covariance at the
+ * next time. */
+static int filter_at(Differences *d, size_t i, double time, const double *y, void *how) {
+    Filter *f = how;
     Work *w = d->w;
     const Model *c = &w->model;
-    const size_t n = f->n;
-    double *y = w->batch->outputs;
-    Stepping now = {c->times[0], 0.0, 0};
-    int code = start_simulation(w, w->batch->points);
-    for (size_t i = 0; code == FINISHED; i++, y += c->n_outputs) {
-        code = handle_input_jump(w, i, now.time);
-        if (code != FINISHED) return (End){code, now.time, i};
-        const Interval a = interval(c, ANY, i);
-        int status = record(c, ANY, w, &a, now.time, y);
-        if (status >= DISCARD) return (End){failed(OUTPUT_FAILED, status), now.time, i};
-        status = correct_and_linearise(f, d, i, now.time, y);
-        if (status >= DISCARD) return (End){failed(LINEARISATION_FAILED, status), now.time, i};
-        if (i + 1 == c->n_times) return (End){FINISHED, now.time, i};
-        predict(f, d->l->A + i * n * n, c->times[i + 1] - c->times[i]);
-        code = step_on_grid(d, i, &now);
-        if (code != FINISHED) return (End){code, now.time, i};
+    const size_t n = f->n, m = c->n_outputs;
+    TRY(linearise_at(d, i));
+    if (update(f, i, y, m, w->x, d->l->C + i * m * n)) {
+        memcpy(w->trial, w->x, n * sizeof *w->x);
+        TRY(set_model(c, ANY, w, time));
+        TRY(linearise_at(d, i));
     }
-    return (End){code, now.time, 0};
+    if (i + 1 < c->n_times) predict(f, d->l->A + i * n * n, c->times[i + 1] - c->times[i]);
+    return OK;
 }
 
 static int begin_filter(Filter *f, const Kalman *k, size_t n) {
@@ -205,7 +188,8 @@ int core_filter(const Batch *batch, const Linearisation *l, const Kalman *kalman
     Filter f = {0};
     int code = begin_pair(&p, batch, l);
     if (code == FINISHED) code = begin_filter(&f, kalman, batch->n_states);
-    const End end = code == FINISHED ? along_grid(&f, &p.d) : (End){code, 0.0, 0};
+    const End end =
+        code == FINISHED ? along_grid(&p.d, filter_at, &f) : (End){code, 0.0, 0};
     free(f.F);
     return end_pair(&p, end);
 }

@@ -150,7 +150,8 @@ int linearise_at(Differences *d, size_t i) {
     return set_model(c, ANY, w, time); /* and the parameters that effects change */
 }
 
-int step_on_grid(const Differences *d, size_t i, Stepping *now) {
+/* Step to grid time i + 1 as `stepping` says. Returns the code. */
+static int step_on_grid(const Differences *d, size_t i, Stepping *now) {
     Work *w = d->w;
     now->left = w->batch->settings->max_steps;
     if (d->l->stepping == DORMAND_PRINCE) return adaptive_steps(w, i, now, NULL);
@@ -161,7 +162,7 @@ int step_on_grid(const Differences *d, size_t i, Stepping *now) {
     return w->next_event <= now->time ? EVENT : FINISHED;
 }
 
-static End along_grid(Differences *d) {
+End along_grid(Differences *d, AtGridTime *what, void *how) {
     Work *w = d->w;
     const Model *c = &w->model;
     double *y = w->batch->outputs;
@@ -173,7 +174,7 @@ static End along_grid(Differences *d) {
         const Interval a = interval(c, ANY, i);
         int status = record(c, ANY, w, &a, now.time, y);
         if (status >= DISCARD) return (End){failed(OUTPUT_FAILED, status), now.time, i};
-        status = linearise_at(d, i);
+        status = what(d, i, now.time, y, how);
         if (status >= DISCARD) return (End){failed(LINEARISATION_FAILED, status), now.time, i};
         if (i + 1 == c->n_times) return (End){FINISHED, now.time, i};
         code = step_on_grid(d, i, &now);
@@ -204,13 +205,17 @@ int end_pair(Paired *p, End end) {
     free(p->d.memory);
     end_work(&p->with_offsets);
     end_work(&p->work);
-    p->batch->codes[0] = end.code, p->batch->stopped_at[0] = end.time;
-    p->batch->indices[0] = (int64_t)end.index;
-    return end.code;
+    return put_end(p->batch, 0, end);
+}
+
+static int just_linearise(Differences *d, size_t i, double time, const double *y, void *how) {
+    (void)time, (void)y, (void)how;
+    return linearise_at(d, i);
 }
 
 int core_linearise(const Batch *batch, const Linearisation *l) {
     Paired p;
     const int code = begin_pair(&p, batch, l);
-    return end_pair(&p, code == FINISHED ? along_grid(&p.d) : (End){code, 0.0, 0});
+    return end_pair(&p, code == FINISHED ? along_grid(&p.d, just_linearise, NULL)
+                                         : (End){code, 0.0, 0});
 }

@@ -25,7 +25,9 @@ int begin_pair(Paired *p, const Batch *batch, const Linearisation *l);
 int end_pair(Paired *p, End end);
 /* All derivatives at grid time i, which the FMU is set to. Returns the status. */
 int linearise_at(Differences *d, size_t i);
-/* Step to grid time i + 1 as `stepping` says. Returns the code. */
-int step_on_grid(const Differences *d, size_t i, Stepping *now);
+/* Simulate along the grid. At each time of it, `what` is done: it is given the FMU's outputs there,
+ * may change the states, and returns the status. */
+typedef int AtGridTime(Differences *d, size_t i, double time, const double *y, void *how);
+End along_grid(Differences *d, AtGridTime *what, void *how);
 
 #endif

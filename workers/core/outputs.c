@@ -14,7 +14,7 @@
 #include "work.h"
 
 /* Inputs and outputs at a part of the interval after grid time i, and the time. */
-void set_signals(OutputRun *run, size_t i, double part) {
+static void set_signals(OutputRun *run, size_t i, double part) {
     const Record *a = run->record;
     const size_t next = i + 1 < a->n_times ? i + 1 : i;
     const double length = a->times[next] - a->times[i];

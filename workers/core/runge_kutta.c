@@ -189,7 +189,7 @@ LOOP(fmi3, 3, 0, 1, -1, -1)
     LOOP(fmi2_##states##_##inputs##_effects, 2, 1, 1, states, inputs)
 LOOPS(1, 0) LOOPS(1, 1) LOOPS(2, 0) LOOPS(2, 1) LOOPS(3, 0) LOOPS(3, 1) LOOPS(4, 0) LOOPS(4, 1)
 
-static Loop *choose(const Model *c) {
+Loop *runge_kutta_loop(const Model *c) {
 #define PAIR(states, inputs) \
     {fmi2_##states##_##inputs, fmi2_##states##_##inputs##_effects}
 #define ROW(states) {PAIR(states, 0), PAIR(states, 1)}
@@ -202,5 +202,3 @@ static Loop *choose(const Model *c) {
         return shaped[n - 1][c->n_inputs][effects];
     return effects ? fmi2_effects : fmi2;
 }
-
-size_t core_runge_kutta(const Batch *batch) { return for_all_points(batch, choose); }

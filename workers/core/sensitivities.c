@@ -241,9 +241,7 @@ int core_sensitivities(const Batch *batch, const Sensitivities *s) {
     }
     free(f.memory);
     end_work(w);
-    batch->codes[0] = end.code, batch->stopped_at[0] = end.time;
-    batch->indices[0] = (int64_t)end.index;
-    return end.code;
+    return put_end(batch, 0, end);
 }
 
 int core_is_known(const Batch *batch, const uint32_t *unknowns, size_t n, uint32_t known,

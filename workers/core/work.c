@@ -155,25 +155,9 @@ int64_t substep_count(double length, double rate) {
     return wanted >= 1e4 ? 10000 : wanted > 1.0 ? (int64_t)wanted : 1;
 }
 
-size_t for_all_points(const Batch *b, Loop *(*choose)(const Model *)) {
-    Work work, *const w = &work;
-    if (b->n_points == 0) return 0;
-    const int refused = begin_work(w, b);
-    if (refused) {
-        b->codes[0] = refused, b->stopped_at[0] = 0.0, b->indices[0] = 0;
-        return 1;
-    }
-    Loop *const loop = choose(&w->model);
-    const size_t n_row = b->experiment->n_times * b->experiment->n_outputs;
-    size_t p = 0;
-    for (int code = FINISHED; p < b->n_points && code == FINISHED; p++) {
-        select_point(w, p);
-        const End end = loop(w, b->points + p * b->n_values, b->outputs + p * n_row);
-        b->codes[p] = code = end.code;
-        b->stopped_at[p] = end.time;
-        b->indices[p] = (int64_t)end.index;
-        b->steps[p] = b->progress[STEPS];
-    }
-    end_work(w);
-    return p;
+int put_end(const Batch *b, size_t p, End end) {
+    b->codes[p] = end.code;
+    b->stopped_at[p] = end.time;
+    b->indices[p] = (int64_t)end.index;
+    return end.code;
 }

@@ -100,40 +100,21 @@ int is_above_bound(Work *w, size_t i, const double *y);
 int64_t n_steps(double length, double longest, int64_t limit);
 /* Classic Runge-Kutta steps for a rate, where nothing else controls the error. */
 int64_t substep_count(double length, double rate);
-/* Run a loop for all points of a batch, up to the first that fails. */
+/* Say in a batch how the simulation of point p ended; returns the code. */
+int put_end(const Batch *batch, size_t p, End end);
+
+/* The simulation of one point, by method: one for each shape that is common. */
 typedef End Loop(Work *w, const double *point, double *outputs);
-size_t for_all_points(const Batch *batch, Loop *(*choose)(const Model *));
-/* By method. */
-size_t core_co_simulate(const Batch *batch);
-size_t core_runge_kutta(const Batch *batch);
-size_t core_dormand_prince(const Batch *batch);
-size_t core_cvode(const Batch *batch);
-
-/* ---- step by step, for the wrapper of exported FMUs ---------------------------------------- */
-
-/* In co-simulation: set inputs and parameters, as effects make them, at a time of an interval; and
- * step from grid time i, where that was done, to the next. Returns the status. */
-struct Interval;
-int set_effective(Work *w, const struct Interval *a, double time);
-int several_steps(Work *w, size_t i, int64_t steps);
-
-/* An effect at an output under way: registers; own states, and their derivatives. */
-typedef struct {
-    const Record *record;
-    const Program *p;
-    double *r, *x, *stages[4];
-} OutputRun;
-
-/* Own states from grid time i to the next; inputs and outputs at a part of that interval. */
-void advance_output_states(OutputRun *run, size_t i);
-void set_signals(OutputRun *run, size_t i, double part);
+typedef Loop *LoopFor(const Model *c);
+LoopFor co_simulation_loop, runge_kutta_loop, dormand_prince_loop;
+Loop cvode_loop;
 
 static inline int failed(int code, int status) { return status >= FATAL ? code + IS_FATAL : code; }
 static inline double smaller(double a, double b) { return b < a ? b : a; }
 static inline double larger(double a, double b) { return b > a ? b : a; }
 
 /* The inputs between two times of the grid. Those of a shape are in arrays of its own. */
-typedef struct Interval {
+typedef struct {
     double begin, own[2][MOST_INPUTS];
     const double *values, *slopes;
 } Interval;
@@ -187,11 +168,37 @@ ALWAYS int get_outputs(const Model *c, const Shape s, Work *w, double *row) {
     return get_reals(&c->f, FMI, c->outputs.reals, c->outputs.n_reals, row);
 }
 
+/* In co-simulation, one step of the FMU from grid time i to the next. */
+ALWAYS int one_step(const Model *c, const Shape s, Work *w, size_t i) {
+    if (c->f.interpolates_inputs && c->continuous.n_reals > 0)
+        TRY(set_input_slopes(&c->f, c->inputs.reals, c->inputs.n_reals, w->orders,
+                             c->slopes + i * N_INPUTS));
+    c->progress[CALLED] = 1;
+    return do_step(&c->f, FMI, c->times[i], c->intervals[i], &w->info);
+}
+
 /* Whether a batch has the shape of float64 scalars alone. */
 static inline int has_reals(const Model *c) {
     return c->inputs.n_elements == 0 && c->continuous.n_elements == 0
            && c->outputs.n_elements == 0 && c->outputs.n_reals > 0
            && c->inputs.n_reals == c->n_inputs && c->continuous.n_reals == c->n_inputs;
 }
+
+/* ---- step by step, for the wrapper of exported FMUs ---------------------------------------- */
+
+/* In co-simulation: set inputs and parameters, as effects make them, at a time of an interval; and
+ * step from grid time i, where that was done, to the next. Returns the status. */
+int set_effective(Work *w, const Interval *a, double time);
+int several_steps(Work *w, size_t i, int64_t steps);
+
+/* An effect at an output under way: registers; own states, and their derivatives. */
+typedef struct {
+    const Record *record;
+    const Program *p;
+    double *r, *x, *stages[4];
+} OutputRun;
+
+/* Own states from grid time i to the next. */
+void advance_output_states(OutputRun *run, size_t i);
 
 #endif

@@ -16,7 +16,7 @@ import sympy as sp
 
 from workers.core.assemble import Assignment, EffectArray, Locations, Registers, assemble
 from workers.core.library import LoadedProgram
-from workers.effects.definition import SIGNAL_SYMBOL, TIME_SYMBOL, EffectDefinition, variable_symbol
+from workers.effects.definition import SIGNAL_SYMBOL, EffectDefinition, variable_symbol
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,6 @@ class CompiledEquations:
         return assemble(
             Registers(n_states + own, own, n_inputs, n_coefficients, changed, changed),
             self.locations,
-            TIME_SYMBOL,
             self.start_states,
             self.modify_inputs,
             self.add_derivatives,

@@ -10,8 +10,10 @@ from functools import lru_cache
 import numpy as np
 import sympy as sp
 
+from workers.core.assemble import TIME_SYMBOL
 from workers.effects.expression import parse
-from workers.effects.forms import EffectForm, FormCoefficient, form, positive
+from workers.effects.forms import form
+from workers.effects.kinds import EffectForm, FormCoefficient, positive
 from workers.effects.site import (
     EffectSite,
     check_site,
@@ -26,7 +28,7 @@ from workers.messages import Effect, Experiment, FloatArray, Interface
 REMEMBERED_DEFINITIONS = 4096
 """Definitions that are remembered: those of the same effects are asked for again and again."""
 
-TIME_SYMBOL, SIGNAL_SYMBOL = sp.Symbol("t", real=True), sp.Symbol("s", real=True)
+SIGNAL_SYMBOL = sp.Symbol("s", real=True)
 
 
 def variable_symbol(name: str) -> sp.Symbol:

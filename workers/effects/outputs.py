@@ -20,7 +20,7 @@ import sympy as sp
 from workers.core.assemble import Assignment, EffectArray, Locations, Registers, assemble
 from workers.core.failure import FINISHED
 from workers.core.library import LoadedProgram, Record, core
-from workers.effects.definition import SIGNAL_SYMBOL, TIME_SYMBOL, EffectDefinition, variable_symbol
+from workers.effects.definition import SIGNAL_SYMBOL, EffectDefinition, variable_symbol
 from workers.effects.signal_memory import MEMORIES, SampledSignal
 from workers.grid import SignalGrid
 from workers.messages import FloatArray, IntArray
@@ -166,16 +166,13 @@ def output_code(
 ) -> bytes:
     """Return the byte code of an effect at an output: its start, its value, its derivatives."""
     own = len(definition.states)
-    registers = Registers(
-        own, own, len(inputs) + len(recorded), len(definition.coefficients), parameters=1,
-        outputs=len(recorded),
-    )  # fmt: skip
+    seen, coefficients = len(inputs) + len(recorded), len(definition.coefficients)
+    ((_, equation),) = definition.equations
     return assemble(
-        registers,
+        Registers(own, own, seen, coefficients, parameters=1),
         output_locations(definition, recorded, inputs),
-        TIME_SYMBOL,
         assigned(EffectArray.STATES, definition.starts),
-        assigned(EffectArray.RESULT, [equation for _, equation in definition.equations]),
+        assigned(EffectArray.EFFECTIVE_PARAMETERS, [equation]),
         assigned(EffectArray.DERIVATIVES, definition.derivatives),
     )
 
@@ -184,10 +181,11 @@ def output_locations(
     definition: EffectDefinition, recorded: tuple[str, ...], inputs: tuple[str, ...]
 ) -> Locations:
     """Its inputs are those of the grid, and the outputs behind them; its result the output."""
+    seen = (*inputs, *recorded)
+    target = len(inputs) + recorded.index(definition.site.target)
     return {
-        **{variable_symbol(name): (EffectArray.INPUTS, i) for i, name in enumerate(inputs)},
-        **{variable_symbol(name): (EffectArray.OUTPUTS, i) for i, name in enumerate(recorded)},
-        SIGNAL_SYMBOL: (EffectArray.OUTPUTS, recorded.index(definition.site.target)),
+        **{variable_symbol(name): (EffectArray.INPUTS, i) for i, name in enumerate(seen)},
+        SIGNAL_SYMBOL: (EffectArray.INPUTS, target),
         **{s: (EffectArray.COEFFICIENTS, i) for i, s in enumerate(definition.coefficients)},
         **{s: (EffectArray.STATES, i) for i, s in enumerate(definition.states)},
     }

@@ -84,4 +84,4 @@ MEMORIES: dict[str, Callable[[SampledSignal, float], SampledSignal]] = {
     "rate_limit": rate_limit,
     "rate_limit_from_rest": rate_limit_from_rest,
 }
-"""The functions with a memory, by the name that a form calls them."""
+"""The functions with a memory, by the name that a form calls them, in the order of `table.h`."""

@@ -29,15 +29,13 @@ int history_note(History *history, double time, double value, double slope) {
     while (history->count > 0 && history->segments[history->count - 1].since >= time)
         history->count--;
     if (history->count == history->capacity) {
-        size_t capacity = history->capacity == 0 ? 64 : 2 * history->capacity;
+        const size_t capacity = history->capacity == 0 ? 64 : 2 * history->capacity;
         Segment *segments = realloc(history->segments, capacity * sizeof *segments);
         if (segments == NULL) return -1;
         history->segments = segments;
         history->capacity = capacity;
     }
-    history->segments[history->count].since = time;
-    history->segments[history->count].value = value;
-    history->segments[history->count++].slope = slope;
+    history->segments[history->count++] = (Segment){time, value, slope};
     return 0;
 }
 
@@ -45,7 +43,7 @@ int history_note(History *history, double time, double value, double slope) {
 static size_t begun(const History *history, double time) {
     size_t low = 0, high = history->count;
     while (low < high) {
-        size_t middle = low + (high - low) / 2;
+        const size_t middle = low + (high - low) / 2;
         if (history->segments[middle].since <= time)
             low = middle + 1;
         else
@@ -56,82 +54,60 @@ static size_t begun(const History *history, double time) {
 
 /* A sampled signal, linear from each sample to the next, and from the last to the value now. */
 double history_at(const History *history, double at, double now, double value) {
-    size_t n = begun(history, at);
-    double since, from, until = now, to = value;
+    const size_t n = begun(history, at);
     if (history->count == 0) return value;
     if (n == 0) return history->segments[0].value;
-    since = history->segments[n - 1].since;
-    from = history->segments[n - 1].value;
-    if (n < history->count) {
-        until = history->segments[n].since;
-        to = history->segments[n].value;
-    }
-    return until > since ? from + (fmin(at, until) - since) / (until - since) * (to - from) : to;
+    const Segment from = history->segments[n - 1];
+    const Segment to = n < history->count ? history->segments[n] : (Segment){now, value, 0.0};
+    if (!(to.since > from.since)) return to.value;
+    return from.value
+           + (fmin(at, to.since) - from.since) / (to.since - from.since) * (to.value - from.value);
 }
 
 /* Whether a signal goes on as it did, so that nothing need be noted. */
 static int goes_on(const History *history, Segment given) {
+    if (history->count == 0) return 0;
     const Segment *last = history->segments + history->count - 1;
-    double line;
-    if (history->count == 0 || last->slope != given.slope || last->since >= given.since) return 0;
-    line = last->value + last->slope * (given.since - last->since);
+    if (last->slope != given.slope || last->since >= given.since) return 0;
+    const double line = last->value + last->slope * (given.since - last->since);
     return fabs(line - given.value) <= 1e-12 * (fabs(line) + fabs(given.value));
 }
 
 /* The delayed signal, and when its slope changes next. */
 static Segment delayed(History *history, Segment given, double delay, double *next) {
-    size_t n;
-    Segment found = given;
-    if (!goes_on(history, given))
-        history_note(history, given.since, given.value, given.slope);
-    n = begun(history, given.since - delay + instant(given.since));
+    if (!goes_on(history, given)) history_note(history, given.since, given.value, given.slope);
+    const size_t n = begun(history, given.since - delay + instant(given.since));
     if (n < history->count) *next = fmin(*next, history->segments[n].since + delay);
-    if (n == 0) {
-        found.value = history->segments[0].value;
-        found.slope = 0.0;
-        return found;
-    }
-    found = history->segments[n - 1];
-    found.value += found.slope * fmax(given.since - delay - found.since, 0.0);
-    found.since = given.since;
-    return found;
+    if (n == 0) return (Segment){given.since, history->segments[0].value, 0.0};
+    const Segment then = history->segments[n - 1];
+    const double passed = fmax(given.since - delay - then.since, 0.0);
+    return (Segment){given.since, then.value + then.slope * passed, then.slope};
 }
 
 /* The signal behind a play, which moves once the play is crossed. */
 static Segment played(double *out, Segment given, double half_width, double *next) {
-    Segment found = given;
-    double way, left;
     *out = fmin(fmax(*out, given.value - half_width), given.value + half_width);
-    found.value = *out;
-    if (given.slope == 0.0) return found;
-    way = given.slope > 0.0 ? 1.0 : -1.0;
-    left = way * (*out + way * half_width - given.value);
-    if (left > instant(given.since) * fabs(given.slope)) {
-        found.slope = 0.0;
-        *next = fmin(*next, given.since + left / fabs(given.slope));
-    }
-    return found;
+    const double way = given.slope > 0.0 ? 1.0 : -1.0, speed = fabs(given.slope);
+    const double left = way * (*out + way * half_width - given.value);
+    if (speed == 0.0 || !(left > instant(given.since) * speed))
+        return (Segment){given.since, *out, given.slope};
+    *next = fmin(*next, given.since + left / speed);
+    return (Segment){given.since, *out, 0.0};
 }
 
 /* The signal that follows at a limited rate, until it has caught up. */
 static Segment limited(double *out, Segment given, double fastest, double *next) {
-    Segment found = given;
-    double gap = given.value - *out, way = gap > 0.0 ? 1.0 : -1.0, closing;
-    if (isinf(fastest)) {
+    const double gap = given.value - *out, way = gap > 0.0 ? 1.0 : -1.0;
+    const double closing = fastest - way * given.slope;
+    const double none = instant(given.since) * (fabs(given.slope) + fastest)
+                        + 1e-13 * fabs(given.value);
+    if (isinf(fastest) || fabs(gap) <= none) {
         *out = given.value;
-        return found;
+        const double slope = smaller(larger(given.slope, -fastest), fastest);
+        return (Segment){given.since, given.value, slope};
     }
-    if (fabs(gap) <= instant(given.since) * (fabs(given.slope) + fastest) +
-                         1e-13 * fabs(given.value)) {
-        *out = given.value;
-        if (fabs(given.slope) > fastest) found.slope = given.slope > 0.0 ? fastest : -fastest;
-        return found;
-    }
-    found.value = *out;
-    found.slope = way * fastest;
-    closing = fastest - way * given.slope;
     if (closing > 0.0) *next = fmin(*next, given.since + fabs(gap) / closing);
-    return found;
+    return (Segment){given.since, *out, way * fastest};
 }
 
 /* What a backlash or a limited rate gives for a sample, from what it gave last. */

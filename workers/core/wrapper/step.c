@@ -29,15 +29,6 @@ RARELY static int integrate(Instance *c, int placed, int64_t *left) {
     return OK;
 }
 
-/* One step of the original's own, without effects at its inputs. */
-static int step_once(Instance *c) {
-    Work *w = &c->work;
-    const Model *m = &w->model;
-    if (m->f.interpolates_inputs && m->continuous.n_reals > 0)
-        TRY(set_input_slopes(&m->f, m->inputs.reals, m->inputs.n_reals, w->orders, c->seen_slopes));
-    return do_step(&m->f, m->f.version, c->times[0], *c->interval, &w->info);
-}
-
 /* The original's own steps. */
 static int simulate(Instance *c, int placed, int64_t *left) {
     Work *w = &c->work;
@@ -51,8 +42,8 @@ static int simulate(Instance *c, int placed, int64_t *left) {
     }
     if (c->table.n_output_effects > 0) TRY(note_outputs(c));
     w->info.ended = 0;
-    const int status =
-        steps == 1 && !w->model.changes_inputs ? step_once(c) : several_steps(w, 0, steps);
+    const int status = steps == 1 && !w->model.changes_inputs ? one_step(&w->model, ANY, w, 0)
+                                                               : several_steps(w, 0, steps);
     c->now.ended = w->info.ended, c->now.reached = w->info.next_time;
     TRY(status);
     if (c->now.ended) return DISCARD;

@@ -11,9 +11,15 @@ from hypothesis import strategies as st
 from support.core_programs import CODES, FAST, PLAIN, SIMULATED, Machines, form_program, written
 from support.thinning import thinned
 
-from workers.core.assemble import OPERATIONS, Assignment, EffectArray, Registers, assemble
+from workers.core.assemble import (
+    OPERATIONS,
+    TIME_SYMBOL,
+    Assignment,
+    EffectArray,
+    Registers,
+    assemble,
+)
 from workers.core.library import LoadedProgram
-from workers.effects.definition import TIME_SYMBOL
 from workers.effects.expression import EQUATION_FUNCTIONS, parse
 from workers.effects.forms import FORMS
 from workers.errors import EffectError, ModelError
@@ -35,7 +41,7 @@ def value_of(machines):
     def value(text, x, y=0.0):
         equation = parse(text, NAMES, "here")
         added = Assignment(EffectArray.DERIVATIVES, 0, equation, add=True)
-        code = assemble(Registers(2, 0, 0, 0), LOCATIONS, TIME_SYMBOL, after=[added])
+        code = assemble(Registers(2, 0, 0, 0), LOCATIONS, after=[added])
         return float(machines.evaluated(code, [1.5, x, y], 1)[0])
 
     return value
@@ -54,7 +60,7 @@ def random_registers(form, trial):
 def values_in_python(form, given):
     """The same by NumPy: effective inputs and parameters, then what derivatives are changed by."""
     laid_out, r = form.equations, form.registers
-    sizes = {"states": r.states, "raw": r.inputs, "coefficients": r.coefficients, "base": r.base}
+    sizes = {"states": r.states, "inputs": r.inputs, "coefficients": r.coefficients, "base": r.base}
     first = dict(zip(sizes, np.cumsum([1, *sizes.values()]), strict=False))
     known = [given[first[array] + index] for array, index in laid_out.locations.values()]
     symbols = [TIME_SYMBOL, *laid_out.locations]
@@ -115,7 +121,7 @@ def test_a_division_by_zero_is_infinite_and_what_has_no_value_is_not_a_number(va
 
 def test_equal_parts_are_computed_once():
     text = "tanh(x / 0.1) * y"
-    once, twice = (len(assemble(Registers(2, 0, 0, 0), LOCATIONS, TIME_SYMBOL, after=[
+    once, twice = (len(assemble(Registers(2, 0, 0, 0), LOCATIONS, after=[
         Assignment(EffectArray.DERIVATIVES, i, parse(text, NAMES, "here"), add=True)
         for i in range(count)
     ])) for count in (1, 2))  # fmt: skip
@@ -125,7 +131,7 @@ def test_equal_parts_are_computed_once():
 def test_what_the_core_does_not_know_is_refused_with_a_sentence():
     unknown = Assignment(EffectArray.DERIVATIVES, 0, sp.gamma(X), add=True)
     with pytest.raises(EffectError, match="gamma"):
-        assemble(Registers(2, 0, 0, 0), LOCATIONS, TIME_SYMBOL, after=[unknown])
+        assemble(Registers(2, 0, 0, 0), LOCATIONS, after=[unknown])
 
 
 def test_a_coefficient_that_is_not_given_is_missed():
@@ -133,7 +139,7 @@ def test_a_coefficient_that_is_not_given_is_missed():
     reading = Assignment(EffectArray.DERIVATIVES, 0, own * X, add=True)
     located = LOCATIONS | {own: (EffectArray.COEFFICIENTS, 1)}
     with pytest.raises(EffectError, match="number 2 of coefficients"):
-        assemble(Registers(2, 0, 0, 1), located, TIME_SYMBOL, after=[reading])
+        assemble(Registers(2, 0, 0, 1), located, after=[reading])
 
 
 # ---- machines ------------------------------------------------------------------------------------
