@@ -25,7 +25,9 @@ from typing import Any
 
 import fmpy
 
-from cluster_est.model_export.wrapper_binaries import universal_binary
+from cluster_est.model_export.wrapper_binaries import FMI2_PLATFORMS, universal_binary
+from workers.core import build as core_build
+from workers.fmu.platforms import shared_library
 
 MODELS = Path(__file__).resolve().parent.parent / "configs" / "models"
 SCAFFOLD = MODELS / "common"
@@ -34,12 +36,6 @@ FMI_HEADERS = Path(fmpy.__file__).parent / "c-code"
 # Reproducible results: no fast-math, and no fused multiply-adds on the processors that have them.
 CFLAGS = ["-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-Wall", "-Wextra"]
 
-SUFFIX = {"linux64": ".so", "win64": ".dll", "darwin64": ".dylib"}
-ZIG_TARGETS = {
-    "linux64": ["x86_64-linux-gnu.2.17"],
-    "win64": ["x86_64-windows-gnu"],
-    "darwin64": ["x86_64-macos.11.0", "aarch64-macos.11.0"],
-}
 ROLES = ["independent", "parameter", "input", "state", "derivative", "output"]
 
 
@@ -290,18 +286,19 @@ def binary(folder: Path, name: str, compiler: str, platform: str) -> bytes:
     compiler : {'cc', 'zig'}
         The system's compiler, for the host alone, or zig, for every platform.
     platform : str
-        A key of `SUFFIX`.
+        A key of `FMI2_PLATFORMS`.
 
     Returns
     -------
     bytes
         The shared library.
     """
-    library = name + SUFFIX[platform]
+    library = shared_library(name, platform)
     if compiler == "cc":
         return compile_library(["cc", "-fPIC"], folder, library)
     zig = [sys.executable, "-m", "ziglang", "cc", "-fPIC", "-target"]
-    parts = [compile_library([*zig, target], folder, library) for target in ZIG_TARGETS[platform]]
+    targets = [core_build.PLATFORMS[part] for part in FMI2_PLATFORMS[platform]]
+    parts = [compile_library([*zig, target], folder, library) for target in targets]
     return parts[0] if len(parts) == 1 else universal_binary(parts)
 
 
@@ -349,7 +346,7 @@ def build(
             Path(build_folder, name).write_bytes(text)
         for platform in platforms:
             library = binary(Path(build_folder), model.name, compiler, platform)
-            files[f"binaries/{platform}/{model.name}{SUFFIX[platform]}"] = library
+            files[f"binaries/{platform}/{shared_library(model.name, platform)}"] = library
     path = (out or folder.parent) / f"{model.name}.fmu"
     path.parent.mkdir(parents=True, exist_ok=True)
     write_archive(path, files)
@@ -367,7 +364,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("models", nargs="*", metavar="NAME", help="example or folder; default all")
     parser.add_argument("--out", type=Path, help="folder for the FMUs; default beside the models")
     parser.add_argument("--compiler", choices=["cc", "zig"], default="cc")
-    parser.add_argument("--platforms", nargs="+", choices=list(SUFFIX), default=["linux64"])
+    parser.add_argument("--platforms", nargs="+", choices=list(FMI2_PLATFORMS), default=["linux64"])
     options = parser.parse_args(arguments)
     if options.compiler == "cc" and options.platforms != ["linux64"]:
         parser.error("the system's compiler builds for linux64 only; use --compiler zig")

@@ -11,7 +11,11 @@ from pathlib import Path
 from cluster_est.model_export.fmi2_description import identifier, model_description, with_step
 from cluster_est.model_export.repaired_model import RepairedModel, describe_repair
 from cluster_est.model_export.step_error import StepErrors, measure_step
-from cluster_est.model_export.wrapper_binaries import PLATFORMS, wrapper_binary, wrapper_platforms
+from cluster_est.model_export.wrapper_binaries import (
+    FMI2_PLATFORMS,
+    wrapper_binary,
+    wrapper_platforms,
+)
 from cluster_est.model_export.wrapper_layout import WrapperLayout, lay_out
 from cluster_est.model_export.wrapper_table import wrapper_table
 from cluster_est.run_folder.run_identity import versions
@@ -195,7 +199,7 @@ def _original_platforms(layout: WrapperLayout) -> tuple[str, ...]:
         there = set(platforms_in(opened.namelist()))
     if layout.repair.description.version == "2.0":
         return tuple(sorted(there))
-    named = {PLATFORM: (PLATFORM_TUPLE,), **PLATFORMS}
+    named = {PLATFORM: (PLATFORM_TUPLE,), **FMI2_PLATFORMS}
     return tuple(platform for platform, tuples in named.items() if there & set(tuples))
 
 
@@ -244,7 +248,7 @@ def _notes(layout: WrapperLayout) -> tuple[str, ...]:
             "integrates"
         )
     there = wrapper_platforms()
-    absent = [p for p in _original_platforms(layout) if p in PLATFORMS and p not in there]
+    absent = [p for p in _original_platforms(layout) if p in FMI2_PLATFORMS and p not in there]
     if absent:
         notes.append(
             f"the exported FMU does not run on {' and '.join(absent)}, as its original does: this "

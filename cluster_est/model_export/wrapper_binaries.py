@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from workers.core import build
 from workers.fmu.platforms import PLATFORM
 
-PLATFORMS = {
+FMI2_PLATFORMS = {
     "linux64": ("x86_64-linux",),
     "win64": ("x86_64-windows",),
     "darwin64": ("x86_64-darwin", "aarch64-darwin"),
@@ -26,7 +26,7 @@ def wrapper_platforms() -> tuple[str, ...]:
 
     That of this machine is built if need be, which takes some seconds.
     """
-    others = (p for p in PLATFORMS if p != PLATFORM and all(map(_is_there, PLATFORMS[p])))
+    others = (p for p in FMI2_PLATFORMS if p != PLATFORM and all(map(_is_there, FMI2_PLATFORMS[p])))
     return (PLATFORM, *others)
 
 
@@ -39,7 +39,7 @@ def wrapper_binary(platform: str) -> bytes:
         If it is not there and cannot be built.
     """
     here = build.this_platform()
-    names = PLATFORMS.get(platform, ())
+    names = FMI2_PLATFORMS.get(platform, ())
     if platform == PLATFORM and (here not in names or not all(map(_is_there, names))):
         names = (here,)  # an installation in place has no more, and FMI 2.0 no name for some
     parts = [build.library("wrapper", name).read_bytes() for name in names]

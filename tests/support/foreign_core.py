@@ -255,7 +255,7 @@ class ForeignCore:
 def zig_for(platform: str) -> tuple[str, ...]:
     command = build.zig()
     assert command is not None
-    return (*command, "-target", build.PLATFORMS[platform].target, "-fno-sanitize=undefined")
+    return (*command, "-target", build.PLATFORMS[platform], "-fno-sanitize=undefined")
 
 
 def build_host(platform: str, folder: Path) -> str:
@@ -277,7 +277,7 @@ def sources_of(name: str) -> dict[str, bytes]:
 
 def build_model(platform: str, folder: Path, name: str) -> str:
     """Build the binary of a model."""
-    file = name + build.PLATFORMS[platform].suffix
+    file = name + build.suffix(platform)
     sources = folder / name
     sources.mkdir()
     for source, text in sources_of(name).items():
@@ -290,7 +290,7 @@ def build_model(platform: str, folder: Path, name: str) -> str:
 
 
 def main(platform: str, folder: Path, emulator: Sequence[str]) -> None:
-    file = "core" + build.PLATFORMS[platform].suffix
+    file = "core" + build.suffix(platform)
     build.compile_for(platform, folder / file)
     built: dict[str, str] = {}
     host = Host([*emulator, f"./{build_host(platform, folder)}"], folder)

@@ -7,7 +7,7 @@ makes CVODE's objects.
 The C reads from the bottom to the top: `fmu.h` and `values` call an FMU by address; `program` and
 `machine` run byte code; `work` has what all methods share; `co_simulation` stands on these alone.
 `exchange` and `events` are for model exchange, and the methods `runge_kutta`, `dormand_prince` and
-`cvode` stand on them; `linearise`, `kalman` and `sensitivities` on the methods. `outputs`,
-`memories` and `screening` need no FMU. `elementary` has the functions whose bits are the same
-everywhere.
+`cvode` stand on them; `batch` runs the loop of a method, `linearise`, `kalman` and `sensitivities`
+stand on the methods. `outputs`, `memories` and `screening` need no FMU. `elementary` has the
+functions whose bits are the same everywhere.
 """

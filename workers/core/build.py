@@ -19,7 +19,6 @@ import sys
 import sysconfig
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from workers.errors import ModelError
@@ -37,37 +36,15 @@ COMPILERS = ("gcc", "cc", "clang")
 KINDS = {"core": ("*.c",), "wrapper": ("*.c", "wrapper/*.c")}
 """Kinds of libraries, with the patterns of their sources."""
 
-
-@dataclass(frozen=True)
-class Platform:
-    """A platform that zig compiles for.
-
-    Attributes
-    ----------
-    target
-        Zig's name for it, with the oldest system that a library must run on. Without a target, zig
-        would build for the very processor that it runs on.
-    suffix
-        Of a shared library.
-    options
-        For the compiler; `{name}` is the library's kind.
-    """
-
-    target: str
-    suffix: str = ".so"
-    options: tuple[str, ...] = ()
-
-
-# Else the install name of a library for macOS would be the path that it was built at.
-_MACOS = (".dylib", ("-Wl,-install_name,@rpath/{name}.dylib",))
 PLATFORMS = {
-    "x86_64-linux": Platform("x86_64-linux-gnu.2.17"),
-    "aarch64-linux": Platform("aarch64-linux-gnu.2.17"),
-    "x86_64-windows": Platform("x86_64-windows-gnu", ".dll"),
-    "x86_64-darwin": Platform("x86_64-macos.11.0", *_MACOS),
-    "aarch64-darwin": Platform("aarch64-macos.11.0", *_MACOS),
+    "x86_64-linux": "x86_64-linux-gnu.2.17",
+    "aarch64-linux": "aarch64-linux-gnu.2.17",
+    "x86_64-windows": "x86_64-windows-gnu",
+    "x86_64-darwin": "x86_64-macos.11.0",
+    "aarch64-darwin": "aarch64-macos.11.0",
 }
-"""What a wheel is for, in FMI 3.0's names."""
+"""What a wheel is for, in FMI 3.0's names, with zig's, which say the oldest system that a library
+must run on. Without a name, zig would build for the very processor that it runs on."""
 
 
 def this_platform() -> str:
@@ -81,6 +58,11 @@ def this_platform() -> str:
     architecture = {"amd64": "x86_64", "arm64": "aarch64"}.get(machine, machine)
     system = {"win32": "windows"}.get(sys.platform, sys.platform)
     return f"{architecture}-{system}" + ("-musl" if system == "linux" and not _is_glibc() else "")
+
+
+def suffix(platform: str) -> str:
+    """Return how a shared library for a platform is called at its end."""
+    return {"windows": ".dll", "darwin": ".dylib"}.get(platform.split("-")[1], ".so")
 
 
 def sources(kind: str = "core") -> list[Path]:
@@ -189,8 +171,10 @@ def compile_for(platform: str, target: Path, kind: str = "core") -> None:
     ModelError
         If zig is not installed, or fails.
     """
-    options = [o.format(name=kind) for o in _known(platform).options]
-    _run([*_zig_for(platform), *FLAGS, *options], target, sources(kind))
+    command = [*_zig_for(platform), *FLAGS]
+    if suffix(platform) == ".dylib":  # its install name would be the path that it was built at
+        command.append(f"-Wl,-install_name,@rpath/{kind}.dylib")
+    _run(command, target, sources(kind))
 
 
 def build_into(place: Path, compiled: Callable[[Path], None]) -> None:
@@ -238,14 +222,8 @@ def _zig_for(platform: str) -> tuple[str, ...]:
     command = zig()
     if command is None:
         raise ModelError(missing("core", platform))
-    target = _known(platform).target
+    target = PLATFORMS.get(platform, platform)  # the names with musl are zig's own
     return (*command, "-target", target, "-fno-sanitize=undefined", "-Wl,-s")
-
-
-def _known(platform: str) -> Platform:
-    """Return a platform of the table, or one whose name is zig's own, as with musl."""
-    suffix = {"windows": ".dll", "darwin": ".dylib"}.get(platform.split("-")[1], ".so")
-    return PLATFORMS.get(platform, Platform(platform, suffix))
 
 
 def _run(command: Sequence[str], target: Path, files: Sequence[Path]) -> None:
@@ -290,7 +268,7 @@ def _name(kind: str, platform: str, chosen: str = "") -> str:
     digest = hashlib.sha256(" ".join((chosen, *FLAGS)).encode())
     for path in [*sources(kind), *sorted(HERE.rglob("*.h"))]:
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
-    return f"{kind}-{platform}-{digest.hexdigest()[:16]}{_known(platform).suffix}"
+    return f"{kind}-{platform}-{digest.hexdigest()[:16]}{suffix(platform)}"
 
 
 def _is_glibc() -> bool:

@@ -135,15 +135,10 @@ ALWAYS End co_simulate(Work *w, const double *point, double *y, const Shape s) {
 
 /* ---- a loop for each common shape -------------------------------------------------------- */
 
-#define LOOP(name, ...)                                         \
-    static End name(Work *w, const double *point, double *y) {  \
-        return co_simulate(w, point, y, (Shape){__VA_ARGS__});  \
-    }
-/* version, effects, reals, states, inputs */
-LOOP(any, 0, -1, 0, -1, -1)
-LOOP(fmi2, 2, 0, 1, -1, -1)
-LOOP(fmi2_1, 2, 0, 1, -1, 1)
-LOOP(fmi3, 3, 0, 1, -1, -1)
+LOOP(co_simulate, any, 0, -1, 0, -1, -1)
+LOOP(co_simulate, fmi2, 2, 0, 1, -1, -1)
+LOOP(co_simulate, fmi2_1, 2, 0, 1, -1, 1)
+LOOP(co_simulate, fmi3, 3, 0, 1, -1, -1)
 
 Loop *co_simulation_loop(const Model *c) {
     if (c->program != NULL || !has_reals(c)) return any;

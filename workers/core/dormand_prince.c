@@ -210,17 +210,12 @@ ALWAYS End simulate(Work *w, const double *point, double *y, const Shape s) {
 
 /* ---- a loop for each common shape -------------------------------------------------------- */
 
-#define LOOP(name, ...)                                        \
-    static End name(Work *w, const double *point, double *y) { \
-        return simulate(w, point, y, (Shape){__VA_ARGS__});    \
-    }
-/* version, effects, reals, states, inputs */
-LOOP(any, 0, -1, 0, -1, -1)
-LOOP(fmi2, 2, 0, 1, -1, -1)
-LOOP(fmi2_effects, 2, 1, 1, -1, -1)
-LOOP(fmi3, 3, 0, 1, -1, -1)
-LOOP(fmi2_2_1, 2, 0, 1, 2, 1)
-LOOP(fmi2_2_1_effects, 2, 1, 1, 2, 1)
+LOOP(simulate, any, 0, -1, 0, -1, -1)
+LOOP(simulate, fmi2, 2, 0, 1, -1, -1)
+LOOP(simulate, fmi2_effects, 2, 1, 1, -1, -1)
+LOOP(simulate, fmi3, 3, 0, 1, -1, -1)
+LOOP(simulate, fmi2_2_1, 2, 0, 1, 2, 1)
+LOOP(simulate, fmi2_2_1_effects, 2, 1, 1, 2, 1)
 
 Loop *dormand_prince_loop(const Model *c) {
     const int effects = c->program != NULL;

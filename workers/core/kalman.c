@@ -12,7 +12,8 @@
  *
  * References: A. H. Jazwinski, Stochastic Processes and Filtering Theory (1970), section 8.3; G. J.
  * Bierman, Factorization Methods for Discrete Sequential Estimation (1977), for the order of
- * updates.
+ * updates; C. F. Van Loan, IEEE Trans. Autom. Control 23 (1978) 395-404,
+ * doi:10.1109/TAC.1978.1101743, for the integral by doubling.
  */
 #include <stdlib.h>
 

@@ -75,7 +75,8 @@ enum { ONCE, START, BEFORE, AFTER, N_PIECES };
 struct Program {
     uint32_t n_registers, n_states, n_own, n_inputs, n_coefficients, n_base, n_constants;
     uint32_t n_parameters, changes_inputs; /* effective parameters; whether there is a BEFORE */
-    uint32_t n_sites, n_added;             /* those that add come first */
+    uint32_t n_sites, n_added; /* those that add to derivatives, of the FMU's states, come first;
+                                  the others are derivatives, of which each own state has one */
     uint32_t first_input, first_coefficient, first_base, first_effective, first_parameter,
         first_constant, first_temporary;
     double *constants;

@@ -175,18 +175,13 @@ ALWAYS End simulate(Work *w, const double *point, double *y, const Shape s) {
 
 /* ---- a loop for each common shape -------------------------------------------------------- */
 
-#define LOOP(name, ...)                                        \
-    static End name(Work *w, const double *point, double *y) { \
-        return simulate(w, point, y, (Shape){__VA_ARGS__});    \
-    }
-/* version, effects, reals, states, inputs */
-LOOP(any, 0, -1, 0, -1, -1)
-LOOP(fmi2, 2, 0, 1, -1, -1)
-LOOP(fmi2_effects, 2, 1, 1, -1, -1)
-LOOP(fmi3, 3, 0, 1, -1, -1)
+LOOP(simulate, any, 0, -1, 0, -1, -1)
+LOOP(simulate, fmi2, 2, 0, 1, -1, -1)
+LOOP(simulate, fmi2_effects, 2, 1, 1, -1, -1)
+LOOP(simulate, fmi3, 3, 0, 1, -1, -1)
 #define LOOPS(states, inputs)                                \
-    LOOP(fmi2_##states##_##inputs, 2, 0, 1, states, inputs)  \
-    LOOP(fmi2_##states##_##inputs##_effects, 2, 1, 1, states, inputs)
+    LOOP(simulate, fmi2_##states##_##inputs, 2, 0, 1, states, inputs)  \
+    LOOP(simulate, fmi2_##states##_##inputs##_effects, 2, 1, 1, states, inputs)
 LOOPS(1, 0) LOOPS(1, 1) LOOPS(2, 0) LOOPS(2, 1) LOOPS(3, 0) LOOPS(3, 1) LOOPS(4, 0) LOOPS(4, 1)
 
 Loop *runge_kutta_loop(const Model *c) {

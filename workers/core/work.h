@@ -103,9 +103,14 @@ int64_t substep_count(double length, double rate);
 /* Say in a batch how the simulation of point p ended; returns the code. */
 int put_end(const Batch *batch, size_t p, End end);
 
-/* The simulation of one point, by method: one for each shape that is common. */
+/* The simulation of one point, by method. LOOP makes one for a shape: version, effects, reals,
+ * states, inputs; there is one for each shape that is common. */
 typedef End Loop(Work *w, const double *point, double *outputs);
 typedef Loop *LoopFor(const Model *c);
+#define LOOP(simulate, name, ...)                               \
+    static End name(Work *w, const double *point, double *y) {  \
+        return simulate(w, point, y, (Shape){__VA_ARGS__});     \
+    }
 LoopFor co_simulation_loop, runge_kutta_loop, dormand_prince_loop;
 Loop cvode_loop;
 

@@ -49,7 +49,7 @@ class CompiledEquations:
     locations
         (array, index) of each symbol.
     start_states, modify_inputs, add_derivatives
-        Assignments of each function.
+        Assignments of each piece of code.
     """
 
     parameters: tuple[str, ...]

@@ -81,6 +81,11 @@ def unpacked_folder(archive_hash: str) -> Path:
     return cache_folder("fmus") / archive_hash
 
 
+def prepare_folder() -> None:
+    """Find the folder of unpacked FMUs where other processes unpack, for `caches.notice` here."""
+    cache_folder("fmus")
+
+
 def _is_own_folder(target: Path) -> bool:
     """Return whether an FMU is unpacked there; what is no folder of this user is removed."""
     try:

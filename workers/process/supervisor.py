@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
 from workers.errors import ModelError
-from workers.fmu.archive import unpacked_folder
+from workers.fmu.archive import prepare_folder
 from workers.fmu.process_environment import resident_bytes
 from workers.messages import USUAL, Experiment, Limits, Model, Outcome, Status, Task
 from workers.process.forked import BatchReport, ForkClient
@@ -155,7 +155,7 @@ class SupervisedEvaluator:
         self._base = 0
         self._stopped = False
         self._effects = False
-        unpacked_folder(model.archive_hash)  # this process, too, says where it is if not as meant
+        prepare_folder()
         self._forks = ForkClient((model, tuple(experiments), name))
         self._child: tuple[int, Connection] | None = None
         try:
