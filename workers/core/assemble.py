@@ -135,35 +135,6 @@ def assemble(
     return code.to_bytes(changes_inputs=bool(before))
 
 
-@dataclass(frozen=True)
-class _PreparedEquations:
-    """Equations over symbols of short names, by which sums and products are ordered.
-
-    Attributes
-    ----------
-    read
-        (short, original) of each symbol but the time.
-    common
-        Parts that are computed once, in this order.
-    values
-        The equations, with the symbols of these parts in them.
-    """
-
-    read: tuple[tuple[sp.Symbol, sp.Symbol], ...]
-    common: tuple[tuple[sp.Symbol, sp.Expr], ...]
-    values: tuple[sp.Expr, ...]
-
-
-def _prepared(assignments: Sequence[Assignment]) -> _PreparedEquations:
-    used = set().union(*(a.value.free_symbols for a in assignments))
-    ordered = sorted(used - {TIME_SYMBOL}, key=str)
-    read = tuple((sp.Symbol(f"s{i}", real=True), symbol) for i, symbol in enumerate(ordered))
-    short = {symbol: local for local, symbol in read}
-    values = [a.value.xreplace(short) for a in assignments]
-    common, reduced = sp.cse(values, symbols=sp.numbered_symbols("c"))
-    return _PreparedEquations(read, tuple(common), tuple(reduced))
-
-
 _Instruction = tuple[str, int, int, int]
 """Operation, register that it writes, and two that it reads."""
 _Known = dict[tuple[str, int, int, int], int]
@@ -218,16 +189,21 @@ class _Code:
     def _write(
         self, piece: int, given: Sequence[Assignment], where: Locations
     ) -> list[tuple[Assignment, int]]:
-        """Write equations; returns each with the register of its value."""
-        prepared = _prepared(given)
+        """Write equations; returns each with the register of its value.
+
+        Their symbols get short names first, by which SymPy sorts sums and products.
+        """
+        used = set().union(*(a.value.free_symbols for a in given)) - {TIME_SYMBOL}
+        short = {s: sp.Symbol(f"s{i}", real=True) for i, s in enumerate(sorted(used, key=str))}
+        values = [a.value.xreplace(short) for a in given]
+        common, reduced = sp.cse(values, symbols=sp.numbered_symbols("c"))
         writer = _Writer(self, piece, {ONCE: self._known, piece: {}})
         writer.define(TIME_SYMBOL, 0)
-        for local, symbol in prepared.read:
+        for symbol, local in short.items():
             writer.define(local, self._place_of(symbol, *where[symbol]))
-        for symbol, value in prepared.common:
+        for symbol, value in common:
             writer.define(symbol, writer.write(value))
-        written = map(writer.write, prepared.values)
-        return list(zip(given, written, strict=True))
+        return [(a, writer.write(value)) for a, value in zip(given, reduced, strict=True)]
 
     def _place_of(self, symbol: sp.Symbol, array: EffectArray, index: int) -> int:
         """Return the register of an element of an array that equations read."""

@@ -10,9 +10,9 @@ import sympy as sp
 
 from cluster_est.results.fit_tables import EffectCurve, Estimate
 from cluster_est.results.result import Result
+from workers.core.assemble import TIME_SYMBOL
 from workers.effects.definition import (
     SIGNAL_SYMBOL,
-    TIME_SYMBOL,
     EffectDefinition,
     define_all,
     variable_symbol,
