@@ -1,10 +1,10 @@
-/* The fast machine for effects: an accumulator, and a jump from each operation to the next.
+/* The machine that runs effects: an accumulator, and a jump from each operation to the next.
  *
  * The last value stays in a register of the processor: x. Each operation has the forms "x = x op
  * r", "x = r op x" and "x = r op r", and each of them once more with "r = x" behind it for a value
  * that is read later. Each form is a function that ends in a jump to the next one's, whose address
- * is in the code. Same operations on the same operands in the same order as in `run`, so the same
- * bits.
+ * is in the code. The operations, their operands and their order are those of the instructions, and
+ * so the bits are too.
  *
  * Reference for direct threading: J. R. Bell, Comm. ACM 16 (1973) 370-372,
  * doi:10.1145/362248.362270.
@@ -97,6 +97,15 @@ static Action *const fused_forms[][2][4][2] = {
     WITH_PRODUCT(FUSED_OF)};
 
 /* ---- translation ------------------------------------------------------------------------- */
+
+static int n_operands(uint16_t operation) {
+    static const uint8_t operands[] = {
+        0,
+#define N1(name, value) 1,
+#define N2(name, value) 2,
+        OPERATIONS(N1, N2) 2};
+    return operands[operation];
+}
 
 typedef struct {
     const Instruction *code;

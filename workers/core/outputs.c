@@ -82,14 +82,23 @@ void advance_output_states(OutputRun *run, size_t i) {
     for (int64_t n = 0; n < substeps; n++) substep(run, i, n, substeps);
 }
 
+/* Inputs and outputs as they were recorded at grid time i, and the time. */
+static void set_recorded(OutputRun *run, size_t i) {
+    const Record *a = run->record;
+    double *u = run->r + run->p->first_input, *y = u + a->n_inputs;
+    FOR(j, a->n_inputs) u[j] = a->values[i * a->n_inputs + j];
+    FOR(j, a->n_outputs) y[j] = a->outputs[i * a->n_outputs + j];
+    run->r[0] = a->times[i];
+}
+
 /* The output at grid time i is changed only when nothing before asks for it any more. */
 static void apply(OutputRun *run) {
     const Record *a = run->record;
     const Program *p = run->p;
     double before = 0.0;
     for (size_t i = 0; i < a->n_times; i++) {
-        if (i > 0) advance_output_states(run, i - 1);
-        set_signals(run, i, 0.0);
+        if (i > 0 && p->n_own > 0) advance_output_states(run, i - 1);
+        set_recorded(run, i);
         memcpy(run->r + 1, run->x, p->n_own * sizeof *run->x);
         if (i == 0) {
             run_fast(p->fast[START], run->r);
@@ -102,43 +111,12 @@ static void apply(OutputRun *run) {
     a->outputs[(a->n_times - 1) * a->n_outputs + a->column] = before;
 }
 
-/* The same of an effect without own states: BLOCK times of the grid at once. */
-static int apply_in_blocks(const Record *a) {
-    const Program *p = a->program;
-    double *r = calloc(p->n_registers * BLOCK, sizeof *r);
-    if (r == NULL) return NO_MEMORY;
-    for (size_t j = 0; j < BLOCK; j++) {
-        for (uint32_t k = 0; k < p->n_constants; k++)
-            r[(p->first_constant + k) * BLOCK + j] = p->constants[k];
-        for (uint32_t k = 0; k < p->n_coefficients; k++)
-            r[(p->first_coefficient + k) * BLOCK + j] = a->coefficients[k];
-    }
-    run_block(p->code[ONCE], r);
-    for (size_t begin = 0; begin < a->n_times; begin += BLOCK) {
-        const size_t left = a->n_times - begin, n = left < BLOCK ? left : BLOCK;
-        for (size_t j = 0; j < n; j++) {
-            const size_t i = begin + j;
-            double *u = r + p->first_input * BLOCK + j, *y = u + a->n_inputs * BLOCK;
-            r[j] = a->times[i];
-            for (size_t k = 0; k < a->n_inputs; k++) u[k * BLOCK] = a->values[i * a->n_inputs + k];
-            for (size_t k = 0; k < a->n_outputs; k++)
-                y[k * BLOCK] = a->outputs[i * a->n_outputs + k];
-        }
-        run_block(p->code[BEFORE], r);
-        for (size_t j = 0; j < n; j++)
-            a->outputs[(begin + j) * a->n_outputs + a->column] = r[p->first_parameter * BLOCK + j];
-    }
-    free(r);
-    return FINISHED;
-}
-
 int core_apply_to_outputs(const Record *a) {
     const Program *p = a->program;
     if (p->n_states != p->n_own || p->n_inputs != a->n_inputs + a->n_outputs
         || p->n_parameters != 1 || p->n_base != 0 || a->n_times == 0 || a->column >= a->n_outputs
         || (a->decay > 0.0 && p->n_own != 1))
         return WRONG_SIZES;
-    if (p->n_own == 0) return apply_in_blocks(a);
     const size_t own = p->n_own;
     double *m = calloc(p->n_registers + 5 * own, sizeof *m);
     if (m == NULL) return NO_MEMORY;

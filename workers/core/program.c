@@ -1,53 +1,11 @@
-/* Programs: read from bytes and checked, and the machine that runs them at many points. */
-#include "program.h"
-
-#include <math.h>
-#include <stdlib.h>
-#include <string.h>
-
-#include "elementary.h"
-#include "fmu.h"
-
-static const uint8_t operands[] = {
-    0,
-#define N1(name, value) 1,
-#define N2(name, value) 2,
-    OPERATIONS(N1, N2) 2};
-
-int n_operands(uint16_t operation) { return operands[operation]; }
-
-void run_block(const Instruction *i, double *r) {
-    for (;; i++) {
-        const double *const from = r + i->a * BLOCK, *const other = r + i->b * BLOCK;
-        double *const to = r + i->to * BLOCK;
-        switch (i->operation) {
-        case END: return;
-        case CHOOSE:
-            for (int j = 0; j < BLOCK; j++) to[j] = from[j] != 0.0 ? other[j] : to[j];
-            break;
-#define DO1(name, value)                      \
-        case name:                            \
-            for (int j = 0; j < BLOCK; j++) { \
-                const double a = from[j];     \
-                to[j] = value;                \
-            }                                 \
-            break;
-#define DO2(name, value)                                \
-        case name:                                      \
-            for (int j = 0; j < BLOCK; j++) {           \
-                const double a = from[j], b = other[j]; \
-                to[j] = value;                          \
-            }                                           \
-            break;
-        OPERATIONS(DO1, DO2)
-        }
-    }
-}
-
-/* ---- bytes ------------------------------------------------------------------------------- *
+/* Programs: read from bytes, and checked.
  *
  * Little-endian: the mark, sixteen counts of 32 bits (`Header`), the constants, the pieces of code
  * each with its END, and the sites. */
+#include "program.h"
+
+#include <stdlib.h>
+#include <string.h>
 
 typedef struct {
     char mark[8];

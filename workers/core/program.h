@@ -85,14 +85,9 @@ struct Program {
     Site *sites;
 };
 
-/* The machines, with the same bits: one instruction after the other at BLOCK points at once,
- * register i being r[i * BLOCK] and following; and the fast one, at one point. */
-enum { BLOCK = 64 };
-void run_block(const Instruction *code, double *r);
+/* Run a piece that was translated. */
 static inline void run_fast(const Step *code, double *r) { code->action(code, r, 0.0); }
-
-int n_operands(uint16_t operation);
-/* Make steps for the fast machine, at most as many as instructions. Registers from
+/* Make steps of instructions, at most as many as instructions. Registers from
  * `first_temporary` on may be left unwritten, but for those of `wanted`. */
 void translate(const Instruction *code, uint32_t first_temporary, const uint16_t *wanted,
                size_t n_wanted, Step *steps);
