@@ -41,9 +41,10 @@ static int writes_its_own(const Program *p, int piece) {
     return 1;
 }
 
-/* Whether all that is added goes to derivatives of the FMU's states, and each own state has one. */
+/* Whether what is added goes to derivatives of the FMU's states, and each own state has one. */
 static int has_derivatives(const Program *p) {
     const uint32_t first_own = p->n_states - p->n_own;
+    if (p->n_sites - p->n_added != p->n_own) return 0;
     for (uint32_t s = 0; s < p->n_sites; s++) {
         const Site *at = &p->sites[s];
         if (at->state >= p->n_states || at->r >= p->n_registers) return 0;
