@@ -213,6 +213,7 @@ FMI2(CompletedIntegratorStep)(fmi2Component component, fmi2Boolean keeps, fmi2Bo
     CHECK(0, 0);
     TRY(sync(c));
     note_inputs(c);
+    TRY(is_remembered(c));
     TRY(note_outputs(c));
     TRY(completed_integrator_step(f, f->version, &info));
     *wants = info.event_needed, *ends = info.ended;

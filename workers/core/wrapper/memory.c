@@ -75,7 +75,11 @@ static int goes_on(const History *history, Segment given) {
 
 /* The delayed signal, and when its slope changes next. */
 static Segment delayed(History *history, Segment given, double delay, double *next) {
-    if (!goes_on(history, given)) history_note(history, given.since, given.value, given.slope);
+    if (!goes_on(history, given)
+        && history_note(history, given.since, given.value, given.slope) != 0) {
+        history->is_cut = 1;
+        return given;
+    }
     const size_t n = begun(history, given.since - delay + instant(given.since));
     if (n < history->count) *next = fmin(*next, history->segments[n].since + delay);
     if (n == 0) return (Segment){given.since, history->segments[0].value, 0.0};
@@ -125,6 +129,13 @@ static double remembered(const Instance *c, size_t j, double value) {
     if (m->kind != DELAY) return sampled(c, j, value);
     const double size = c->coefficients[m->coefficient];
     return history_at(&c->histories[j], c->now.time - size, c->now.time, value);
+}
+
+/* A history that could not be kept whole is none: what follows from it would be another signal. */
+int is_remembered(const Instance *c) {
+    for (size_t j = 0; j < c->n_histories; j++)
+        if (c->histories[j].is_cut) return complain(c, ERROR, "there is no memory left");
+    return OK;
 }
 
 /* In co-simulation: the inputs from a time on, with their slopes, as the effects see them. Returns
@@ -188,7 +199,8 @@ void note_inputs(Instance *c) {
         const double given = *here;
         *here = remembered(c, j, given);
         if (t->memories[j].kind == DELAY) {
-            history_note(&c->histories[j], c->now.time, given, 0.0);
+            if (history_note(&c->histories[j], c->now.time, given, 0.0) != 0)
+                c->histories[j].is_cut = 1;
         } else {
             c->play[j] = *here;
             c->noted[j] = c->now.time;

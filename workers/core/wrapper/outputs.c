@@ -65,8 +65,10 @@ int note_outputs(Instance *c) {
     for (size_t e = 0; e < t->n_output_effects; e++) {
         double *row = row_of(c, e);
         memcpy(row, row + t->n_row, t->n_row * sizeof *row);
-        if (t->output_effects[e].delay >= 0)
-            history_note(history_of(c, e), c->now.time, row[t->output_effects[e].column], 0.0);
+        if (t->output_effects[e].delay >= 0
+            && history_note(history_of(c, e), c->now.time, row[t->output_effects[e].column], 0.0)
+                   != 0)
+            return complain(c, ERROR, "there is no memory left");
     }
     return OK;
 }

@@ -74,6 +74,7 @@ FMI2(DoStep)(fmi2Component component, fmi2Real point, fmi2Real size, fmi2Boolean
         if (c->n_outer > 0) TRY(advance_outputs(c));
         pass_inputs(c, begin, c->now.time);
     }
+    if (c->table.n_memories > 0) TRY(is_remembered(c));
     FOR(j, c->table.n_raw) c->slopes[j] = 0.0;
     return OK;
 }

@@ -31,6 +31,7 @@ typedef struct {
 typedef struct {
     Segment *segments;
     size_t count, capacity;
+    int is_cut; /* there was no memory for a segment */
 } History;
 
 /* What the original does not know yet: its inputs, or where it is at all. */
@@ -137,6 +138,7 @@ void history_clear(History *history);
 int history_copy(History *to, const History *from);
 int history_note(History *history, double time, double value, double slope);
 double history_at(const History *history, double at, double now, double value);
+int is_remembered(const Instance *c);
 double see_memories(Instance *c, double time, double end);
 static inline double see_inputs(Instance *c, double time, double end) {
     if (UNLIKELY(c->table.n_memories > 0)) return see_memories(c, time, end);
