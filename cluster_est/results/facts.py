@@ -11,6 +11,7 @@ from cluster_est.problem.process_noise import process_noise_notes, vanished_nois
 from cluster_est.problem.variables import silent_notes
 from cluster_est.results.fit_tables import Estimate
 from cluster_est.results.initial_errors import initial_notes
+from cluster_est.results.interpolation import interpolation_facts
 from cluster_est.results.observation import observation_notes
 from cluster_est.results.output_errors import worse_than_constants
 from cluster_est.results.solver_error.measure import solver_facts
@@ -188,6 +189,7 @@ def fit_facts(result: Result) -> dict[str, Any]:
         "rmse_over_sigma": {"train": result.rmse("train"), "test": result.rmse("test")},
         "residuals": None if diagnostics is None else residual_facts(diagnostics),
         "solver_error": solver_facts(result.solver_error),
+        "interpolation": interpolation_facts(result.interpolation),
         "doubts": list(fit_doubts(result)),
         "notes": list(result.notes),
         "iterations": result.solution.iterations,
@@ -213,6 +215,8 @@ def fit_notes(result: Result) -> tuple[str, ...]:
     notes += initial_notes(problem, result.simulations)
     if result.diagnostics is not None:
         notes += residual_sentences(result.diagnostics)
+    if result.interpolation is not None:
+        notes.append(result.interpolation.sentence)
     notes += observation_notes(problem, result.simulations)
     notes += prior_sentences(problem, result.estimates)
     if result.solver_error is not None:
