@@ -42,6 +42,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import make_space
 from cluster_est.problem.thinning import ThinnedProblem, ThinningSettings
+from cluster_est.results.interpolation import preferred_interpolation
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Note, Record, Resources, Show
 from cluster_est.running.study import Study, run_study
@@ -146,7 +147,13 @@ def run_loop(request: LoopRequest) -> LoopResult:
             if kept is not None and result is not None:
                 kept(result)
 
-        searched = search_for_effects(workbench, start, request.environment.resources, keep_so_far)
+        searched = search_for_effects(
+            workbench,
+            start,
+            request.environment.resources,
+            keep_so_far,
+            thinned=thin.is_thinner,
+        )
         workbench.enter("before and after")
         result = None
         if not thin.is_thinner:
@@ -159,6 +166,8 @@ def run_loop(request: LoopRequest) -> LoopResult:
     seconds, error = time.monotonic() - begin, searched.error
     known = last if result.effects else error
     said = (*error.notes, *(known.notes_with_effects if known is not error else ()))
+    if searched.interpolation is not None:
+        said = (searched.interpolation.sentence, *said)
     notes = (*said, *result.notes, *dear_structures(searched.found.path))
     return replace(result, notes=notes, seconds=seconds, failures_in_search=searched.failures)
 
@@ -184,7 +193,16 @@ def _confirmed_on_all_rows(
         fits = last_fits(whole, found, begin)
         spent.append(SpentSimulations.at(whole))
         noise = whole.noise_in_units(found.noise)
+        other = preferred_interpolation(
+            whole.space(replace(found.base.start, problem=fits.before.problem)),
+            fits.before.solution,
+            fits.before.simulations,
+            request.environment.resources,
+            whole.runner,
+        )
     with reopened(left(), searching) as workbench:
         result = account(workbench, found, searched.judged, fits)
-    said = f"{thin.sentence}; {CONFIRMED_ON_ALL}"
-    return with_all(replace(result, noise=noise, notes=(said, *result.notes)), spent)
+    notes = (f"{thin.sentence}; {CONFIRMED_ON_ALL}", *result.notes)
+    if other is not None:
+        notes = (other.sentence, *notes)
+    return with_all(replace(result, noise=noise, notes=notes), spent)

@@ -120,12 +120,12 @@ def after_jumps(experiment: Experiment, output: str) -> npt.NDArray[np.bool_]:
 
 
 def samples_after(
-    times: FloatArray, events: FloatArray, *, before: int = 0
+    times: FloatArray, events: FloatArray, *, before: int = 0, count: int = SAMPLES_AFTER_JUMP
 ) -> npt.NDArray[np.bool_]:
-    """Return which of some times are just after events, or so many samples before them."""
+    """Return which of some times are the first after events, or so many samples before them."""
     after = np.zeros(len(times), bool)
     first = np.searchsorted(times, events)
-    for late in range(-before, SAMPLES_AFTER_JUMP):
+    for late in range(-before, count):
         after[np.clip(first + late, 0, len(times) - 1)] = True
     return after
 
