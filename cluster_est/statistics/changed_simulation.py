@@ -24,7 +24,7 @@ REJECTED = 4.0
 """Standard errors that the share lies above 0 at least: the fitted simulation is rejected."""
 BETTER = 2.0
 """Standard errors that it lies above one half: the changed one leaves smaller squares."""
-NEAR, COMPATIBLE = 0.5, 3.0
+NEAR, COMPATIBLE = 0.3, 2.5
 """Distance of the share from 1, and the same in standard errors, one of which it must keep."""
 LEAST_FALL = 0.01
 """Least fall of the sum of squares, as a part of it, that is worth a word."""
