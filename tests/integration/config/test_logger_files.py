@@ -166,6 +166,21 @@ def test_what_was_found_out_is_said_by_check(tmp_path, monkeypatch, capsys):
     assert "its header is row 2" in said
 
 
+def test_units_below_the_header_are_compared_with_those_of_the_model(tmp_path, monkeypatch, capsys):
+    """As `init` does, which writes the factor."""
+    monkeypatch.chdir(tmp_path)
+    rows = table(y=1e3 * Y, number=lambda x: f"{x:.10g}").replace("time,F,y", "time,F,y\ns,N,mm")
+    Path("a.csv").write_text(rows, encoding="utf-8")
+    config('[[experiments]]\nid = "a"\ndata = "a.csv"\n')
+    assert main(["check", "first.toml"]) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "column 'y' in mm is given to y, which is in m, as it is" in said
+    assert "columns.y = { factor = 0.001, offset = 0 }" in said
+    config('[[experiments]]\nid = "a"\ndata = "a.csv"\ncolumns.y = { factor = 0.001 }\n')
+    main(["check", "first.toml"])
+    assert "as it is" not in capsys.readouterr().out
+
+
 def test_a_key_that_a_format_has_no_use_for_is_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write(tmp_path, "a.csv", 1)

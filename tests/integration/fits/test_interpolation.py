@@ -8,6 +8,7 @@ from scipy.signal import StateSpace, lsim
 from support.problems.springs import FMU, TRUE
 
 import cluster_est as ce
+from cluster_est.problem.thinning import ThinningSettings
 from cluster_est.results.facts import interpolation_sentences
 
 TIMES = 0.02 * np.arange(300)
@@ -126,7 +127,7 @@ def test_a_poor_fit_names_the_record_and_the_time_of_a_jump():
 def test_a_closed_loop_says_it_first(rows):
     """On thinned records too, from all of their samples."""
     problem = spring("a sine with steps", "hold", "linear", noise=0.02)
-    thinning = ce.ThinningSettings(rows=rows) if rows else None
+    thinning = ThinningSettings(rows=rows) if rows else None
     found = ce.close_loop(problem, ONE, thinning=thinning)
     (said,) = [note for note in found.notes if "prefer input F to be held" in note]
     assert found.notes[0] == said

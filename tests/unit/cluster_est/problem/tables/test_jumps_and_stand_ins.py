@@ -72,7 +72,7 @@ def test_what_is_held_already_needs_no_note():
     )
     assert 'inputs.u = { column = "COLUMN", interpolation = "hold" }' in do
     ((said, do),) = notes("linear", columns=[("inputs.u", 'set "point"')])
-    assert "(column 'set \"point\"') jumps" in said
+    assert '(column "set \\"point\\"") jumps 7 times' in said
     assert tomllib.loads(do.partition(", if")[0])["inputs"]["u"]["column"] == 'set "point"'
 
 
