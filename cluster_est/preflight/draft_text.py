@@ -265,7 +265,8 @@ def _outputs(run: DraftExperiment) -> Iterator[str]:
             yield f"# {key} = {value}{said(variable, 'only similar: uncomment if it is')}"
         elif not certain and (match.similar is not None or match is run.outputs[0]):
             value = f'"{FILL_IN}: a column"' if match.similar is None else _guess(match.similar)
-            yield f"{key} = {value}{said(variable, _choices(run.columns.signals))}"
+            why = (_unusable(run, variable.name), _choices(run.columns.signals))
+            yield f"{key} = {value}{said(variable, '; '.join(filter(None, why)))}"
     for match in run.further:
         if match.column is not None:
             key = dotted("outputs", match.variable.name)
@@ -273,6 +274,14 @@ def _outputs(run: DraftExperiment) -> Iterator[str]:
     if not certain and not run.outputs:
         yield "# The FMU has no output: name a variable that it computes, as it is called there."
         yield f'outputs = "{FILL_IN}: {{ VARIABLE = COLUMN }}"'
+
+
+def _unusable(run: DraftExperiment, name: str) -> str:
+    """Return what is wrong with a column that is called as a variable, if there is one."""
+    for column, why in run.columns.unusable.items():
+        if fold(split_unit(column)[0]) == fold(name):
+            return f"column {column!r} {why}"
+    return ""
 
 
 def _open_outputs(run: DraftExperiment) -> Iterator[str]:

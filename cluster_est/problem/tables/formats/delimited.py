@@ -23,7 +23,7 @@ from typing_extensions import override
 
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.cells import MISSING, decimal_in, looks_like_a_number
-from cluster_est.problem.tables.formats.header import Header, find_header, refuse_several
+from cluster_est.problem.tables.formats.header import Header, find_header, is_value, refuse_several
 from cluster_est.problem.tables.formats.table_format import TableFormat
 from cluster_est.problem.tables.measured_table import LineNumbers, MeasuredTable, Reading, once
 from cluster_est.toml import inline
@@ -34,6 +34,9 @@ LINES_OF_LAYOUT: Final = 400
 """Lines in which the header is looked for, after those that the user skips."""
 LINES_LOOKED_AT: Final = 1500
 """Lines whose cells tell what separates decimals, and which columns have numbers."""
+MOST_LINES_OF_CELL: Final = 10
+TAIL_BYTES: Final = 2**14
+"""Bytes of the end in which lines below the table are looked for."""
 COMMENTS: Final = ("#", "%", "//")
 """Begin lines that are no part of a table."""
 DELIMITERS: Final = (",", ";", "\t", "|", " ")
@@ -80,6 +83,8 @@ class _Layout:
         Positions of columns that are read as numbers.
     notes
         What was found, a sentence each.
+    end
+        Bytes up to the end of the table, where something stands below it; else None.
     """
 
     encoding: str
@@ -89,6 +94,7 @@ class _Layout:
     decimal: str
     numeric: tuple[int, ...]
     notes: tuple[str, ...]
+    end: int | None = None
 
     @property
     def width(self) -> int:
@@ -99,7 +105,9 @@ class DelimitedText(TableFormat):
     """Rows of cells as text."""
 
     name: ClassVar[str] = "csv"
-    endings: ClassVar[tuple[str, ...]] = (".csv", ".tsv", ".txt", ".dat", ".asc", ".csv.gz")
+    endings: ClassVar[tuple[str, ...]] = (
+        ".csv", ".tsv", ".txt", ".dat", ".asc", ".csv.gz", ".lvm", ".log", ".prn", ".tab",
+    )  # fmt: skip
     keys: ClassVar[tuple[str, ...]] = ("encoding", "skip_rows", "decimal")
 
     @override
@@ -108,6 +116,10 @@ class DelimitedText(TableFormat):
         kind = next((ending for mark, ending in OTHER_FORMATS if head.startswith(mark)), "")
         if kind:
             raise DataError(f"must be text but is a {kind} file; rename it so that it ends in that")
+        mark = head.lstrip()[:1]
+        if mark in (b"<", b"{"):
+            what = "XML or HTML" if mark == b"<" else "JSON"
+            raise DataError(f"must be a table but is {what}; save it as csv")
         encoding, note = _encoding(head, reading.encoding)
         try:
             return _read(path, head, encoding, note, reading)
@@ -179,6 +191,7 @@ def _read(path: Path, head: bytes, encoding: str, note: str, reading: Reading) -
     layout = _layout(lines, encoding, reading)
     if note:
         layout = replace(layout, notes=(note, *layout.notes))
+    layout = _without_what_is_below(path, layout, lines)
     table, skipped = _parse(path, layout)
     table = _without_empty_end(table)
     if not table.num_rows:
@@ -200,6 +213,42 @@ def _read(path: Path, head: bytes, encoding: str, note: str, reading: Reading) -
         found=_found(layout, reading, guessed=bool(note)),
         lines=_Lines(path, layout),
     )
+
+
+def _without_what_is_below(path: Path, layout: _Layout, lines: Sequence[str]) -> _Layout:
+    """Return the layout with the end of the table, if lines without times or zeros are below it."""
+    kept = _columns(lines, layout.delimiter, layout.header, comments=layout.comments)
+    place = next((i for i, cells in enumerate(kept) if cells and all(map(is_value, cells))), None)
+    if (
+        place is None
+        or path.suffix.lower() == ".gz"
+        or layout.encoding.startswith(("utf-16", "utf-32"))
+    ):
+        return layout
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        file.seek(max(size - TAIL_BYTES, 0))
+        tail = file.read()
+    bare = tail.rstrip(b"\0")
+    end, left_out = len(bare), 0
+    for line in reversed(bare.splitlines(keepends=True)):
+        text = line.decode(layout.encoding, "replace").strip()
+        cells = [cell.strip() for cell in _cells(text, layout.delimiter)] if text else []
+        short = len(cells) <= place
+        if text and not short and (is_value(cells[place]) or cells[place] in MISSING):
+            break
+        if text.startswith(COMMENTS) and layout.comments:
+            break
+        if text and any(map(is_value, cells[:1])):
+            break
+        end -= len(line)
+        left_out += bool(text)
+    if end <= 0 or (not left_out and len(bare) == len(tail)):
+        return layout
+    zeros = "zeros" if len(bare) < len(tail) else ""
+    rows = f"{left_out} line{'s' if left_out > 1 else ''}" if left_out else ""
+    said = f"what is below its table is left out ({' and '.join(filter(None, (rows, zeros)))})"
+    return replace(layout, notes=(*layout.notes, said), end=size - len(tail) + end)
 
 
 def _found(layout: _Layout, reading: Reading, *, guessed: bool) -> dict[str, Any]:
@@ -255,7 +304,10 @@ def _table(lines: Sequence[str], start: int, *, given: bool) -> tuple[str, Heade
 def _rows(lines: Sequence[str], delimiter: str, *, comments: bool) -> list[list[str] | None]:
     """Return the cells of lines; None for empty ones, and for comments if they are no rows."""
     found: list[list[str] | None] = []
-    for line in lines:
+    for line in _logical(lines):
+        if line is None:
+            found.append(None)
+            continue
         bare = line.strip()
         mark = next((each for each in COMMENTS if bare.startswith(each)), "")
         if not bare or (mark and comments):
@@ -263,6 +315,22 @@ def _rows(lines: Sequence[str], delimiter: str, *, comments: bool) -> list[list[
         else:
             found.append(_cells(bare.removeprefix(mark).strip() if mark else line, delimiter))
     return found
+
+
+def _logical(lines: Sequence[str]) -> Iterator[str | None]:
+    """Yield lines; one whose quoted cell goes on below comes in the place of its last, once."""
+    begun = ""
+    for i, line in enumerate(lines):
+        if not begun and line.count('"') % 2:
+            below = lines[i + 1 : i + MOST_LINES_OF_CELL]
+            begun = line if any(each.count('"') % 2 for each in below) else ""
+            yield None if begun else line
+        elif begun:
+            begun = f"{begun} {line}"
+            yield None if begun.count('"') % 2 else begun
+            begun = begun if begun.count('"') % 2 else ""
+        else:
+            yield line
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
@@ -376,9 +444,11 @@ def _source(path: Path, layout: _Layout) -> Any:
     if layout.delimiter != " ":
         if path.suffix.lower() == ".gz":
             return pa.CompressedInputStream(pa.OSFile(str(path)), "gzip")
-        return str(path)
+        if layout.end is None:
+            return str(path)
+        return pa.BufferReader(pa.memory_map(str(path)).read_buffer(layout.end))
     with _opened(path) as file:
-        text = file.read()
+        text = file.read() if layout.end is None else file.read(layout.end)
     text = re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", text)
     return pa.BufferReader(re.sub(rb"[ \t]+", b"\t", text))
 
