@@ -164,7 +164,7 @@ def _body(
     yield from _reading(run)
     yield from _time(run)
     for match in run.inputs:
-        yield from _input(match, columns.signals)
+        yield from _input(match, columns.signals, _unusable(run, match.variable.name))
     yield from _outputs(run)
     yield from _conversions(run)
     yield from _sigmas(run, noise)
@@ -227,7 +227,7 @@ def _time(run: DraftExperiment) -> Iterator[str]:
         yield f"# time = {inline(name)}  # instead, if that is it: it increases from row to row"
 
 
-def _input(match: ColumnMatch, columns: tuple[TableColumn, ...]) -> Iterator[str]:
+def _input(match: ColumnMatch, columns: tuple[TableColumn, ...], unusable: str) -> Iterator[str]:
     variable = match.variable
     key = dotted("inputs", variable.name)
     if match.column is not None:
@@ -239,7 +239,7 @@ def _input(match: ColumnMatch, columns: tuple[TableColumn, ...]) -> Iterator[str
         yield f"{key} = {value}{said(variable, '; '.join(filter(None, why)))}"
     else:
         start = variable.start or 0.0
-        kept = f"no column is like it, so it keeps its start value {start:g}"
+        kept = f"{unusable or 'no column is like it'}, so it keeps its start value {start:g}"
         yield f'# {key} = "COLUMN"{said(variable, kept)}'
 
 

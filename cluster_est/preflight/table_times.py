@@ -20,7 +20,7 @@ from workers.messages import FloatArray
 TIME_COLUMN_NAMES = (
     "time", "t", "times", "zeit", "seconds", "second", "sec", "timesec", "timestamp", "timestamps",
     "elapsedtime", "elapsed", "testtime", "zeitstempel", "xvalue", "relativetime", "trel",
-    "datenum", "millis", "micros",
+    "millis", "micros",
 )  # fmt: skip
 """Names of a time column, folded."""
 UNITS_OF_NAMES = {"millis": "ms", "micros": "us"}

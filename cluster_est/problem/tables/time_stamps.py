@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import datetime
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 from zoneinfo import ZoneInfo
@@ -57,6 +57,7 @@ _DATES: Final = {
 _COMPACT: Final = r"(?P<H>\d{2})(?P<M>\d{2})(?P<S>\d{2})(?:[.,](?P<f>\d{1,12}))?"
 _MONTH_AND_DAY: Final = r"(?P<b>[A-Za-z]{3}) +(?P<d>\d{1,2})"
 _MINUTES: Final = r"(?P<M>\d{1,4}):(?P<S>\d{2})(?:[.,](?P<f>\d{1,12}))?"
+_OF_DATES: Final = {"d", "m", "b", "Y", "y"}
 _MONTHS: Final = {
     name: number
     for number, names in enumerate(
@@ -303,8 +304,7 @@ def _parsed(cells: pa.ChunkedArray, pattern: str) -> tuple[Stamps | None, int | 
     month = _months(text("b")) if "b" in there else number("m", 1)
     year = 2000 + number("y") if "y" in there else number("Y", 1970)
     days, valid = _days(year, month, number("d", 1))
-    if "j" in there:
-        days, valid = days + number("j") - 1, (number("j") >= 1) & (number("j") <= 366)
+    days, valid = days + number("j", 1) - 1, valid & (number("j", 1) <= 366)
     hour, half = number("H"), text("p") if "p" in there else None
     if half is not None:
         hour, fine = _of_halves(hour, half)
@@ -314,7 +314,7 @@ def _parsed(cells: pa.ChunkedArray, pattern: str) -> tuple[Stamps | None, int | 
     if "f" in there:
         digits = pc.utf8_slice_codeunits(pc.utf8_rpad(text("f"), 9, padding="0"), 0, 9)
         ns += np.asarray(digits.cast(pa.int64()).to_numpy(), np.int64)
-    dated = bool(there & {"d", "m", "b", "Y", "y"})
+    dated = bool(there & _OF_DATES)
     valid &= (number("S") <= 60) & ((number("M") < 60) | ("H" not in there))
     valid &= (hour < 24) if dated else True
     zone, aware = _offsets(text("z")) if "z" in there else (0, False)
@@ -323,10 +323,16 @@ def _parsed(cells: pa.ChunkedArray, pattern: str) -> tuple[Stamps | None, int | 
         return None, 0
     if bad.any():
         return None, int(np.argmax(bad))
+    return Stamps(days * DAY + ns - zone, _kind(there), known, bool(aware)), None
+
+
+def _kind(there: Set[str]) -> Kind:
+    """Return what the parts of a format say."""
     if "D" in there:
-        return Stamps(ns, "elapsed", known, aware=False), None
-    kind: Kind = "clock" if not dated else "instant" if there & {"H", "M", "S"} else "date"
-    return Stamps(days * DAY + ns - zone, kind, known, bool(aware)), None
+        return "elapsed"
+    if not there & _OF_DATES:
+        return "clock"
+    return "instant" if there & {"H", "M", "S"} else "date"
 
 
 def _days(

@@ -23,7 +23,8 @@ from typing_extensions import override
 
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.cells import MISSING, decimal_in, looks_like_a_number
-from cluster_est.problem.tables.formats.header import Header, find_header, is_value, refuse_several
+from cluster_est.problem.tables.formats.end_of_table import end_of_table
+from cluster_est.problem.tables.formats.header import Header, find_header, refuse_several
 from cluster_est.problem.tables.formats.table_format import TableFormat
 from cluster_est.problem.tables.measured_table import LineNumbers, MeasuredTable, Reading, once
 from cluster_est.toml import inline
@@ -35,8 +36,6 @@ LINES_OF_LAYOUT: Final = 400
 LINES_LOOKED_AT: Final = 1500
 """Lines whose cells tell what separates decimals, and which columns have numbers."""
 MOST_LINES_OF_CELL: Final = 10
-TAIL_BYTES: Final = 2**14
-"""Bytes of the end in which lines below the table are looked for."""
 COMMENTS: Final = ("#", "%", "//")
 """Begin lines that are no part of a table."""
 DELIMITERS: Final = (",", ";", "\t", "|", " ")
@@ -216,39 +215,21 @@ def _read(path: Path, head: bytes, encoding: str, note: str, reading: Reading) -
 
 
 def _without_what_is_below(path: Path, layout: _Layout, lines: Sequence[str]) -> _Layout:
-    """Return the layout with the end of the table, if lines without times or zeros are below it."""
-    kept = _columns(lines, layout.delimiter, layout.header, comments=layout.comments)
-    place = next((i for i, cells in enumerate(kept) if cells and all(map(is_value, cells))), None)
-    if (
-        place is None
-        or path.suffix.lower() == ".gz"
-        or layout.encoding.startswith(("utf-16", "utf-32"))
-    ):
+    """Return the layout with the end of the table, where something stands below it."""
+    if path.suffix.lower() == ".gz" or layout.encoding.startswith(("utf-16", "utf-32")):
         return layout
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        file.seek(max(size - TAIL_BYTES, 0))
-        tail = file.read()
-    bare = tail.rstrip(b"\0")
-    end, left_out = len(bare), 0
-    for line in reversed(bare.splitlines(keepends=True)):
-        text = line.decode(layout.encoding, "replace").strip()
-        cells = [cell.strip() for cell in _cells(text, layout.delimiter)] if text else []
-        short = len(cells) <= place
-        if text and not short and (is_value(cells[place]) or cells[place] in MISSING):
-            break
-        if text.startswith(COMMENTS) and layout.comments:
-            break
-        if text and any(map(is_value, cells[:1])):
-            break
-        end -= len(line)
-        left_out += bool(text)
-    if end <= 0 or (not left_out and len(bare) == len(tail)):
+
+    def cells_of(line: bytes) -> list[str] | None:
+        text = line.decode(layout.encoding, "replace").strip("\r\n")
+        if layout.comments and text.lstrip().startswith(COMMENTS):
+            return None
+        return [cell.strip() for cell in _cells(text, layout.delimiter)] if text.strip() else []
+
+    columns = _columns(lines, layout.delimiter, layout.header, comments=layout.comments)
+    found = end_of_table(path, columns, cells_of)
+    if found is None:
         return layout
-    zeros = "zeros" if len(bare) < len(tail) else ""
-    rows = f"{left_out} line{'s' if left_out > 1 else ''}" if left_out else ""
-    said = f"what is below its table is left out ({' and '.join(filter(None, (rows, zeros)))})"
-    return replace(layout, notes=(*layout.notes, said), end=size - len(tail) + end)
+    return replace(layout, notes=(*layout.notes, found.said), end=found.size)
 
 
 def _found(layout: _Layout, reading: Reading, *, guessed: bool) -> dict[str, Any]:

@@ -203,7 +203,7 @@ def _is_over_units(rows: Sequence[Row | None], above: Sequence[int], width: int)
 
 def _are_numbered(rows: Sequence[Row | None], data: Sequence[int]) -> bool:
     """Return whether the first cells of the rows with data count them."""
-    there = [row[0].strip() for i in data if (row := rows[i])]
+    there = [row[0].strip(' "') for i in data if (row := rows[i])]
     return there == [str(i) for i in range(1, len(there) + 1)]
 
 
