@@ -615,9 +615,7 @@ case(
     refused='which sheet.*add sheet = "A"',
 )
 case("xlsx with two tables, said", lambda folder: _xlsx(folder, TWO), read=("sheet=B",))
-case(
-    "xls", written(b"\xd0\xcf\x11\xe0" * 99, ".xls"), refused="must end in one of .csv"
-)
+case("xls", written(b"\xd0\xcf\x11\xe0" * 99, ".xls"), refused="must end in one of .csv")
 case("MCAP", written(b"\x89MCAP0\r\n" * 9, ".mcap"), refused="must end in one of .csv")
 
 
