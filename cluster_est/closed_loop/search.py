@@ -22,7 +22,6 @@ from cluster_est.closed_loop.selection.functions_of_time import (
 )
 from cluster_est.closed_loop.selection.rounds import SelectionResult, without_search
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
-from cluster_est.errors import ClusterEstError
 from cluster_est.results.interpolation import (
     FittedExperiments,
     PreferredInterpolation,
@@ -131,10 +130,7 @@ def _other_interpolation(
         )
 
     fitted = FittedExperiments(base.problem, workbench.train, base.residuals, base.jacobian)
-    try:
-        return compare_interpolations(fitted, simulate)
-    except ClusterEstError:  # a hint is missing then, and nothing else
-        return None
+    return compare_interpolations(fitted, simulate)
 
 
 def _searched(

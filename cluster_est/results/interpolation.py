@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from cluster_est.errors import ClusterEstError
 from cluster_est.methods.method import Solution
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
@@ -177,7 +178,10 @@ def compare_interpolations(
         for change in changes
         for position in change.positions
     )
-    outcomes = iter(simulate(runs, [p for change in changes for p in change.positions]))
+    try:
+        outcomes = iter(simulate(runs, [p for change in changes for p in change.positions]))
+    except ClusterEstError:  # a hint is missing then, and nothing else
+        return None
     found: list[tuple[float, PreferredInterpolation]] = []
     for change in changes:
         own = [next(outcomes) for _ in change.positions]
