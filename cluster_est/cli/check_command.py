@@ -118,7 +118,7 @@ def check(options: Namespace) -> int:
     page = run_checks(problem, resources, seconds)
     declared = [
         *sigma_findings(config, problem.describe()),
-        *unit_findings(config, problem.describe()),
+        *unit_findings(config, problem.describe(), problem.tables),
         *(passed("long records", f"for a fit {each}") for each in run.notes),
         *long_records(config, problem),
     ]

@@ -42,6 +42,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import make_space
 from cluster_est.problem.thinning import ThinnedProblem, ThinningSettings
+from cluster_est.results.interpolation import PreferredInterpolation, preferred_interpolation
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Note, Record, Resources, Show
 from cluster_est.running.study import Study, run_study
@@ -146,21 +147,39 @@ def run_loop(request: LoopRequest) -> LoopResult:
             if kept is not None and result is not None:
                 kept(result)
 
-        searched = search_for_effects(workbench, start, request.environment.resources, keep_so_far)
+        searched = search_for_effects(
+            workbench,
+            start,
+            request.environment.resources,
+            keep_so_far,
+            thinned=thin.is_thinner,
+        )
         workbench.enter("before and after")
-        result = None
+        result, other = None, None
         if not thin.is_thinner:
             fits = last_fits(workbench, searched.found, begin)
             result = account(workbench, searched.found, searched.judged, fits)
         added = searched.found.current.added if result is None else result.effects
         last = searched.error_at(searched.found.current) if added else searched.error
     if result is None:
-        result = _confirmed_on_all_rows(request, thin, workbench, searched, begin)
+        result, other = _confirmed_on_all_rows(request, thin, workbench, searched, begin)
     seconds, error = time.monotonic() - begin, searched.error
     known = last if result.effects else error
     said = (*error.notes, *(known.notes_with_effects if known is not error else ()))
     notes = (*said, *result.notes, *dear_structures(searched.found.path))
-    return replace(result, notes=notes, seconds=seconds, failures_in_search=searched.failures)
+    result = replace(result, notes=notes, seconds=seconds, failures_in_search=searched.failures)
+    return _with_interpolation(result, other or searched.interpolation)
+
+
+def _with_interpolation(result: LoopResult, other: PreferredInterpolation | None) -> LoopResult:
+    """Say first which input the measurements prefer to be interpolated otherwise.
+
+    What a wrong interpolation leaves is found as a lag or a delay.
+    """
+    if other is None:
+        return result
+    summary = f"{result.summary}; but the measurements prefer {other.key}: set it first"
+    return replace(result, summary=summary, notes=(other.sentence, *result.notes))
 
 
 def _confirmed_on_all_rows(
@@ -169,8 +188,11 @@ def _confirmed_on_all_rows(
     searching: LoopWorkbench,
     searched: SearchedModel,
     begin: float,
-) -> LoopResult:
-    """Fit both models to convergence on all rows, and put what was found into words."""
+) -> tuple[LoopResult, PreferredInterpolation | None]:
+    """Fit both models to convergence on all rows, and put what was found into words.
+
+    The interpolation that the measurements prefer is told from all rows, too.
+    """
     found, spent = searched.found, [SpentSimulations.at(searching)]
 
     def left() -> LoopRequest:
@@ -184,7 +206,14 @@ def _confirmed_on_all_rows(
         fits = last_fits(whole, found, begin)
         spent.append(SpentSimulations.at(whole))
         noise = whole.noise_in_units(found.noise)
+        other = preferred_interpolation(
+            whole.space(replace(found.base.start, problem=fits.before.problem)),
+            fits.before.solution,
+            fits.before.simulations,
+            request.environment.resources,
+            whole.runner,
+        )
     with reopened(left(), searching) as workbench:
         result = account(workbench, found, searched.judged, fits)
-    said = f"{thin.sentence}; {CONFIRMED_ON_ALL}"
-    return with_all(replace(result, noise=noise, notes=(said, *result.notes)), spent)
+    notes = (f"{thin.sentence}; {CONFIRMED_ON_ALL}", *result.notes)
+    return with_all(replace(result, noise=noise, notes=notes), spent), other

@@ -22,7 +22,14 @@ from cluster_est.closed_loop.selection.functions_of_time import (
 )
 from cluster_est.closed_loop.selection.rounds import SelectionResult, without_search
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.results.interpolation import (
+    FittedExperiments,
+    PreferredInterpolation,
+    compare_interpolations,
+)
+from cluster_est.results.solver_error.measure import simulate_with_solver
 from cluster_est.running.resources import Resources
+from workers.messages import Experiment, Outcome
 
 
 @dataclass(frozen=True)
@@ -39,6 +46,8 @@ class SearchedModel:
         The same at a model with effects, where that is another.
     failures
         Simulations that failed while effects were tried.
+    interpolation
+        An input that the measurements prefer to be interpolated otherwise.
     """
 
     found: SelectionResult = field(repr=False)
@@ -46,6 +55,7 @@ class SearchedModel:
     error: NumericalError = field(repr=False)
     error_at: Callable[[FittedModel], NumericalError] = field(repr=False)
     failures: int = 0
+    interpolation: PreferredInterpolation | None = None
 
 
 def search_for_effects(
@@ -53,6 +63,8 @@ def search_for_effects(
     start: FitStart,
     resources: Resources,
     reached: Callable[[SelectionResult], None] = lambda _: None,
+    *,
+    thinned: bool = False,
 ) -> SearchedModel:
     """Fit the declared model, and look for effects that it lacks.
 
@@ -64,6 +76,8 @@ def search_for_effects(
         For the simulations with a finer solver.
     reached
         Called after each round in which something was added, with all that was found so far.
+    thinned
+        The samples of the inputs are not those that were measured.
 
     Raises
     ------
@@ -75,6 +89,7 @@ def search_for_effects(
     noise = expected_noise(workbench, base.residuals)
     workbench.enter("the error of the solver")
     error = measure_numerical_error(workbench, base, noise, resources)
+    other = None if thinned else _other_interpolation(workbench, base, resources)
     with_effects = partial(
         error_with_effects, workbench, declared=error, noise=noise, resources=resources
     )
@@ -87,7 +102,35 @@ def search_for_effects(
             workbench, base, lambda fit: with_effects(fit).explainable, reached
         )
     failed = workbench.runner.failures - before
-    return SearchedModel(found, judged, error, with_effects, failed)
+    return SearchedModel(found, judged, error, with_effects, failed, other)
+
+
+def _other_interpolation(
+    workbench: LoopWorkbench, base: FittedModel, resources: Resources
+) -> PreferredInterpolation | None:
+    """Return the input that the measurements prefer to be interpolated otherwise, if there is one.
+
+    What a wrong one leaves looks like a delay or a lag.
+    """
+    if workbench.filtered:
+        return None
+    workbench.enter("the interpolation of the inputs")
+    values = base.space.physical(base.x)
+
+    def simulate(runs: tuple[Experiment, ...], positions: list[int]) -> list[Outcome]:
+        workbench.meter.full += len(runs)
+        return simulate_with_solver(
+            base.problem,
+            runs,
+            values[positions],
+            base.problem.model.solver,
+            "residuals",
+            resources,
+            beside=workbench.runner,
+        )
+
+    fitted = FittedExperiments(base.problem, workbench.train, base.residuals, base.jacobian)
+    return compare_interpolations(fitted, simulate)
 
 
 def _searched(

@@ -124,8 +124,14 @@ def _source(
             table.reading,
             _test(section),
             tuple(notes),
+            _units(table, used),
         )
     ]
+
+
+def _units(table: MeasuredTable, used: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """Return the units that the file itself says of columns; by their names in the file."""
+    return tuple((name, table.units[name]) for name in used if table.units.get(name))
 
 
 def _changes(section: ExperimentSection) -> dict[str, ColumnChange]:

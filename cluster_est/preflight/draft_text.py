@@ -164,7 +164,7 @@ def _body(
     yield from _reading(run)
     yield from _time(run)
     for match in run.inputs:
-        yield from _input(match, columns.signals)
+        yield from _input(match, columns.signals, _unusable(run, match.variable.name))
     yield from _outputs(run)
     yield from _conversions(run)
     yield from _sigmas(run, noise)
@@ -227,7 +227,7 @@ def _time(run: DraftExperiment) -> Iterator[str]:
         yield f"# time = {inline(name)}  # instead, if that is it: it increases from row to row"
 
 
-def _input(match: ColumnMatch, columns: tuple[TableColumn, ...]) -> Iterator[str]:
+def _input(match: ColumnMatch, columns: tuple[TableColumn, ...], unusable: str) -> Iterator[str]:
     variable = match.variable
     key = dotted("inputs", variable.name)
     if match.column is not None:
@@ -239,7 +239,7 @@ def _input(match: ColumnMatch, columns: tuple[TableColumn, ...]) -> Iterator[str
         yield f"{key} = {value}{said(variable, '; '.join(filter(None, why)))}"
     else:
         start = variable.start or 0.0
-        kept = f"no column is like it, so it keeps its start value {start:g}"
+        kept = f"{unusable or 'no column is like it'}, so it keeps its start value {start:g}"
         yield f'# {key} = "COLUMN"{said(variable, kept)}'
 
 
@@ -265,7 +265,8 @@ def _outputs(run: DraftExperiment) -> Iterator[str]:
             yield f"# {key} = {value}{said(variable, 'only similar: uncomment if it is')}"
         elif not certain and (match.similar is not None or match is run.outputs[0]):
             value = f'"{FILL_IN}: a column"' if match.similar is None else _guess(match.similar)
-            yield f"{key} = {value}{said(variable, _choices(run.columns.signals))}"
+            why = (_unusable(run, variable.name), _choices(run.columns.signals))
+            yield f"{key} = {value}{said(variable, '; '.join(filter(None, why)))}"
     for match in run.further:
         if match.column is not None:
             key = dotted("outputs", match.variable.name)
@@ -273,6 +274,14 @@ def _outputs(run: DraftExperiment) -> Iterator[str]:
     if not certain and not run.outputs:
         yield "# The FMU has no output: name a variable that it computes, as it is called there."
         yield f'outputs = "{FILL_IN}: {{ VARIABLE = COLUMN }}"'
+
+
+def _unusable(run: DraftExperiment, name: str) -> str:
+    """Return what is wrong with a column that is called as a variable, if there is one."""
+    for column, why in run.columns.unusable.items():
+        if fold(split_unit(column)[0]) == fold(name):
+            return f"column {column!r} {why}"
+    return ""
 
 
 def _open_outputs(run: DraftExperiment) -> Iterator[str]:

@@ -21,15 +21,18 @@ from cluster_est.preflight.table_column import (
     with_suffix,
 )
 from cluster_est.preflight.table_times import (
+    LOOKED_AT,
     FoundTime,
     find_tests,
     find_time,
     may_hold_numbers,
 )
+from cluster_est.problem.tables.cells import is_text, trimmed_cells
 from cluster_est.problem.tables.files import read_table
 from cluster_est.problem.tables.jumps import count_jumps
 from cluster_est.problem.tables.long_tables import long_columns, wide
 from cluster_est.problem.tables.measured_table import (
+    Column,
     MeasuredTable,
     Reading,
     UndecidedError,
@@ -59,7 +62,7 @@ class TableColumns:
     increasing
         Names of columns that increase from row to row, where there is no time.
     unusable
-        Names of columns that hold no numbers.
+        What is wrong with each column that holds no numbers, by its name.
     reading, found
         What the user says of the file, and keys that say what was found.
     notes
@@ -74,7 +77,7 @@ class TableColumns:
     signals: tuple[TableColumn, ...]
     time: TableColumn | None
     increasing: tuple[str, ...]
-    unusable: tuple[str, ...]
+    unusable: Mapping[str, str]
     reading: Reading = field(default_factory=Reading)
     found: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
@@ -123,8 +126,8 @@ def read_columns(path: Path, time_column: str = "", reading: Reading | None = No
         raise DataError(next(iter(refused.values())))
     if not columns:
         raise DataError(
-            f"init: {path} must have columns of numbers but has none{_why_none(table)}; check what "
-            "separates its columns, and that its first row holds their names"
+            f"init: {path} must have columns of numbers but has none{_why_none(others)}; check "
+            "what separates its columns, and that its first row holds their names"
         )
     rising = [] if found is not None else [c.name for c in columns if c.increases]
     return TableColumns(
@@ -132,7 +135,7 @@ def read_columns(path: Path, time_column: str = "", reading: Reading | None = No
         tuple(columns),
         None if found is None else found.column,
         tuple(rising),
-        tuple(others),
+        others,
         reading=whole.reading,
         found=whole.found,
         notes=(*whole.notes, *([found.said] if found is not None and found.said else [])),
@@ -144,7 +147,7 @@ def read_columns(path: Path, time_column: str = "", reading: Reading | None = No
 
 def _columns(
     table: MeasuredTable, time: FoundTime | None, split_by: str
-) -> tuple[list[TableColumn], list[str], dict[str, str]]:
+) -> tuple[list[TableColumn], dict[str, str], dict[str, str]]:
     """Return the columns of numbers that can be signals, the others, and what is wrong in some.
 
     One is read at a time, so that a large file is not there twice.
@@ -152,7 +155,7 @@ def _columns(
     refused: dict[str, str] = {}
     clocks = {*table.clocks.values(), *(() if time is None else time.names)}
     found: list[tuple[int, TableColumn]] = []
-    others = [*table.unusable]
+    others = dict(table.unusable)
     for name in table.columns:
         if name in clocks or name == split_by:
             continue
@@ -165,7 +168,7 @@ def _columns(
         except DataError as error:
             refused[name] = str(error)
         if not np.isfinite(values).any():
-            others += [name] if name else []
+            others |= {name: _not_numbers(table.columns[name])} if name else {}
             continue
         times = None if time is None else time.times_of(table, name)
         rows = len(values) if times is None or len(times) != len(values) else -1
@@ -186,9 +189,17 @@ def _columns(
     return [column for rows, column in found if usual and rows == usual[0][0]], others, refused
 
 
-def _why_none(table: MeasuredTable) -> str:
+def _not_numbers(column: Column) -> str:
+    """Return what a column holds in place of numbers."""
+    if isinstance(column, np.ndarray) or not is_text(column):
+        return "holds no numbers"
+    there = trimmed_cells(column.slice(0, LOOKED_AT)).drop_null()
+    return f"holds {there[0].as_py()!r}" if len(there) else "is empty"
+
+
+def _why_none(others: Mapping[str, str]) -> str:
     """Return what is wrong with the first column that cannot be used."""
-    return next((f" ({name!r} {why})" for name, why in table.unusable.items()), "")
+    return next((f" ({name!r} {why})" for name, why in others.items()), "")
 
 
 def _noise(values: FloatArray) -> float:

@@ -19,9 +19,12 @@ from workers.messages import FloatArray
 
 TIME_COLUMN_NAMES = (
     "time", "t", "times", "zeit", "seconds", "second", "sec", "timesec", "timestamp", "timestamps",
-    "elapsedtime", "elapsed", "testtime", "zeitstempel", "xvalue",
+    "elapsedtime", "elapsed", "testtime", "zeitstempel", "xvalue", "relativetime", "trel",
+    "millis", "micros",
 )  # fmt: skip
 """Names of a time column, folded."""
+UNITS_OF_NAMES = {"millis": "ms", "micros": "us"}
+"""Units that such a name says."""
 STAMP_COLUMN_NAMES = (
     *TIME_COLUMN_NAMES, "datetime", "date", "datum", "datumzeit", "datumuhrzeit", "uhrzeit",
     "datetimeutc", "index",
@@ -96,9 +99,7 @@ def find_time(table: MeasuredTable, given: str = "") -> FoundTime | None:
     if not names:
         return None
     name = names[0]
-    plain, unit = split_unit(name)
-    column = TableColumn(name, plain, unit or table.units.get(name, ""))
-    column = with_suffix(column, "s")
+    column = with_suffix(_column(table, name), "s")
     if not _is_number(table, name):
         column = replace(column, unit="")
     factor = conversion(column.unit, "s") if column.unit else None
@@ -132,7 +133,8 @@ def _by_name(table: MeasuredTable) -> Iterator[str]:
 
 def _column(table: MeasuredTable, name: str) -> TableColumn:
     plain, unit = split_unit(name)
-    return TableColumn(name, plain, unit or table.units.get(name, ""))
+    unit = unit or table.units.get(name, "") or UNITS_OF_NAMES.get(fold(plain), "")
+    return TableColumn(name, plain, unit)
 
 
 def _is_time(column: TableColumn) -> bool:

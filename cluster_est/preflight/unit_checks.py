@@ -39,14 +39,18 @@ LEAST_LETTERS = 2
 """Letters that a unit at the end of a name has: "x_m" may be a measured x, "x_mm" is not."""
 
 
-def unit_findings(config: Config, description: ModelDescription) -> list[CheckFinding]:
-    """Return a line for each column whose name says another unit than its variable has.
+def unit_findings(
+    config: Config, description: ModelDescription, tables: Sequence[TableSource] = ()
+) -> list[CheckFinding]:
+    """Return a line for each column that is in another unit than its variable, as it is called.
 
-    Each column is named once, whatever the number of experiments that have it. One with an entry
-    under `columns` in the config is left out, and so is one whose unit is not known.
+    Its name says the unit, or else the file does: a row below the header, or what a channel
+    carries. Each column is named once, whatever the number of experiments that have it. One with an
+    entry under `columns` in the config is left out, and so is one whose unit is not known.
     """
+    said = {(each.experiment, name): unit for each in tables for name, unit in each.units}
     pairs = dict.fromkeys(
-        pair
+        (*pair, said.get((experiment.id, pair[1] or ""), ""))
         for experiment in config.experiments
         for pair in [
             ("time", experiment.time),
@@ -56,17 +60,18 @@ def unit_findings(config: Config, description: ModelDescription) -> list[CheckFi
         if pair[1] not in experiment.columns
     )
     lines = []
-    for variable, named in pairs:
+    for variable, named, beside in pairs:
         found, column = description.variables.get(variable), named or ""
         wanted = "s" if found is None else found.unit
-        unit = _unit(column, wanted)
+        unit = _unit(column, wanted) or beside
         change = conversion(unit, wanted) if unit and wanted else None
         if change is None or change == UnitConversion(1.0) or same_unit(unit, wanted):
             continue
-        said = f"column '{column}' is given to {variable}, which is in {wanted}, as it is"
+        shown = f"'{column}'" if split_unit(column)[1] == unit else f"'{column}' in {unit}"
+        line = f"column {shown} is given to {variable}, which is in {wanted}, as it is"
         do = f"{dotted('columns', column)} = {{ factor = {change.factor:.12g}, "
         do += f"offset = {change.offset:.12g} }}; with factor = 1 alone if the name is wrong"
-        lines.append(fault("units", said, do))
+        lines.append(fault("units", line, do))
     return lines
 
 

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import process_noise_notes, vanished_noise
 from cluster_est.problem.variables import silent_notes
+from cluster_est.results.after_jumps import after_jump_sentences
 from cluster_est.results.fit_tables import Estimate
 from cluster_est.results.initial_errors import initial_notes
+from cluster_est.results.interpolation import interpolation_facts
 from cluster_est.results.observation import observation_notes
 from cluster_est.results.output_errors import worse_than_constants
 from cluster_est.results.solver_error.measure import solver_facts
@@ -188,6 +190,7 @@ def fit_facts(result: Result) -> dict[str, Any]:
         "rmse_over_sigma": {"train": result.rmse("train"), "test": result.rmse("test")},
         "residuals": None if diagnostics is None else residual_facts(diagnostics),
         "solver_error": solver_facts(result.solver_error),
+        "interpolation": interpolation_facts(result.interpolation),
         "doubts": list(fit_doubts(result)),
         "notes": list(result.notes),
         "iterations": result.solution.iterations,
@@ -213,6 +216,7 @@ def fit_notes(result: Result) -> tuple[str, ...]:
     notes += initial_notes(problem, result.simulations)
     if result.diagnostics is not None:
         notes += residual_sentences(result.diagnostics)
+        notes += interpolation_sentences(result)
     notes += observation_notes(problem, result.simulations)
     notes += prior_sentences(problem, result.estimates)
     if result.solver_error is not None:
@@ -226,6 +230,19 @@ def fit_notes(result: Result) -> tuple[str, ...]:
     if result.posterior is not None:
         notes += result.posterior.sentences
     return (*notes, *fitted_to_held_out(result.estimates), *worse_than_constants(result.errors))
+
+
+def interpolation_sentences(result: Result) -> tuple[str, ...]:
+    """Say which input may have to be interpolated otherwise, and which record shows it."""
+    other = result.interpolation
+    told = "" if other is None else other.variable
+    said = () if other is None else (other.sentence,)
+    if result.diagnostics is None:
+        return said
+    return (
+        *said,
+        *after_jump_sentences(result.problem, result.simulations, result.diagnostics, told),
+    )
 
 
 def fit_doubts(result: Result) -> tuple[str, ...]:

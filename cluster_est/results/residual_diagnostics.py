@@ -59,19 +59,10 @@ def diagnose_residuals(
     asked = ending.success or ending in (Ending.MAX_ITERATIONS, Ending.STALLED)
     if not (asked and problem.plain and isinstance(problem.cost, SumSquared)):
         return None
-    experiments = [problem.experiments[e] for e in space.experiments]
-    outcomes = {s.experiment: s.outcome for s in simulations}
-    parts = [
-        output_residuals(output, outcomes[e])
-        for e, experiment in zip(space.experiments, experiments, strict=True)
-        for output in experiment.outputs
-    ]
-    known = [part for part in parts if part is not None]
-    if lack_normal_law(space.problem, space.experiments):
+    residuals = training_residuals(space, simulations)
+    if residuals is None or lack_normal_law(space.problem, space.experiments):
         return None
-    if not known or len(known) < len(parts):
-        return None
-    residuals, records = np.concatenate(known), make_records(experiments)
+    records = make_records([problem.experiments[e] for e in space.experiments])
     declared = _declared(space, records)
     if noise_names(problem):  # innovations are white over their own spread, which is no sigma
         residuals, declared = _innovations(space, solution), (False,) * len(declared)
@@ -81,6 +72,18 @@ def diagnose_residuals(
     basis = _basis(space, solution, len(residuals))
     tests = ResidualTests(residuals, records, basis, declared, exact)
     return ResidualDiagnostics(*tests.run(), converged=ending.success)
+
+
+def training_residuals(space: SearchSpace, simulations: Sequence[Simulation]) -> FloatArray | None:
+    """Return the residuals of all outputs, stacked, without those of priors; None if one failed."""
+    outcomes = {s.experiment: s.outcome for s in simulations}
+    parts = [
+        output_residuals(output, outcomes[e])
+        for e in space.experiments
+        for output in space.problem.experiments[e].outputs
+    ]
+    known = [part for part in parts if part is not None]
+    return np.concatenate(known) if known and len(known) == len(parts) else None
 
 
 def _innovations(space: SearchSpace, solution: Solution) -> FloatArray:
@@ -119,14 +122,35 @@ def _exact(space: SearchSpace, residuals: FloatArray, records: StackedRecords) -
 
 def _basis(space: SearchSpace, solution: Solution, count: int) -> FloatArray:
     """Directions that the free unknowns have taken out of the residuals, orthonormal (n, rank)."""
-    if not has_jacobian(solution) or count * space.size > MOST_TRANSFORMED_ENTRIES:
-        return np.zeros((count, 0))
+    matrix = free_jacobian(space, solution, count, MOST_TRANSFORMED_ENTRIES)
+    return np.zeros((count, 0)) if matrix is None else OrthogonalProjection(matrix).basis
+
+
+def free_jacobian(
+    space: SearchSpace, solution: Solution, count: int, most: int
+) -> FloatArray | None:
+    """Return the derivatives of the residuals by the unknowns that are at no bound.
+
+    Parameters
+    ----------
+    space, solution
+        Of the training experiments.
+    count
+        Of the residuals, without those of priors.
+    most
+        Entries that it may have.
+
+    Returns
+    -------
+    (count, free unknowns) or None
+        None where they are not known, or too many.
+    """
+    if not has_jacobian(solution) or count * space.size > most:
+        return None
     blocks, priors = jacobian_blocks(space, solution), space.priors.among(space.rows)
     if blocks is None or blocks.row_count != count + int(priors.sum()):
-        return np.zeros((count, 0))
+        return None
     free = [i for i, bound in enumerate(active_bounds(space, solution.x, blocks)) if not bound]
     matrix = blocks.dense()[:, free]
     matrix = matrix[~priors] if priors.any() else matrix
-    if not np.isfinite(matrix).all():
-        return np.zeros((count, 0))
-    return OrthogonalProjection(matrix).basis
+    return matrix if np.isfinite(matrix).all() else None

@@ -29,6 +29,7 @@ from cluster_est.results.fit_tables import (
     StartResult,
     fit_tables,
 )
+from cluster_est.results.interpolation import PreferredInterpolation
 from cluster_est.results.observation import observed_categories, observed_scales
 from cluster_est.results.output_errors import OutputError, Simulation
 from cluster_est.results.segments import ShootingSummary
@@ -100,6 +101,9 @@ class Result:
         nothing, see `diagnose_residuals`.
     solver_error
         What half the solver's step changes; None where no step decides, see `measure_solver_error`.
+    interpolation
+        An input that the measurements prefer to be interpolated otherwise; None where there is
+        none, or nothing tells.
     shapes
         Of the effects that the problem declares.
     shooting
@@ -136,6 +140,7 @@ class Result:
     predictions: tuple[PredictedBand, ...] = field(default=(), repr=False)
     diagnostics: ResidualDiagnostics | None = field(default=None, repr=False)
     solver_error: SolverError | None = field(default=None, repr=False)
+    interpolation: PreferredInterpolation | None = field(default=None, repr=False)
     shapes: tuple[EffectCurve, ...] = field(default=(), repr=False)
     shooting: ShootingSummary | None = field(default=None, repr=False)
     failed_steps: tuple[str, ...] = ()

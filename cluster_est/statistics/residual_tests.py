@@ -37,11 +37,14 @@ class Autocorrelation:
         than the noise.
     squares
         1 + 2 (rho_1^2 + rho_2^2 + ...): by so much fewer samples a mean square has.
+    lags
+        That were summed.
     """
 
     lag1: float
     widening: float
     squares: float
+    lags: int = 0
 
 
 def autocorrelation(residuals: FloatArray, records: Sequence[OutputRecord]) -> Autocorrelation:
@@ -76,7 +79,7 @@ def autocorrelation(residuals: FloatArray, records: Sequence[OutputRecord]) -> A
     end = int(enough[0]) + 1 if len(enough) else len(rho)
     widening = float(np.sqrt(max(1.0, 2.0 * times[end - 1])))
     return Autocorrelation(
-        float(rho[0]), widening, 1.0 + 2.0 * float(np.add.reduce(rho[:end] ** 2))
+        float(rho[0]), widening, 1.0 + 2.0 * float(np.add.reduce(rho[:end] ** 2)), end
     )
 
 

@@ -20,6 +20,7 @@ from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.results import fit_tables as rows
 from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.guarded import GuardedSteps
+from cluster_est.results.interpolation import preferred_interpolation
 from cluster_est.results.output_errors import Simulation
 from cluster_est.results.residual_diagnostics import diagnose_residuals
 from cluster_est.results.result import Result
@@ -232,7 +233,16 @@ class Fit(Study[Result]):
                 lambda: measure_solver_error(train, solution, after, environment.resources, runner),
                 None,
             )
-            result = replace(result, solver_error=error)
+            other = None
+            if left is not None:
+                other = steps.do(
+                    "the other interpolation of inputs",
+                    lambda: preferred_interpolation(
+                        train, linear, after, environment.resources, runner
+                    ),
+                    None,
+                )
+            result = replace(result, solver_error=error, interpolation=other)
         return replace(result, failed_steps=tuple(steps.failed))
 
     def _refined(

@@ -128,8 +128,25 @@ def check_times(times: FloatArray, where: str, place: Callable[[int], str]) -> N
         how = "repeats" if times[i] == times[i - 1] else "goes back from"
         raise DataError(
             f"{where}, {place(i)}: times must increase but {times[i]:.9g} {how} "
-            f"{times[i - 1]:.9g} of the row before; sort the rows and remove repeated ones"
+            f"{times[i - 1]:.9g} of the row before; {_remedy(times)}"
         )
+
+
+COARSE = 0.1
+"""Share of the rows that have the time of the row before, from which on it is the clock."""
+
+
+def _remedy(times: FloatArray) -> str:
+    """Return what to do with times that do not increase."""
+    steps = np.diff(times)
+    if np.mean(steps == 0.0) > COARSE:
+        return (
+            "its clock is coarser than its rows: give sample_time, the seconds between rows, in "
+            "place of time"
+        )
+    if np.all(steps < 0.0):
+        return "turn the order of the rows round"
+    return "sort the rows and remove repeated ones"
 
 
 def check_length(values: FloatArray, times: FloatArray, where: str) -> None:

@@ -18,13 +18,18 @@ from workers.messages import FloatArray
 
 MISSING = [
     "", "NaN", "nan", "NAN", "-nan", "NA", "N/A", "n/a", "#N/A", "#NV", "null", "NULL", "None",
-    "-", "--", "---", "1.#QNAN", "-1.#IND",
+    "-", "--", "---", "1.#QNAN", "-1.#IND", "*", "**", "***", "****", "?", "#DIV/0!", "#VALUE!",
+    "#WERT!", "#REF!", "#BEZUG!", "#NUM!", "#ZAHL!", "#NAME?", "No Data", "no data", "NoData",
+    "undefined", "Undefined", "missing", "Missing", "invalid", "Invalid", "Bad", "bad",
+    "I/O Timeout",
 ]  # fmt: skip
 """Cells that mean that nothing was measured."""
 _SIGN, _END = r"^[+-]?", r"([eE][+-]?\d+)?$"
 _GROUPED: Final = {",": rf"{_SIGN}\d{{1,3}}(,\d{{3}})+", ".": rf"{_SIGN}\d{{1,3}}(\.\d{{3}})+"}
 _OTHER: Final = {",": ".", ".": ","}
 _POINTS: Final = {",": ",", ".": r"\."}
+_FORTRAN: Final = r"^([+-]?[0-9.,]+)[dD]([+-]?[0-9]+)$"
+"""Numbers of double precision as Fortran writes them."""
 _BLANKS: Final = r"^[+-]?\d{1,3}([ \x{a0}\x{202f}\x{2019}']\d{3})+([.,]\d+)?$"
 """Thousands that are separated by blanks or apostrophes."""
 
@@ -68,7 +73,7 @@ def trimmed_cells(column: pa.ChunkedArray) -> pa.ChunkedArray:
 
 
 def text_numbers(column: pa.ChunkedArray, given: str, of_file: str) -> FloatArray:
-    """Numbers that stand as text; True and False, in any case, are 1 and 0.
+    """Numbers that stand as text; true and false, on and off, in any case, are 1 and 0.
 
     Parameters
     ----------
@@ -111,9 +116,9 @@ def first_text(column: pa.ChunkedArray, given: str, of_file: str) -> int:
 
 
 def _switches(cells: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Text in which True and False, in any case, are 1 and 0."""
+    """Text in which true and false, on and off, in any case, are 1 and 0."""
     lowered = pc.utf8_lower(cells)
-    for word, number in (("true", "1"), ("false", "0")):
+    for word, number in (("true", "1"), ("false", "0"), ("on", "1"), ("off", "0")):
         cells = pc.if_else(pc.equal(lowered, word), number, cells)
     return cells
 
@@ -121,6 +126,8 @@ def _switches(cells: pa.ChunkedArray) -> pa.ChunkedArray:
 def _plain(cells: pa.ChunkedArray, given: str, of_file: str) -> pa.ChunkedArray:
     """Numbers with a point before their decimals, and nothing between thousands."""
     cells = pc.replace_substring(cells, "\u2212", "-")
+    if _contain_pattern(cells, _FORTRAN):
+        cells = pc.replace_substring_regex(cells, _FORTRAN, r"\1e\2")
     if _contain(cells, "'") or _contain_pattern(cells, "[ \u00a0\u202f\u2019]"):
         bare = pc.replace_substring_regex(cells, r"[ \x{a0}\x{202f}\x{2019}']", "")
         cells = pc.if_else(pc.match_substring_regex(cells, _BLANKS), bare, cells)
@@ -164,7 +171,7 @@ def _surely(sign: str) -> str:
 _SURELY: Final = {sign: re.compile(_surely(sign)) for sign in (",", ".")}
 _SEPARATORS: Final = re.compile("[ \u00a0\u202f\u2019']")
 _NUMBER: Final = re.compile(
-    r"[+-]?(\d+([.,]\d*)*|[.,]\d+)([eE][+-]?\d+)?|[+-]?inf|true|false", re.I
+    r"[+-]?(\d+([.,]\d*)*|[.,]\d+)([edED][+-]?\d+)?|[+-]?inf|true|false|on|off", re.I
 )
 
 

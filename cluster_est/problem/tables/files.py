@@ -16,6 +16,12 @@ from cluster_est.problem.tables.measured_table import MeasuredTable, Reading
 from workers.fmu.description import nearest
 from workers.messages.checks import as_path, as_tuple, check_kind, check_number
 
+INSTEAD = {
+    ".zip": "unpack it", ".7z": "unpack it", ".xls": "save it as .xlsx",
+    ".ods": "save it as .xlsx", ".json": "save it as .csv", ".jsonl": "save it as .csv",
+    ".blf": "save it as .mf4", ".d97": "save it as .mf4", ".raw": "save it as .csv or .mf4",
+}  # fmt: skip
+"""What makes a file that can be read of others."""
 OF_EVERY_FORMAT = ("time_format", "time_zone", "long")
 """Keys of `Reading` that mean something whatever the format is."""
 
@@ -55,7 +61,7 @@ def read_table(
     if kind is None:
         raise DataError(
             f"{where}: {path} must end in one of {', '.join(ENDINGS)} but ends in "
-            f"{path.suffix!r}; convert it or rename it"
+            f"{path.suffix!r}; {INSTEAD.get(path.suffix.lower(), 'convert it or rename it')}"
         )
     _refuse_idle(kind, reading, path, where)
     try:

@@ -9,12 +9,13 @@ interval too early. A fit calls that a delay or a lag.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from cluster_est.toml import dotted, inline
-from workers.messages import Experiment, FloatArray, Input
+from workers.messages import Experiment, FloatArray, Input, Interpolation
 
 LEAST_SAMPLES_WITH_JUMPS = 10
 LEAST_REPEATED_SHARE = 0.5
@@ -119,12 +120,12 @@ def after_jumps(experiment: Experiment, output: str) -> npt.NDArray[np.bool_]:
 
 
 def samples_after(
-    times: FloatArray, events: FloatArray, *, before: int = 0
+    times: FloatArray, events: FloatArray, *, before: int = 0, count: int = SAMPLES_AFTER_JUMP
 ) -> npt.NDArray[np.bool_]:
-    """Return which of some times are just after events, or so many samples before them."""
+    """Return which of some times are the first after events, or so many samples before them."""
     after = np.zeros(len(times), bool)
     first = np.searchsorted(times, events)
-    for late in range(-before, SAMPLES_AFTER_JUMP):
+    for late in range(-before, count):
         after[np.clip(first + late, 0, len(times) - 1)] = True
     return after
 
@@ -149,18 +150,58 @@ def _is_rounded(values: FloatArray, changes: npt.NDArray[np.bool_]) -> bool:
     return bool(next_one) and not regular
 
 
+MOST_NAMED_RECORDS = 3
+"""Experiments that are named with their jumps; of more, those with the largest."""
+
+
+@dataclass(frozen=True)
+class JumpsOfRecord:
+    """The jumps of an input in one experiment.
+
+    Attributes
+    ----------
+    experiment
+        Its id.
+    count
+        Of the jumps.
+    time, before, after
+        When the largest begins, in seconds, and from which value to which it goes.
+    """
+
+    experiment: str
+    count: int
+    time: float
+    before: float
+    after: float
+
+    @property
+    def sentence(self) -> str:
+        """Return how many there are, and where the largest is."""
+        times = "once" if self.count == 1 else f"{self.count} times"
+        largest = "" if self.count == 1 else ", by most"
+        return (
+            f"{times} in {self.experiment}{largest} at {self.time:.6g} s "
+            f"from {self.before:.4g} to {self.after:.4g}"
+        )
+
+
 def jumping_inputs(
     experiments: Sequence[Experiment], holds: Callable[[str], bool]
-) -> dict[str, int]:
-    """Return the inputs that jump and are interpolated by straight lines, with how often."""
-    found: dict[str, int] = {}
-    for each in experiments:
-        for given in each.inputs:
-            if given.interpolation == "linear":
-                jumps = count_jumps(given.times, given.values)
-                if jumps and not holds(given.variable):
-                    found[given.variable] = found.get(given.variable, 0) + jumps
-    return found
+) -> dict[str, tuple[JumpsOfRecord, ...]]:
+    """Return the inputs that jump and are interpolated by straight lines, with where they do."""
+    found: dict[str, list[JumpsOfRecord]] = {}
+    for run in experiments:
+        for given in run.inputs:
+            if given.interpolation != "linear" or holds(given.variable):
+                continue
+            jumps, values = _jumps(given.times, given.values), given.values
+            if len(jumps):
+                at = int(jumps[np.argmax(np.abs(np.diff(values))[jumps])])
+                here = float(given.times[at]), float(values[at]), float(values[at + 1])
+                found.setdefault(given.variable, []).append(
+                    JumpsOfRecord(run.id, len(jumps), *here)
+                )
+    return {name: tuple(records) for name, records in found.items()}
 
 
 def jump_findings(
@@ -182,11 +223,28 @@ def jump_findings(
     """
     return tuple(
         (
-            f"input {name} jumps {count} time{'s' if count > 1 else ''}; "
+            f"input {name}{_of_column(columns.get(f'inputs.{name}', ''))} jumps {_where(records)}; "
             "straight lines between its samples make ramps of the jumps, which a fit may take for "
             "a delay",
-            f"{dotted('inputs', name)} = {inline(held)}, if it keeps each sample until the next",
+            f"{interpolated(name, columns, 'hold')}, if it keeps each sample until the next",
         )
-        for name, count in jumping_inputs(experiments, holds).items()
-        for held in [{"column": columns.get(f"inputs.{name}", "COLUMN"), "interpolation": "hold"}]
+        for name, records in jumping_inputs(experiments, holds).items()
     )
+
+
+def interpolated(variable: str, columns: Mapping[str, str], how: Interpolation) -> str:
+    """Return the key of a config that says how an input is interpolated."""
+    column = columns.get(f"inputs.{variable}", "COLUMN")
+    return f"{dotted('inputs', variable)} = {inline({'column': column, 'interpolation': how})}"
+
+
+def _of_column(column: str) -> str:
+    return f" (column {inline(column)})" if column else ""
+
+
+def _where(records: Sequence[JumpsOfRecord]) -> str:
+    """Name the experiments with the largest jumps."""
+    largest = sorted(records, key=lambda each: -abs(each.after - each.before))
+    named = ", ".join(each.sentence for each in largest[:MOST_NAMED_RECORDS])
+    more = len(records) - MOST_NAMED_RECORDS
+    return f"{named}, and in {more} more experiments" if more > 0 else named

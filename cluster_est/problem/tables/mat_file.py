@@ -22,6 +22,19 @@ NUMERIC = range(6, 16)
 """Classes of arrays of numbers."""
 CLASSES = {1: "a cell array", 2: "a structure", 3: "an object", 4: "text", 5: "a sparse matrix"}
 STRUCTURE, OPAQUE = 2, 17
+VECTORS = "{short}_v = double({it}); save('vectors.mat', '{short}_v', '-v7')"
+TYPED_IN_MATLAB = {
+    "timeseries": "{short}_s = struct('Time', {it}.Time, 'Data', squeeze({it}.Data)); "
+    "save('vectors.mat', '{short}_s', '-v7')",
+    "timetable": "writetimetable({it}, '{short}.csv')",
+    "table": "writetable({it}, '{short}.csv')",
+    "tscollection": "{short}_s = struct({it}); save('vectors.mat', '{short}_s', '-v7')",
+    "Simulink.SimulationData.Dataset": "writetimetable(extractTimetable({it}), '{short}.csv')",
+    "Simulink.SimulationOutput": "writetimetable(extractTimetable({it}), '{short}.csv')",
+    "datetime": "{short}_s = posixtime({it}); save('vectors.mat', '{short}_s', '-v7')",
+    "duration": "{short}_s = seconds({it}); save('vectors.mat', '{short}_s', '-v7')",
+}
+"""What makes a file that can be read of an object of a class."""
 DEEPEST = 8
 """Structures in structures that are looked into."""
 MOST_ELEMENTS = 100
@@ -162,8 +175,18 @@ def _object(body: bytes, at: int, order: str, inside: str, own: str) -> _Variabl
         at, text = _element(body, at, order, (NAME_TYPE, COMPRESSED_NAME_TYPE))
         texts.append(text.decode("latin-1"))
     name, _, kind = texts
-    what = f"a {kind} of MATLAB, which only MATLAB can read; save its times and values as vectors"
-    return _Variable(inside + (own or name), what)
+    whole = inside + (own or name)
+    return _Variable(whole, object_of_matlab(whole, kind))
+
+
+def object_of_matlab(name: str, kind: str) -> str:
+    """Return what an object of a class of MATLAB's is, and what to type there to save its numbers.
+
+    Its values stand in the file in an undocumented form.
+    """
+    short = name.rpartition(".")[2]
+    typed = TYPED_IN_MATLAB.get(kind, VECTORS).replace("{it}", name).replace("{short}", short)
+    return f"a {kind} of MATLAB, which only MATLAB can read; type there: {typed}"
 
 
 def _structure(

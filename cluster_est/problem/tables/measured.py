@@ -358,6 +358,8 @@ class TableSource:
         The column that tells tests apart, and the value of this one; None where a file is one.
     notes
         How the file was read, a sentence each.
+    units
+        (column, unit), as far as the file says them beside the names.
     """
 
     experiment: str
@@ -372,6 +374,7 @@ class TableSource:
     reading: Reading = field(default_factory=Reading)
     test: tuple[str, str] | None = None
     notes: tuple[str, ...] = ()
+    units: tuple[tuple[str, str], ...] = ()
 
     def unused(self) -> UnusedColumns:
         """Read the file again, for its other columns.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import datetime
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 from zoneinfo import ZoneInfo
@@ -29,6 +29,8 @@ SECOND: Final = 1_000_000_000
 HOUR, DAY = 3600 * SECOND, 86400 * SECOND
 _SECONDS: Final = r":(?P<S>\d{2})(?:[.,](?P<f>\d{1,12})|:(?P<k>\d{3}))?"
 _HALF: Final = r"(?: ?(?P<p>[AaPp]\.?[Mm]\.?))?"
+_DAY: Final = r"(?:[A-Za-z]{2,9}[.,]* )?"
+"""The name of a day of the week, which says nothing."""
 _CLOCK: Final = rf"(?P<H>\d{{1,3}}):(?P<M>\d{{2}})(?:{_SECONDS})?{_HALF}"
 _ZONE: Final = r"(?: ?(?P<z>Z|UTC|GMT|CES?T|MES?Z|[+-]\d{2}(?::?\d{2})?))?"
 _DATES: Final = {
@@ -49,10 +51,13 @@ _DATES: Final = {
     "%y-%m-%d": r"(?P<y>\d{2})-(?P<m>\d{1,2})-(?P<d>\d{1,2})",
     "%d-%b-%Y": r"(?P<d>\d{1,2})[- ](?P<b>[A-Za-zä]{3,9})\.?[- ](?P<Y>\d{4})",
     "%b %d, %Y": r"(?P<b>[A-Za-zä]{3,9})\.? (?P<d>\d{1,2}),? (?P<Y>\d{4})",
+    "%Y-%j": r"(?P<Y>\d{4})-(?P<j>\d{3})",
     "%Y%m%d": r"(?P<Y>\d{4})(?P<m>\d{2})(?P<d>\d{2})",
 }
 _COMPACT: Final = r"(?P<H>\d{2})(?P<M>\d{2})(?P<S>\d{2})(?:[.,](?P<f>\d{1,12}))?"
+_MONTH_AND_DAY: Final = r"(?P<b>[A-Za-z]{3}) +(?P<d>\d{1,2})"
 _MINUTES: Final = r"(?P<M>\d{1,4}):(?P<S>\d{2})(?:[.,](?P<f>\d{1,12}))?"
+_OF_DATES: Final = {"d", "m", "b", "Y", "y"}
 _MONTHS: Final = {
     name: number
     for number, names in enumerate(
@@ -247,7 +252,9 @@ def _patterns() -> Iterator[tuple[str, str]]:
     for name, date in _DATES.items():
         if name != "%Y%m%d":  # it may be a number
             yield name, date
-        yield f"{name} %H:%M:%S", rf"{date}(?:T|,? +|_){_CLOCK}{_ZONE}"
+        yield f"{name} %H:%M:%S", rf"\[?{_DAY}{date}(?:T|,? +|_){_CLOCK}{_ZONE}\]?"
+    yield "%b %d %H:%M:%S %Y", rf"{_DAY}{_MONTH_AND_DAY} +{_CLOCK} (?P<Y>\d{{4}})"
+    yield "days %H:%M:%S", rf"(?P<D>\d{{1,5}}) days? +(?P<H>\d{{1,2}}):(?P<M>\d{{2}}){_SECONDS}"
     yield "%Y%m%d %H%M%S", rf"{_DATES['%Y%m%d']}[T _-]{_COMPACT}{_ZONE}"
     yield "%H:%M:%S", rf"(?P<H>\d{{1,3}}):(?P<M>\d{{2}}){_SECONDS}{_HALF}"
     yield "%H:%M", rf"(?P<H>\d{{1,3}}):(?P<M>\d{{2}}){_HALF}"
@@ -297,15 +304,17 @@ def _parsed(cells: pa.ChunkedArray, pattern: str) -> tuple[Stamps | None, int | 
     month = _months(text("b")) if "b" in there else number("m", 1)
     year = 2000 + number("y") if "y" in there else number("Y", 1970)
     days, valid = _days(year, month, number("d", 1))
+    days, valid = days + number("j", 1) - 1, valid & (number("j", 1) <= 366)
     hour, half = number("H"), text("p") if "p" in there else None
     if half is not None:
         hour, fine = _of_halves(hour, half)
         valid &= fine
     ns = number("S") * SECOND + number("M") * 60 * SECOND + hour * HOUR + number("k") * 1_000_000
+    ns += number("D") * DAY
     if "f" in there:
         digits = pc.utf8_slice_codeunits(pc.utf8_rpad(text("f"), 9, padding="0"), 0, 9)
         ns += np.asarray(digits.cast(pa.int64()).to_numpy(), np.int64)
-    dated = bool(there & {"d", "m", "b", "Y", "y"})
+    dated = bool(there & _OF_DATES)
     valid &= (number("S") <= 60) & ((number("M") < 60) | ("H" not in there))
     valid &= (hour < 24) if dated else True
     zone, aware = _offsets(text("z")) if "z" in there else (0, False)
@@ -314,8 +323,16 @@ def _parsed(cells: pa.ChunkedArray, pattern: str) -> tuple[Stamps | None, int | 
         return None, 0
     if bad.any():
         return None, int(np.argmax(bad))
-    kind: Kind = "clock" if not dated else "instant" if there & {"H", "M", "S"} else "date"
-    return Stamps(days * DAY + ns - zone, kind, known, bool(aware)), None
+    return Stamps(days * DAY + ns - zone, _kind(there), known, bool(aware)), None
+
+
+def _kind(there: Set[str]) -> Kind:
+    """Return what the parts of a format say."""
+    if "D" in there:
+        return "elapsed"
+    if not there & _OF_DATES:
+        return "clock"
+    return "instant" if there & {"H", "M", "S"} else "date"
 
 
 def _days(

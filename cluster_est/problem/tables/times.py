@@ -31,6 +31,9 @@ JOINT: Final = " + "
 FIRST_EPOCH, LAST_EPOCH = 946_684_800.0, 4_102_444_800.0
 """Seconds since 1970 at the beginning of 2000 and of 2100."""
 EPOCH_UNITS: Final = {"seconds": 1.0, "milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
+FIRST_TICK, LAST_TICK = 1.25911584e17, 1.57469184e17
+"""Ticks of 100 ns since 1601 at the beginning of 2000 and of 2100, as Windows counts them; as
+nanoseconds they are times of the years 1973 and 1974."""
 DAYS: Final = ((36526.0, 73051.0), (730486.0, 767011.0))
 """Days at the beginning of 2000 and of 2100, as Excel and as MATLAB counts them."""
 Rows = npt.NDArray[np.int64] | None
@@ -171,6 +174,12 @@ def _of_numbers(
             f"{at}: must be in seconds but look like days, as Excel and MATLAB count them; write "
             f"{change}86400 }} if they are, or {change}1.0 }}"
         )
+    if factor is None and _are_ticks(values):
+        origin = float(values[np.isfinite(values)][0]) if since is None else since.origin
+        if isinstance(origin, float):
+            said = f"its times, column {column!r}, are ticks of 100 ns since 1601, as of Windows; "
+            said += "seconds since the first row are used"
+            return TableTimes((values - origin) * 1e-7, origin, said)
     factor = 1.0 if factor is None else factor
     unit = _epoch_unit(values, factor)
     if not unit or offset:
@@ -198,6 +207,12 @@ def _are_days(values: FloatArray) -> bool:
     step = float(np.mean(np.diff(known)))
     rounded = abs(step * 1e6 - round(step * 1e6)) > 0.02
     return 0.0 < step < 0.5 and rounded
+
+
+def _are_ticks(values: FloatArray) -> bool:
+    """Return whether numbers are what Windows counts of time."""
+    known = values[np.isfinite(values)]
+    return bool(len(known) and known.min() >= FIRST_TICK and known.max() < LAST_TICK)
 
 
 def _epoch_unit(values: FloatArray, factor: float) -> str:

@@ -21,7 +21,9 @@ UNIT_SPELLINGS = {
 }  # fmt: skip
 UNIT_SUFFIXES = {
     "C": "degC", "Kelvin": "K", "kelvin": "K", "volt": "V", "volts": "V", "amp": "A", "amps": "A",
-    "newton": "N", "pascal": "Pa", "meter": "m", "metre": "m", "seconds": "s", "minutes": "min",
+    "newton": "N", "newtons": "N", "pascal": "Pa", "meter": "m", "metre": "m", "meters": "m",
+    "second": "s", "seconds": "s", "millis": "ms", "micros": "us", "minutes": "min",
+    "hertz": "Hz", "watt": "W", "watts": "W", "joule": "J", "amperes": "A", "ampere": "A",
     "hours": "h", "radps": "rad/s", "degps": "deg/s", "mps": "m/s", "kmh": "km/h", "kph": "km/h",
     "lpm": "l/min", "percent": "%", "pct": "%",
 }  # fmt: skip

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.logger_files import CASES, F, T, Y, fmu_with_references, petab_folder, table
+from support.odd_logger_files import ODD_CASES
 from support.problems.springs import FMU
 
 import cluster_est as ce
@@ -51,6 +52,28 @@ def test_a_file_is_read_right_or_the_way_out_is_said(case, tmp_path, monkeypatch
     Path("first.toml").write_text(text, encoding="utf-8")
     assert "FILL IN" not in "\n".join(x for x in text.split("\n") if not x.startswith("#")), text
     assert main(CHECK) == 0, capsys.readouterr().err
+    assert_signals(ce.read_problem("first.toml").experiments[0], case)
+
+
+@pytest.mark.parametrize("case", ODD_CASES, ids=lambda each: each.name)
+def test_a_file_that_is_met_less_often_is_read_right_or_the_way_out_is_said(
+    case, tmp_path, monkeypatch, capsys
+):
+    """No config needs an edit where the numbers can be read."""
+    monkeypatch.chdir(tmp_path)
+    code = init(case, case.make(tmp_path))
+    config = Path("first.toml")
+    text = config.read_text(encoding="utf-8") if config.exists() else ""
+    needs = any("FILL IN" in line for line in text.split("\n") if not line.startswith("#"))
+    if not code and not needs:
+        code = main(CHECK)
+    said = " ".join(" ".join([*capsys.readouterr(), text]).split())
+    assert "Traceback" not in said
+    if case.said:
+        assert re.search(case.said, said), said
+        return
+    assert (code, needs) == (0, False), said
+    assert re.search(case.notes, said), said
     assert_signals(ce.read_problem("first.toml").experiments[0], case)
 
 
@@ -164,6 +187,21 @@ def test_what_was_found_out_is_said_by_check(tmp_path, monkeypatch, capsys):
     said = " ".join(capsys.readouterr().out.split())
     assert "reading a: its text is not UTF-8 and is read as cp1252, a guess" in said
     assert "its header is row 2" in said
+
+
+def test_units_below_the_header_are_compared_with_those_of_the_model(tmp_path, monkeypatch, capsys):
+    """As `init` does, which writes the factor."""
+    monkeypatch.chdir(tmp_path)
+    rows = table(y=1e3 * Y, number=lambda x: f"{x:.10g}").replace("time,F,y", "time,F,y\ns,N,mm")
+    Path("a.csv").write_text(rows, encoding="utf-8")
+    config('[[experiments]]\nid = "a"\ndata = "a.csv"\n')
+    assert main(["check", "first.toml"]) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert "column 'y' in mm is given to y, which is in m, as it is" in said
+    assert "columns.y = { factor = 0.001, offset = 0 }" in said
+    config('[[experiments]]\nid = "a"\ndata = "a.csv"\ncolumns.y = { factor = 0.001 }\n')
+    main(["check", "first.toml"])
+    assert "as it is" not in capsys.readouterr().out
 
 
 def test_a_key_that_a_format_has_no_use_for_is_refused(tmp_path, monkeypatch):

@@ -23,6 +23,7 @@ from typing_extensions import override
 
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.cells import MISSING, decimal_in, looks_like_a_number
+from cluster_est.problem.tables.formats.end_of_table import end_of_table
 from cluster_est.problem.tables.formats.header import Header, find_header, refuse_several
 from cluster_est.problem.tables.formats.table_format import TableFormat
 from cluster_est.problem.tables.measured_table import LineNumbers, MeasuredTable, Reading, once
@@ -34,6 +35,7 @@ LINES_OF_LAYOUT: Final = 400
 """Lines in which the header is looked for, after those that the user skips."""
 LINES_LOOKED_AT: Final = 1500
 """Lines whose cells tell what separates decimals, and which columns have numbers."""
+MOST_LINES_OF_CELL: Final = 10
 COMMENTS: Final = ("#", "%", "//")
 """Begin lines that are no part of a table."""
 DELIMITERS: Final = (",", ";", "\t", "|", " ")
@@ -80,6 +82,8 @@ class _Layout:
         Positions of columns that are read as numbers.
     notes
         What was found, a sentence each.
+    end
+        Bytes up to the end of the table, where something stands below it; else None.
     """
 
     encoding: str
@@ -89,6 +93,7 @@ class _Layout:
     decimal: str
     numeric: tuple[int, ...]
     notes: tuple[str, ...]
+    end: int | None = None
 
     @property
     def width(self) -> int:
@@ -99,7 +104,9 @@ class DelimitedText(TableFormat):
     """Rows of cells as text."""
 
     name: ClassVar[str] = "csv"
-    endings: ClassVar[tuple[str, ...]] = (".csv", ".tsv", ".txt", ".dat", ".asc", ".csv.gz")
+    endings: ClassVar[tuple[str, ...]] = (
+        ".csv", ".tsv", ".txt", ".dat", ".asc", ".csv.gz", ".lvm", ".log", ".prn", ".tab",
+    )  # fmt: skip
     keys: ClassVar[tuple[str, ...]] = ("encoding", "skip_rows", "decimal")
 
     @override
@@ -108,6 +115,10 @@ class DelimitedText(TableFormat):
         kind = next((ending for mark, ending in OTHER_FORMATS if head.startswith(mark)), "")
         if kind:
             raise DataError(f"must be text but is a {kind} file; rename it so that it ends in that")
+        mark = head.lstrip()[:1]
+        if mark in (b"<", b"{"):
+            what = "XML or HTML" if mark == b"<" else "JSON"
+            raise DataError(f"must be a table but is {what}; save it as csv")
         encoding, note = _encoding(head, reading.encoding)
         try:
             return _read(path, head, encoding, note, reading)
@@ -179,6 +190,7 @@ def _read(path: Path, head: bytes, encoding: str, note: str, reading: Reading) -
     layout = _layout(lines, encoding, reading)
     if note:
         layout = replace(layout, notes=(note, *layout.notes))
+    layout = _without_what_is_below(path, layout, lines)
     table, skipped = _parse(path, layout)
     table = _without_empty_end(table)
     if not table.num_rows:
@@ -200,6 +212,24 @@ def _read(path: Path, head: bytes, encoding: str, note: str, reading: Reading) -
         found=_found(layout, reading, guessed=bool(note)),
         lines=_Lines(path, layout),
     )
+
+
+def _without_what_is_below(path: Path, layout: _Layout, lines: Sequence[str]) -> _Layout:
+    """Return the layout with the end of the table, where something stands below it."""
+    if path.suffix.lower() == ".gz" or layout.encoding.startswith(("utf-16", "utf-32")):
+        return layout
+
+    def cells_of(line: bytes) -> list[str] | None:
+        text = line.decode(layout.encoding, "replace").strip("\r\n")
+        if layout.comments and text.lstrip().startswith(COMMENTS):
+            return None
+        return [cell.strip() for cell in _cells(text, layout.delimiter)] if text.strip() else []
+
+    columns = _columns(lines, layout.delimiter, layout.header, comments=layout.comments)
+    found = end_of_table(path, columns, cells_of)
+    if found is None:
+        return layout
+    return replace(layout, notes=(*layout.notes, found.said), end=found.size)
 
 
 def _found(layout: _Layout, reading: Reading, *, guessed: bool) -> dict[str, Any]:
@@ -255,7 +285,10 @@ def _table(lines: Sequence[str], start: int, *, given: bool) -> tuple[str, Heade
 def _rows(lines: Sequence[str], delimiter: str, *, comments: bool) -> list[list[str] | None]:
     """Return the cells of lines; None for empty ones, and for comments if they are no rows."""
     found: list[list[str] | None] = []
-    for line in lines:
+    for line in _logical(lines):
+        if line is None:
+            found.append(None)
+            continue
         bare = line.strip()
         mark = next((each for each in COMMENTS if bare.startswith(each)), "")
         if not bare or (mark and comments):
@@ -263,6 +296,22 @@ def _rows(lines: Sequence[str], delimiter: str, *, comments: bool) -> list[list[
         else:
             found.append(_cells(bare.removeprefix(mark).strip() if mark else line, delimiter))
     return found
+
+
+def _logical(lines: Sequence[str]) -> Iterator[str | None]:
+    """Yield lines; one whose quoted cell goes on below comes in the place of its last, once."""
+    begun = ""
+    for i, line in enumerate(lines):
+        if not begun and line.count('"') % 2:
+            below = lines[i + 1 : i + MOST_LINES_OF_CELL]
+            begun = line if any(each.count('"') % 2 for each in below) else ""
+            yield None if begun else line
+        elif begun:
+            begun = f"{begun} {line}"
+            yield None if begun.count('"') % 2 else begun
+            begun = begun if begun.count('"') % 2 else ""
+        else:
+            yield line
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
@@ -376,9 +425,11 @@ def _source(path: Path, layout: _Layout) -> Any:
     if layout.delimiter != " ":
         if path.suffix.lower() == ".gz":
             return pa.CompressedInputStream(pa.OSFile(str(path)), "gzip")
-        return str(path)
+        if layout.end is None:
+            return str(path)
+        return pa.BufferReader(pa.memory_map(str(path)).read_buffer(layout.end))
     with _opened(path) as file:
-        text = file.read()
+        text = file.read() if layout.end is None else file.read(layout.end)
     text = re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", text)
     return pa.BufferReader(re.sub(rb"[ \t]+", b"\t", text))
 

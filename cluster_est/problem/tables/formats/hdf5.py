@@ -16,6 +16,7 @@ from typing_extensions import override
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.formats.arrays import clocks_in, columns_of
 from cluster_est.problem.tables.formats.table_format import TableFormat, library
+from cluster_est.problem.tables.mat_file import object_of_matlab
 from cluster_est.problem.tables.measured_table import Column, MeasuredTable, Reading
 
 UNITS: Final = ("unit", "units", "Unit", "Units", "unit_string")
@@ -68,7 +69,7 @@ def read_hdf5(path: Path, *, matlab: bool) -> MeasuredTable:
         if not isinstance(node, h5py.Dataset):
             return
         if matlab and kind not in NUMERIC_CLASSES:
-            unusable[name] = f"must be a vector of numbers but is {_called(kind)}"
+            unusable[name] = f"must be a vector of numbers but is {_called(name, kind)}"
             return
         values = np.asarray(node[()])
         if matlab:
@@ -108,12 +109,10 @@ def _scaled(values: Any, attributes: Any) -> Any:
     return found * scale + float(np.ravel(attributes.get("add_offset", 0.0))[0])
 
 
-def _called(kind: str) -> str:
+def _called(name: str, kind: str) -> str:
     """Return what MATLAB calls a class, and what can be done."""
     usual = {"char": "text", "cell": "a cell array", "": "of no class of MATLAB"}
-    if kind in usual:
-        return usual[kind]
-    return f"a MATLAB {kind}, which only MATLAB can read; save its numbers as vectors"
+    return usual[kind] if kind in usual else object_of_matlab(name, kind)
 
 
 def _text(value: Any) -> str:

@@ -173,7 +173,12 @@ def _header(
     if where is None:
         names = tuple(f"column{i + 1}" for i in range(width))
         return Header(names, None, data[0], {}, len(data), share)
+    while len(above) > 2 and _is_over_units(rows, above, width):
+        where = above[-2]
+        above.pop()
     last = rows[where] or ()
+    if len(last) == width - 1 and _are_numbered(rows, data):  # as R writes the names of rows
+        last = ("row", *last)
     if len(last) != width:
         return None
     units: dict[int, str] = {}
@@ -181,8 +186,25 @@ def _header(
     if over is not None and _are_units(last) and _are_names(over, last, width):
         units = {i: bare for i, cell in enumerate(last) if (bare := _bare(cell)) not in NO_UNIT}
         where, last = above[-2], over
-    names = tuple(cell.strip() for cell in last)
+    names = tuple(" ".join(cell.split()) for cell in last)
     return Header(names, where, data[0], units, len(data), share)
+
+
+def _is_over_units(rows: Sequence[Row | None], above: Sequence[int], width: int) -> bool:
+    """Return whether the row above the data has neither names nor units, but units above it.
+
+    As what a logger has stored of each channel: a mean, a sample.
+    """
+    last, over, names = (rows[i] or () for i in above[:-4:-1])
+    if len(last) != width or _are_units(last) or all(cell.strip() for cell in last):
+        return False
+    return len(over) == width and _are_units(over) and _are_names(names, over, width)
+
+
+def _are_numbered(rows: Sequence[Row | None], data: Sequence[int]) -> bool:
+    """Return whether the first cells of the rows with data count them."""
+    there = [row[0].strip(' "') for i in data if (row := rows[i])]
+    return there == [str(i) for i in range(1, len(there) + 1)]
 
 
 def _names_in_front(rows: Sequence[Row | None], run: Sequence[int]) -> bool:
@@ -221,11 +243,13 @@ def _are_names(row: Row, units: Row, width: int) -> bool:
 
 
 def _is_unit(cell: str) -> bool:
-    return _IN_BRACKETS.fullmatch(cell) is not None or is_known(cell) or cell in UNIT_SUFFIXES
+    if _IN_BRACKETS.fullmatch(cell) is not None or is_known(cell):
+        return True
+    return cell in UNIT_SUFFIXES or cell.casefold() in UNIT_SUFFIXES
 
 
 def _bare(cell: str) -> str:
     """Return a unit without its brackets."""
     found = _IN_BRACKETS.fullmatch(cell)
     text = (found[1] if found is not None else cell).strip()
-    return UNIT_SUFFIXES.get(text, text)
+    return UNIT_SUFFIXES.get(text, UNIT_SUFFIXES.get(text.casefold(), text))

@@ -64,9 +64,15 @@ def test_what_is_held_already_needs_no_note():
     assert notes("hold") == ()
     assert notes("linear", holds="u") == ()
     ((said, do),) = notes("linear")
-    assert said.startswith("input u jumps 14 times; straight lines")
+    largest = int(np.argmax(np.abs(np.diff(STEPS))))
+    at, levels = TIMES[largest], STEPS[[largest, largest + 1]]
+    where = f"by most at {at:g} s from {levels[0]:.4g} to {levels[1]:.4g}"
+    assert said.startswith(
+        f"input u jumps 7 times in run 0, {where}, 7 times in run 1, {where}; straight lines"
+    )
     assert 'inputs.u = { column = "COLUMN", interpolation = "hold" }' in do
-    ((_, do),) = notes("linear", columns=[("inputs.u", 'set "point"')])
+    ((said, do),) = notes("linear", columns=[("inputs.u", 'set "point"')])
+    assert '(column "set \\"point\\"") jumps 7 times' in said
     assert tomllib.loads(do.partition(", if")[0])["inputs"]["u"]["column"] == 'set "point"'
 
 

@@ -1,0 +1,116 @@
+"""Residuals of a poor fit that are large just after an input jumps: in which record, and when."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.tables.jumps import interpolated, jump_times, samples_after
+from cluster_est.results.output_errors import Simulation, output_residuals
+from cluster_est.statistics.residual_findings import ResidualDiagnostics
+from workers.messages import Experiment, FloatArray
+
+SAMPLES = 10
+"""Samples after a jump that its answer is looked for in."""
+TIMES_AS_LARGE = 2.0
+"""Root mean square after jumps over that elsewhere, from which on the jumps are named."""
+MOST_OF_RECORD = 0.5
+"""Share of the samples that are after jumps, from which on nothing stands out there."""
+LEAST_SAMPLES = 10
+
+
+@dataclass(frozen=True)
+class _Place:
+    """The largest residual of an output after jumps of an input."""
+
+    size: float
+    experiment: str
+    time: float
+    jump: float
+
+
+def after_jump_sentences(
+    problem: Problem,
+    simulations: Sequence[Simulation],
+    diagnostics: ResidualDiagnostics,
+    told: str = "",
+) -> tuple[str, ...]:
+    """Say of a poor fit where its largest residual follows a jump that was made a ramp.
+
+    Parameters
+    ----------
+    problem, simulations
+        Of the fit, at the estimates.
+    diagnostics
+        What is wrong with its residuals; nothing is said where that is nothing.
+    told
+        An input of which more is said elsewhere.
+    """
+    if not diagnostics.findings:
+        return ()
+    holds = problem.describe().holds
+    runs = [(each, problem.experiments[each.experiment]) for each in simulations]
+    runs = [(each, run) for each, run in runs if run.role == "train"]
+    names = dict.fromkeys(
+        given.variable
+        for _, run in runs
+        for given in run.inputs
+        if given.interpolation == "linear" and not holds(given.variable)
+    )
+    outputs = dict.fromkeys(output.variable for _, run in runs for output in run.outputs)
+    found = []
+    for name in names:
+        places = [_largest(runs, name, output) for output in outputs] if name != told else []
+        worst = max(
+            ((each, o) for each, o in zip(places, outputs, strict=False) if each is not None),
+            key=lambda pair: pair[0].size,
+            default=None,
+        )
+        if worst is not None:
+            found.append(_sentence(problem, name, *worst))
+    return tuple(found)
+
+
+def _sentence(problem: Problem, name: str, place: _Place, output: str) -> str:
+    return (
+        f"the error of {output} is largest just after jumps of input {name}: {place.size:.2g} "
+        f"times what it is elsewhere at {place.time:.6g} s in experiment {place.experiment}, "
+        f"after the jump at {place.jump:.6g} s, of which straight lines make a ramp; set "
+        f"{interpolated(name, problem.columns, 'hold')}, if it keeps each sample until the next"
+    )
+
+
+def _largest(
+    runs: Sequence[tuple[Simulation, Experiment]], name: str, variable: str
+) -> _Place | None:
+    """Return the largest residual after jumps of an input; None if it is no larger there."""
+    inside: list[FloatArray] = []
+    outside: list[FloatArray] = []
+    places: list[_Place] = []
+    for simulation, run in runs:
+        jumps = [jump_times(i) for i in run.inputs if i.variable == name]
+        for output in (o for o in run.outputs if o.variable == variable):
+            residuals = output_residuals(output, simulation.outcome)
+            if residuals is None or not len(residuals) or not np.isfinite(residuals).all():
+                continue
+            times = jumps[0] if jumps else np.zeros(0)
+            after = samples_after(output.times, times, count=SAMPLES)
+            after &= output.times >= (times[0] if len(times) else np.inf)
+            inside.append(residuals[after])
+            outside.append(residuals[~after])
+            if after.any():
+                at = int(np.argmax(np.where(after, np.abs(residuals), -1.0)))
+                when = float(output.times[at])
+                jump = float(times[np.searchsorted(times, when, side="right") - 1])
+                places.append(_Place(float(abs(residuals[at])), run.id, when, jump))
+    near, far = (np.concatenate([np.zeros(0), *parts]) for parts in (inside, outside))
+    if len(near) < LEAST_SAMPLES or len(near) > MOST_OF_RECORD * (len(near) + len(far)):
+        return None
+    size, usual = (float(np.sqrt(np.mean(part**2))) for part in (near, far))
+    if not size > TIMES_AS_LARGE * usual > 0.0:
+        return None
+    worst = max(places, key=lambda each: each.size)
+    return _Place(worst.size / usual, worst.experiment, worst.time, worst.jump)

@@ -1,0 +1,182 @@
+"""Whether measurements prefer a changed simulation to the one that was fitted to them.
+
+Symbols: r the residuals of the fit, d what the change does to them, P the projection that takes out
+what the parameters could absorb, a the share of the change that the measurements ask for: 0 for the
+fitted simulation, 1 for the changed one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+
+from cluster_est.statistics.projection import OrthogonalProjection
+from cluster_est.statistics.records import StackedRecords
+from cluster_est.statistics.residual_tests import autocorrelation
+from workers.messages import FloatArray
+
+BLOCKS = 30
+"""Blocks of time that all records together are cut into, at least."""
+LEAST_BLOCKS_OF_RECORD = 4
+REJECTED = 4.0
+"""Standard errors that the share lies above 0 at least: the fitted simulation is rejected."""
+BETTER = 2.0
+"""Standard errors that it lies above one half: the changed one leaves smaller squares."""
+NEAR, COMPATIBLE = 0.3, 2.5
+"""Distance of the share from 1, and the same in standard errors, one of which it must keep."""
+LEAST_FALL = 0.01
+"""Least fall of the sum of squares, as a part of it, that is worth a word."""
+UNSEEN = 1e-9
+"""Size of the projected change, over that of the change: less is rounding."""
+
+
+@dataclass(frozen=True)
+class ChangedSimulation:
+    """What measurements say of a changed simulation.
+
+    Attributes
+    ----------
+    share, error
+        Of the change that the measurements ask for, and its standard error.
+    before, after
+        Sums of squares over the noise, after the parameters have followed the change.
+    gain : (n,)
+        By how much the square of each residual falls.
+    """
+
+    share: float
+    error: float
+    before: float
+    after: float
+    gain: FloatArray = field(repr=False)
+
+    @property
+    def fall(self) -> float:
+        """Of the sum of squares, as a part of it."""
+        return 1.0 - self.after / self.before
+
+    @property
+    def preferred(self) -> bool:
+        """Whether the fitted simulation is rejected, and the changed one is not, and is better.
+
+        Something else that the model lacks asks for another share of the change than all of it.
+        """
+        off = abs(self.share - 1.0)
+        return (
+            self.share > REJECTED * self.error
+            and self.share - 0.5 > BETTER * self.error
+            and (off <= NEAR or off <= COMPATIBLE * self.error)
+            and self.fall > LEAST_FALL
+        )
+
+
+def compare_simulations(
+    residuals: FloatArray, changed: FloatArray, jacobian: FloatArray, records: StackedRecords
+) -> ChangedSimulation | None:
+    """Compare a fitted simulation with a changed one at the same values of the parameters.
+
+    The share a of the change is estimated by least squares in r = -a P d + e, which nests both
+    simulations: the J test of R. Davidson, J. G. MacKinnon, Econometrica 49 (1981) 781-793,
+    doi:10.2307/1911522, with the parameters of the changed simulation where they follow the change
+    to first order. Its standard error is the largest of three: of white noise; of noise whose
+    autocorrelation is that of the residuals e of each output; and from the sums of d e over blocks
+    of time, whatever the noise (A. C. Cameron, J. B. Gelbach, D. L. Miller, J. Bus. Econ. Stat. 29
+    (2011) 238-249, doi:10.1198/jbes.2010.07136, with blocks as clusters). That it is above one half
+    says that the changed simulation leaves the smaller sum of squares (Q. H. Vuong, Econometrica 57
+    (1989) 307-333, doi:10.2307/1912557).
+
+    Parameters
+    ----------
+    residuals, changed : (n,)
+        Of both simulations, in the order of the records.
+    jacobian : (n, unknowns)
+        Of the residuals, at the same values.
+    records
+        Of the residuals. Each output is weighted by the size of its own residuals.
+
+    Returns
+    -------
+    ChangedSimulation or None
+        None where the change does nothing that the parameters could not, or nothing is left.
+    """
+    weights = _weights(residuals, records)
+    projection = OrthogonalProjection(jacobian * weights[:, None])
+    left = projection.remove(residuals * weights)
+    change = projection.remove((changed - residuals) * weights)
+    square = float(np.add.reduce(change**2))
+    size = float(np.add.reduce(((changed - residuals) * weights) ** 2))
+    degrees = projection.degrees - 1
+    if degrees < 1 or not square > UNSEEN**2 * size or not np.any(left):
+        return None
+    share = -float(np.add.reduce(change * left)) / square
+    rest = left + share * change
+    scale = len(rest) / degrees
+    variance = max(_stationary(change, rest, records), _in_blocks(change * rest, records))
+    after = left + change
+    return ChangedSimulation(
+        share=share,
+        error=float(np.sqrt(scale * variance)) / square,
+        before=float(np.add.reduce(left**2)),
+        after=float(np.add.reduce(after**2)),
+        gain=left**2 - after**2,
+    )
+
+
+def _weights(residuals: FloatArray, records: StackedRecords) -> FloatArray:
+    """One over the root mean square of each output."""
+    weights = np.zeros(len(residuals))
+    for output in range(len(records.outputs)):
+        rows = records.of_output(output)
+        size = float(np.sqrt(np.mean(residuals[rows] ** 2))) if len(rows) else 0.0
+        weights[rows] = 1.0 / size if size > 0.0 else 0.0
+    return weights
+
+
+def _stationary(change: FloatArray, rest: FloatArray, records: StackedRecords) -> float:
+    """Variance of the sum of d e for white noise, or for stationary noise if that is larger."""
+    total = 0.0
+    for output in range(len(records.outputs)):
+        items = [item for item in records.items if item.output == output and len(item.times)]
+        rows = records.of_output(output)
+        if not len(rows):
+            continue
+        white = float(np.mean(rest[rows] ** 2) * np.add.reduce(change[rows] ** 2))
+        longest = max(len(item.times) for item in items)
+        noise, seen = np.zeros(longest), np.zeros(longest)
+        for item in items:
+            count = len(item.times)
+            noise[:count] += _products(rest[item.rows])
+            seen[:count] += _products(change[item.rows])
+        end = autocorrelation(rest, items).lags + 1
+        terms = noise[:end] * seen[:end] / len(rows)
+        total += max(white, float(2.0 * np.add.reduce(terms) - terms[0]))
+    return total
+
+
+def _products(signal: FloatArray) -> FloatArray:
+    """Sums of s_t s_{t+k}, for each k from 0 on."""
+    padded = next_fast_len(2 * len(signal), real=True)
+    spectrum = rfft(signal, padded)
+    found: FloatArray = irfft(spectrum.real**2 + spectrum.imag**2, padded)[: len(signal)]
+    return found
+
+
+def _in_blocks(products: FloatArray, records: StackedRecords) -> float:
+    """Sum of the squares of the sums over blocks of time, of all outputs together."""
+    experiments = dict.fromkeys(item.experiment for item in records.items)
+    count = max(LEAST_BLOCKS_OF_RECORD, -(-BLOCKS // max(len(experiments), 1)))
+    total = 0.0
+    for experiment in experiments:
+        items = [i for i in records.items if i.experiment == experiment and len(i.times)]
+        if not items:
+            continue
+        first = min(float(item.times[0]) for item in items)
+        last = max(float(item.times[-1]) for item in items)
+        ends = np.linspace(first, last, count + 1)[1:-1]
+        sums = np.zeros(count)
+        for item in items:
+            np.add.at(sums, np.searchsorted(ends, item.times, side="right"), products[item.rows])
+        total += float(np.add.reduce(sums**2))
+    return total

@@ -1,0 +1,135 @@
+"""Inputs that are interpolated in the wrong way; the data are SciPy's, held or joined by lines."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import StateSpace, lsim
+from support.problems.springs import FMU, TRUE
+
+import cluster_est as ce
+from cluster_est.problem.thinning import ThinningSettings
+from cluster_est.results.facts import interpolation_sentences
+
+TIMES = 0.02 * np.arange(300)
+ONE = ce.Resources(workers=1)
+KEY = 'inputs.F = { column = "COLUMN", interpolation = "%s" }'
+
+
+def force(kind, seed):
+    generator = np.random.default_rng(seed)
+    steps = np.repeat(generator.uniform(-1.0, 1.0, 10), 30)
+    if kind == "a sine with steps":
+        return np.sin(3.0 * TIMES) + steps
+    if kind == "pulses":
+        return 1.0 * (np.arange(300) % 20 < 20 * (0.5 + 0.4 * np.sin(2.0 * TIMES)))
+    if kind == "a staircase":
+        return steps
+    return np.interp(TIMES, [0.0, 1.0, 2.5, 4.0, 6.0], [0.0, 1.0, -1.0, 1.0, 0.0])
+
+
+def spring(kind, truth, how, noise=0.02, seed=1):
+    """Two runs of a mass on a spring, whose force is one thing and is declared to be another."""
+    m, k, c = TRUE["m"], TRUE["k"], TRUE["c"]
+    system = StateSpace([[0.0, 1.0], [-k / m, -c / m]], [[0.0], [1.0 / m]], [[1.0, 0.0]], [[0.0]])
+    runs = []
+    for number in range(2):
+        pushed = force(kind, [seed, number])
+        y = lsim(system, pushed, TIMES, X0=[0.1, 0.0], interp=truth == "linear")[1]
+        y = y + noise * np.std(y) * np.random.default_rng([seed, number, 1]).standard_normal(300)
+        given = ce.Input("F", TIMES, pushed, how)
+        outputs = (ce.Output("y", TIMES, y),)
+        values = (("x", 0.1),)
+        runs.append(
+            ce.Experiment(f"run {number}", 0.0, TIMES[-1], (given,), outputs, values=values)
+        )
+    solver = ce.Solver("dormand_prince")
+    model = ce.Model(FMU.name, FMU.read_bytes(), "model_exchange", solver, ("m", "k", "c"))
+    starts = {"m": (1.0, 0.1, 10.0), "k": (25.0, 1.0, 200.0), "c": (0.5, 0.0, 10.0)}
+    return ce.Problem(model, [ce.Parameter(name, *g) for name, g in starts.items()], runs)
+
+
+CASES = [
+    (kind, truth, how, noise)
+    for kind, noise in (
+        ("a sine with steps", 0.02),
+        ("pulses", 0.02),
+        ("a staircase", 0.02),
+        ("slow ramps", 0.01),
+    )
+    for truth, how in (("hold", "linear"), ("linear", "hold"))
+    if (kind, how) != ("slow ramps", "linear")  # nothing jumps: no fit looks at it
+]
+
+
+@pytest.mark.parametrize(("kind", "truth", "how", "noise"), CASES)
+def test_the_interpolation_that_the_data_prefer_is_named(kind, truth, how, noise):
+    found = ce.fit(spring(kind, truth, how, noise), resources=ONE)
+    assert found.interpolation is not None
+    assert (found.interpolation.variable, found.interpolation.preferred) == ("F", truth)
+    assert found.interpolation.share == pytest.approx(1.0, abs=4.0 * found.interpolation.error)
+    (said,) = [note for note in found.notes if "prefer input F" in note]
+    assert KEY % truth in said
+    assert found.facts()["interpolation"]["preferred"] == truth
+    right = ce.fit(spring(kind, truth, truth, noise), resources=ONE)
+    assert right.interpolation is None
+    assert right.cost == pytest.approx((1.0 - found.interpolation.fall) * found.cost, rel=0.05)
+
+
+def test_what_was_fitted_is_right_and_nothing_is_said():
+    for seed, how in enumerate(("linear", "hold")):
+        found = ce.fit(spring("a sine with steps", how, how, seed=seed), resources=ONE)
+        assert found.interpolation is None
+        assert not interpolation_sentences(found)
+        assert found.facts()["interpolation"] is None
+
+
+def test_it_is_silent_where_noise_hides_it():
+    found = ce.fit(spring("a sine with steps", "hold", "linear", noise=2.0), resources=ONE)
+    assert found.interpolation is None
+
+
+def test_a_poor_fit_names_the_record_and_the_time_of_a_jump():
+    """A motor's current answers at once; the voltage was held."""
+    times = np.arange(401) * 0.005
+    volts = np.where(times < 0.1, 0.0, np.where(times < 1.0, 6.0, 9.0))
+    resistance, inductance, constant, inertia, friction = 1.0, 0.004, 0.05, 5e-4, 2e-4
+    system = StateSpace(
+        [[-resistance / inductance, -constant / inductance],
+         [constant / inertia, -friction / inertia]],
+        [[1.0 / inductance], [0.0]], np.eye(2), np.zeros((2, 1)),
+    )  # fmt: skip
+    current = lsim(system, volts, times, interp=False)[1][:, 0]
+    current = current + 0.005 * np.random.default_rng(3).standard_normal(401)
+    motor = FMU.with_name("dc_motor.fmu")
+    model = ce.Model(
+        motor.name, motor.read_bytes(), "model_exchange", ce.Solver("dormand_prince"), ("K", "J")
+    )
+    run = ce.Experiment(
+        "the motor", 0.0, 2.0, (ce.Input("V", times, volts),),
+        (ce.Output("current", times, current, 0.005),),
+        values=(("R", resistance), ("L", inductance), ("b", friction)),
+    )  # fmt: skip
+    parameters = [ce.Parameter("K", 0.04, 0.01, 0.2), ce.Parameter("J", 4e-4, 1e-5, 1e-2)]
+    found = ce.fit(ce.Problem(model, parameters, [run]), resources=ONE)
+    (other,) = interpolation_sentences(found)
+    assert "prefer input V to be held" in other
+    assert "in experiment the motor after the jump at 0.095 s" in other
+    (said,) = interpolation_sentences(replace(found, interpolation=None))
+    assert said.startswith("the error of current is largest just after jumps of input V")
+    assert "in experiment the motor, after the jump at 0.095 s" in said
+    assert 'inputs.V = { column = "COLUMN", interpolation = "hold" }' in said
+    fine = replace(found, diagnostics=replace(found.diagnostics, outputs=(), together=None))
+    assert not interpolation_sentences(replace(fine, interpolation=None))
+
+
+@pytest.mark.parametrize("rows", [None, 150])
+def test_a_closed_loop_says_it_first(rows):
+    """On thinned records too, from all of their samples."""
+    problem = spring("a sine with steps", "hold", "linear", noise=0.02)
+    thinning = ThinningSettings(rows=rows) if rows else None
+    found = ce.close_loop(problem, ONE, thinning=thinning)
+    (said,) = [note for note in found.notes if "prefer input F to be held" in note]
+    assert found.notes[0] == said
+    assert found.summary.endswith(f"but the measurements prefer {KEY % 'hold'}: set it first")
+    assert KEY % "hold" in said
