@@ -20,6 +20,7 @@ from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.tables.jumps import jump_times
 from cluster_est.settings import Positive, Settings
 from cluster_est.statistics.block_fits import (
+    NODES,
     SHORTEST_BLOCK,
     BlockFits,
     block_values,
@@ -31,14 +32,21 @@ from workers.fmu.description import describe_model
 from workers.messages import Experiment, FloatArray, Input, IntArray, Output
 
 MOST_ROWS = 2000
-"""Rows that "auto" leaves of each output at most."""
+"""Rows that "auto" leaves of each output: half of them evenly, more where the signals ask for it;
+and as many again where they are dense."""
+
+LONG = 1.5
+"""Times as many rows that a record has at least to be thinned."""
 
 MOST_BENT = 1.3
 """Mean square of the fourth coefficient, over that in blocks half as long: where these were too
 long it is up to 512. The error of a value is then below 0.4 of its noise."""
 
-MOST_EVEN = 0.75
-"""Share of the rows that may be those of even blocks; the others are for where signals jump."""
+BY_CHANCE = 9.0
+"""Three standard errors of that quotient, times the root of the number of blocks."""
+
+MOST_LEFT = 0.7
+"""Share of the rows that may be left; where more would be, all are."""
 
 COLOURED = 1.3
 """Variance of slow noise, over that of all noise within a block, from which it counts as slow."""
@@ -57,9 +65,9 @@ class ThinningSettings(Settings):
     section: ClassVar[str] = "thinning"
 
     rows: Literal["auto", "no"] | Positive = Field(
-        "no",
+        "auto",
         description="that are left of each output of a record, while close-loop looks for effects, "
-        f"at most; auto: {MOST_ROWS} where there are twice as many; no: all",
+        f"at most; auto: about {MOST_ROWS} where there are more than 3,000; no: all",
     )
 
     def most(self, *, auto: bool = True) -> int | None:
@@ -79,13 +87,17 @@ class Fineness:
     Attributes
     ----------
     tolerance
-        Of the inputs, over the range of each.
+        Of the inputs, over the range of each; 0 for all of their samples.
     shorter
         What the length of blocks is divided by.
     """
 
     tolerance: float = 3e-3
     shorter: int = 1
+
+
+WHOLE_INPUTS = Fineness(tolerance=0.0)
+"""What is simulated is what all rows would be compared with."""
 
 
 @dataclass(frozen=True)
@@ -118,9 +130,9 @@ class ThinnedProblem:
 def thinned(problem: Problem, most: int | None, fineness: Fineness | None = None) -> ThinnedProblem:
     """Thin the long records of a problem.
 
-    Records of up to twice as many rows stay as they are, and so does everything with process noise,
-    whose filter counts steps, or with residuals that are no differences at measured times. In
-    co-simulation inputs stay too: their samples are the communication points.
+    Records of up to `LONG` times as many rows stay as they are, and so does everything with process
+    noise, whose filter counts steps, or with residuals that are no differences at measured times.
+    In co-simulation inputs stay too, and rows are at times of samples, the communication points.
 
     Parameters
     ----------
@@ -148,7 +160,10 @@ class _Rows:
 
     blocks: IntArray
     samples: IntArray
-    complete: bool = True
+
+    @property
+    def count(self) -> int:
+        return NODES * len(self.blocks) + len(self.samples)
 
 
 @dataclass(frozen=True)
@@ -163,29 +178,29 @@ class _Thinning:
     def run(self) -> tuple[Experiment, tuple[csr_array | None, ...]]:
         experiment = self.experiment
         made: list[tuple[Output, csr_array | None]] = [(o, None) for o in experiment.outputs]
-        stop = experiment.stop
         for times, own in _of_equal_times(experiment.outputs):
             outputs = [experiment.outputs[i] for i in own]
             found = self._rows(times, [o.values for o in outputs])
             if found is None:
                 continue
             for i, output in zip(own, outputs, strict=True):
-                made[i] = _of_rows(output, found)
-            if not found.complete:
-                stop = min(stop, float(made[own[0]][0].times[-1]))
-        if all(matrix is None for _, matrix in made):
-            return experiment, (None,) * len(made)
-        kept = [(o, o.times <= stop, matrix) for o, matrix in made]
-        fewer = tuple(o.only(inside) for o, inside, _ in kept)
-        rows = tuple(None if matrix is None else matrix[inside] for _, inside, matrix in kept)
-        shorter = replace(experiment, outputs=fewer, stop=stop)
-        if self.problem.model.interface == "model_exchange":
+                made[i] = _of_rows(output, found, at_samples=not self._exchanged)
+        rows = tuple(matrix for _, matrix in made)
+        if all(matrix is None for matrix in rows):
+            return experiment, rows
+        shorter = replace(experiment, outputs=tuple(o for o, _ in made))
+        if self._exchanged:
             shorter = self._driven(shorter)
         return shorter, rows
 
+    @property
+    def _exchanged(self) -> bool:
+        """Times of rows and inputs are free; in co-simulation they are communication points."""
+        return self.problem.model.interface == "model_exchange"
+
     def _rows(self, times: FloatArray, signals: Sequence[FloatArray]) -> _Rows | None:
         """Choose the rows of outputs that were measured together; None where all are kept."""
-        if len(times) < 2 * self.most:
+        if len(times) <= LONG * self.most:
             return None
         stretches = self._stretches(times)
         blocks, finest = self._even(stretches, times, signals)
@@ -194,8 +209,8 @@ class _Thinning:
         slow = [_slow(BlockFits.of(blocks, times, y)) for y in signals]
         pieces = _refined(blocks, times, signals, slow)
         short = _single(stretches[np.diff(stretches)[:, 0] < SHORTEST_BLOCK])
-        found = _within_budget(pieces, short, self.most)
-        return found if len(found.blocks) + len(found.samples) < 0.7 * len(times) else None
+        found = _with_windows(pieces, short, self.most)
+        return found if found.count < MOST_LEFT * len(times) else None
 
     def _stretches(self, times: FloatArray) -> IntArray:
         """Samples between the jumps of inputs, (s, 2)."""
@@ -209,11 +224,11 @@ class _Thinning:
     ) -> tuple[IntArray, bool]:
         """Return even blocks as long as the signals allow, and whether none are long enough."""
         long = stretches[np.diff(stretches)[:, 0] >= SHORTEST_BLOCK]
-        length = max(2 * len(times) // self.most, SHORTEST_BLOCK)
+        length = max(2 * NODES * len(times) // self.most, SHORTEST_BLOCK)
         while not self._short_enough(length, long, times, signals):
             length //= 2
-        length //= self.fineness.shorter
-        return _long(even_blocks(long, max(length, SHORTEST_BLOCK))), length < SHORTEST_BLOCK
+        finer = max(length // self.fineness.shorter, SHORTEST_BLOCK)
+        return _long(even_blocks(long, finer)), length < SHORTEST_BLOCK
 
     def _short_enough(
         self, length: int, long: IntArray, times: FloatArray, signals: Sequence[FloatArray]
@@ -226,7 +241,8 @@ class _Thinning:
             if fits.noise > FAST * unpredicted(y):
                 return False
             half = BlockFits.of(_some(even_blocks(long, length // 2)), times, y)
-            if length >= 2 * SHORTEST_BLOCK and fits.bent > MOST_BENT * half.bent:
+            most = max(MOST_BENT, 1.0 + BY_CHANCE / np.sqrt(len(fits.bounds)))
+            if length >= 2 * SHORTEST_BLOCK and fits.bent > most * half.bent:
                 return False
         return True
 
@@ -236,24 +252,23 @@ class _Thinning:
         holds = describe_model(self.problem.model).holds
         changed = {
             key: tuple(
-                self._shorter(given, knots, experiment.stop, held=holds(given.variable))
+                self._shorter(given, knots, held=holds(given.variable))
                 for given in getattr(experiment, key)
             )
             for key in ("inputs", "signals")
         }
         return replace(experiment, inputs=changed["inputs"], signals=changed["signals"])
 
-    def _shorter(self, given: Input, knots: FloatArray, stop: float, *, held: bool) -> Input:
-        last = int(np.searchsorted(given.times, stop)) + 1
-        times, values, kind = given.times[:last], given.values[:last], given.interpolation
+    def _shorter(self, given: Input, knots: FloatArray, *, held: bool) -> Input:
+        times, values, kind = given.times, given.values, given.interpolation
         if kind == "hold":
             times, values = without_repeats(times, values)
-            if held or len(times) < self.most:
+            if held or len(times) < self.most or not self.fineness.tolerance:
                 return replace(given, times=times, values=values)
             # the course of steps without order is that of lines through their middles
             times, kind = np.append(times[:1], 0.5 * (times[1:] + times[:-1])), "linear"
             values = np.append(values[:1], values[:-1])
-        if held or len(times) <= len(knots):
+        if held or len(times) <= len(knots) or not self.fineness.tolerance:
             return given
         times, values = fewer_knots(times, values, knots, self.fineness.tolerance)
         return replace(given, times=times, values=values, interpolation=kind)
@@ -317,37 +332,33 @@ def _refined(
     return [(np.array(b, int).reshape(-1, 2), np.array(s, int)) for b, s in pieces]
 
 
-def _within_budget(
-    pieces: Sequence[tuple[IntArray, IntArray]], short: IntArray, most: int
-) -> _Rows:
-    """Leave out what is too much: the end of a record, then some of the places that are dense."""
-    kept = pieces[: int(MOST_EVEN * most)]
-    counts = np.array([len(blocks) + len(samples) for blocks, samples in kept])
-    dense = np.flatnonzero(counts > 1)
-    room = most - int((counts == 1).sum())
+def _with_windows(pieces: Sequence[tuple[IntArray, IntArray]], short: IntArray, most: int) -> _Rows:
+    """Keep all of a record, and of the places that are dense as many rows as there may be of all.
+
+    Where these are more, every second, third or further place is left out, from the first to the
+    last: those that are left are windows in which what is fast is seen in full.
+    """
+    counts = np.array([_Rows(*piece).count for piece in pieces], int)
+    dense = np.flatnonzero(counts > NODES)
     every = 1
-    while every < len(dense) and int(counts[dense[::every]].sum()) > room:
+    while every < len(dense) and len(short) + int(counts[dense[::every]].sum()) > most:
         every += 1
-    gone = np.setdiff1d(dense, dense[::every])
-    chosen = [piece for i, piece in enumerate(kept) if i not in set(gone.tolist())]
+    gone = set(np.setdiff1d(dense, dense[::every]).tolist())
+    chosen = [piece for i, piece in enumerate(pieces) if i not in gone]
     blocks = np.concatenate([np.zeros((0, 2), int), *(b for b, _ in chosen)])
-    end = int(max([b[:, 1].max(initial=0) for b, _ in chosen], default=0))
-    complete = len(kept) == len(pieces)
-    between = short if complete else short[short < end]
-    samples = np.concatenate([between if every == 1 else np.zeros(0, int), *(s for _, s in chosen)])
-    return _Rows(blocks, samples, complete)
+    return _Rows(blocks, np.concatenate([short, *(s for _, s in chosen)]))
 
 
-def _of_rows(output: Output, rows: _Rows) -> tuple[Output, csr_array]:
+def _of_rows(output: Output, rows: _Rows, *, at_samples: bool) -> tuple[Output, csr_array]:
     """The output at its rows, each with the noise that is left in it."""
-    middle, weights = block_values(rows.blocks, output.times)
+    nodes, weights = block_values(rows.blocks, output.times, at_samples=at_samples)
     single = eye_array(len(output.times), format="csr")[rows.samples]
     matrix = csr_array(vstack([weights, single]).tocsr())
-    times = np.concatenate([middle, output.times[rows.samples]])
+    times = np.concatenate([nodes, output.times[rows.samples]])
     factors = np.sqrt(np.asarray(matrix.power(2).sum(axis=1)).ravel())
     fits = BlockFits.of(rows.blocks, output.times, output.values)
-    if fits.noise > 0.0:
-        factors[: len(middle)] *= np.sqrt(_slow(fits) / fits.noise)
+    if fits.noise > 0.0:  # of single samples too: many of slow noise say no more than a block of it
+        factors *= np.sqrt(_slow(fits) / fits.noise)
     order = np.argsort(times, kind="stable")
     matrix = csr_array(matrix[order])
     return (
@@ -355,7 +366,7 @@ def _of_rows(output: Output, rows: _Rows) -> tuple[Output, csr_array]:
             output,
             times=times[order],
             values=matrix @ output.values,
-            noise_factors=np.minimum(factors[order], 1.0),
+            noise_factors=factors[order],
         ),
         matrix,
     )
@@ -372,15 +383,9 @@ def _sentence(before: Problem, after: Problem) -> str:
     if not pairs:
         return ""
     old, new = (_range([pair[i] for pair in pairs]) for i in (0, 1))
-    cut = [
-        f"{one.id!r} to its first {other.stop - one.start:.4g} s"
-        for one, other in zip(before.experiments, after.experiments, strict=True)
-        if other.stop < one.stop
-    ]
-    shortened = f"; what would take more rows is cut: {', '.join(cut)}" if cut else ""
     return (
-        f"long records are thinned to {new} rows of {old}: the value of a parabola in each block, "
-        f"and denser rows where the outputs move fast{shortened}"
+        f"long records are thinned to {new} rows of {old}: three values of a parabola in each "
+        "block, and denser rows where the outputs move fast"
     )
 
 
