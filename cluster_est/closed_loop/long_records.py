@@ -16,20 +16,11 @@ from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.errors import ClusterEstError
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
-from cluster_est.problem.thinning import WHOLE_INPUTS, Fineness, ThinnedProblem, thinned
+from cluster_est.problem.thinning import FINENESS, ThinnedProblem, thinned
 from cluster_est.results.solver_error.measure import simulate_with_solver
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Resources, TaskOrigin
 from workers.messages import FloatArray, Outcome, Output
-
-FINENESS = (
-    Fineness(),
-    Fineness(tolerance=5e-4),
-    Fineness(tolerance=5e-4, shorter=2),
-    WHOLE_INPUTS,
-    replace(WHOLE_INPUTS, shorter=2),
-)
-"""Ways to thin, the coarsest first."""
 
 FAINT = 0.3
 """Times the noise of a thinned row by which the model may differ there, as a root mean square."""

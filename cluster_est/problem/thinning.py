@@ -7,7 +7,7 @@ to those that were measured. Inputs keep their course, with as many samples as t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal
 
@@ -28,12 +28,16 @@ from cluster_est.statistics.block_fits import (
     unpredicted,
 )
 from cluster_est.statistics.fewer_samples import fewer_knots, without_repeats
+from cluster_est.statistics.noise.estimate import quantisation_step
 from workers.fmu.description import describe_model
 from workers.messages import Experiment, FloatArray, Input, IntArray, Output
 
 MOST_ROWS = 2000
-"""Rows that "auto" leaves of each output: half of them evenly, more where the signals ask for it;
-and as many again where they are dense."""
+"""Rows that "auto" leaves of each output, unless it needs more to be followed in time; and at most
+as many again where they are dense."""
+
+FEWEST = 0.25
+"""Share of those rows that even blocks begin with, whose length is halved until they are short."""
 
 LONG = 1.5
 """Times as many rows that a record has at least to be thinned."""
@@ -99,6 +103,15 @@ class Fineness:
 WHOLE_INPUTS = Fineness(tolerance=0.0)
 """What is simulated is what all rows would be compared with."""
 
+FINENESS = (
+    Fineness(),
+    Fineness(tolerance=5e-4),
+    Fineness(tolerance=5e-4, shorter=2),
+    WHOLE_INPUTS,
+    replace(WHOLE_INPUTS, shorter=2),
+)
+"""Ways to thin, the coarsest first."""
+
 
 @dataclass(frozen=True)
 class ThinnedProblem:
@@ -115,12 +128,16 @@ class ThinnedProblem:
         an output that is as it was.
     sentence
         What was done; "" if nothing was.
+    noise
+        Standard deviation of the noise of measured rows, by output: of what polynomials leave
+        within blocks, in training experiments. Only there it shows, whatever a model lacks.
     """
 
     whole: Problem
     problem: Problem
     rows: tuple[tuple[csr_array | None, ...], ...] = field(repr=False)
     sentence: str
+    noise: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def is_thinner(self) -> bool:
@@ -149,9 +166,15 @@ def thinned(problem: Problem, most: int | None, fineness: Fineness | None = None
         return ThinnedProblem(problem, problem, nothing, "")
     fineness = fineness or Fineness()
     parts = [_Thinning(problem, e, most, fineness).run() for e in problem.experiments]
-    rows = tuple(own for _, own in parts)
+    rows = tuple(tuple(None if t is None else t.matrix for t in own) for _, own in parts)
     changed = replace(problem, experiments=tuple(e for e, _ in parts))
-    return ThinnedProblem(problem, changed, rows, _sentence(problem, changed))
+    noise: dict[str, list[float]] = {}
+    for e in problem.indices("train"):
+        for each in parts[e][1]:
+            if each is not None:
+                noise.setdefault(each.output.variable, []).append(each.noise)
+    known = {name: float(np.sqrt(np.mean(own))) for name, own in noise.items()}
+    return ThinnedProblem(problem, changed, rows, _sentence(problem, changed), known)
 
 
 @dataclass(frozen=True)
@@ -167,6 +190,15 @@ class _Rows:
 
 
 @dataclass(frozen=True)
+class _ThinnedOutput:
+    """An output at its rows, what makes them, and the variance of the noise within blocks."""
+
+    output: Output
+    matrix: csr_array = field(repr=False)
+    noise: float
+
+
+@dataclass(frozen=True)
 class _Thinning:
     """The thinning of one experiment."""
 
@@ -175,9 +207,9 @@ class _Thinning:
     most: int
     fineness: Fineness
 
-    def run(self) -> tuple[Experiment, tuple[csr_array | None, ...]]:
+    def run(self) -> tuple[Experiment, tuple[_ThinnedOutput | None, ...]]:
         experiment = self.experiment
-        made: list[tuple[Output, csr_array | None]] = [(o, None) for o in experiment.outputs]
+        made: list[_ThinnedOutput | None] = [None] * len(experiment.outputs)
         for times, own in _of_equal_times(experiment.outputs):
             outputs = [experiment.outputs[i] for i in own]
             found = self._rows(times, [o.values for o in outputs])
@@ -185,13 +217,16 @@ class _Thinning:
                 continue
             for i, output in zip(own, outputs, strict=True):
                 made[i] = _of_rows(output, found, at_samples=not self._exchanged)
-        rows = tuple(matrix for _, matrix in made)
-        if all(matrix is None for matrix in rows):
-            return experiment, rows
-        shorter = replace(experiment, outputs=tuple(o for o, _ in made))
+        if not any(made):
+            return experiment, tuple(made)
+        outputs = [
+            whole if thin is None else thin.output
+            for whole, thin in zip(experiment.outputs, made, strict=True)
+        ]
+        shorter = replace(experiment, outputs=tuple(outputs))
         if self._exchanged:
             shorter = self._driven(shorter)
-        return shorter, rows
+        return shorter, tuple(made)
 
     @property
     def _exchanged(self) -> bool:
@@ -224,7 +259,7 @@ class _Thinning:
     ) -> tuple[IntArray, bool]:
         """Return even blocks as long as the signals allow, and whether none are long enough."""
         long = stretches[np.diff(stretches)[:, 0] >= SHORTEST_BLOCK]
-        length = max(2 * NODES * len(times) // self.most, SHORTEST_BLOCK)
+        length = max(int(NODES * len(times) / (FEWEST * self.most)), SHORTEST_BLOCK)
         while not self._short_enough(length, long, times, signals):
             length //= 2
         finer = max(length // self.fineness.shorter, SHORTEST_BLOCK)
@@ -349,7 +384,7 @@ def _with_windows(pieces: Sequence[tuple[IntArray, IntArray]], short: IntArray, 
     return _Rows(blocks, np.concatenate([short, *(s for _, s in chosen)]))
 
 
-def _of_rows(output: Output, rows: _Rows, *, at_samples: bool) -> tuple[Output, csr_array]:
+def _of_rows(output: Output, rows: _Rows, *, at_samples: bool) -> _ThinnedOutput:
     """The output at its rows, each with the noise that is left in it."""
     nodes, weights = block_values(rows.blocks, output.times, at_samples=at_samples)
     single = eye_array(len(output.times), format="csr")[rows.samples]
@@ -361,15 +396,14 @@ def _of_rows(output: Output, rows: _Rows, *, at_samples: bool) -> tuple[Output, 
         factors *= np.sqrt(_slow(fits) / fits.noise)
     order = np.argsort(times, kind="stable")
     matrix = csr_array(matrix[order])
-    return (
-        replace(
-            output,
-            times=times[order],
-            values=matrix @ output.values,
-            noise_factors=factors[order],
-        ),
-        matrix,
+    thin = replace(
+        output,
+        times=times[order],
+        values=matrix @ output.values,
+        noise_factors=factors[order],
     )
+    rounding = quantisation_step(output.values) ** 2 / 12.0
+    return _ThinnedOutput(thin, matrix, max(fits.noise, rounding))
 
 
 def _sentence(before: Problem, after: Problem) -> str:
