@@ -2,7 +2,8 @@
 
 The outputs of a record are filtered and decimated (`statistics/block_fits.py`), with the noise that
 is left in each value; where they move fast, as after a jump of an input, rows become denser, down
-to those that were measured. Inputs keep their course, with as many samples as that needs.
+to those that were measured. A sum of squares of what is slow stays as it is, so that a search goes
+the way that it goes on all rows. Inputs keep their course, with as many samples as that needs.
 """
 
 from __future__ import annotations
@@ -46,8 +47,8 @@ MOST_BENT = 1.3
 """Mean square of the fourth coefficient, over that in blocks half as long: where these were too
 long it is up to 512. The error of a value is then below 0.4 of its noise."""
 
-BY_CHANCE = 9.0
-"""Three standard errors of that quotient, times the root of the number of blocks."""
+BY_CHANCE = 6.0
+"""Two standard errors of that quotient, times the root of the number of blocks."""
 
 MOST_LEFT = 0.7
 """Share of the rows that may be left; where more would be, all are."""
@@ -70,8 +71,8 @@ class ThinningSettings(Settings):
 
     rows: Literal["auto", "no"] | Positive = Field(
         "auto",
-        description="that are left of each output of a record, while close-loop looks for effects, "
-        f"at most; auto: about {MOST_ROWS} where there are more than 3,000; no: all",
+        description="that are left of each output of a record while close-loop looks for effects; "
+        f"auto: about {MOST_ROWS} or less of more than {LONG * MOST_ROWS:.0f}; no: all",
     )
 
     def most(self, *, auto: bool = True) -> int | None:

@@ -74,8 +74,17 @@ def test_a_sensitivity_analysis_is_done_and_replayed_on_thinned_records(tmp_path
     assert "residuals agree with the logged ones bit for bit" in capfd.readouterr().out
 
 
-def test_a_check_says_what_will_be_done(capsys):
-    assert main(["check", SPRING, THIN]) == 0
+@pytest.mark.parametrize(
+    ("rows", "expected"),
+    [
+        (100, "for a fit and other steps long records are thinned to 78 to"),
+        ('"auto"', "for close-loop, sensitivity and design long records are thinned to"),
+        ('"no"', ""),
+    ],
+)
+def test_a_check_says_what_will_be_done(rows, expected, capsys, monkeypatch):
+    monkeypatch.setattr("cluster_est.problem.thinning.MOST_ROWS", 100)
+    assert main(["check", SPRING, f"thinning.rows={rows}"]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert "for close-loop, sensitivity and design long records are thinned to" in said
-    assert "of 500: three values of a parabola in each block" in said
+    assert expected in said
+    assert ("of 500: three values of a parabola in each block" in said) is bool(expected)
