@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -91,28 +91,16 @@ def _difference(
     simulated = _simulated(thin.problem, resources)
     if simulated is None:
         return np.inf
-    noise = _noise(whole)
     squares: dict[str, list[FloatArray]] = {}
     for e, all_rows, rows in zip(whole.indices("train"), full, simulated, strict=True):
         outputs = thin.problem.experiments[e].outputs
         for output, matrix, one, other in zip(outputs, thin.rows[e], all_rows, rows, strict=True):
             if matrix is not None:
-                unit = output.sigmas * noise.get(output.variable, 1.0)
+                unit = output.sigmas * (1.0 if output.has_sigma else thin.noise[output.variable])
                 off = (matrix @ one - other) / unit
                 squares.setdefault(output.variable, []).append(off**2)
     means = [float(np.mean(np.concatenate(parts))) for parts in squares.values()]
     return float(np.sqrt(max(means, default=0.0)))
-
-
-def _noise(problem: Problem) -> Mapping[str, float]:
-    """The noise of outputs whose sigma is not given, in units of that."""
-    found: dict[str, float] = {}
-    for experiment in problem.experiments:
-        for output in experiment.outputs:
-            if not output.has_sigma and len(output.values) > 5:
-                spread = np.median(np.abs(np.diff(output.values, 4))) / 0.6745 / np.sqrt(70.0)
-                found[output.variable] = max(float(spread), found.get(output.variable, 1e-12))
-    return found
 
 
 def with_slim_log(

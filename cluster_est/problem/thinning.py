@@ -60,6 +60,9 @@ FAST = 5.0
 """Variance within blocks, over that which no prediction explains, from which it is a signal that
 changes within a block and no noise; of coloured noise it is below 2."""
 
+NOISY = 0.75
+"""Share of the blocks with less noise than what an output has: it may be silent while it rests."""
+
 MOST_COMPARED = 1000
 """Blocks of a length from which their curvature is told."""
 
@@ -130,8 +133,8 @@ class ThinnedProblem:
     sentence
         What was done; "" if nothing was.
     noise
-        Standard deviation of the noise of measured rows, by output: of what polynomials leave
-        within blocks, in training experiments. Only there it shows, whatever a model lacks.
+        The most that the standard deviation of the noise of measured rows may be, by output: that
+        of what polynomials leave within blocks, in training experiments.
     """
 
     whole: Problem
@@ -404,7 +407,8 @@ def _of_rows(output: Output, rows: _Rows, *, at_samples: bool) -> _ThinnedOutput
         noise_factors=factors[order],
     )
     rounding = quantisation_step(output.values) ** 2 / 12.0
-    return _ThinnedOutput(thin, matrix, max(fits.noise, rounding))
+    within = float(np.quantile(fits.variances, NOISY)) if len(fits.variances) else np.inf
+    return _ThinnedOutput(thin, matrix, max(within, rounding))
 
 
 def _sentence(before: Problem, after: Problem) -> str:
