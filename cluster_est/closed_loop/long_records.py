@@ -44,15 +44,16 @@ def thinned_records(request: LoopRequest, most: int | None) -> ThinnedProblem:
         `whole` of it has no outliers any more.
     """
     whole = request.problem
-    first = thinned(whole, most)
+    first = thinned(whole, most, FINENESS[0])
     if most is None or not first.is_thinner:
         return first
     outliers = outliers_of_long_records(whole, request.settings.thresholds.preparation, most)
-    whole = without(whole, outliers)
+    whole = without(whole, outliers) if outliers else whole
     resources = request.environment.resources
     full: list[list[FloatArray]] | None = None
     for fineness in FINENESS:
-        found = thinned(whole, most, fineness)
+        coarsest = fineness is FINENESS[0] and not outliers
+        found = first if coarsest else thinned(whole, most, fineness)
         if not found.is_thinner:
             break
         full = full or _simulated(whole, resources)
