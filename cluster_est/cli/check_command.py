@@ -119,7 +119,7 @@ def check(options: Namespace) -> int:
     declared = [
         *sigma_findings(config, problem.describe()),
         *unit_findings(config, problem.describe(), problem.tables),
-        *(passed("long records", f"for a fit {each}") for each in run.notes),
+        *(passed("long records", f"for a fit and other steps {each}") for each in run.notes),
         *long_records(config, problem),
     ]
     page = replace(page, findings=(*page.findings, *declared))

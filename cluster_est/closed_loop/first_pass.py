@@ -22,6 +22,7 @@ from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkben
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
 from cluster_est.problem.tables.jumps import after_jumps
+from cluster_est.problem.thinning import LONG
 from cluster_est.results.output_errors import output_residuals
 from cluster_est.statistics.noise.estimate import estimate_noise
 from cluster_est.statistics.noise.outliers import PROVEN, IsolatedOutliers, isolated_outliers
@@ -145,7 +146,7 @@ def outliers_of_long_records(
                 e: output.values / output.sigmas
                 for e in runs
                 for output in problem.experiments[e].outputs
-                if output.variable == name and len(output.times) >= 2 * most
+                if output.variable == name and len(output.times) > LONG * most
             }
             if not signals:
                 continue

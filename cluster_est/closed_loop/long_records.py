@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -16,14 +16,11 @@ from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.errors import ClusterEstError
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
-from cluster_est.problem.thinning import Fineness, ThinnedProblem, thinned
+from cluster_est.problem.thinning import FINENESS, ThinnedProblem, thinned
 from cluster_est.results.solver_error.measure import simulate_with_solver
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Resources, TaskOrigin
 from workers.messages import FloatArray, Outcome, Output
-
-FINENESS = (Fineness(), Fineness(tolerance=5e-4), Fineness(tolerance=5e-4, shorter=2))
-"""Ways to thin, the coarsest first."""
 
 FAINT = 0.3
 """Times the noise of a thinned row by which the model may differ there, as a root mean square."""
@@ -47,15 +44,16 @@ def thinned_records(request: LoopRequest, most: int | None) -> ThinnedProblem:
         `whole` of it has no outliers any more.
     """
     whole = request.problem
-    first = thinned(whole, most)
+    first = thinned(whole, most, FINENESS[0])
     if most is None or not first.is_thinner:
         return first
     outliers = outliers_of_long_records(whole, request.settings.thresholds.preparation, most)
-    whole = without(whole, outliers)
+    whole = without(whole, outliers) if outliers else whole
     resources = request.environment.resources
     full: list[list[FloatArray]] | None = None
     for fineness in FINENESS:
-        found = thinned(whole, most, fineness)
+        coarsest = fineness is FINENESS[0] and not outliers
+        found = first if coarsest else thinned(whole, most, fineness)
         if not found.is_thinner:
             break
         full = full or _simulated(whole, resources)
@@ -94,28 +92,16 @@ def _difference(
     simulated = _simulated(thin.problem, resources)
     if simulated is None:
         return np.inf
-    noise = _noise(whole)
     squares: dict[str, list[FloatArray]] = {}
     for e, all_rows, rows in zip(whole.indices("train"), full, simulated, strict=True):
         outputs = thin.problem.experiments[e].outputs
         for output, matrix, one, other in zip(outputs, thin.rows[e], all_rows, rows, strict=True):
             if matrix is not None:
-                unit = output.sigmas * noise.get(output.variable, 1.0)
+                unit = output.sigmas * (1.0 if output.has_sigma else thin.noise[output.variable])
                 off = (matrix @ one - other) / unit
                 squares.setdefault(output.variable, []).append(off**2)
     means = [float(np.mean(np.concatenate(parts))) for parts in squares.values()]
     return float(np.sqrt(max(means, default=0.0)))
-
-
-def _noise(problem: Problem) -> Mapping[str, float]:
-    """The noise of outputs whose sigma is not given, in units of that."""
-    found: dict[str, float] = {}
-    for experiment in problem.experiments:
-        for output in experiment.outputs:
-            if not output.has_sigma and len(output.values) > 5:
-                spread = np.median(np.abs(np.diff(output.values, 4))) / 0.6745 / np.sqrt(70.0)
-                found[output.variable] = max(float(spread), found.get(output.variable, 1e-12))
-    return found
 
 
 def with_slim_log(

@@ -134,7 +134,7 @@ def run_loop(request: LoopRequest) -> LoopResult:
     if noise_names(request.problem):
         return close_loop_under_noise(request, begin)
     thin = thinned_records(request, request.rows)
-    request = replace(request, problem=thin.problem)
+    request = replace(request, problem=thin.problem, noise_of_samples=thin.noise)
     if thin.is_thinner:
         slim = with_slim_log(request.environment, MANY)
         request = replace(request, environment=slim)

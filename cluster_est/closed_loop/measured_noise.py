@@ -16,7 +16,9 @@ def noise_of(workbench: LoopWorkbench, residuals: FloatArray) -> FloatArray:
     """Standard deviation of the noise of each output; see `estimate_noise`.
 
     Where all records of an output are too short to tell noise from misfit, it is the sigma that was
-    given for it: the whole residual counted as noise would hide what is missing.
+    given for it: the whole residual counted as noise would hide what is missing. Of thinned records
+    it is no more than what was seen between the samples that their rows were made from: a residual
+    that is smooth there may not be from row to row.
 
     Parameters
     ----------
@@ -33,6 +35,22 @@ def noise_of(workbench: LoopWorkbench, residuals: FloatArray) -> FloatArray:
     for number in range(len(found)):
         if is_given(workbench, number) and not is_told(workbench.records, number):
             found[number] = 1.0
+    return np.fmin(found, _seen_between_samples(workbench))
+
+
+def _seen_between_samples(workbench: LoopWorkbench) -> FloatArray:
+    """Noise of each output in units of the residual, where records are thinned; else NaN."""
+    names = workbench.records.outputs
+    units: dict[str, list[FloatArray]] = {name: [] for name in names}
+    for e in workbench.train:
+        for output in workbench.problem.experiments[e].outputs:
+            if output.noise_factors is not None:
+                units[output.variable].append(output.sigmas / output.noise_factors)
+    found = np.full(len(names), np.nan)
+    for number, name in enumerate(names):
+        if units[name] and name in workbench.noise_of_samples:
+            unit = float(np.median(np.concatenate(units[name])))
+            found[number] = workbench.noise_of_samples[name] / unit
     return found
 
 

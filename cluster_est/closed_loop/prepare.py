@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -54,6 +54,8 @@ class LoopRequest:
         Sizes and thresholds; the start of every random generator.
     rows
         That are left of each long record while effects are looked for; None for all.
+    noise_of_samples
+        As far as thinned records are known to have it, by output.
     """
 
     problem: Problem
@@ -61,6 +63,7 @@ class LoopRequest:
     settings: LoopSettings = field(default_factory=LoopSettings)
     seed: int = 0
     rows: int | None = None
+    noise_of_samples: Mapping[str, float] = field(default_factory=dict)
 
 
 def checked_request(
@@ -151,6 +154,7 @@ def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[Loo
             meter=meter,
             sites=_sites(problem, description),
             notes=_notes(problem, description),
+            noise_of_samples=request.noise_of_samples,
         )
 
 

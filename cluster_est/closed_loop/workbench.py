@@ -154,6 +154,8 @@ class LoopWorkbench:
         The user has given a sigma, for whatever output.
     first_fit
         The declared model from the user's start, where that was needed before.
+    noise_of_samples
+        By output, where records are thinned: of the samples that rows were made from, in its unit.
     """
 
     runner: Runner
@@ -170,6 +172,7 @@ class LoopWorkbench:
     notes: tuple[str, ...]
     sigma_declared: bool = False
     first_fit: FittedModel | None = field(default=None, repr=False)
+    noise_of_samples: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def size(self) -> int:

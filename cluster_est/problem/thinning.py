@@ -2,12 +2,13 @@
 
 The outputs of a record are filtered and decimated (`statistics/block_fits.py`), with the noise that
 is left in each value; where they move fast, as after a jump of an input, rows become denser, down
-to those that were measured. Inputs keep their course, with as many samples as that needs.
+to those that were measured. A sum of squares of what is slow stays as it is, so that a search goes
+the way that it goes on all rows. Inputs keep their course, with as many samples as that needs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal
 
@@ -20,6 +21,7 @@ from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.tables.jumps import jump_times
 from cluster_est.settings import Positive, Settings
 from cluster_est.statistics.block_fits import (
+    NODES,
     SHORTEST_BLOCK,
     BlockFits,
     block_values,
@@ -27,18 +29,29 @@ from cluster_est.statistics.block_fits import (
     unpredicted,
 )
 from cluster_est.statistics.fewer_samples import fewer_knots, without_repeats
+from cluster_est.statistics.noise.estimate import quantisation_step
 from workers.fmu.description import describe_model
 from workers.messages import Experiment, FloatArray, Input, IntArray, Output
 
 MOST_ROWS = 2000
-"""Rows that "auto" leaves of each output at most."""
+"""Rows that "auto" leaves of each output, unless it needs more to be followed in time; and at most
+as many again where they are dense."""
+
+FEWEST = 0.25
+"""Share of those rows that even blocks begin with, whose length is halved until they are short."""
+
+LONG = 1.5
+"""Times as many rows that a record has at least to be thinned."""
 
 MOST_BENT = 1.3
 """Mean square of the fourth coefficient, over that in blocks half as long: where these were too
 long it is up to 512. The error of a value is then below 0.4 of its noise."""
 
-MOST_EVEN = 0.75
-"""Share of the rows that may be those of even blocks; the others are for where signals jump."""
+BY_CHANCE = 6.0
+"""Two standard errors of that quotient, times the root of the number of blocks."""
+
+MOST_LEFT = 0.7
+"""Share of the rows that may be left; where more would be, all are."""
 
 COLOURED = 1.3
 """Variance of slow noise, over that of all noise within a block, from which it counts as slow."""
@@ -46,6 +59,9 @@ COLOURED = 1.3
 FAST = 5.0
 """Variance within blocks, over that which no prediction explains, from which it is a signal that
 changes within a block and no noise; of coloured noise it is below 2."""
+
+NOISY = 0.75
+"""Share of the blocks with less noise than what an output has: it may be silent while it rests."""
 
 MOST_COMPARED = 1000
 """Blocks of a length from which their curvature is told."""
@@ -57,9 +73,9 @@ class ThinningSettings(Settings):
     section: ClassVar[str] = "thinning"
 
     rows: Literal["auto", "no"] | Positive = Field(
-        "no",
-        description="that are left of each output of a record, while close-loop looks for effects, "
-        f"at most; auto: {MOST_ROWS} where there are twice as many; no: all",
+        "auto",
+        description="that are left of each output of a record while close-loop looks for effects; "
+        f"auto: about {MOST_ROWS} or less of more than {LONG * MOST_ROWS:.0f}; no: all",
     )
 
     def most(self, *, auto: bool = True) -> int | None:
@@ -79,13 +95,26 @@ class Fineness:
     Attributes
     ----------
     tolerance
-        Of the inputs, over the range of each.
+        Of the inputs, over the range of each; 0 for all of their samples.
     shorter
         What the length of blocks is divided by.
     """
 
     tolerance: float = 3e-3
     shorter: int = 1
+
+
+WHOLE_INPUTS = Fineness(tolerance=0.0)
+"""What is simulated is what all rows would be compared with."""
+
+FINENESS = (
+    Fineness(),
+    Fineness(tolerance=5e-4),
+    Fineness(tolerance=5e-4, shorter=2),
+    WHOLE_INPUTS,
+    replace(WHOLE_INPUTS, shorter=2),
+)
+"""Ways to thin, the coarsest first."""
 
 
 @dataclass(frozen=True)
@@ -103,12 +132,16 @@ class ThinnedProblem:
         an output that is as it was.
     sentence
         What was done; "" if nothing was.
+    noise
+        The most that the standard deviation of the noise of measured rows may be, by output: that
+        of what polynomials leave within blocks, in training experiments.
     """
 
     whole: Problem
     problem: Problem
     rows: tuple[tuple[csr_array | None, ...], ...] = field(repr=False)
     sentence: str
+    noise: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def is_thinner(self) -> bool:
@@ -118,9 +151,9 @@ class ThinnedProblem:
 def thinned(problem: Problem, most: int | None, fineness: Fineness | None = None) -> ThinnedProblem:
     """Thin the long records of a problem.
 
-    Records of up to twice as many rows stay as they are, and so does everything with process noise,
-    whose filter counts steps, or with residuals that are no differences at measured times. In
-    co-simulation inputs stay too: their samples are the communication points.
+    Records of up to `LONG` times as many rows stay as they are, and so does everything with process
+    noise, whose filter counts steps, or with residuals that are no differences at measured times.
+    In co-simulation inputs stay too, and rows are at times of samples, the communication points.
 
     Parameters
     ----------
@@ -137,9 +170,15 @@ def thinned(problem: Problem, most: int | None, fineness: Fineness | None = None
         return ThinnedProblem(problem, problem, nothing, "")
     fineness = fineness or Fineness()
     parts = [_Thinning(problem, e, most, fineness).run() for e in problem.experiments]
-    rows = tuple(own for _, own in parts)
+    rows = tuple(tuple(None if t is None else t.matrix for t in own) for _, own in parts)
     changed = replace(problem, experiments=tuple(e for e, _ in parts))
-    return ThinnedProblem(problem, changed, rows, _sentence(problem, changed))
+    noise: dict[str, list[float]] = {}
+    for e in problem.indices("train"):
+        for each in parts[e][1]:
+            if each is not None:
+                noise.setdefault(each.output.variable, []).append(each.noise)
+    known = {name: float(np.sqrt(np.mean(own))) for name, own in noise.items()}
+    return ThinnedProblem(problem, changed, rows, _sentence(problem, changed), known)
 
 
 @dataclass(frozen=True)
@@ -148,7 +187,19 @@ class _Rows:
 
     blocks: IntArray
     samples: IntArray
-    complete: bool = True
+
+    @property
+    def count(self) -> int:
+        return NODES * len(self.blocks) + len(self.samples)
+
+
+@dataclass(frozen=True)
+class _ThinnedOutput:
+    """An output at its rows, what makes them, and the variance of the noise within blocks."""
+
+    output: Output
+    matrix: csr_array = field(repr=False)
+    noise: float
 
 
 @dataclass(frozen=True)
@@ -160,32 +211,35 @@ class _Thinning:
     most: int
     fineness: Fineness
 
-    def run(self) -> tuple[Experiment, tuple[csr_array | None, ...]]:
+    def run(self) -> tuple[Experiment, tuple[_ThinnedOutput | None, ...]]:
         experiment = self.experiment
-        made: list[tuple[Output, csr_array | None]] = [(o, None) for o in experiment.outputs]
-        stop = experiment.stop
+        made: list[_ThinnedOutput | None] = [None] * len(experiment.outputs)
         for times, own in _of_equal_times(experiment.outputs):
             outputs = [experiment.outputs[i] for i in own]
             found = self._rows(times, [o.values for o in outputs])
             if found is None:
                 continue
             for i, output in zip(own, outputs, strict=True):
-                made[i] = _of_rows(output, found)
-            if not found.complete:
-                stop = min(stop, float(made[own[0]][0].times[-1]))
-        if all(matrix is None for _, matrix in made):
-            return experiment, (None,) * len(made)
-        kept = [(o, o.times <= stop, matrix) for o, matrix in made]
-        fewer = tuple(o.only(inside) for o, inside, _ in kept)
-        rows = tuple(None if matrix is None else matrix[inside] for _, inside, matrix in kept)
-        shorter = replace(experiment, outputs=fewer, stop=stop)
-        if self.problem.model.interface == "model_exchange":
+                made[i] = _of_rows(output, found, at_samples=not self._exchanged)
+        if not any(made):
+            return experiment, tuple(made)
+        outputs = [
+            whole if thin is None else thin.output
+            for whole, thin in zip(experiment.outputs, made, strict=True)
+        ]
+        shorter = replace(experiment, outputs=tuple(outputs))
+        if self._exchanged:
             shorter = self._driven(shorter)
-        return shorter, rows
+        return shorter, tuple(made)
+
+    @property
+    def _exchanged(self) -> bool:
+        """Times of rows and inputs are free; in co-simulation they are communication points."""
+        return self.problem.model.interface == "model_exchange"
 
     def _rows(self, times: FloatArray, signals: Sequence[FloatArray]) -> _Rows | None:
         """Choose the rows of outputs that were measured together; None where all are kept."""
-        if len(times) < 2 * self.most:
+        if len(times) <= LONG * self.most:
             return None
         stretches = self._stretches(times)
         blocks, finest = self._even(stretches, times, signals)
@@ -194,8 +248,8 @@ class _Thinning:
         slow = [_slow(BlockFits.of(blocks, times, y)) for y in signals]
         pieces = _refined(blocks, times, signals, slow)
         short = _single(stretches[np.diff(stretches)[:, 0] < SHORTEST_BLOCK])
-        found = _within_budget(pieces, short, self.most)
-        return found if len(found.blocks) + len(found.samples) < 0.7 * len(times) else None
+        found = _with_windows(pieces, short, self.most)
+        return found if found.count < MOST_LEFT * len(times) else None
 
     def _stretches(self, times: FloatArray) -> IntArray:
         """Samples between the jumps of inputs, (s, 2)."""
@@ -209,11 +263,11 @@ class _Thinning:
     ) -> tuple[IntArray, bool]:
         """Return even blocks as long as the signals allow, and whether none are long enough."""
         long = stretches[np.diff(stretches)[:, 0] >= SHORTEST_BLOCK]
-        length = max(2 * len(times) // self.most, SHORTEST_BLOCK)
+        length = max(int(NODES * len(times) / (FEWEST * self.most)), SHORTEST_BLOCK)
         while not self._short_enough(length, long, times, signals):
             length //= 2
-        length //= self.fineness.shorter
-        return _long(even_blocks(long, max(length, SHORTEST_BLOCK))), length < SHORTEST_BLOCK
+        finer = max(length // self.fineness.shorter, SHORTEST_BLOCK)
+        return _long(even_blocks(long, finer)), length < SHORTEST_BLOCK
 
     def _short_enough(
         self, length: int, long: IntArray, times: FloatArray, signals: Sequence[FloatArray]
@@ -226,7 +280,8 @@ class _Thinning:
             if fits.noise > FAST * unpredicted(y):
                 return False
             half = BlockFits.of(_some(even_blocks(long, length // 2)), times, y)
-            if length >= 2 * SHORTEST_BLOCK and fits.bent > MOST_BENT * half.bent:
+            most = max(MOST_BENT, 1.0 + BY_CHANCE / np.sqrt(len(fits.bounds)))
+            if length >= 2 * SHORTEST_BLOCK and fits.bent > most * half.bent:
                 return False
         return True
 
@@ -236,24 +291,23 @@ class _Thinning:
         holds = describe_model(self.problem.model).holds
         changed = {
             key: tuple(
-                self._shorter(given, knots, experiment.stop, held=holds(given.variable))
+                self._shorter(given, knots, held=holds(given.variable))
                 for given in getattr(experiment, key)
             )
             for key in ("inputs", "signals")
         }
         return replace(experiment, inputs=changed["inputs"], signals=changed["signals"])
 
-    def _shorter(self, given: Input, knots: FloatArray, stop: float, *, held: bool) -> Input:
-        last = int(np.searchsorted(given.times, stop)) + 1
-        times, values, kind = given.times[:last], given.values[:last], given.interpolation
+    def _shorter(self, given: Input, knots: FloatArray, *, held: bool) -> Input:
+        times, values, kind = given.times, given.values, given.interpolation
         if kind == "hold":
             times, values = without_repeats(times, values)
-            if held or len(times) < self.most:
+            if held or len(times) < self.most or not self.fineness.tolerance:
                 return replace(given, times=times, values=values)
             # the course of steps without order is that of lines through their middles
             times, kind = np.append(times[:1], 0.5 * (times[1:] + times[:-1])), "linear"
             values = np.append(values[:1], values[:-1])
-        if held or len(times) <= len(knots):
+        if held or len(times) <= len(knots) or not self.fineness.tolerance:
             return given
         times, values = fewer_knots(times, values, knots, self.fineness.tolerance)
         return replace(given, times=times, values=values, interpolation=kind)
@@ -317,48 +371,44 @@ def _refined(
     return [(np.array(b, int).reshape(-1, 2), np.array(s, int)) for b, s in pieces]
 
 
-def _within_budget(
-    pieces: Sequence[tuple[IntArray, IntArray]], short: IntArray, most: int
-) -> _Rows:
-    """Leave out what is too much: the end of a record, then some of the places that are dense."""
-    kept = pieces[: int(MOST_EVEN * most)]
-    counts = np.array([len(blocks) + len(samples) for blocks, samples in kept])
-    dense = np.flatnonzero(counts > 1)
-    room = most - int((counts == 1).sum())
+def _with_windows(pieces: Sequence[tuple[IntArray, IntArray]], short: IntArray, most: int) -> _Rows:
+    """Keep all of a record, and of the places that are dense as many rows as there may be of all.
+
+    Where these are more, every second, third or further place is left out, from the first to the
+    last: those that are left are windows in which what is fast is seen in full.
+    """
+    counts = np.array([_Rows(*piece).count for piece in pieces], int)
+    dense = np.flatnonzero(counts > NODES)
     every = 1
-    while every < len(dense) and int(counts[dense[::every]].sum()) > room:
+    while every < len(dense) and len(short) + int(counts[dense[::every]].sum()) > most:
         every += 1
-    gone = np.setdiff1d(dense, dense[::every])
-    chosen = [piece for i, piece in enumerate(kept) if i not in set(gone.tolist())]
+    gone = set(np.setdiff1d(dense, dense[::every]).tolist())
+    chosen = [piece for i, piece in enumerate(pieces) if i not in gone]
     blocks = np.concatenate([np.zeros((0, 2), int), *(b for b, _ in chosen)])
-    end = int(max([b[:, 1].max(initial=0) for b, _ in chosen], default=0))
-    complete = len(kept) == len(pieces)
-    between = short if complete else short[short < end]
-    samples = np.concatenate([between if every == 1 else np.zeros(0, int), *(s for _, s in chosen)])
-    return _Rows(blocks, samples, complete)
+    return _Rows(blocks, np.concatenate([short, *(s for _, s in chosen)]))
 
 
-def _of_rows(output: Output, rows: _Rows) -> tuple[Output, csr_array]:
+def _of_rows(output: Output, rows: _Rows, *, at_samples: bool) -> _ThinnedOutput:
     """The output at its rows, each with the noise that is left in it."""
-    middle, weights = block_values(rows.blocks, output.times)
+    nodes, weights = block_values(rows.blocks, output.times, at_samples=at_samples)
     single = eye_array(len(output.times), format="csr")[rows.samples]
     matrix = csr_array(vstack([weights, single]).tocsr())
-    times = np.concatenate([middle, output.times[rows.samples]])
+    times = np.concatenate([nodes, output.times[rows.samples]])
     factors = np.sqrt(np.asarray(matrix.power(2).sum(axis=1)).ravel())
     fits = BlockFits.of(rows.blocks, output.times, output.values)
-    if fits.noise > 0.0:
-        factors[: len(middle)] *= np.sqrt(_slow(fits) / fits.noise)
+    if fits.noise > 0.0:  # of single samples too: many of slow noise say no more than a block of it
+        factors *= np.sqrt(_slow(fits) / fits.noise)
     order = np.argsort(times, kind="stable")
     matrix = csr_array(matrix[order])
-    return (
-        replace(
-            output,
-            times=times[order],
-            values=matrix @ output.values,
-            noise_factors=np.minimum(factors[order], 1.0),
-        ),
-        matrix,
+    thin = replace(
+        output,
+        times=times[order],
+        values=matrix @ output.values,
+        noise_factors=factors[order],
     )
+    rounding = quantisation_step(output.values) ** 2 / 12.0
+    within = float(np.quantile(fits.variances, NOISY)) if len(fits.variances) else np.inf
+    return _ThinnedOutput(thin, matrix, max(within, rounding))
 
 
 def _sentence(before: Problem, after: Problem) -> str:
@@ -372,15 +422,9 @@ def _sentence(before: Problem, after: Problem) -> str:
     if not pairs:
         return ""
     old, new = (_range([pair[i] for pair in pairs]) for i in (0, 1))
-    cut = [
-        f"{one.id!r} to its first {other.stop - one.start:.4g} s"
-        for one, other in zip(before.experiments, after.experiments, strict=True)
-        if other.stop < one.stop
-    ]
-    shortened = f"; what would take more rows is cut: {', '.join(cut)}" if cut else ""
     return (
-        f"long records are thinned to {new} rows of {old}: the value of a parabola in each block, "
-        f"and denser rows where the outputs move fast{shortened}"
+        f"long records are thinned to {new} rows of {old}: three values of a parabola in each "
+        "block, and denser rows where the outputs move fast"
     )
 
 

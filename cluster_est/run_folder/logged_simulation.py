@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
@@ -13,9 +14,11 @@ import numpy as np
 from cluster_est.config.build import build_problem
 from cluster_est.config.choices import build_resources
 from cluster_est.config.reader import read_config
+from cluster_est.config.sections import Config
 from cluster_est.errors import ConfigError, RunFolderError
 from cluster_est.executors.log_replay import simulation_key
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.thinning import FINENESS, thinned
 from cluster_est.problem.variables import coefficient_names
 from cluster_est.run_folder.log_segment import logged_cost, read_log, residuals_hash
 from cluster_est.run_folder.run_files import is_ended, read_config_text, read_facts
@@ -185,26 +188,30 @@ def prepare(
     read_config_text(run_folder)  # says it if that is damaged
     resolved = read_config(run_folder / "config.toml")
     base = config_base(run_folder, config)
-    problem = build_problem(resolved, base, allow_code=allow_code)
+    whole = build_problem(resolved, base, allow_code=allow_code)
     where = f"{run_folder}, evaluation {logged.number}"
-    ids = [experiment.id for experiment in problem.experiments]
+    ids = [experiment.id for experiment in whole.experiments]
     if logged.experiment not in ids:
         raise RunFolderError(
             f"{where}: must be of an experiment of the config to be replayed but is of "
             f"{logged.experiment!r}{nearest(logged.experiment, ids)}"
         )
     index = ids.index(logged.experiment)
-    effects = _effects(problem, logged, where)
+    effects = _effects(whole, logged, where)
     counts = [len(coefficient_names(effect)) for effect in effects]
-    wanted = len(problem.model.parameters) + sum(counts)
+    wanted = len(whole.model.parameters) + sum(counts)
     if len(logged.values) != wanted:
         raise RunFolderError(
             f"{where}: must have {wanted} values, as the config does, but has "
             f"{len(logged.values)}; {run_folder / 'config.toml'} is not that of this run"
         )
-    experiment = problem.experiments[index]
-    known = problem.model.key, experiment.key
-    key = simulation_key(*known, effects, logged.values, logged.bound)
+    same = False
+    for problem in _with_rows_of_run(whole, resolved):
+        known = problem.model.key, problem.experiments[index].key
+        same = simulation_key(*known, effects, logged.values, logged.bound) == logged.key
+        if same:
+            break
+    problem = problem if same else whole
     if problem.model.reset == "auto":
         chosen = recorded(read_facts(run_folder))
         if chosen is not None:
@@ -212,7 +219,16 @@ def prepare(
     task = Task(0, index, logged.values, logged.want, effects, logged.bound)
     resources = build_resources(resolved)
     problem = replace(problem, model=resources.limited(problem.model).of_worker(0))
-    return ReplayRequest(problem, resources.limits, task, key == logged.key)
+    return ReplayRequest(problem, resources.limits, task, same)
+
+
+def _with_rows_of_run(problem: Problem, config: Config) -> Iterator[Problem]:
+    """Give the problem with all rows, then with those that a step on thinned records may have."""
+    yield problem
+    for fineness in FINENESS:
+        found = thinned(problem, config.thinning.most(), fineness)
+        if found.is_thinner:
+            yield found.problem
 
 
 def config_base(run_folder: Path, config: Path | None) -> Path:

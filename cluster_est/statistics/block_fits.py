@@ -1,10 +1,11 @@
-"""Rows of a long record as fewer values: in each block a parabola, and its value in the middle.
+"""Rows of a long record as fewer values: in each block a parabola, and its values at three nodes.
 
-The mean of a block is off by as much as its signal is bent in it. The value of a parabola is off by
-its fourth derivative alone, at 1.5 times the standard deviation of the mean: for the same error
-blocks may be many times as long (A. Savitzky, M. J. E. Golay, Anal. Chem. 36 (1964) 1627-1639,
-doi:10.1021/ac60214a047). What is of third and fourth degree in a block says whether it was too
-long.
+The nodes are the zeros of the third polynomial that is orthogonal on the samples of the block,
+those of Gauss' quadrature (G. H. Golub, J. H. Welsch, Math. Comp. 23 (1969) 221-230,
+doi:10.1090/S0025-5718-69-99647-1). White noise stays white in these values, each stands for as many
+samples as its weight says, and nothing is lost that a parabola holds. Cubics are met at the nodes
+too: values are off by the fourth derivative alone, and what is of fourth degree in a block says
+whether it was too long.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ from workers.messages import FloatArray, IntArray
 
 DEGREE = 4
 """Of the polynomial that a block is compared with."""
+
+NODES = 3
+"""Values that a block leaves: as many as a parabola has coefficients."""
 
 SHORTEST_BLOCK = 8
 """Samples that a block has at least; what cannot be cut into such blocks stays as it is."""
@@ -103,32 +107,51 @@ class BlockFits:
         return np.asarray(curved | wide)
 
 
-def block_values(bounds: IntArray, times: FloatArray) -> tuple[FloatArray, csr_array]:
-    """Return the middle of each block, and what makes the value of its parabola there.
+def block_values(
+    bounds: IntArray, times: FloatArray, *, at_samples: bool = False
+) -> tuple[FloatArray, csr_array]:
+    """Return the nodes of each block, and what makes the values of its parabola there.
+
+    With q_j the orthonormal polynomials on a block's samples, the nodes are the eigenvalues of the
+    matrix of sum_i t_i q_j(t_i) q_k(t_i), and weights are sum_j q_j(node) q_j(t_i), for j, k < 3.
+
+    Parameters
+    ----------
+    bounds : (b, 2)
+        Of blocks of `SHORTEST_BLOCK` samples at least.
+    at_samples
+        Take the samples nearest to the nodes in their place.
 
     Returns
     -------
-    times : (b,)
-    weights : (b, n)
+    times : (3 b,)
+    weights : (3 b, n)
     """
-    middle = np.zeros(len(bounds))
+    nodes = np.zeros((len(bounds), NODES))
     rows, columns, entries = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
-    for own, at, q, r in _polynomials(bounds, times):
-        middle[own] = times[at].mean(axis=1)
-        # at the middle the powers are (1, 0, 0)
-        share = np.linalg.inv(r[:, :3, :3])[:, 0, :]
-        rows.append(np.repeat(own, at.shape[1]))
-        columns.append(at.ravel())
-        entries.append(np.einsum("bp,bkp->bk", share, q[:, :, :3]).ravel())
+    for own, at, full, scaled in _polynomials(bounds, times):
+        q, t = full[:, :, :NODES], times[at]
+        found, u = np.linalg.eigh(np.einsum("bkp,bk,bkr->bpr", q, scaled, q))
+        shown = np.swapaxes(u / (u[:, :1] / q[:, :1, :1]), 1, 2)  # q_j at each node
+        centre, half = t.mean(axis=1)[:, None], 0.5 * (t[:, -1:] - t[:, :1])
+        nodes[own] = centre + half * found
+        if at_samples:
+            nearest = np.abs(scaled[:, None, :] - found[:, :, None]).argmin(axis=2)
+            shown = np.take_along_axis(q, nearest[:, :, None], axis=1)
+            nodes[own] = np.take_along_axis(t, nearest, axis=1)
+        weights = np.einsum("bsp,bkp->bsk", shown, q)
+        rows.append(np.repeat(NODES * own[:, None] + np.arange(NODES), at.shape[1]))
+        columns.append(np.repeat(at[:, None, :], NODES, axis=1).ravel())
+        entries.append(weights.ravel())
     places = (np.concatenate(rows), np.concatenate(columns))
-    made = coo_array((np.concatenate(entries), places), (len(bounds), len(times)))
-    return middle, csr_array(made.tocsr())
+    made = coo_array((np.concatenate(entries), places), (NODES * len(bounds), len(times)))
+    return nodes.ravel(), csr_array(made.tocsr())
 
 
 def _polynomials(
     bounds: IntArray, times: FloatArray
 ) -> Iterator[tuple[IntArray, IntArray, FloatArray, FloatArray]]:
-    """Give blocks of one length: which, their samples, and polynomials as Q and R of the powers."""
+    """Give blocks of one length: which, their samples, polynomials there, times from -1 to 1."""
     counts = np.diff(bounds)[:, 0]
     for count in np.unique(counts).tolist():
         same = np.flatnonzero(counts == count)
@@ -136,8 +159,8 @@ def _polynomials(
             at = bounds[own, :1] + np.arange(count)
             t = times[at]
             scaled = (t - t.mean(axis=1)[:, None]) / (0.5 * (t[:, -1:] - t[:, :1]))
-            q, r = np.linalg.qr(scaled[:, :, None] ** np.arange(DEGREE + 1))
-            yield own, at, q, r
+            q, _ = np.linalg.qr(scaled[:, :, None] ** np.arange(DEGREE + 1))
+            yield own, at, q, scaled
 
 
 def unpredicted(values: FloatArray) -> float:

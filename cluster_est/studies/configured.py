@@ -17,7 +17,7 @@ from cluster_est.config.reader import read_config
 from cluster_est.config.sections import Config
 from cluster_est.errors import BudgetError, ProblemError, UnwritableError
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.thinning import ThinnedProblem, thinned
+from cluster_est.problem.thinning import WHOLE_INPUTS, ThinnedProblem, thinned
 from cluster_est.run_folder.context import ExistingRun, RunContext
 from cluster_est.run_folder.run_files import RunStatus
 from cluster_est.run_folder.run_folder import RunResult
@@ -172,11 +172,13 @@ def configure(config: Config, base: Path, kind: RunKind, *, allow_code: bool) ->
 def thinned_for(kind: RunKind, config: Config, problem: Problem) -> ThinnedProblem:
     """Thin the records of a study that is done on thinned ones throughout.
 
-    A closed loop thins them itself, and reports on all rows.
+    Inputs keep all of their samples, or what is simulated would have to be compared, as in a closed
+    loop, which thins records itself and reports on all rows.
     """
     if kind is RunKind.CLOSED_LOOP:
         return thinned(problem, None)
-    return thinned(problem, config.thinning.most(auto=kind is not RunKind.FIT))
+    most = config.thinning.most(auto=kind is not RunKind.FIT)
+    return thinned(problem, most, WHOLE_INPUTS)
 
 
 def do_run(

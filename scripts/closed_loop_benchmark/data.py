@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 
@@ -12,9 +12,62 @@ import numpy as np
 from closed_loop_benchmark.scenarios import Noise, Scenario, push
 from closed_loop_benchmark.system import Array, Role, Run, System
 from closed_loop_benchmark.systems import SYSTEMS
-from closed_loop_benchmark.truth import simulate
+from closed_loop_benchmark.truth import Push, refine, simulate
 from cluster_est import Input, Model, Output, Parameter, Problem, Solver
 from workers.messages import Experiment as MeasuredRun
+
+PLACES = 8
+"""Of an interval between two samples, at which a sample with jitter may be."""
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How a logger samples the runs of a case.
+
+    Attributes
+    ----------
+    rate
+        Samples for each of the system's own. Noise is larger by its root, so that all samples
+        together say as much.
+    jitter
+        Largest error of a sample's time, over the interval.
+    """
+
+    rate: int = 1
+    jitter: float = 0.0
+
+    @property
+    def pieces(self) -> int:
+        """Intervals of a simulation in one of the system's own."""
+        return self.rate * (PLACES if self.jitter > 0.0 else 1)
+
+    def finer(self, system: System) -> System:
+        """Return a system that is sampled at all places where a sample may be."""
+        return replace(
+            system,
+            interval=system.interval / self.pieces,
+            samples=(system.samples - 1) * self.pieces + 1,
+            substeps=max(system.substeps // self.pieces, 1),
+        )
+
+    def chosen(self, fine: System, random: np.random.Generator) -> Array:
+        """Return which of these are the samples."""
+        every = self.pieces // self.rate
+        at = np.arange(0, fine.samples, every)
+        off = np.rint(every * self.jitter * random.uniform(-1.0, 1.0, len(at))).astype(int)
+        return np.asarray(np.clip(at + off, 0, fine.samples - 1))
+
+    def noise(self, noise: Noise) -> Noise:
+        """Return the noise of a sample."""
+        return replace(
+            noise,
+            share=noise.share * np.sqrt(self.rate),
+            correlation=noise.correlation ** (1.0 / self.rate),
+        )
+
+
+OWN = Sampling()
+"""As the system is."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +78,7 @@ class Experiment:
     ----------
     waveform, role
         What drives it, and whether it is for training or held out.
-    inputs, signals : (samples, inputs), (samples, signals)
+    inputs, signals : (driven, inputs), (driven, signals)
         Linear between the samples; the signals are measured, but the FMU has no input for them.
     outputs : (samples, outputs)
         With noise.
@@ -54,7 +107,9 @@ class Data:
     scenario, system
         The case; not for the method but for the system's FMU, interface and names.
     times : (samples,)
-        In seconds, of inputs and outputs alike.
+        In seconds, of outputs.
+    driven : (driven,)
+        Of inputs and signals.
     experiments
         Training runs first.
     sigma : (outputs,)
@@ -68,42 +123,54 @@ class Data:
     scenario: Scenario
     system: System
     times: Array = field(repr=False)
+    driven: Array = field(repr=False)
     experiments: tuple[Experiment, ...]
     sigma: Array
     start_parameters: Mapping[str, float]
     true_parameters: Mapping[str, float]
 
 
-def make(scenario: Scenario) -> Data:
+def make(scenario: Scenario, sampling: Sampling = OWN) -> Data:
     """Simulate a case and add its noise.
 
     Parameters
     ----------
     scenario
         The case.
+    sampling
+        Of its outputs, in the same course of all that drives it.
 
     Returns
     -------
     Data
-        The same for the same scenario.
+        The same for the same scenario and sampling.
     """
     system = SYSTEMS[scenario.system]
     # Streams apart: no part changes when another draws more numbers.
-    excited, pushed, measured, guessed = np.random.default_rng(scenario.seed).spawn(4)
+    excited, pushed, measured, guessed, jittered = np.random.default_rng(scenario.seed).spawn(5)
     runs = system.excitation(system.times, excited)
     pushes = []
     if scenario.disturbance is not None:
         pushes = [push(scenario.disturbance, system, runs, pushed)]
-    true = simulate(system, runs, scenario.effects, pushes)
+    fine, pieces = sampling.finer(system), sampling.pieces
+    runs = [
+        replace(run, inputs=refine(run.inputs, pieces), signals=refine(run.signals, pieces))
+        for run in runs
+    ]
+    pushes = [Push(each.state, refine(each.signal, pieces)) for each in pushes]
+    at = sampling.chosen(fine, jittered)
+    true = [y[at] for y in simulate(fine, runs, scenario.effects, pushes)]
     training = [y for run, y in zip(runs, true, strict=True) if run.role == "train"]
-    sigma = scenario.noise.share * np.concatenate(training).std(axis=0)
+    noise = sampling.noise(scenario.noise)
+    sigma = noise.share * np.concatenate(training).std(axis=0)
+    every = slice(None, None, pieces // sampling.rate)
     experiments = tuple(
         Experiment(
             run.waveform,
             run.role,
-            run.inputs,
-            run.signals,
-            y + sigma * draw_noise(y.shape, scenario.noise, measured),
+            run.inputs[every],
+            run.signals[every],
+            y + sigma * draw_noise(y.shape, noise, measured),
             guess_starts(system, run, guessed),
             y,
             run.starts,
@@ -115,7 +182,14 @@ def make(scenario: Scenario) -> Data:
         for name, value in system.parameters.items()
     }
     return Data(
-        scenario, system, system.times, experiments, sigma, parameters, dict(system.parameters)
+        scenario,
+        system,
+        fine.times[at],
+        fine.times[every],
+        experiments,
+        sigma,
+        parameters,
+        dict(system.parameters),
     )
 
 
@@ -213,6 +287,7 @@ def _start(data: Data, state: str) -> Parameter:
 
 def _run(data: Data, number: int) -> MeasuredRun:
     run, system, times = data.experiments[number], data.system, data.times
+    driven = data.driven
     known = {s: v for s, v in run.starts.items() if s not in system.unknown_starts}
     outputs = tuple(
         Output(name, times, np.ascontiguousarray(column), float(sigma))
@@ -220,13 +295,13 @@ def _run(data: Data, number: int) -> MeasuredRun:
     )
     return MeasuredRun(
         id=run_name(number, run),
-        start=float(times[0]),
-        stop=float(times[-1]),
-        inputs=_signals(system.inputs, times, run.inputs),
+        start=float(min(times[0], driven[0])),
+        stop=float(max(times[-1], driven[-1])),
+        inputs=_signals(system.inputs, driven, run.inputs),
         outputs=outputs,
         values=tuple({**system.constants, **known}.items()),
         role=run.role,
-        signals=_signals(system.signals, times, run.signals),
+        signals=_signals(system.signals, driven, run.signals),
     )
 
 

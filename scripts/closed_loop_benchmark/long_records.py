@@ -125,5 +125,14 @@ def motor(
         for name, value in system.parameters.items()
     }
     scenario = scenario_of(system.name, "single", "dry friction", NOISE, [FRICTION])
-    data = Data(scenario, system, system.times, experiments, sigma, starts, dict(system.parameters))
+    data = Data(
+        scenario,
+        system,
+        system.times,
+        system.times,
+        experiments,
+        sigma,
+        starts,
+        dict(system.parameters),
+    )
     return make_problem(data), FRICTION.numbers[0]

@@ -1,5 +1,6 @@
 """Loops on records that are thinned while effects are looked for, and what is kept on the way."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,28 +11,38 @@ import cluster_est as ce
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.loop import ClosedLoop
 from cluster_est.html_report.reported_run import read_run
-from cluster_est.problem.thinning import ThinningSettings
+from cluster_est.problem.thinning import MOST_ROWS, ThinningSettings, thinned
 from cluster_est.run_folder.context import ExistingRun, RunContext
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from cluster_est.running.environment import Monitor, RunEnvironment
+from workers.messages import FloatArray
 
-ROWS, NOISE, WIDTH = 6001, 0.01, 1.0
+ROWS, NOISE, WIDTH, LATE = 6001, 0.01, 1.0, 0.003
+TIMES = np.linspace(0.0, 6.0, ROWS)
 SETTINGS = ce.LoopSettings(
-    sites=("input F",), forms=("dead_zone",), draws=200, pairs=False, max_effects=1
+    sites=("input F",), forms=("dead_zone", "delay"), draws=200, pairs=False, max_effects=1
 )
+Course = Callable[[FloatArray], FloatArray]
 
 
-def long_springs() -> ce.Problem:
-    """A mass on a spring at 1 kHz, behind a dead zone of the force."""
+def past_dead_zone(force: FloatArray) -> FloatArray:
+    return np.sign(force) * np.maximum(np.abs(force) - WIDTH, 0.0)
+
+
+def delayed(force: FloatArray) -> FloatArray:
+    return np.interp(TIMES - LATE, TIMES, force)
+
+
+def long_springs(change: Course) -> ce.Problem:
+    """A mass on a spring at 1 kHz, behind something that changes the force."""
     spring = missing_effect_problem("mass_spring_damper", signals=())
-    times = np.linspace(0.0, 6.0, ROWS)
     runs, forces = [], []
     for e, run in enumerate(spring.experiments):
-        force = 6.0 * (1.0 + 0.4 * e) * waves(times, float(e))
-        acting = np.sign(force) * np.maximum(np.abs(force) - WIDTH, 0.0)
-        output = ce.Output("y", times, np.zeros(ROWS), NOISE)
-        runs.append(replace(run, inputs=(ce.Input("F", times, acting),), outputs=(output,)))
-        forces.append(ce.Input("F", times, force))
+        force = 6.0 * (1.0 + 0.4 * e) * waves(TIMES, float(e))
+        output = ce.Output("y", TIMES, np.zeros(ROWS), NOISE)
+        acting = ce.Input("F", TIMES, change(force))
+        runs.append(replace(run, inputs=(acting,), outputs=(output,)))
+        forces.append(ce.Input("F", TIMES, force))
     made = measured(replace(spring, experiments=tuple(runs)), NOISE)
     given = [
         replace(run, inputs=(force,)) for run, force in zip(made.experiments, forces, strict=True)
@@ -41,11 +52,11 @@ def long_springs() -> ce.Problem:
 
 @pytest.fixture(scope="module")
 def problem() -> ce.Problem:
-    return long_springs()
+    return long_springs(past_dead_zone)
 
 
 def test_what_is_found_on_thinned_records_is_confirmed_on_all_rows(problem):
-    result = ce.close_loop(problem, settings=SETTINGS, thinning=ThinningSettings(rows="auto"))
+    result = ce.close_loop(problem, settings=SETTINGS)
     assert result.verdict is Verdict.FOUND
     (effect,) = result.effects
     assert effect.effect.form == "dead_zone"
@@ -56,8 +67,21 @@ def test_what_is_found_on_thinned_records_is_confirmed_on_all_rows(problem):
     assert result.noise["y"] == pytest.approx(NOISE, rel=0.1)
 
 
+def test_a_delay_that_is_shorter_than_the_steps_of_thinned_records_is_found():
+    problem = long_springs(delayed)
+    steps = np.diff(thinned(problem, MOST_ROWS).problem.experiments[0].outputs[0].times)
+    assert np.median(steps) > LATE
+    result = ce.close_loop(problem, settings=SETTINGS)
+    assert result.verdict is Verdict.FOUND
+    (effect,) = result.effects
+    assert effect.effect.form == "delay"
+    assert effect.coefficients[0].value == pytest.approx(LATE, rel=0.1)
+    assert result.notes[0].startswith("long records are thinned to")
+
+
 def test_no_rows_are_left_out_where_that_is_not_wanted(problem):
-    result = ce.close_loop(problem, settings=SETTINGS.model_copy(update={"draws": 100}))
+    settings = SETTINGS.model_copy(update={"draws": 100})
+    result = ce.close_loop(problem, settings=settings, thinning=ThinningSettings(rows="no"))
     assert result.verdict is Verdict.FOUND
     assert not any("thinned" in note for note in result.notes)
 
@@ -73,7 +97,7 @@ def test_a_loop_that_is_stopped_leaves_what_its_last_round_has_found(problem, tm
         raise KeyboardInterrupt
 
     monitor = Monitor(kept.record, kept.show, kept.note, kept.reset, keep_and_stop)
-    study = ClosedLoop(problem, SETTINGS, thinning=ThinningSettings(rows="auto"))
+    study = ClosedLoop(problem, SETTINGS)
     with pytest.raises(KeyboardInterrupt), context:
         study.run(RunEnvironment(monitor=monitor))
     run = read_run(out)

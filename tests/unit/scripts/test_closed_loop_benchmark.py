@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from closed_loop_benchmark.data import draw_noise, make
+from closed_loop_benchmark.data import OWN, Sampling, draw_noise, make
 from closed_loop_benchmark.effect import OUTSIDE, PAIRS, SINGLE, TEXTBOOK, Effect, Name, names
 from closed_loop_benchmark.forms import backlash, delay, hysteresis, lag, mode, rate_limit
 from closed_loop_benchmark.scenarios import Noise, all_scenarios, singles
@@ -135,6 +135,21 @@ def test_data_are_deterministic_and_wrong_where_they_should_be():
         assert run.starts["T_wall"] != run.true_starts["T_wall"]
         noise = (run.outputs - run.true_outputs) / data.sigma
         assert noise.std() == pytest.approx(1.0, rel=0.2)
+
+
+def test_a_faster_logger_samples_the_same_course_in_as_much_noise_in_all():
+    case = next(c for c in singles() if c.system == "pendulum")
+    slow, fast, uneven = (make(case, each) for each in (OWN, Sampling(10), Sampling(10, 0.3)))
+    np.testing.assert_allclose(fast.sigma, np.sqrt(10.0) * slow.sigma, rtol=0.01)
+    assert fast.start_parameters == slow.start_parameters
+    for run, few, other in zip(fast.experiments, slow.experiments, uneven.experiments, strict=True):
+        np.testing.assert_allclose(run.true_outputs[::10], few.true_outputs, atol=1e-6)
+        np.testing.assert_allclose(run.inputs[::10], few.inputs, atol=1e-12)
+        expected = np.interp(uneven.times, fast.times, run.true_outputs[:, 0])
+        np.testing.assert_allclose(other.true_outputs[:, 0], expected, atol=1e-3)
+    steps = np.diff(uneven.times) / np.diff(fast.times)
+    assert 0.3 < steps.min() < 0.7
+    assert 1.3 < steps.max() < 1.7
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from support.problems.springs import ROOT
 
-from cluster_est import Experiment, Input, Output, Parameter, Problem, read_model
-from cluster_est.problem.thinning import MOST_ROWS, ThinningSettings, thinned
+from cluster_est import Experiment, Input, Output, Parameter, Problem, Solver, read_model
+from cluster_est.problem.thinning import MOST_ROWS, WHOLE_INPUTS, ThinningSettings, thinned
 
 RATE, NOISE = 1000.0, 0.01
 ROWS = 20_000
@@ -42,7 +42,7 @@ def test_short_records_stay_as_they_are(most):
 def test_a_long_record_has_fewer_rows_with_the_noise_that_is_left():
     found = thinned(spring(ROWS), MOST_ROWS)
     (output,) = found.problem.experiments[0].outputs
-    assert 900 <= len(output.times) <= MOST_ROWS
+    assert 400 <= len(output.times) <= MOST_ROWS
     off = (output.values - np.sin(3.0 * output.times)) / output.sigmas
     assert np.sqrt(np.mean(off**2)) == pytest.approx(1.0, abs=0.1)
     assert "20,000" in found.sentence
@@ -79,6 +79,42 @@ def test_a_signal_that_is_too_fast_for_blocks_is_not_thinned():
     outputs = (replace(run.outputs[0], values=fast),)
     problem = replace(problem, experiments=(replace(run, outputs=outputs),))
     assert not thinned(problem, MOST_ROWS).is_thinner
+
+
+def test_a_record_that_takes_more_rows_keeps_its_end():
+    problem = spring(ROWS)
+    (run,) = problem.experiments
+    (output,) = run.outputs
+    values = output.values + np.sin(2.0 * np.pi * 15.0 * TIMES)
+    problem = replace(
+        problem, experiments=(replace(run, outputs=(replace(output, values=values),)),)
+    )
+    (found,) = thinned(problem, MOST_ROWS).problem.experiments
+    (output,) = found.outputs
+    assert found.stop == run.stop
+    assert MOST_ROWS < len(output.times) < ROWS / 2
+    assert np.diff(output.times, prepend=run.start, append=run.stop).max() < 0.02
+
+
+def test_in_co_simulation_rows_are_at_times_of_samples():
+    problem = spring(ROWS)
+    model = replace(problem.model, interface="co_simulation", solver=Solver("fmu"))
+    (found,) = thinned(replace(problem, model=model), MOST_ROWS).problem.experiments
+    assert set(found.outputs[0].times) <= set(TIMES)
+    assert len(found.inputs[0].times) == ROWS
+
+
+def test_inputs_are_whole_where_that_is_asked_for():
+    problem = spring(ROWS)
+    (run,) = problem.experiments
+    wave = Input("F", TIMES, np.sin(TIMES))
+    problem = replace(problem, experiments=(replace(run, inputs=(wave,)),))
+    fewer, whole = (
+        thinned(problem, MOST_ROWS, *how).problem.experiments[0].inputs[0]
+        for how in ((), (WHOLE_INPUTS,))
+    )
+    assert len(fewer.times) < 2 * MOST_ROWS
+    assert whole is wave
 
 
 @pytest.mark.parametrize(

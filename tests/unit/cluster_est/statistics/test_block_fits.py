@@ -1,32 +1,45 @@
 import numpy as np
 import pytest
 
-from cluster_est.statistics.block_fits import BlockFits, block_values, even_blocks
+from cluster_est.statistics.block_fits import NODES, BlockFits, block_values, even_blocks
 
 COUNT, LENGTH = 4000, 20
 TIMES = np.arange(COUNT) * 1e-3
 BLOCKS = even_blocks(np.array([[0, COUNT]]), LENGTH)
 
 
-def test_a_cubic_has_its_own_values_in_the_middle_of_blocks():
-    cubic = 1.0 + TIMES - 3.0 * TIMES**2 + 0.5 * TIMES**3
-    middle, weights = block_values(BLOCKS, TIMES)
-    expected = 1.0 + middle - 3.0 * middle**2 + 0.5 * middle**3
-    np.testing.assert_allclose(weights @ cubic, expected, rtol=1e-12)
+UNEVEN = np.sort(np.random.default_rng(2).uniform(0.0, 4.0, COUNT))
 
 
-def test_uneven_times_change_nothing_about_that():
-    times = np.sort(np.random.default_rng(2).uniform(0.0, 4.0, COUNT))
-    middle, weights = block_values(BLOCKS, times)
-    np.testing.assert_allclose(weights @ times**2, middle**2, atol=1e-12)
+@pytest.mark.parametrize("times", [TIMES, UNEVEN], ids=["even", "uneven"])
+def test_a_cubic_has_its_own_values_at_the_nodes_of_blocks(times):
+    nodes, weights = block_values(BLOCKS, times)
+    assert np.all(np.diff(nodes) > 0.0)
+    cubic = 1.0 + times - 3.0 * times**2 + 0.5 * times**3
+    expected = 1.0 + nodes - 3.0 * nodes**2 + 0.5 * nodes**3
+    np.testing.assert_allclose(weights @ cubic, expected, rtol=1e-9)
 
 
-def test_the_noise_of_a_value_is_that_of_its_weights():
-    noise = np.random.default_rng(1).standard_normal(COUNT)
+@pytest.mark.parametrize("times", [TIMES, UNEVEN], ids=["even", "uneven"])
+def test_white_noise_stays_white_and_values_stand_for_all_samples(times):
+    _, weights = block_values(BLOCKS, times)
+    covariance = (weights @ weights.T).toarray()
+    variances = np.diag(covariance)
+    np.testing.assert_allclose(covariance, np.diag(variances), atol=1e-12)
+    np.testing.assert_allclose((1.0 / variances).reshape(-1, NODES).sum(axis=1), LENGTH)
+
+
+def test_a_sum_of_squares_of_what_is_slow_stays_as_it_is():
+    slow = np.sin(3.0 * TIMES)
     _, weights = block_values(BLOCKS, TIMES)
-    size = np.sqrt(np.asarray(weights.power(2).sum(axis=1)).ravel())
-    np.testing.assert_allclose(size, 1.5 / np.sqrt(LENGTH), rtol=0.01)
-    assert np.std(weights @ noise) == pytest.approx(float(size[0]), rel=0.15)
+    variances = np.asarray(weights.power(2).sum(axis=1)).ravel()
+    assert np.sum((weights @ slow) ** 2 / variances) == pytest.approx(np.sum(slow**2), rel=1e-9)
+
+
+def test_nodes_at_samples_are_samples():
+    nodes, weights = block_values(BLOCKS, TIMES, at_samples=True)
+    assert set(nodes) <= set(TIMES)
+    np.testing.assert_allclose(weights @ TIMES**2, nodes**2, atol=1e-12)
 
 
 def test_blocks_in_which_a_signal_jumps_are_poor_and_those_of_noise_are_not():
