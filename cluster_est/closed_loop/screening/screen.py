@@ -70,7 +70,7 @@ def screen(workbench: LoopWorkbench, fitted: FittedModel, step: int) -> Screenin
         )
 
     def best(scores: ScoreTests, generator: np.random.Generator) -> float:
-        return min(ranking.unseen * family_wise(scores, generator, draws).p, 1.0)
+        return min(ranking.unseen * family_wise(scores, generator, draws), 1.0)
 
     tests: list[Callable[[], Any]] = [
         lambda: smooth(ranking.residual, streams[0]),
