@@ -32,6 +32,7 @@ from cluster_est.closed_loop.findings.wording import (
 )
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.methods.least_squares.iteration import NOTICEABLE
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.facts import fitted_to_held_out
@@ -71,14 +72,16 @@ class LastFits:
     noise: tuple[NoiseChange, ...] = ()
 
 
-def last_fits(workbench: LoopWorkbench, found: SelectionResult, begin: float) -> LastFits:
+def last_fits(
+    workbench: LoopWorkbench, found: SelectionResult, begin: float, method: LeastSquares = FINAL
+) -> LastFits:
     """Fit both models to convergence from where the search ended, on the rows of a workbench."""
     experiments = workbench.problem.experiments
 
     def fitted(model: FittedModel) -> Result:
         start = model.start
         problem = replace(start.problem, experiments=experiments)
-        return final_fit(workbench, replace(start, problem=problem), begin)
+        return final_fit(workbench, replace(start, problem=problem), begin, method)
 
     before = fitted(found.base)
     after = fitted(found.current) if found.current.added else before
@@ -260,10 +263,21 @@ def _not_converged(before: Result, after: Result) -> tuple[str, ...]:
     )
 
 
-def final_fit(workbench: LoopWorkbench, start: FitStart, begin: float) -> Result:
+def of_many_rows(count: int) -> LeastSquares:
+    """Return the method of the last fits to so many residuals, each simulation of which takes long.
+
+    It takes central differences at the end alone, and ends where steps are below a tenth of the
+    standard errors.
+    """
+    return replace(FINAL, differences="auto", ftol=max(FINAL.ftol, 0.25 * NOTICEABLE / count))
+
+
+def final_fit(
+    workbench: LoopWorkbench, start: FitStart, begin: float, method: LeastSquares = FINAL
+) -> Result:
     """Fit to convergence, and simulate every experiment; `begin` as for `complete`."""
     space = workbench.space(start)
-    (solution,) = workbench.runner.run([SearchRequest("final", FINAL, space, workbench.seed)])
+    (solution,) = workbench.runner.run([SearchRequest("final", method, space, workbench.seed)])
     units = {n: v.unit for n, v in workbench.description.variables.items()}
     before = simulate_all(workbench.runner, start.problem, {})
     steps = GuardedSteps()
@@ -272,7 +286,7 @@ def final_fit(workbench: LoopWorkbench, start: FitStart, begin: float) -> Result
         workbench.runner,
         space,
         solution,
-        FINAL,
+        method,
         before,
         units=units,
         seed=workbench.seed,

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 
 from typing_extensions import override
 
-from cluster_est.closed_loop.account import account, last_fits
+from cluster_est.closed_loop.account import account, last_fits, of_many_rows
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.findings.simulation_cost import dear_structures
 from cluster_est.closed_loop.first_pass import open_checked_workbench
@@ -181,7 +181,7 @@ def _confirmed_on_all_rows(
 
     with open_whole_workbench(left(), thin, searching) as whole:
         whole.enter("before and after")
-        fits = last_fits(whole, found, begin)
+        fits = last_fits(whole, found, begin, of_many_rows(whole.size))
         spent.append(SpentSimulations.at(whole))
         noise = whole.noise_in_units(found.noise)
     with reopened(left(), searching) as workbench:
