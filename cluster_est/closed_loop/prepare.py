@@ -138,8 +138,9 @@ def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[Loo
     record = _named(everything.experiments, environment.monitor.record)
     meter = SimulationMeter(everything.experiments, record)
     with one_blas_thread(), environment.executor(everything) as executor:
+        runner = environment.runner(executor, record=meter, whole=True)
         yield LoopWorkbench(
-            runner=environment.runner(executor, record=meter, whole=True),
+            runner=runner,
             problem=problem,
             description=description,
             settings=settings,
@@ -152,6 +153,7 @@ def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[Loo
             sites=_sites(problem, description),
             notes=_notes(problem, description),
         )
+        runner.forget()
 
 
 def _named(experiments: Sequence[Experiment], record: Record | None) -> Record | None:

@@ -6,8 +6,9 @@ B an orthonormal basis of P D, T the statistic.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 from scipy.linalg.lapack import dpstrf
@@ -76,12 +77,17 @@ class ScoreTests:
         """p-value of each candidate alone, 1 for those set aside."""
         return np.exp(self.log_p)
 
+    def without_bases(self) -> Self:
+        """Return the tests alone: bases are by far the largest part."""
+        return replace(self, bases=np.zeros((len(self.bases), 0)))
+
 
 def score(
     projection: OrthogonalProjection,
     residuals: FloatArray,
     columns: Sequence[FloatArray],
     confounded: float = CONFOUNDED,
+    change: Callable[[FloatArray], FloatArray] | None = None,
 ) -> ScoreTests:
     """Test for each candidate whether adding it would reduce the residual more than noise allows.
 
@@ -104,10 +110,13 @@ def score(
         Change of the residuals with each of a candidate's coefficients, d is 1 for most.
     confounded
         Share of a direction that must lie outside the declared parameters.
+    change
+        What is done to each of the columns before.
     """
     sizes = [column.shape[1] for column in columns]
-    # concatenated by rows of the transposes, so that each column is contiguous
-    units = np.concatenate([column.T for column in columns] or [np.zeros((0, len(residuals)))])
+    units = np.empty((sum(sizes), len(residuals)))  # transposed: each column is contiguous
+    for (start, stop), column in zip(_blocks(sizes), columns, strict=True):
+        units[start:stop] = (column if change is None else change(column)).T
     owners = np.repeat(np.arange(len(columns)), sizes)
     lengths = _normalise(units)
     bases = projection.remove(units.T).T
@@ -122,7 +131,9 @@ def score(
     ratio = np.sqrt(_summed((lengths * shares) ** 2, owners, len(columns)))
     total = np.sqrt(_summed(lengths**2, owners, len(columns)))
     ratio /= np.where(total > 0.0, total, 1.0)
-    return _tested(projection, residuals, bases[usable].T, owners[usable], ratio)
+    del units  # each copy is large
+    bases = bases[usable]
+    return _tested(projection, residuals, bases.T, owners[usable], ratio)
 
 
 def family_wise(scores: ScoreTests, generator: np.random.Generator, draws: int = 2000) -> float:
