@@ -31,6 +31,7 @@ from cluster_est.closed_loop.findings.wording import (
     where_left,
 )
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
+from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.methods.least_squares.iteration import NOTICEABLE
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
@@ -72,19 +73,51 @@ class LastFits:
     noise: tuple[NoiseChange, ...] = ()
 
 
-def last_fits(
-    workbench: LoopWorkbench, found: SelectionResult, begin: float, method: LeastSquares = FINAL
+def last_fits(workbench: LoopWorkbench, found: SelectionResult, begin: float) -> LastFits:
+    """Fit both models to convergence from where the search ended."""
+    starts = [model.start for model in _last_models(found)]
+    return _fitted_from(workbench, found, starts, begin, FINAL)
+
+
+def last_fits_to_all_rows(
+    workbench: LoopWorkbench,
+    found: SelectionResult,
+    starts: Sequence[FitStart],
+    begin: float,
 ) -> LastFits:
-    """Fit both models to convergence from where the search ended, on the rows of a workbench."""
+    """Do so on a workbench with all rows, from what is best on fewer; see `best_on_few_rows`."""
     experiments = workbench.problem.experiments
+    moved = [
+        replace(start, problem=replace(start.problem, experiments=experiments)) for start in starts
+    ]
+    return _fitted_from(workbench, found, moved, begin, _of_many_rows(workbench.size))
 
-    def fitted(model: FittedModel) -> Result:
-        start = model.start
-        problem = replace(start.problem, experiments=experiments)
-        return final_fit(workbench, replace(start, problem=problem), begin, method)
 
-    before = fitted(found.base)
-    after = fitted(found.current) if found.current.added else before
+def best_on_few_rows(workbench: LoopWorkbench, found: SelectionResult) -> list[FitStart]:
+    """Fit both models to convergence on thinned records, for a fit to all rows to start from.
+
+    A search does not fit to convergence, and along a bent valley that takes many iterations, each
+    of which costs as much more as there are more rows.
+    """
+    starts = [model.start for model in _last_models(found)]
+    fits = workbench.fit(LoopStage.FINAL, starts, _of_many_rows(workbench.size))
+    return [s if fit is None else fit.start for s, fit in zip(starts, fits, strict=True)]
+
+
+def _last_models(found: SelectionResult) -> list[FittedModel]:
+    """The declared model, and the one with effects where there are some."""
+    return [found.base, found.current] if found.current.added else [found.base]
+
+
+def _fitted_from(
+    workbench: LoopWorkbench,
+    found: SelectionResult,
+    starts: Sequence[FitStart],
+    begin: float,
+    method: LeastSquares,
+) -> LastFits:
+    fits = [final_fit(workbench, start, begin, method) for start in starts]
+    before, after = fits[0], fits[-1]
     changes = [error_changes(workbench, found, before, each) for each in (after, before)]
     return LastFits(before, after, changes[0], changes[1])
 
@@ -263,7 +296,7 @@ def _not_converged(before: Result, after: Result) -> tuple[str, ...]:
     )
 
 
-def of_many_rows(count: int) -> LeastSquares:
+def _of_many_rows(count: int) -> LeastSquares:
     """Return the method of the last fits to so many residuals, each simulation of which takes long.
 
     It takes central differences at the end alone, and ends where steps are below a tenth of the
