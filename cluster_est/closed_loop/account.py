@@ -90,18 +90,37 @@ def last_fits_to_all_rows(
     moved = [
         replace(start, problem=replace(start.problem, experiments=experiments)) for start in starts
     ]
-    return _fitted_from(workbench, found, moved, begin, _of_many_rows(workbench.size))
+    near = _straight_fits(workbench, moved)
+    return _fitted_from(workbench, found, near, begin, _of_many_rows(workbench.size))
 
 
 def best_on_few_rows(workbench: LoopWorkbench, found: SelectionResult) -> list[FitStart]:
     """Fit both models to convergence on thinned records, for a fit to all rows to start from.
 
-    A search does not fit to convergence, and along a bent valley that takes many iterations, each
-    of which costs as much more as there are more rows.
+    A search does not fit to convergence, and what is left takes iterations each of which costs as
+    much more as there are more rows.
     """
-    starts = [model.start for model in _last_models(found)]
-    fits = workbench.fit(LoopStage.FINAL, starts, _of_many_rows(workbench.size))
-    return [s if fit is None else fit.start for s, fit in zip(starts, fits, strict=True)]
+    return _straight_fits(workbench, [model.start for model in _last_models(found)])
+
+
+def _straight_fits(workbench: LoopWorkbench, starts: Sequence[FitStart]) -> list[FitStart]:
+    """Start from fits in the values of the parameters, no logarithms among them.
+
+    Two terms that the data hardly tell apart, such as two dampings, keep their sum along the
+    valley between them. It is straight in their values, and bent in their logarithms, so that many
+    short steps would follow it.
+    """
+    straight = [
+        replace(start, problem=replace(start.problem, parameters=linear))
+        for start in starts
+        for linear in [tuple(replace(p, scale="linear") for p in start.problem.parameters)]
+    ]
+    method = replace(_of_many_rows(workbench.size), differences="forward")
+    fits = workbench.fit(LoopStage.FINAL, straight, method)
+    return [
+        start if fit is None else replace(start, values=fit.estimates)
+        for start, fit in zip(starts, fits, strict=True)
+    ]
 
 
 def _last_models(found: SelectionResult) -> list[FittedModel]:
