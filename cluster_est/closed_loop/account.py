@@ -115,7 +115,7 @@ def _straight_fits(workbench: LoopWorkbench, starts: Sequence[FitStart]) -> list
         for start in starts
         for linear in [tuple(replace(p, scale="linear") for p in start.problem.parameters)]
     ]
-    method = replace(_of_many_rows(workbench.size), differences="forward")
+    method = replace(_of_many_rows(workbench.size), differences="forward", secant_updates=5)
     fits = workbench.fit(LoopStage.FINAL, straight, method)
     return [
         start if fit is None else replace(start, values=fit.estimates)
@@ -318,10 +318,9 @@ def _not_converged(before: Result, after: Result) -> tuple[str, ...]:
 def _of_many_rows(count: int) -> LeastSquares:
     """Return the method of the last fits to so many residuals, each simulation of which takes long.
 
-    It takes central differences at the end alone, and ends where steps are below a tenth of the
-    standard errors.
+    It ends where steps are below a tenth of the standard errors.
     """
-    return replace(FINAL, differences="auto", ftol=max(FINAL.ftol, 0.25 * NOTICEABLE / count))
+    return replace(FINAL, ftol=max(FINAL.ftol, 0.25 * NOTICEABLE / count))
 
 
 def final_fit(
