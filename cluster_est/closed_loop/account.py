@@ -110,17 +110,14 @@ def _straight_fits(workbench: LoopWorkbench, starts: Sequence[FitStart]) -> list
     valley between them. It is straight in their values, and bent in their logarithms, so that many
     short steps would follow it.
     """
-    straight = [
-        replace(start, problem=replace(start.problem, parameters=linear))
-        for start in starts
-        for linear in [tuple(replace(p, scale="linear") for p in start.problem.parameters)]
-    ]
     method = replace(_of_many_rows(workbench.size), differences="forward", secant_updates=5)
-    fits = workbench.fit(LoopStage.FINAL, straight, method)
-    return [
-        start if fit is None else replace(start, values=fit.estimates)
-        for start, fit in zip(starts, fits, strict=True)
-    ]
+    found = []
+    for start in starts:  # one by one: each holds its derivatives by all rows
+        linear = tuple(replace(p, scale="linear") for p in start.problem.parameters)
+        straight = replace(start, problem=replace(start.problem, parameters=linear))
+        (fit,) = workbench.fit(LoopStage.FINAL, [straight], method)
+        found.append(start if fit is None else replace(start, values=fit.estimates))
+    return found
 
 
 def _last_models(found: SelectionResult) -> list[FittedModel]:
