@@ -19,6 +19,7 @@ from cluster_est.cli.printed_runs import print_any_run
 from cluster_est.cli.printing import Cell, number, print_rows, say
 from cluster_est.cli.terminal import (
     EXIT_CODES,
+    alive,
     build_core,
     complain,
     run_as_told,
@@ -107,7 +108,8 @@ def sensitivity(options: Namespace) -> int:
 
 
 def _run(options: Namespace, kind: RunKind) -> int:
-    run = read_study(options.config, options.overrides, kind, allow_code=options.allow_code)
+    with alive(f"reading {options.config}"):
+        run = read_study(options.config, options.overrides, kind, allow_code=options.allow_code)
     build_core()
     end = run_as_told(run, options.out, options)
     if not end.stopped:

@@ -20,6 +20,7 @@ from cluster_est.cli.printing import say
 from cluster_est.run_folder.context import ExistingRun
 from cluster_est.run_folder.run_files import RunStatus
 from cluster_est.run_folder.run_progress import left_of_step, pace_of, what_is_done
+from cluster_est.running.heartbeat import beating
 from cluster_est.running.resources import Budget, Resources, RunSnapshot, Show
 from cluster_est.studies.configured import ConfiguredStudy, Destination, Listener, RunEnd, do_run
 from workers.core.build import built, is_built
@@ -212,7 +213,23 @@ def say_report(run_folder: Path) -> None:
 
 def terminal_listener() -> Listener:
     """Make a listener that prints to standard error, and shows a line while a run goes on."""
-    return Listener(complain, _progress)
+    return Listener(complain, _progress, alive)
+
+
+@contextmanager
+def alive(doing: str) -> Iterator[None]:
+    """Show on a terminal what is done before or after a run, and for how many seconds."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield
+        return
+    with Live(console=console, auto_refresh=False, transient=True) as live:
+
+        def show(snapshot: RunSnapshot) -> None:
+            live.update(Text(f"{doing}, {snapshot.seconds:.0f} s", no_wrap=True), refresh=True)
+
+        with beating(show):
+            yield
 
 
 @contextmanager

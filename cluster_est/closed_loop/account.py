@@ -31,7 +31,9 @@ from cluster_est.closed_loop.findings.wording import (
     where_left,
 )
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
+from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.methods.least_squares.iteration import NOTICEABLE
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.facts import fitted_to_held_out
@@ -72,16 +74,66 @@ class LastFits:
 
 
 def last_fits(workbench: LoopWorkbench, found: SelectionResult, begin: float) -> LastFits:
-    """Fit both models to convergence from where the search ended, on the rows of a workbench."""
+    """Fit both models to convergence from where the search ended."""
+    starts = [model.start for model in _last_models(found)]
+    return _fitted_from(workbench, found, starts, begin, FINAL)
+
+
+def last_fits_to_all_rows(
+    workbench: LoopWorkbench,
+    found: SelectionResult,
+    starts: Sequence[FitStart],
+    begin: float,
+) -> LastFits:
+    """Do so on a workbench with all rows, from what is best on fewer; see `best_on_few_rows`."""
     experiments = workbench.problem.experiments
+    moved = [
+        replace(start, problem=replace(start.problem, experiments=experiments)) for start in starts
+    ]
+    near = _straight_fits(workbench, moved)
+    return _fitted_from(workbench, found, near, begin, _of_many_rows(workbench.size))
 
-    def fitted(model: FittedModel) -> Result:
-        start = model.start
-        problem = replace(start.problem, experiments=experiments)
-        return final_fit(workbench, replace(start, problem=problem), begin)
 
-    before = fitted(found.base)
-    after = fitted(found.current) if found.current.added else before
+def best_on_few_rows(workbench: LoopWorkbench, found: SelectionResult) -> list[FitStart]:
+    """Fit both models to convergence on thinned records, for a fit to all rows to start from.
+
+    A search does not fit to convergence, and what is left takes iterations each of which costs as
+    much more as there are more rows.
+    """
+    return _straight_fits(workbench, [model.start for model in _last_models(found)])
+
+
+def _straight_fits(workbench: LoopWorkbench, starts: Sequence[FitStart]) -> list[FitStart]:
+    """Start from fits in the values of the parameters, no logarithms among them.
+
+    Two terms that the data hardly tell apart, such as two dampings, keep their sum along the
+    valley between them. It is straight in their values, and bent in their logarithms, so that many
+    short steps would follow it.
+    """
+    method = replace(_of_many_rows(workbench.size), differences="forward", secant_updates=5)
+    found = []
+    for start in starts:  # one by one: each holds its derivatives by all rows
+        linear = tuple(replace(p, scale="linear") for p in start.problem.parameters)
+        straight = replace(start, problem=replace(start.problem, parameters=linear))
+        (fit,) = workbench.fit(LoopStage.FINAL, [straight], method)
+        found.append(start if fit is None else replace(start, values=fit.estimates))
+    return found
+
+
+def _last_models(found: SelectionResult) -> list[FittedModel]:
+    """The declared model, and the one with effects where there are some."""
+    return [found.base, found.current] if found.current.added else [found.base]
+
+
+def _fitted_from(
+    workbench: LoopWorkbench,
+    found: SelectionResult,
+    starts: Sequence[FitStart],
+    begin: float,
+    method: LeastSquares,
+) -> LastFits:
+    fits = [final_fit(workbench, start, begin, method) for start in starts]
+    before, after = fits[0], fits[-1]
     changes = [error_changes(workbench, found, before, each) for each in (after, before)]
     return LastFits(before, after, changes[0], changes[1])
 
@@ -260,10 +312,20 @@ def _not_converged(before: Result, after: Result) -> tuple[str, ...]:
     )
 
 
-def final_fit(workbench: LoopWorkbench, start: FitStart, begin: float) -> Result:
+def _of_many_rows(count: int) -> LeastSquares:
+    """Return the method of the last fits to so many residuals, each simulation of which takes long.
+
+    It ends where steps are below a tenth of the standard errors.
+    """
+    return replace(FINAL, ftol=max(FINAL.ftol, 0.25 * NOTICEABLE / count))
+
+
+def final_fit(
+    workbench: LoopWorkbench, start: FitStart, begin: float, method: LeastSquares = FINAL
+) -> Result:
     """Fit to convergence, and simulate every experiment; `begin` as for `complete`."""
     space = workbench.space(start)
-    (solution,) = workbench.runner.run([SearchRequest("final", FINAL, space, workbench.seed)])
+    (solution,) = workbench.runner.run([SearchRequest("final", method, space, workbench.seed)])
     units = {n: v.unit for n, v in workbench.description.variables.items()}
     before = simulate_all(workbench.runner, start.problem, {})
     steps = GuardedSteps()
@@ -272,7 +334,7 @@ def final_fit(workbench: LoopWorkbench, start: FitStart, begin: float) -> Result
         workbench.runner,
         space,
         solution,
-        FINAL,
+        method,
         before,
         units=units,
         seed=workbench.seed,

@@ -116,7 +116,8 @@ def with_slim_log(
 
     def slim(origin: TaskOrigin, outcome: Outcome) -> None:
         if record is not None:
-            record(replace(origin, slim=names is None or origin.search in names), outcome)
+            left_out = origin.slim or names is None or origin.search in names
+            record(replace(origin, slim=left_out), outcome)
 
     return replace(environment, monitor=replace(environment.monitor, record=slim))
 

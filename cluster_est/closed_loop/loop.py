@@ -11,11 +11,17 @@ points follows N. R. Kristensen, H. Madsen, S. B. Jorgensen, Comput. Chem. Eng. 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from typing_extensions import override
 
-from cluster_est.closed_loop.account import account, last_fits
+from cluster_est.closed_loop.account import (
+    account,
+    best_on_few_rows,
+    last_fits,
+    last_fits_to_all_rows,
+)
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.findings.simulation_cost import dear_structures
 from cluster_est.closed_loop.first_pass import open_checked_workbench
@@ -155,14 +161,16 @@ def run_loop(request: LoopRequest) -> LoopResult:
             thinned=thin.is_thinner,
         )
         workbench.enter("before and after")
-        result, other = None, None
-        if not thin.is_thinner:
+        result, other, starts = None, None, []
+        if thin.is_thinner:
+            starts = best_on_few_rows(workbench, searched.found)
+        else:
             fits = last_fits(workbench, searched.found, begin)
             result = account(workbench, searched.found, searched.judged, fits)
         added = searched.found.current.added if result is None else result.effects
         last = searched.error_at(searched.found.current) if added else searched.error
     if result is None:
-        result, other = _confirmed_on_all_rows(request, thin, workbench, searched, begin)
+        result, other = _confirmed_on_all_rows(request, thin, workbench, searched, starts, begin)
     seconds, error = time.monotonic() - begin, searched.error
     known = last if result.effects else error
     said = (*error.notes, *(known.notes_with_effects if known is not error else ()))
@@ -187,6 +195,7 @@ def _confirmed_on_all_rows(
     thin: ThinnedProblem,
     searching: LoopWorkbench,
     searched: SearchedModel,
+    starts: Sequence[FitStart],
     begin: float,
 ) -> tuple[LoopResult, PreferredInterpolation | None]:
     """Fit both models to convergence on all rows, and put what was found into words.
@@ -203,7 +212,7 @@ def _confirmed_on_all_rows(
 
     with open_whole_workbench(left(), thin, searching) as whole:
         whole.enter("before and after")
-        fits = last_fits(whole, found, begin)
+        fits = last_fits_to_all_rows(whole, found, starts, begin)
         spent.append(SpentSimulations.at(whole))
         noise = whole.noise_in_units(found.noise)
         other = preferred_interpolation(

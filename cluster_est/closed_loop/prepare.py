@@ -141,8 +141,9 @@ def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[Loo
     record = _named(everything.experiments, environment.monitor.record)
     meter = SimulationMeter(everything.experiments, record)
     with one_blas_thread(), environment.executor(everything) as executor:
+        runner = environment.runner(executor, record=meter, whole=True)
         yield LoopWorkbench(
-            runner=environment.runner(executor, record=meter, whole=True),
+            runner=runner,
             problem=problem,
             description=description,
             settings=settings,
@@ -156,6 +157,7 @@ def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[Loo
             notes=_notes(problem, description),
             noise_of_samples=request.noise_of_samples,
         )
+        runner.forget()
 
 
 def _named(experiments: Sequence[Experiment], record: Record | None) -> Record | None:

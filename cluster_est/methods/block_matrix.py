@@ -112,5 +112,8 @@ class BlockMatrix:
         """Return the whole matrix (residuals, unknowns)."""
         result = np.zeros((self.row_count, self.size))
         for block, columns, rows in zip(self.blocks, self.columns, self.rows, strict=True):
-            result[rows, columns] = block
+            if np.array_equal(columns, np.arange(self.size)):
+                result[rows] = block
+            else:
+                result[rows, columns] = block
         return result

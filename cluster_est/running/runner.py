@@ -112,6 +112,10 @@ class Runner:
         finally:
             budget.evaluations, budget.requests = before
 
+    def forget(self) -> None:
+        """Let go what would answer repeated questions: nothing is asked any more."""
+        self._pending.forget()
+
     def free_instances(self, workers: int) -> ResetPolicy:
         """Have the first workers let their instances go until they are asked again.
 

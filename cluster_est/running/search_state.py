@@ -331,10 +331,14 @@ class PendingTasks:
         kept = (outcome.residuals, outcome.sensitivities)
         size = OUTCOME_BYTES + sum(0 if each is None else each.nbytes for each in kept)
         if self._known_bytes + size > MEMORY_BYTES:
-            self._known.clear()
-            self._known_bytes = 0
+            self.forget()
         self._known[question] = outcome
         self._known_bytes += size
+
+    def forget(self) -> None:
+        """Remember no answers any more."""
+        self._known.clear()
+        self._known_bytes = 0
 
     def note(self, outcome: Outcome) -> Outcome:
         """Count and record the outcome of a task; what it is taken for."""

@@ -56,7 +56,8 @@ class OrthogonalProjection:
 
     def remove(self, a: FloatArray) -> FloatArray:
         """P a, of a vector (n,) or of the columns of a matrix (n, m)."""
-        left: FloatArray = a - self.basis @ (self.basis.T @ a)
+        left: FloatArray = self.basis @ (self.basis.T @ a)
+        np.subtract(a, left, out=left)  # of many columns each copy is large
         return left
 
 

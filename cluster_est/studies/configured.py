@@ -95,10 +95,13 @@ class Listener:
         Called with sentences that a user should know.
     progress
         Makes, for its resources, a context that shows how far the run is.
+    alive
+        Makes a context that shows what is done when the run is over.
     """
 
     say: Callable[[str], None]
     progress: Callable[[Resources], AbstractContextManager[Show]]
+    alive: Callable[[str], AbstractContextManager[None]] = lambda _: nullcontext()
 
 
 @dataclass(frozen=True)
@@ -246,7 +249,8 @@ def do_run(
         return _stopped(error, context)
     finally:
         if to.report and context.folder is not None:
-            _write_report(to.out, listener)
+            with listener.alive("writing the report"):
+                _write_report(to.out, listener)
     return RunEnd(status)
 
 

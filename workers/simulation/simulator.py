@@ -317,7 +317,7 @@ class Simulator:
             run = self._integrator.run(bound, values[chunk], effects)
             for p, outputs in enumerate(run.outputs):
                 bound_effects.apply_to_outputs(bound.grid, outputs, coefficients[chunk][p])
-            kept = np.searchsorted(bound.grid.times, without_effects.grid.times)
+            kept = _kept(bound, without_effects)
             batch.outputs[chunk] = run.outputs[:, kept, : len(without_effects.outputs)]
             batch.codes[chunk], batch.steps[chunk] = run.codes, run.steps
             batch.messages[chunk] = run.messages
@@ -343,7 +343,7 @@ class Simulator:
         batch = SimulationBatch.empty(
             len(values), len(without_effects.grid.times), len(without_effects.outputs)
         )
-        kept = np.searchsorted(bound.grid.times, without_effects.grid.times)
+        kept = _kept(bound, without_effects)
         for p in range(len(values)):
             one = slice(p, p + 1)
             acting_here = effects.at_points(
@@ -375,3 +375,11 @@ class Simulator:
                 f"{self._model.name}: process noise needs model.interface model_exchange and the "
                 f"solver dormand_prince or rk4, but they are {self._model.interface} and {solver}"
             )
+
+
+def _kept(bound: BoundExperiment, without_effects: BoundExperiment) -> IntArray | slice:
+    """Return which times of an experiment with effects are those of the one without them."""
+    times, wanted = bound.grid.times, without_effects.grid.times
+    if len(times) == len(wanted):  # the latter are among the former
+        return slice(None)
+    return np.asarray(np.searchsorted(times, wanted))

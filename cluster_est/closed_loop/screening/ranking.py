@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 
@@ -75,6 +76,10 @@ class CandidateRanking:
         kept = {t.candidate.effect for t, df in zip(self.trials, self.plain.df, strict=True) if df}
         return max(1, round(len(kept) * self.unseen))
 
+    def without_bases(self) -> Self:
+        """Return it without the bases of its scores."""
+        return replace(self, plain=self.plain.without_bases(), white=self.white.without_bases())
+
     def leaders(self, scores: ScoreTests, most: int, *, free: bool = False) -> list[int]:
         """The best trial of each named candidate, or of each free curve; the best first."""
         rank = scores.statistics - self.column_penalty * np.maximum(scores.df - 1, 0)
@@ -117,7 +122,7 @@ def rank(workbench: LoopWorkbench, fitted: FittedModel) -> CandidateRanking:
         rows=rows,
         records=records,
         plain=score(plain.projection, plain.residuals, columns, least),
-        white=score(white.projection, white.residuals, [whitened(c) for c in columns], least),
+        white=score(white.projection, white.residuals, columns, least, whitened),
         residual=plain,
         residual_white=white,
         unseen=max(possible / max(len(candidates), 1), 1.0),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -44,6 +44,14 @@ class ScreeningResult:
         """Different candidates that the parameters do not confound."""
         return self.ranking.count
 
+    def without_bases(self) -> Self:
+        """Return it without what looks for pairs of candidates: some 100 MB."""
+        return replace(self, ranking=self.ranking.without_bases())
+
+    def without_directions(self) -> Self:
+        """Return what is told of it when its round is over."""
+        return replace(self, ranking=replace(self.ranking.without_bases(), columns=()))
+
 
 def screen(workbench: LoopWorkbench, fitted: FittedModel, step: int) -> ScreeningResult:
     """Rank every candidate at a fit, and test the best.
@@ -70,7 +78,7 @@ def screen(workbench: LoopWorkbench, fitted: FittedModel, step: int) -> Screenin
         )
 
     def best(scores: ScoreTests, generator: np.random.Generator) -> float:
-        return min(ranking.unseen * family_wise(scores, generator, draws).p, 1.0)
+        return min(ranking.unseen * family_wise(scores, generator, draws), 1.0)
 
     tests: list[Callable[[], Any]] = [
         lambda: smooth(ranking.residual, streams[0]),
@@ -82,6 +90,7 @@ def screen(workbench: LoopWorkbench, fitted: FittedModel, step: int) -> Screenin
     for done, test in enumerate(tests):
         workbench.runner.display.step(LoopStage.TESTS.value, done, len(tests))
         found.append(test())
+    ranking = replace(ranking, white=ranking.white.without_bases())  # which these tests alone need
     return ScreeningResult(ranking, *found)
 
 

@@ -101,6 +101,7 @@ def beam_search(
             break
         search.replace_by_single(whole=True)
         reached(search.result(predicted, noise))
+        del screened, begun, end  # the next ones are as large
     return search.result(predicted, noise)
 
 
@@ -158,13 +159,14 @@ class _Search:
             self.beside,
             numerical,
         )
-        self.first = self.first or begun
+        self.first = self.first or replace(begun, screening=screened.without_bases())
         self.passed.add(self.current.structure)
         return begun
 
     def note(self, end: RoundEnd) -> None:
         """Note what a round has looked at."""
-        self.steps.append(end.seen)
+        seen = replace(end.seen, screening=end.seen.screening.without_directions())
+        self.steps.append(seen)
         number = len(self.steps)
         self.seen += noted(self.workbench, self.current, end, number)
         self.path += compared_structures(self.workbench, self.base, end, self.floor, number)

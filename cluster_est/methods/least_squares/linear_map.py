@@ -37,6 +37,9 @@ from cluster_est.methods.method import Evaluation
 from cluster_est.problem.search_space import SearchSpace
 from workers.messages import FloatArray, IntArray
 
+LARGE_MATRIX, PART_OF_MATRIX = 2**21, 2**17
+"""Entries of a Jacobian that is reduced part by part, and of such a part: 16 MB, and 1 MB."""
+
 LARGEST_RATIO = 1e10
 """Columns whose sizes differ by more than this are brought to one size before they are factored."""
 
@@ -68,8 +71,12 @@ class StepSolver:
         upper: FloatArray,
     ) -> None:
         self._units = _units(scale)
-        joined = np.column_stack([matrix / self._units, residuals])
-        self._triangle = np.asarray(np.linalg.qr(joined, mode="r"), np.float64)
+        factors = [
+            np.linalg.qr(np.column_stack([matrix[part] / self._units, residuals[part]]), mode="r")
+            for part in _parts(matrix)
+        ]
+        whole = factors[0] if len(factors) == 1 else np.linalg.qr(np.vstack(factors), mode="r")
+        self._triangle = np.asarray(whole, np.float64)
         self._scale = scale / self._units
         self._lower, self._upper = lower * self._units, upper * self._units
 
@@ -96,6 +103,20 @@ class StepSolver:
         moved[:-1] = step * self._units
         values = self._triangle @ moved
         return float(values @ values)
+
+
+def _parts(matrix: FloatArray) -> list[slice]:
+    """Return the rows of a large matrix part by part; all at once of others.
+
+    What is made of a part stays in the cache of a processor, and takes no memory beside the matrix
+    (the factor of all is that of the factors: J. Demmel, L. Grigori, M. Hoemmen, J. Langou, SIAM J.
+    Sci. Comput. 34 (2012) A206-A239, doi:10.1137/080731992).
+    """
+    count, width = matrix.shape
+    if matrix.size <= LARGE_MATRIX:
+        return [slice(None)]
+    rows = max(PART_OF_MATRIX // width, width)
+    return [slice(first, first + rows) for first in range(0, count, rows)]
 
 
 def _units(scale: FloatArray) -> FloatArray:
@@ -280,7 +301,8 @@ class _DenseMatrix:
         self.matrix = matrix
 
     def norms(self) -> FloatArray:
-        return np.asarray(np.linalg.norm(self.matrix, axis=0))
+        parts = [np.linalg.norm(self.matrix[part], axis=0) for part in _parts(self.matrix)]
+        return np.asarray(parts[0] if len(parts) == 1 else np.linalg.norm(parts, axis=0))
 
     def transposed_product(self, values: FloatArray) -> FloatArray:
         return np.asarray(self.matrix.T @ values)
@@ -336,7 +358,9 @@ class LocalModel:
         if derivatives.blocks.sparse:
             self._jacobian = derivatives.blocks.scaled_rows(self._roots)
         else:
-            self._jacobian = _DenseMatrix(self._roots[:, None] * derivatives.matrix)
+            plain = bool((self._roots == 1.0).all())  # no second copy of what may be large
+            matrix = derivatives.matrix
+            self._jacobian = _DenseMatrix(matrix if plain else self._roots[:, None] * matrix)
         with np.errstate(over="ignore"):
             self.squares = float(np.add.reduce(self._residuals * self._residuals))
         norms = self._jacobian.norms()

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pyarrow.compute as pc
 import pytest
 from support.truth.systems_with_missing_effects import measured, missing_effect_problem, waves
 
@@ -13,6 +14,7 @@ from cluster_est.closed_loop.loop import ClosedLoop
 from cluster_est.html_report.reported_run import read_run
 from cluster_est.problem.thinning import MOST_ROWS, ThinningSettings, thinned
 from cluster_est.run_folder.context import ExistingRun, RunContext
+from cluster_est.run_folder.log_segment import read_log
 from cluster_est.run_folder.run_identity import RunIdentity, RunKind
 from cluster_est.running.environment import Monitor, RunEnvironment
 from workers.messages import FloatArray
@@ -55,8 +57,13 @@ def problem() -> ce.Problem:
     return long_springs(past_dead_zone)
 
 
-def test_what_is_found_on_thinned_records_is_confirmed_on_all_rows(problem):
-    result = ce.close_loop(problem, settings=SETTINGS)
+@pytest.fixture(scope="module")
+def found(problem):
+    return ce.close_loop(problem, settings=SETTINGS)
+
+
+def test_what_is_found_on_thinned_records_is_confirmed_on_all_rows(found):
+    result = found
     assert result.verdict is Verdict.FOUND
     (effect,) = result.effects
     assert effect.effect.form == "dead_zone"
@@ -106,3 +113,35 @@ def test_a_loop_that_is_stopped_leaves_what_its_last_round_has_found(problem, tm
     assert [effect["form"] for effect in run.facts["effects"]] == ["dead_zone"]
     assert run.finished
     assert len(run.tables["errors"]) == len(problem.experiments)
+
+
+def test_a_loop_that_is_stopped_in_its_last_fits_goes_on_to_the_same_result(
+    problem, found, tmp_path
+):
+    out = tmp_path / "run"
+    identity = RunIdentity(RunKind.CLOSED_LOOP, problem, "# no config\n", "", 0)
+    study = ClosedLoop(problem, SETTINGS, thinning=ThinningSettings(rows="auto"))
+
+    def run(existing, told):
+        context = RunContext(identity, out, existing, lambda _: None)
+        kept = context.monitor(lambda _: None)
+        monitor = replace(kept, record=lambda *simulated: told(kept.record, *simulated))
+        with context:
+            result = study.run(RunEnvironment(monitor=monitor, earlier=context.earlier))
+            context.finish(result)
+        return result
+
+    def stop_on_all_rows(record, origin, outcome):
+        record(origin, outcome)
+        if origin.purpose == "jacobian_central" and len(outcome.residuals) == ROWS:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(ExistingRun.REFUSE, stop_on_all_rows)
+    assert read_run(out).facts["verdict"] == "partial"
+    lengths = pc.list_value_length(read_log(out / "evaluations")["residuals"])
+    assert 0 < pc.max(lengths).as_py() < ROWS  # of all rows the log keeps hashes alone
+
+    resumed = run(ExistingRun.RESUME, lambda record, *simulated: record(*simulated))
+    assert (resumed.verdict, resumed.x) == (found.verdict, found.x)
+    np.testing.assert_array_equal(resumed.fun, found.fun)

@@ -2,8 +2,10 @@ import io
 import math
 import subprocess
 import sys
+import threading
 import tomllib
 from dataclasses import replace
+from functools import partial
 
 import pytest
 from rich.console import Console
@@ -12,6 +14,7 @@ from support.problems.springs import ROOT
 from cluster_est.cli import main, terminal
 from cluster_est.cli.terminal import ProgressLine, WorkerHint, line
 from cluster_est.methods.method import Progress
+from cluster_est.running.heartbeat import beating
 from cluster_est.running.resources import Budget, RunSnapshot
 
 
@@ -144,3 +147,29 @@ def test_more_workers_are_proposed_once_where_they_would_help():
     assert "executor.workers=3 would be faster" in sentence
     assert said(3, 30, 8, 3) == [], "no more than executor.instances are started"
     assert said(8, 30, 8) == said(4, 3, 8) == []
+
+
+class _Written(io.StringIO):
+    """Text that says when a part of it is there."""
+
+    def __init__(self, wanted: str) -> None:
+        super().__init__()
+        self._wanted, self.there = wanted, threading.Event()
+
+    def write(self, text: str) -> int:
+        count = super().write(text)
+        if self._wanted in self.getvalue():
+            self.there.set()
+        return count
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_a_terminal_alone_sees_that_reading_goes_on(monkeypatch, is_terminal):
+    written = _Written("reading config.toml, 0 s")
+    console = Console(file=written, force_terminal=is_terminal, width=80)
+    monkeypatch.setattr(terminal, "Console", lambda **_: console)
+    monkeypatch.setattr(terminal, "beating", partial(beating, seconds=0.01))
+    with terminal.alive("reading config.toml"):
+        if is_terminal:
+            assert written.there.wait(60.0)
+    assert bool(written.getvalue()) is is_terminal

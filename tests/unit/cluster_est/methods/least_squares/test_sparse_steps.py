@@ -5,7 +5,12 @@ import numpy as np
 import pytest
 
 from cluster_est.methods.block_matrix import BlockMatrix
-from cluster_est.methods.least_squares.linear_map import FactoredBlocks, FactoredChains
+from cluster_est.methods.least_squares import linear_map
+from cluster_est.methods.least_squares.linear_map import (
+    FactoredBlocks,
+    FactoredChains,
+    StepSolver,
+)
 from cluster_est.methods.least_squares.sparse_step import SparseStepSolver, within_bounds
 
 DAMPINGS = (1e-14, 1e-6, 1e-3, 1.0, 1e6)
@@ -194,3 +199,20 @@ class TestActiveSet:
         limit = np.full(matrix.size, 1e-3)
         found = within_bounds(solve, lambda x: (x, 1.0), -limit, limit, rounds=1)
         assert (np.abs(found) <= limit).all()
+
+
+@pytest.mark.parametrize("rows", [3, 100, 1001])
+def test_a_large_jacobian_gives_the_same_steps_part_by_part(rows, monkeypatch):
+    generator = np.random.default_rng(5)
+    matrix, residuals = generator.normal(size=(rows, 7)), generator.normal(size=rows)
+    matrix[:, 3] = 0.0
+    scale = np.maximum(np.linalg.norm(matrix, axis=0), 1.0)
+    bounds = np.full(7, -0.05), np.full(7, 0.02)
+    whole = StepSolver(matrix, residuals, scale, *bounds)
+    monkeypatch.setattr(linear_map, "LARGE_MATRIX", 10)
+    monkeypatch.setattr(linear_map, "PART_OF_MATRIX", 200)
+    parts = StepSolver(matrix, residuals, scale, *bounds)
+    for damping in DAMPINGS:
+        step = whole.step(damping)
+        np.testing.assert_allclose(parts.step(damping), step, rtol=1e-9, atol=1e-8)
+        assert parts.predicted_cost(step) == pytest.approx(whole.predicted_cost(step), rel=1e-12)
