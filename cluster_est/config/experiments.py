@@ -202,6 +202,7 @@ def _experiment(
         outputs=_compared(section, config, measured, start, stop),
         values=tuple((config.values | section.values).items()),
         role=section.role,
+        gaps=section.gaps,
         groups=tuple(section.group.items()),
         signals=signals,
         curve=None if columns is None else _curve(section, columns, start, stop, where),

@@ -14,6 +14,7 @@ from cluster_est.config.sections import Config
 from cluster_est.preflight.subject import CheckFinding, listed, note, passed
 from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.tables.gaps import gap_findings
 from cluster_est.problem.tables.jumps import after_jumps, jump_findings, samples_after
 from cluster_est.problem.tables.stand_ins import stand_ins
 from cluster_est.problem.thinning import thinned
@@ -43,6 +44,7 @@ def data_findings(problem: Problem, description: ModelDescription) -> list[Check
         *_readings(problem),
         *_inputs_without_data(problem, description),
         *_stand_ins(problem),
+        *_gaps_of_records(problem),
         *_bridged(problem, description),
         *_jumping(problem, description),
         *_rounded(problem),
@@ -76,6 +78,14 @@ def _inputs_without_data(problem: Problem, description: ModelDescription) -> lis
         do = driven_or_constant(name)
         lines.append(note(f"input {name}", said, do))
     return lines
+
+
+def _gaps_of_records(problem: Problem) -> list[CheckFinding]:
+    """Return a line for the gaps of each record, with what becomes of what is behind them."""
+    return [
+        passed("gaps", said, do) if treatment == "run through" else note("gaps", said, do)
+        for said, do, treatment in gap_findings(problem.gaps)
+    ]
 
 
 def _bridged(problem: Problem, description: ModelDescription) -> list[CheckFinding]:

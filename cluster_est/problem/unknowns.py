@@ -269,8 +269,18 @@ def _bounds_of_derived(problem: Problem) -> list[ParameterConstraint]:
     return found
 
 
+def part_name(record: str, start: float) -> str:
+    """Return the name of what is behind a gap of a record."""
+    return f"{record} from {start:.10g} s"
+
+
 def label_of(parameter: Parameter, experiment: Experiment) -> str:
-    """Return the label of a parameter's unknown in an experiment."""
+    """Return the label of a parameter's unknown in an experiment.
+
+    What is held out of a record shares the states that it begins with behind a gap.
+    """
+    if experiment.estimates_alone(parameter.target):
+        return f"{parameter.name}[{part_name(experiment.record_id, experiment.start)}]"
     if parameter.per is None:
         return parameter.name
     if parameter.per == "experiment":

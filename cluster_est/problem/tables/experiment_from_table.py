@@ -31,7 +31,16 @@ from cluster_est.problem.tables.measured_table import (
     repeated,
 )
 from workers.fmu.description import nearest
-from workers.messages import Experiment, FloatArray, Input, Interpolation, Output, Role, Value
+from workers.messages import (
+    Experiment,
+    FloatArray,
+    GapRule,
+    Input,
+    Interpolation,
+    Output,
+    Role,
+    Value,
+)
 from workers.messages.checks import (
     as_tuple,
     check_choice,
@@ -127,6 +136,7 @@ def experiment_from_table(
     values: Mapping[str, Value] | None = None,
     role: Role = "train",
     groups: Mapping[str, str] | None = None,
+    gaps: GapRule = "split",
 ) -> Experiment:
     """Make an experiment from a measured table.
 
@@ -180,6 +190,9 @@ def experiment_from_table(
         "train", or "test" for an experiment that is only predicted.
     groups
         Labels by key, for parameters that are per "group:KEY".
+    gaps
+        "split" lets what is behind a gap in which inputs may have moved begin with initial states
+        of its own, which a fit estimates; "bridge" draws inputs through.
 
     Raises
     ------
@@ -222,6 +235,7 @@ def experiment_from_table(
         role=role,
         groups={} if groups is None else groups,  # type: ignore[arg-type]
         signals=driving["signals"],
+        gaps=gaps,
     )
 
 

@@ -1,0 +1,240 @@
+"""Gaps in a record: stretches much longer than its usual step in which inputs were not measured.
+
+A gap is found by the times alone. Whether a model can run through it is a question of its inputs:
+where one is constant, or goes on along one straight line, for as long before the gap and behind it
+as the gap lasts, it is taken to have done so in it too. Anything else may have happened there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from workers.messages import Experiment, FloatArray, Input
+
+LEAST_STEPS = 10
+"""Steps of a signal of which the usual one can be told."""
+STEPS_OF_GAP = 5.0
+"""Usual steps that a gap is longer than: fewer samples that were lost are bridged."""
+SPREADS_OF_GAP = 8.0
+"""Times that a gap exceeds the usual step by, in that by which the longest tenth of steps does:
+of steps that are exponentially distributed, as widely as there is, one of 100,000 does."""
+NEAR = 5
+"""Steps to either side that a gap is compared with too, where a record changes its rate."""
+STRAIGHT = 1e-3
+"""Distance of an input from a straight line around a gap, over its range, that is nothing."""
+NOISES, MOST_NOISE = 4.0, 0.02
+"""The same over the noise of an input, and what that may be of its range at most."""
+REPEATED, EVEN = 0.1, 1.5
+"""Share of samples that repeat the one before up to which a held input may be one that is noted
+when it changes; and how uneven its steps are then, the longest tenth over the usual one."""
+
+Treatment = Literal["split", "left out", "bridged", "run through"]
+
+
+@dataclass(frozen=True)
+class RecordGap:
+    """A gap of a record, and what became of it.
+
+    Attributes
+    ----------
+    record
+        Id of the experiment.
+    first, last
+        The last time before it and the first one behind it, in seconds.
+    missing
+        What was not measured, as "input F"; "" for nothing at all.
+    treatment
+        "split": what is behind it is an experiment of its own. "left out": it is not used.
+        "bridged": inputs are drawn through. "run through": the model may, as nothing moves.
+    why
+        What stands against splitting the record, or leads to what was done; may be "".
+    """
+
+    record: str
+    first: float
+    last: float
+    missing: str
+    treatment: Treatment
+    why: str = ""
+
+    @property
+    def interval(self) -> str:
+        """Its length and times in words."""
+        return f"{self.last - self.first:.3g} s, from {self.first:.10g} to {self.last:.10g} s"
+
+
+@dataclass(frozen=True)
+class InputGap:
+    """A gap in which one or more inputs were not measured.
+
+    Attributes
+    ----------
+    first, last
+        As of `RecordGap`.
+    inputs
+        Which were not.
+    moving
+        Those of them that may have moved.
+    whole
+        Whether nothing at all was measured in it.
+    """
+
+    first: float
+    last: float
+    inputs: tuple[str, ...]
+    moving: tuple[str, ...]
+    whole: bool
+
+    @property
+    def missing(self) -> str:
+        """What was not measured, in words; "" for nothing at all."""
+        return "" if self.whole else named_signals("input", self.inputs)
+
+
+def named_signals(kind: str, names: Sequence[str]) -> str:
+    """Return "input F", or "inputs F and G"."""
+    return f"{kind}{'s' if len(names) > 1 else ''} {' and '.join(names)}"
+
+
+def long_steps(times: FloatArray) -> FloatArray:
+    """Return the gaps between samples, (gaps, 2): the times before and behind each."""
+    steps = np.diff(times)
+    if len(steps) < LEAST_STEPS:
+        return np.zeros((0, 2))
+    usual, long = np.quantile(steps, [0.5, 0.9]).tolist()
+    least = usual + max((STEPS_OF_GAP - 1.0) * usual, SPREADS_OF_GAP * (long - usual))
+    found = [i for i in np.flatnonzero(steps > least).tolist() if _stands_out(steps, i)]
+    return np.array([[times[i], times[i + 1]] for i in found]).reshape(-1, 2)
+
+
+def _stands_out(steps: FloatArray, i: int) -> bool:
+    """Return whether a step is long beside those near it, on either side."""
+    sides = steps[max(i - NEAR, 0) : i], steps[i + 1 : i + 1 + NEAR]
+    near = max(float(np.median(side)) if len(side) else 0.0 for side in sides)
+    return float(steps[i]) > STEPS_OF_GAP * near
+
+
+def input_gaps(experiment: Experiment, holds: Callable[[str], bool]) -> list[InputGap]:
+    """Return the gaps of an experiment's inputs and signals, those that overlap as one.
+
+    Parameters
+    ----------
+    experiment
+        As it was measured.
+    holds
+        Whether an input of this name changes at events alone.
+    """
+    found: list[tuple[float, float, str, bool]] = []
+    for given in (*experiment.inputs, *experiment.signals):
+        held = given.interpolation == "hold" or holds(given.variable)
+        if held and _is_noted_at_changes(given):
+            continue
+        for first, last in long_steps(given.times).tolist():
+            if experiment.start <= first and last <= experiment.stop:
+                goes_on = _goes_on(given, (first, last), held=held)
+                found.append((first, last, given.variable, not goes_on))
+    return [_joined(experiment, group) for group in _overlapping(sorted(found))]
+
+
+def _is_noted_at_changes(given: Input) -> bool:
+    """Return whether an input that keeps its value has samples only where it takes another."""
+    steps = np.diff(given.times)
+    if len(steps) < LEAST_STEPS:
+        return True
+    usual, long = np.quantile(steps, [0.5, 0.9]).tolist()
+    repeats = float(np.mean(np.diff(given.values) == 0.0))
+    return repeats < REPEATED and long > EVEN * usual
+
+
+def _goes_on(given: Input, gap: tuple[float, float], *, held: bool) -> bool:
+    """Return whether an input goes on along a straight line before, in and behind a gap."""
+    extent = float(np.ptp(given.values))
+    if extent == 0.0:
+        return True
+    first, last = gap
+    length = last - first
+    near = (given.times >= first - length) & (given.times <= last + length)
+    times, values = given.times[near], given.values[near]
+    if times[0] > first - 0.5 * length or times[-1] < last + 0.5 * length:
+        return False
+    noise = NOISES * _noise(given.values)
+    tolerance = max(STRAIGHT * extent, min(noise, MOST_NOISE * extent))
+    if held:
+        return bool(0.5 * np.ptp(values) <= tolerance)
+    x = (times - first) / length
+    line = np.polynomial.Polynomial.fit(x, values, 1)
+    return bool(np.max(np.abs(values - line(x))) <= tolerance)
+
+
+def _noise(values: FloatArray) -> float:
+    """The noise of an input by its second differences."""
+    return float(1.4826 * np.median(np.abs(np.diff(values, 2))) / np.sqrt(6.0))
+
+
+def _overlapping(
+    found: Sequence[tuple[float, float, str, bool]],
+) -> Iterator[list[tuple[float, float, str, bool]]]:
+    """Give gaps in groups of those that overlap."""
+    group: list[tuple[float, float, str, bool]] = []
+    for each in found:
+        if group and each[0] >= max(last for _, last, *_ in group):
+            yield group
+            group = []
+        group.append(each)
+    if group:
+        yield group
+
+
+def _joined(experiment: Experiment, group: Sequence[tuple[float, float, str, bool]]) -> InputGap:
+    first, last = min(each[0] for each in group), max(each[1] for each in group)
+    signals = (*experiment.inputs, *experiment.signals, *experiment.outputs)
+    inside = [bool(np.any((s.times > first) & (s.times < last))) for s in signals]
+    names = tuple(dict.fromkeys(each[2] for each in group))
+    moving = tuple(dict.fromkeys(each[2] for each in group if each[3]))
+    return InputGap(first, last, names, moving, not any(inside))
+
+
+MOST_NAMED_GAPS = 4
+"""Gaps of a record that a sentence names."""
+EFFECTS: Mapping[Treatment, tuple[str, str]] = {
+    "split": (
+        "inputs may have moved there, so that what is behind is fitted as a part of its own, with "
+        "initial states that are estimated",
+        'gaps = "bridge" in the experiment draws the inputs through instead',
+    ),
+    "left out": ("inputs may have moved there, and what is behind is left out", ""),
+    "bridged": (
+        "inputs may have moved there, and are drawn through",
+        'gaps = "split" in the experiment lets what is behind begin anew',
+    ),
+    "run through": ("the inputs are known there, and the model runs through", ""),
+}
+"""What became of gaps, and what changes it."""
+
+
+def gap_findings(gaps: Sequence[RecordGap]) -> list[tuple[str, str, Treatment]]:
+    """Return a sentence for the gaps of each record, what can be done, and what was."""
+    groups: dict[tuple[str, Treatment, str, str], list[RecordGap]] = {}
+    for gap in gaps:
+        groups.setdefault((gap.record, gap.treatment, gap.missing, gap.why), []).append(gap)
+    found = []
+    for (record, treatment, missing, why), own in groups.items():
+        named = [gap.interval for gap in own[:MOST_NAMED_GAPS]]
+        more = f" and {len(own) - MOST_NAMED_GAPS} more" if len(own) > MOST_NAMED_GAPS else ""
+        what = f"{missing} not measured" if missing else "nothing measured"
+        count = "a gap of" if len(own) == 1 else f"{len(own)} gaps:"
+        said, do = EFFECTS[treatment]
+        because = f" ({why})" if why else ""
+        found.append(
+            (
+                f"experiment {record} has {count} {'; '.join(named)}{more}, with {what}: "
+                f"{said}{because}",
+                do,
+                treatment,
+            )
+        )
+    return found
