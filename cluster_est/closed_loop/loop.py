@@ -42,6 +42,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import make_space
 from cluster_est.problem.thinning import ThinnedProblem, ThinningSettings
+from cluster_est.running.arguments import prepared
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Note, Record, Resources, Show
 from cluster_est.running.study import Study, run_study
@@ -117,7 +118,7 @@ def close_loop(
     """
     settings = LoopSettings() if settings is None else settings
     thinning = ThinningSettings() if thinning is None else thinning
-    study = ClosedLoop(problem, settings, seed, thinning)
+    study = ClosedLoop(prepared(problem), settings, seed, thinning)
     return run_study(study, resources, record=record, show=show, note=note)
 
 

@@ -118,6 +118,7 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
         constraints,
         units=tuple(config.model.units.items()),
         tables=tables,
+        gaps=tuple(gap for table in tables for gap in table.gaps),
     )
     problem.describe()
     return split_at_gaps(problem)

@@ -21,6 +21,7 @@ from cluster_est.config.sections import Config, Normalise, TimeBase
 from cluster_est.errors import ConfigError
 from cluster_est.problem.held_out import hold_out, within
 from cluster_est.problem.tables.files import read_table
+from cluster_est.problem.tables.gaps import RecordGap, long_steps, named_signals
 from cluster_est.problem.tables.grades import with_grades
 from cluster_est.problem.tables.measured import (
     Clock,
@@ -124,8 +125,28 @@ def _source(
             table.reading,
             _test(section),
             tuple(notes),
+            _output_gaps(replace(raw, changes=_changes(section)), section),
         )
     ]
+
+
+def _output_gaps(columns: MeasuredColumns, section: ExperimentSection) -> tuple[RecordGap, ...]:
+    """Return the gaps in which outputs were not measured; windows of the user's are none."""
+    if not section.outputs:
+        return ()
+    counted = next(iter(section.outputs.values())).column
+    times = columns.times(section.time, section.sample_time, counted)
+    found: dict[tuple[float, float], list[str]] = {}
+    for name in section.outputs:
+        output = _output(columns, times, section, name)
+        for first, last in long_steps(output.times).tolist():
+            begun = section.start is None or section.start <= first
+            if begun and (section.stop is None or last <= section.stop):
+                found.setdefault((first, last), []).append(name)
+    return tuple(
+        RecordGap(section.id, first, last, named_signals("output", names), "run through")
+        for (first, last), names in sorted(found.items())
+    )
 
 
 def _changes(section: ExperimentSection) -> dict[str, ColumnChange]:

@@ -41,15 +41,24 @@ def split_at_gaps(problem: Problem) -> Problem:
         return problem
     states = RestartableStates.of(problem, description)
     experiments: list[Experiment] = []
-    gaps: list[RecordGap] = list(problem.gaps)
+    gaps: list[RecordGap] = []
     for each in problem.experiments:
         parts, said = _parts(each, found[each.id], states)
         experiments += parts
         gaps += said
     if any(each.own_starts for each in experiments):
         problem = _with_parameters(problem, states.added)
-    kept = tuple(dict.fromkeys(gaps))
-    return replace(problem, experiments=tuple(experiments), gaps=kept)
+    return replace(problem, experiments=tuple(experiments), gaps=_each_once([*gaps, *problem.gaps]))
+
+
+def _each_once(gaps: Sequence[RecordGap]) -> tuple[RecordGap, ...]:
+    """Return gaps without those that overlap an earlier one of their record."""
+    kept: list[RecordGap] = []
+    for gap in gaps:
+        known = [k for k in kept if k.record == gap.record]
+        if not any(k.first < gap.last and gap.first < k.last for k in known):
+            kept.append(gap)
+    return tuple(kept)
 
 
 @dataclass(frozen=True)
@@ -246,4 +255,4 @@ def _driving(given: Input, start: float, stop: float) -> Input:
 
 
 def _said(experiment: Experiment, gap: InputGap, treatment: Treatment, why: str = "") -> RecordGap:
-    return RecordGap(experiment.id, gap.first, gap.last, gap.missing, treatment, why)
+    return RecordGap(experiment.record_id, gap.first, gap.last, gap.missing, treatment, why)

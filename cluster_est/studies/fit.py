@@ -30,6 +30,7 @@ from cluster_est.running.arguments import (
     check_values,
     checked_resources,
     method_of,
+    prepared,
 )
 from cluster_est.running.environment import RunEnvironment, open_executor
 from cluster_est.running.multistart import (
@@ -339,7 +340,7 @@ def fit(
         If model, experiments, method and machine do not fit together.
     """
     study = Fit(
-        problem,
+        prepared(problem),
         LeastSquares() if method is None else method_of(method),
         seed,
         Multistart() if multistart is None else multistart,
@@ -359,7 +360,7 @@ def simulate(
     ModelError, ProblemError, ExecutorError
         If the FMU cannot be run in this way, or a label is unknown.
     """
-    check_problem(problem)
+    problem = prepared(problem)
     resources = checked_resources(resources)
     check_values(problem, values or {})
     problem.describe()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 from closed_loop_benchmark.system import Array, Run, System
@@ -17,7 +17,7 @@ from closed_loop_benchmark.truth import simulate
 
 Missing = Literal["rows", "cells", "outputs", "inputs"]
 """Rows that are not there, rows without any cell but the time, outputs alone, inputs alone."""
-Decoy = Literal["", "jitter", "slow outputs", "pause at rest", "irregular"]
+Decoy = Literal["", "jitter", "slow outputs", "irregular"]
 
 CASES = 200
 NAMES = (
@@ -87,8 +87,8 @@ class Case:
 
     @property
     def name(self) -> str:
-        kinds = sorted({kind for record in self.records for *_, kind in record.gaps})
-        told = ", ".join(([self.decoy] if self.decoy else []) + kinds) or "nothing"
+        kinds: list[str] = sorted({kind for record in self.records for *_, kind in record.gaps})
+        told = ", ".join([*([self.decoy] if self.decoy else []), *kinds]) or "nothing"
         return f"{self.number:03d} {self.system.name}{' held' if self.held else ''}: {told}"
 
 
@@ -158,7 +158,7 @@ def _measure(
         if held
         else simulate(finer, [replace(run, inputs=every, signals=signals)])[0]
     )
-    return rows * finer.interval, values, found[rows]
+    return np.asarray(rows * finer.interval), values, found[rows]
 
 
 def _simulate_held(system: System, run: Run, inputs: Array, signals: Array) -> Array:
@@ -200,7 +200,7 @@ def _draw(rows: int, random: np.random.Generator, *, pause: bool) -> tuple[Gap, 
         if not free[around].all():
             continue
         free[around] = False
-        kind = cast(Missing, MISSING[int(random.integers(len(MISSING)))])
+        kind = MISSING[int(random.integers(len(MISSING)))]
         found.append(Gap(first, first + length, kind))
     return tuple(sorted(found, key=lambda gap: gap.first))
 

@@ -191,8 +191,9 @@ def _overlapping(
 
 def _joined(experiment: Experiment, group: Sequence[tuple[float, float, str, bool]]) -> InputGap:
     first, last = min(each[0] for each in group), max(each[1] for each in group)
-    signals = (*experiment.inputs, *experiment.signals, *experiment.outputs)
-    inside = [bool(np.any((s.times > first) & (s.times < last))) for s in signals]
+    driving = (*experiment.inputs, *experiment.signals)
+    times = [given.times for given in driving] + [o.times for o in experiment.outputs]
+    inside = [bool(np.any((own > first) & (own < last))) for own in times]
     names = tuple(dict.fromkeys(each[2] for each in group))
     moving = tuple(dict.fromkeys(each[2] for each in group if each[3]))
     return InputGap(first, last, names, moving, not any(inside))

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.files import read_table
+from cluster_est.problem.tables.gaps import RecordGap
 from cluster_est.problem.tables.measured_table import MeasuredTable, Reading
 from cluster_est.problem.tables.stand_ins import FoundStandIn, is_missing
 from cluster_est.problem.tables.times import JOINT, TableTimes, read_times
@@ -293,6 +294,17 @@ def interval(
 ) -> tuple[float, float]:
     """The simulated interval: as it is given, else as far as the data goes.
 
+    Parameters
+    ----------
+    start, stop
+        As they are given; None if they are not.
+    times
+        Of the rows, or those at which anything was measured.
+    outputs
+        Of which the last one with a sample ends it.
+    where
+        Opens each message.
+
     Raises
     ------
     DataError
@@ -358,6 +370,8 @@ class TableSource:
         The column that tells tests apart, and the value of this one; None where a file is one.
     notes
         How the file was read, a sentence each.
+    gaps
+        Those in its outputs.
     """
 
     experiment: str
@@ -372,6 +386,7 @@ class TableSource:
     reading: Reading = field(default_factory=Reading)
     test: tuple[str, str] | None = None
     notes: tuple[str, ...] = ()
+    gaps: tuple[RecordGap, ...] = ()
 
     def unused(self) -> UnusedColumns:
         """Read the file again, for its other columns.
