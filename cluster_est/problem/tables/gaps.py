@@ -28,9 +28,9 @@ STRAIGHT = 1e-3
 """Distance of an input from a straight line around a gap, over its range, that is nothing."""
 NOISES, MOST_NOISE = 4.0, 0.02
 """The same over the noise of an input, and what that may be of its range at most."""
-REPEATED, EVEN = 0.1, 1.5
-"""Share of samples that repeat the one before up to which a held input may be one that is noted
-when it changes; and how uneven its steps are then, the longest tenth over the usual one."""
+REPEATED, WITH_OUTPUTS = 0.1, 0.5
+"""Up to which a held input is one that is noted when it changes: the share of samples that repeat
+the one before, and that of the outputs' samples at whose times it has one."""
 
 Treatment = Literal["split", "left out", "bridged", "run through"]
 
@@ -131,7 +131,7 @@ def input_gaps(experiment: Experiment, holds: Callable[[str], bool]) -> list[Inp
     found: list[tuple[float, float, str, bool]] = []
     for given in (*experiment.inputs, *experiment.signals):
         held = given.interpolation == "hold" or holds(given.variable)
-        if held and _is_noted_at_changes(given):
+        if held and _is_noted_at_changes(given, experiment):
             continue
         for first, last in long_steps(given.times).tolist():
             if experiment.start <= first and last <= experiment.stop:
@@ -140,14 +140,12 @@ def input_gaps(experiment: Experiment, holds: Callable[[str], bool]) -> list[Inp
     return [_joined(experiment, group) for group in _overlapping(sorted(found))]
 
 
-def _is_noted_at_changes(given: Input) -> bool:
+def _is_noted_at_changes(given: Input, experiment: Experiment) -> bool:
     """Return whether an input that keeps its value has samples only where it takes another."""
-    steps = np.diff(given.times)
-    if len(steps) < LEAST_STEPS:
-        return True
-    usual, long = np.quantile(steps, [0.5, 0.9]).tolist()
-    repeats = float(np.mean(np.diff(given.values) == 0.0))
-    return repeats < REPEATED and long > EVEN * usual
+    if len(given.values) < 2 or np.mean(np.diff(given.values) == 0.0) >= REPEATED:
+        return False
+    measured = np.concatenate([np.zeros(0), *(output.times for output in experiment.outputs)])
+    return not len(measured) or bool(np.mean(np.isin(measured, given.times)) < WITH_OUTPUTS)
 
 
 def _goes_on(given: Input, gap: tuple[float, float], *, held: bool) -> bool:
