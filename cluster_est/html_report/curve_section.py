@@ -21,6 +21,7 @@ from cluster_est.html_report.page_blocks import (
     with_unit,
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row
+from cluster_est.problem.tables.gaps import long_steps
 from workers.messages import FloatArray, IntArray
 
 
@@ -247,6 +248,10 @@ def _distances(name: str, each: OutputCurves, columns: int) -> Chart:
 
 
 def _thinned(name: str, x: FloatArray, y: FloatArray, columns: int) -> Line:
+    """Return a line through samples, but not across gaps between them."""
+    gaps = long_steps(x)
+    behind = np.searchsorted(x, gaps[:, 1])
+    x, y = np.insert(x, behind, gaps.mean(axis=1)), np.insert(y, behind, np.nan)
     kept = extremes(x, y, columns)
     return Line(name, name, x[kept], y[kept])
 
