@@ -18,10 +18,10 @@ from workers.messages import Experiment, FloatArray, Input
 LEAST_STEPS = 10
 """Steps of a signal of which the usual one can be told."""
 STEPS_OF_GAP = 5.0
-"""Usual steps that a gap is longer than: fewer samples that were lost are bridged."""
-SPREADS_OF_GAP = 8.0
-"""Times that a gap exceeds the usual step by, in that by which the longest tenth of steps does:
-of steps that are exponentially distributed, as widely as there is, one of 100,000 does."""
+"""Median steps that a gap is longer than: fewer samples that were lost are bridged."""
+LONG_STEPS_OF_GAP, LONG_STEP = 4.0, 0.95
+"""And steps of this quantile: of steps that are exponentially distributed, as widely as there is,
+six in a million are longer."""
 NEAR = 5
 """Steps to either side that a gap is compared with too, where a record changes its rate."""
 STRAIGHT = 1e-3
@@ -50,6 +50,8 @@ class RecordGap:
     treatment
         "split": what is behind it is an experiment of its own. "left out": it is not used.
         "bridged": inputs are drawn through. "run through": the model may, as nothing moves.
+    moving
+        The inputs that may have moved in it.
     why
         What stands against splitting the record, or leads to what was done; may be "".
     """
@@ -59,6 +61,7 @@ class RecordGap:
     last: float
     missing: str
     treatment: Treatment
+    moving: tuple[str, ...] = ()
     why: str = ""
 
     @property
@@ -105,8 +108,8 @@ def long_steps(times: FloatArray) -> FloatArray:
     steps = np.diff(times)
     if len(steps) < LEAST_STEPS:
         return np.zeros((0, 2))
-    usual, long = np.quantile(steps, [0.5, 0.9]).tolist()
-    least = usual + max((STEPS_OF_GAP - 1.0) * usual, SPREADS_OF_GAP * (long - usual))
+    long = float(np.quantile(steps, LONG_STEP, method="lower"))
+    least = max(STEPS_OF_GAP * float(np.median(steps)), LONG_STEPS_OF_GAP * long)
     found = [i for i in np.flatnonzero(steps > least).tolist() if _stands_out(steps, i)]
     return np.array([[times[i], times[i + 1]] for i in found]).reshape(-1, 2)
 
@@ -201,13 +204,13 @@ MOST_NAMED_GAPS = 4
 """Gaps of a record that a sentence names."""
 EFFECTS: Mapping[Treatment, tuple[str, str]] = {
     "split": (
-        "inputs may have moved there, so that what is behind is fitted as a part of its own, with "
-        "initial states that are estimated",
+        " may have moved there, so what is behind begins with initial states of its own, which are "
+        "estimated",
         'gaps = "bridge" in the experiment draws the inputs through instead',
     ),
-    "left out": ("inputs may have moved there, and what is behind is left out", ""),
+    "left out": (" may have moved there, and what is behind is left out", ""),
     "bridged": (
-        "inputs may have moved there, and are drawn through",
+        " may have moved there, and is drawn through in a straight line or held",
         'gaps = "split" in the experiment lets what is behind begin anew',
     ),
     "run through": ("the inputs are known there, and the model runs through", ""),
@@ -217,21 +220,24 @@ EFFECTS: Mapping[Treatment, tuple[str, str]] = {
 
 def gap_findings(gaps: Sequence[RecordGap]) -> list[tuple[str, str, Treatment]]:
     """Return a sentence for the gaps of each record, what can be done, and what was."""
-    groups: dict[tuple[str, Treatment, str, str], list[RecordGap]] = {}
+    groups: dict[tuple[object, ...], list[RecordGap]] = {}
     for gap in gaps:
-        groups.setdefault((gap.record, gap.treatment, gap.missing, gap.why), []).append(gap)
+        same = gap.record, gap.treatment, gap.missing, gap.moving, gap.why
+        groups.setdefault(same, []).append(gap)
     found = []
-    for (record, treatment, missing, why), own in groups.items():
+    for own in groups.values():
+        treatment, missing, why = own[0].treatment, own[0].missing, own[0].why
         named = [gap.interval for gap in own[:MOST_NAMED_GAPS]]
         more = f" and {len(own) - MOST_NAMED_GAPS} more" if len(own) > MOST_NAMED_GAPS else ""
         what = f"{missing} not measured" if missing else "nothing measured"
         count = "a gap of" if len(own) == 1 else f"{len(own)} gaps:"
         said, do = EFFECTS[treatment]
         because = f" ({why})" if why else ""
+        who = named_signals("input", own[0].moving) if own[0].moving else ""
         found.append(
             (
-                f"experiment {record} has {count} {'; '.join(named)}{more}, with {what}: "
-                f"{said}{because}",
+                f"experiment {own[0].record} has {count} {'; '.join(named)}{more}, with {what}: "
+                f"{who}{said}{because}",
                 do,
                 treatment,
             )
