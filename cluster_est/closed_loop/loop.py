@@ -46,6 +46,7 @@ from cluster_est.running.arguments import prepared
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Note, Record, Resources, Show
 from cluster_est.running.study import Study, run_study
+from cluster_est.shooting.carried_states import with_carried_states
 
 
 @dataclass(frozen=True)
@@ -131,6 +132,8 @@ def run_loop(request: LoopRequest) -> LoopResult:
         If model, experiments and machine do not fit together, or the data cannot carry a search.
     """
     begin = time.monotonic()
+    known = with_carried_states(request.environment, request.problem)
+    request = replace(request, problem=known)
     if noise_names(request.problem):
         return close_loop_under_noise(request, begin)
     thin = thinned_records(request, request.rows)

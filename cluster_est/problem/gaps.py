@@ -130,7 +130,7 @@ class RestartableStates:
             given = [float(known[name]) for name in names if name in known]
             start = given[0] if given else self.starts[target]
             for output in part.outputs:
-                if output.variable in names and _begins(output, part.start):
+                if output.variable in names and begins_at(output, part.start):
                     start = float(output.values[0])
             low, high = self.limits[target]
             wide = low < start < high
@@ -138,7 +138,7 @@ class RestartableStates:
         return tuple(found)
 
 
-def _begins(output: Output, start: float) -> bool:
+def begins_at(output: Output, start: float) -> bool:
     """Return whether an output is measured where a part begins, as it is."""
     if len(output.times) < 2 or not output.is_plain:
         return False

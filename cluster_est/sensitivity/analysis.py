@@ -45,6 +45,7 @@ from cluster_est.sensitivity.result import (
     with_log_cost,
 )
 from cluster_est.sensitivity.settings import SensitivitySettings
+from cluster_est.shooting.carried_states import with_carried_states
 from cluster_est.toml import dotted
 from cluster_est.uncertainty import linearise
 from workers.messages import FloatArray
@@ -148,8 +149,9 @@ class Sensitivity(Study[SensitivityResult]):
 
     @override
     def run(self, environment: RunEnvironment) -> SensitivityResult:
-        space = check_bounds(self.problem)
-        with one_blas_thread(), environment.executor(self.problem) as executor:
+        problem = with_carried_states(environment, self.problem)
+        space = check_bounds(problem)
+        with one_blas_thread(), environment.executor(problem) as executor:
             runner = environment.runner(executor, whole=True)
             return analyse_on(runner, space, self.settings, self.seed)
 

@@ -42,6 +42,7 @@ from cluster_est.running.resources import Note, Record, Resources, Show, one_bla
 from cluster_est.running.runner import Runner
 from cluster_est.running.sizes import with_sizes
 from cluster_est.running.study import Study, run_study
+from cluster_est.shooting.carried_states import with_carried_states
 from cluster_est.shooting.record_segments import Shooting
 from cluster_est.shooting.shoot import SearchResult, check_shooting, fit_whole_records, shoot
 from cluster_est.uncertainty import (
@@ -136,13 +137,16 @@ class Fit(Study[Result]):
     @override
     def run(self, environment: RunEnvironment) -> Result:
         begin = time.monotonic()
+        known = with_carried_states(environment, self.problem)
+        result = replace(self, problem=known)._run(environment)
+        return replace(result, seconds=time.monotonic() - begin)
+
+    def _run(self, environment: RunEnvironment) -> Result:
         train = self.space()
         with one_blas_thread():
             if self.shooting is None:
-                result = self._searched(environment, train, self._from_starts)
-            else:
-                result = self._through_segments(environment, train, self.shooting)
-        return replace(result, seconds=time.monotonic() - begin)
+                return self._searched(environment, train, self._from_starts)
+            return self._through_segments(environment, train, self.shooting)
 
     def _from_starts(self, runner: Runner, train: SearchSpace) -> SearchResult:
         return SearchResult(
