@@ -32,6 +32,9 @@ REPEATED, WITH_OUTPUTS = 0.1, 0.5
 """Up to which a held input is one that is noted when it changes: the share of samples that repeat
 the one before, and that of the outputs' samples at whose times it has one."""
 
+LONG_UNITS = (("d", 86400.0), ("h", 3600.0))
+"""Units that long gaps are given in too."""
+
 Treatment = Literal["split", "left out", "bridged", "run through"]
 
 
@@ -67,7 +70,9 @@ class RecordGap:
     @property
     def interval(self) -> str:
         """Its length and times in words."""
-        return f"{self.last - self.first:.3g} s, from {self.first:.10g} to {self.last:.10g} s"
+        length = self.last - self.first
+        long = next((f" ({length / s:.3g} {u})" for u, s in LONG_UNITS if length >= 2.0 * s), "")
+        return f"{length:.6g} s{long}, from {self.first:.10g} to {self.last:.10g} s"
 
 
 @dataclass(frozen=True)

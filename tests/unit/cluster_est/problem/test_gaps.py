@@ -8,9 +8,14 @@ from support.problems.springs import TRUE, spring_problem
 from support.truth.exact_linear import position
 
 import cluster_est as ce
+from cluster_est.html_report.charts import Scale
+from cluster_est.html_report.curve_section import broken_line
 from cluster_est.problem.gaps import split_at_gaps
 from cluster_est.problem.search_space import make_space
-from cluster_est.problem.tables.gaps import gap_findings, input_gaps, long_steps
+from cluster_est.problem.tables.gaps import RecordGap, gap_findings, input_gaps, long_steps
+from cluster_est.running.environment import RunEnvironment
+from cluster_est.sensitivity.analysis import check_bounds
+from cluster_est.shooting.carried_states import with_carried_states
 from workers.fmu.description import describe_model
 from workers.messages import Curve, Experiment, Input, Output
 
@@ -232,3 +237,54 @@ def test_splitting_agrees_with_bridging_where_nothing_moves(first, length, level
     rows = {each.label: each for each in split.estimates}
     for name in TRUE:
         assert abs(bridged.x[name] - split.x[name]) < 4.0 * rows[name].std_error
+
+
+def test_states_behind_a_gap_start_where_the_simulated_record_stands():
+    split = split_at_gaps(problem(record(moving(), (TIMES > 2.0) & (TIMES < 2.3))))
+    known = replace(
+        split,
+        parameters=tuple(
+            replace(p, start=TRUE.get(p.name, 0.1 if p.name == "x0" else 0.0))
+            for p in split.parameters
+        ),
+    )
+    carried = with_carried_states(RunEnvironment(), known)
+    assert carried.experiments[0] == split.experiments[0]
+    starts = {own.variable: own.start for own in carried.experiments[1].own_starts}
+    y = position(TIMES, moving(), **TRUE, x0=0.1, v0=0.0)
+    assert starts["x"] == pytest.approx(y[115], abs=4.0 * NOISE)  # as it was measured
+    assert starts["v"] == pytest.approx((y[116] - y[114]) / (2.0 * STEP), abs=0.2)  # a guess
+    whole = problem(record(moving(), np.zeros(300, bool)))
+    assert with_carried_states(RunEnvironment(), whole) is whole
+
+
+def test_states_behind_gaps_are_no_factors_of_a_sensitivity_analysis():
+    split = split_at_gaps(problem(record(moving())))
+    assert [u.label for u in check_bounds(split).unknowns] == ["m", "k", "c", "x0[run]"]
+
+
+def test_a_table_in_memory_says_what_becomes_of_gaps():
+    columns = {"t": TIMES[~HOLE], "F": moving()[~HOLE], "y": np.sin(TIMES[~HOLE])}
+    names = {"time": "t", "inputs": ["F"], "outputs": ["y"]}
+    runs = [
+        ce.Experiment.from_table(columns, id="run", **names, gaps=g) for g in ("split", "bridge")
+    ]
+    assert [len(split_at_gaps(problem(run)).experiments) for run in runs] == [2, 1]
+    with pytest.raises(ce.ClusterEstError, match="gaps"):
+        ce.Experiment.from_table(columns, id="run", **names, gaps="join")
+
+
+@pytest.mark.parametrize(
+    ("length", "said"),
+    [(0.92, "0.92 s, from"), (10800.0, "10800 s (3 h), from"), (864000.0, "864000 s (10 d)")],
+)
+def test_a_long_gap_is_given_in_hours_or_days_too(length, said):
+    assert RecordGap("run", 1.0, 1.0 + length, "", "split").interval.startswith(said)
+
+
+def test_no_line_is_drawn_across_a_gap():
+    times = TIMES[~HOLE]
+    line = broken_line("measured", times, np.sin(times), 600)
+    drawn = line.data(Scale.around(times), Scale.around(np.sin(times)))
+    assert drawn.count("M") == 2
+    assert broken_line("measured", TIMES, np.sin(TIMES), 600).x.tolist() == TIMES.tolist()
