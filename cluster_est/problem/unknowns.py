@@ -219,6 +219,8 @@ def expand(problem: Problem, experiments: Sequence[Experiment]) -> tuple[Constra
         parameters = [p for p in problem.parameters if p.name in needed]
         seen: dict[tuple[object, ...], int] = {}
         for position, experiment in enumerate(experiments):
+            if any(experiment.estimates_alone(p.target) for p in parameters):
+                continue  # it is said of how a record begins, not of what is behind its gaps
             given = dict(experiment.values)
             values = (given.get(p.target, label_of(p, experiment)) for p in parameters)
             seen.setdefault(tuple(values), position)

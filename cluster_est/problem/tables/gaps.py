@@ -28,9 +28,10 @@ STRAIGHT = 1e-3
 """Distance of an input from a straight line around a gap, over its range, that is nothing."""
 NOISES, MOST_NOISE = 4.0, 0.02
 """The same over the noise of an input, and what that may be of its range at most."""
-REPEATED, WITH_OUTPUTS = 0.1, 0.5
-"""Up to which a held input is one that is noted when it changes: the share of samples that repeat
-the one before, and that of the outputs' samples at whose times it has one."""
+WITH_OUTPUTS, UNEVEN, REPEATED = 0.5, 3.0, 0.1
+"""An input has points where it changes, not samples, if it has one at fewer than this share of the
+outputs' times, and either its long steps are so many times its short ones (of the 95 and the 10 %
+quantile), or it is held and hardly ever repeats a value."""
 
 LONG_UNITS = (("d", 86400.0), ("h", 3600.0))
 """Units that long gaps are given in too."""
@@ -139,7 +140,7 @@ def input_gaps(experiment: Experiment, holds: Callable[[str], bool]) -> list[Inp
     found: list[tuple[float, float, str, bool]] = []
     for given in (*experiment.inputs, *experiment.signals):
         held = given.interpolation == "hold" or holds(given.variable)
-        if held and _is_noted_at_changes(given, experiment):
+        if _is_noted_at_changes(given, experiment, held=held):
             continue
         for first, last in long_steps(given.times).tolist():
             if experiment.start <= first and last <= experiment.stop:
@@ -148,12 +149,16 @@ def input_gaps(experiment: Experiment, holds: Callable[[str], bool]) -> list[Inp
     return [_joined(experiment, group) for group in _overlapping(sorted(found))]
 
 
-def _is_noted_at_changes(given: Input, experiment: Experiment) -> bool:
-    """Return whether an input that keeps its value has samples only where it takes another."""
-    if len(given.values) < 2 or np.mean(np.diff(given.values) == 0.0) >= REPEATED:
-        return False
+def _is_noted_at_changes(given: Input, experiment: Experiment, *, held: bool) -> bool:
+    """Return whether an input has points only where it begins to take other values."""
+    if len(given.times) <= LEAST_STEPS:
+        return True
     measured = np.concatenate([np.zeros(0), *(output.times for output in experiment.outputs)])
-    return not len(measured) or bool(np.mean(np.isin(measured, given.times)) < WITH_OUTPUTS)
+    if len(measured) and np.mean(np.isin(measured, given.times)) >= WITH_OUTPUTS:
+        return False
+    short, long = np.quantile(np.diff(given.times), [0.1, LONG_STEP], method="lower").tolist()
+    repeats = float(np.mean(np.diff(given.values) == 0.0))
+    return bool(long > UNEVEN * short) or (held and repeats < REPEATED)
 
 
 def _goes_on(given: Input, gap: tuple[float, float], *, held: bool) -> bool:

@@ -104,7 +104,15 @@ def test_an_input_that_is_noted_at_its_changes_has_no_gaps():
     changes = np.r_[np.arange(0.0, 2.0, 0.137), np.arange(4.0, 5.0, 0.137)]
     noted = Input("F", changes, np.arange(len(changes), dtype=float), "hold")
     assert input_gaps(replace(run, inputs=(noted,)), never) == []
-    assert input_gaps(replace(run, inputs=(replace(noted, interpolation="linear"),)), never)
+    sampled = replace(noted, interpolation="linear")
+    assert len(input_gaps(replace(run, inputs=(sampled,)), never)) == 1
+
+
+def test_a_course_of_straight_lines_with_few_points_has_no_gaps():
+    run = record(moving(), missing=np.zeros(300, bool))
+    points = np.cumsum(np.r_[np.tile([0.01, 0.2], 8), 3.0, np.tile([0.01, 0.2], 3)])
+    course = Input("F", points, np.random.default_rng(0).normal(size=len(points)))
+    assert input_gaps(replace(run, inputs=(course,)), never) == []
 
 
 def test_a_record_without_gaps_is_the_same_object():
