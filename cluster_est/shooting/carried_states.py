@@ -11,13 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from cluster_est.errors import ProblemError
 from cluster_est.problem.gaps import begins_at
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import make_space
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.runner import Runner
-from cluster_est.shooting.first_states import line_between
+from cluster_est.shooting.first_states import SAME_FIRST_STATE, line_between
 from workers.messages import Experiment, FloatArray, Input, Output, OwnStart, Trajectory
 
 
@@ -37,26 +38,64 @@ def with_carried_states(environment: RunEnvironment, problem: Problem) -> Proble
     ------
     ModelError, ExecutorError
         If there are no workers to be had.
+    ProblemError
+        If the model does not begin where it is set.
     """
     wholes = {name: whole for name in _split_records(problem) if (whole := _whole(problem, name))}
     if not wholes or noise_names(problem):
         return problem
-    through = replace(problem, experiments=tuple(wholes.values()), gaps=())
-    everything = tuple(range(len(wholes)))
+    probes = [_probe(next(e for e in problem.experiments if e.own_starts))]
+    through = replace(problem, experiments=(*wholes.values(), *probes), gaps=())
+    everything = tuple(range(len(through.experiments)))
     space = make_space(through, everything)
+    values, count = space.physical(space.start), len(wholes)
     known = None if environment.earlier is None else environment.earlier.reset
     with environment.source.lease(through, environment.resources, known) as (pool, _):
-        outcomes = Runner(pool).simulate(
-            space.physical(space.start), everything, "trajectory", "gaps", problem.effects
+        runner = Runner(pool)
+        outcomes = runner.simulate(
+            values[:count], everything[:count], "trajectory", "gaps", problem.effects
         )
-    paths = {name: found.trajectory for name, found in zip(wholes, outcomes, strict=True)}
-    return replace(
-        problem,
-        experiments=tuple(
-            _begun(each, path) if (path := paths.get(each.record_id)) is not None else each
-            for each in problem.experiments
-        ),
-    )
+        paths = {name: found.trajectory for name, found in zip(wholes, outcomes, strict=True)}
+        carried = replace(
+            problem,
+            experiments=tuple(
+                _begun(each, path) if (path := paths.get(each.record_id)) is not None else each
+                for each in problem.experiments
+            ),
+        )
+        part = next(e for e in carried.experiments if e.own_starts)
+        inside = [p.target for p in through.parameters if not p.auxiliary]
+        for own in part.own_starts:
+            values[count:, inside.index(own.variable)] = own.start
+        (begun,) = runner.simulate(
+            values[count:], everything[count:], "trajectory", "gaps", problem.effects
+        )
+    check_begin(part, begun.trajectory)
+    return carried
+
+
+def _probe(part: Experiment) -> Experiment:
+    """Return the beginning of a part, of which the states are recorded."""
+    measured = np.concatenate([output.times for output in part.outputs])
+    end = float(np.min(measured[measured > part.start], initial=part.stop))
+    times = np.array([part.start, end])
+    outputs = tuple(Output(own.variable, times, np.zeros(2)) for own in part.own_starts)
+    return replace(part, stop=end, outputs=outputs, role="train")
+
+
+def check_begin(part: Experiment, path: Trajectory | None) -> None:
+    """Refuse a model that computes its initial states, whatever they were set to."""
+    if path is None:
+        return
+    for own in part.own_starts:
+        is_ = float(path.values[0, path.variables.index(own.variable)])
+        if abs(is_ - own.start) > SAME_FIRST_STATE * max(abs(own.start), abs(is_), 1e-12):
+            raise ProblemError(
+                f"experiment {part.id!r}: must begin behind a gap with the states that are set, "
+                f"but {own.variable!r} was set to {own.start:.6g} and began at {is_:.6g}; export "
+                'the model with fixed start values, or set gaps = "bridge" or another stop in '
+                f"experiment {part.record_id!r}"
+            )
 
 
 def _split_records(problem: Problem) -> list[str]:

@@ -15,9 +15,9 @@ from cluster_est.problem.search_space import make_space
 from cluster_est.problem.tables.gaps import RecordGap, gap_findings, input_gaps, long_steps
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.sensitivity.analysis import check_bounds
-from cluster_est.shooting.carried_states import with_carried_states
+from cluster_est.shooting.carried_states import check_begin, with_carried_states
 from workers.fmu.description import describe_model
-from workers.messages import Curve, Experiment, Input, Output
+from workers.messages import Curve, Experiment, Input, Output, Trajectory
 
 STEP = 0.02
 TIMES = STEP * np.arange(300)
@@ -296,3 +296,12 @@ def test_no_line_is_drawn_across_a_gap():
     drawn = line.data(Scale.around(times), Scale.around(np.sin(times)))
     assert drawn.count("M") == 2
     assert broken_line("measured", TIMES, np.sin(TIMES), 600).x.tolist() == TIMES.tolist()
+
+
+def test_a_model_that_computes_its_initial_states_is_refused():
+    _, part = split_at_gaps(problem(record(moving()))).experiments
+    names, times = ("x", "v"), np.array([3.0, 3.02])
+    check_begin(part, Trajectory(names, times, np.zeros((2, 2))))
+    elsewhere = Trajectory(names, times, np.array([[0.0, 0.7], [0.0, 0.7]]))
+    with pytest.raises(ce.ClusterEstError, match=r"'v' was set to 0 and began at 0.7.*bridge"):
+        check_begin(part, elsewhere)
