@@ -132,8 +132,8 @@ def run_loop(request: LoopRequest) -> LoopResult:
         If model, experiments and machine do not fit together, or the data cannot carry a search.
     """
     begin = time.monotonic()
-    known = with_carried_states(request.environment, request.problem)
-    request = replace(request, problem=known)
+    carried = with_carried_states(request.environment, request.problem)
+    request = replace(request, problem=carried)
     if noise_names(request.problem):
         return close_loop_under_noise(request, begin)
     thin = thinned_records(request, request.rows)
