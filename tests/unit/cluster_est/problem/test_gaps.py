@@ -10,6 +10,7 @@ from support.truth.exact_linear import position
 import cluster_est as ce
 from cluster_est.html_report.charts import Scale
 from cluster_est.html_report.curve_section import broken_line
+from cluster_est.preflight.table_columns import read_columns
 from cluster_est.problem.gaps import split_at_gaps
 from cluster_est.problem.search_space import make_space
 from cluster_est.problem.tables.gaps import RecordGap, gap_findings, input_gaps, long_steps
@@ -305,3 +306,11 @@ def test_a_model_that_computes_its_initial_states_is_refused():
     elsewhere = Trajectory(names, times, np.array([[0.0, 0.7], [0.0, 0.7]]))
     with pytest.raises(ce.ClusterEstError, match=r"'v' was set to 0 and began at 0.7.*bridge"):
         check_begin(part, elsewhere)
+
+
+def test_init_says_where_rows_are_missing(tmp_path):
+    file = tmp_path / "log.csv"
+    rows = [f"{t!r},{float(np.sin(t))!r}" for t in TIMES[~HOLE].tolist()]
+    file.write_text("\n".join(["time,y", *rows]))
+    (said,) = read_columns(file).notes
+    assert said.startswith("no rows between 2 and 3 of 'time'; gaps")
