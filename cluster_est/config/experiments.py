@@ -21,7 +21,7 @@ from cluster_est.config.sections import Config, Normalise, TimeBase
 from cluster_est.errors import ConfigError
 from cluster_est.problem.held_out import hold_out, within
 from cluster_est.problem.tables.files import read_table
-from cluster_est.problem.tables.gaps import RecordGap, long_steps, named_signals
+from cluster_est.problem.tables.gaps import RecordGap, output_gaps
 from cluster_est.problem.tables.grades import with_grades
 from cluster_est.problem.tables.measured import (
     Clock,
@@ -111,23 +111,20 @@ def _source(
     if section.time is not None:
         said = replace(raw, changes=_changes(section)).clock(section.time).said
         notes += [said] if said else []
-    return [
-        TableSource(
-            section.id,
-            Path(table.path),
-            section.time,
-            section.sample_time,
-            section.rows,
-            used,
-            named,
-            missing,
-            by_column(numbers, looked_at, section.id),
-            table.reading,
-            _test(section),
-            tuple(notes),
-            _output_gaps(replace(raw, changes=_changes(section)), section),
-        )
-    ]
+    gaps = _output_gaps(replace(raw, changes=_changes(section)), section)
+    found = by_column(numbers, looked_at, section.id)
+    source = TableSource(
+        section.id, Path(table.path), section.time, section.sample_time, section.rows, used,
+        named, missing, found, table.reading, _test(section), tuple(notes), gaps,
+    )  # fmt: skip
+    return [source]
+
+
+def _begin(columns: MeasuredColumns, times: FloatArray, section: ExperimentSection) -> float:
+    """Return where a record begins: with its first row, or behind rows without any cell."""
+    inputs = [each.column for each in section.inputs.values()]
+    others = [*section.outputs.values(), *section.signals.values()]
+    return columns.empty_until(times, inputs, [each.column for each in others])
 
 
 def _output_gaps(columns: MeasuredColumns, section: ExperimentSection) -> tuple[RecordGap, ...]:
@@ -136,17 +133,9 @@ def _output_gaps(columns: MeasuredColumns, section: ExperimentSection) -> tuple[
         return ()
     counted = next(iter(section.outputs.values())).column
     times = columns.times(section.time, section.sample_time, counted)
-    found: dict[tuple[float, float], list[str]] = {}
-    for name in section.outputs:
-        output = _output(columns, times, section, name)
-        for first, last in long_steps(output.times).tolist():
-            begun = section.start is None or section.start <= first
-            if begun and (section.stop is None or last <= section.stop):
-                found.setdefault((first, last), []).append(name)
-    return tuple(
-        RecordGap(section.id, first, last, named_signals("output", names), "run through")
-        for (first, last), names in sorted(found.items())
-    )
+    outputs = [_output(columns, times, section, name) for name in section.outputs]
+    begin = _begin(columns, times, section) if section.start is None else None
+    return output_gaps(section.id, outputs, times, begin, section.stop)
 
 
 def _changes(section: ExperimentSection) -> dict[str, ColumnChange]:
@@ -213,7 +202,10 @@ def _experiment(
             )
             for key, given in (("inputs", section.inputs), ("signals", section.signals))
         )
-    start, stop = interval(section.start, section.stop, times, measured, where)
+    begin = section.start
+    if begin is None and columns is not None and len(times):
+        begin = _begin(columns, times, section)
+    start, stop = interval(begin, section.stop, times, measured, where)
     function = config.cost.function
     return Experiment(
         id=section.id,

@@ -221,6 +221,10 @@ def experiment_from_table(
         _output(reader, times, name, given, (sigmas[name], parts[name]), time)
         for name, given in wanted["outputs"].items()
     ]
+    if start is None:
+        driven = [each["column"] for each in wanted["inputs"].values()]
+        others = [each["column"] for k in ("outputs", "signals") for each in wanted[k].values()]
+        start = reader.empty_until(times, driven, others)
     start, stop = interval(start, stop, times, measured, where)
     driving = {
         key: _driving(reader, times, wanted[key], key, time) for key in ("inputs", "signals")

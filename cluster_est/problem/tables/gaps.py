@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from workers.messages import Experiment, FloatArray, Input
+from workers.messages import Experiment, FloatArray, Input, Output
 
 LEAST_STEPS = 10
 """Steps of a signal of which the usual one can be told."""
@@ -36,7 +36,7 @@ quantile), or it is held and hardly ever repeats a value."""
 LONG_UNITS = (("d", 86400.0), ("h", 3600.0))
 """Units that long gaps are given in too."""
 
-Treatment = Literal["split", "left out", "bridged", "run through"]
+Treatment = Literal["split", "left out", "bridged", "run through", "before"]
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,7 @@ class RecordGap:
     treatment
         "split": what is behind it is an experiment of its own. "left out": it is not used.
         "bridged": inputs are drawn through. "run through": the model may, as nothing moves.
+        "before": the record begins behind it.
     moving
         The inputs that may have moved in it.
     why
@@ -149,6 +150,42 @@ def input_gaps(experiment: Experiment, holds: Callable[[str], bool]) -> list[Inp
     return [_joined(experiment, group) for group in _overlapping(sorted(found))]
 
 
+def output_gaps(
+    record: str,
+    outputs: Sequence[Output],
+    times: FloatArray,
+    begin: float | None,
+    stop: float | None,
+) -> tuple[RecordGap, ...]:
+    """Return the gaps in which outputs alone were not measured, and one before a record begins.
+
+    Parameters
+    ----------
+    record
+        Id of the experiment.
+    outputs
+        All samples of each.
+    times
+        Of the rows.
+    begin
+        Where the record begins; None where a user says it.
+    stop
+        Where it ends, if a user says it.
+    """
+    found: dict[tuple[float, float], list[str]] = {}
+    for output in outputs:
+        for first, last in long_steps(output.times).tolist():
+            if stop is None or last <= stop:
+                found.setdefault((first, last), []).append(output.variable)
+    gaps = [
+        RecordGap(record, first, last, named_signals("output", names), "run through")
+        for (first, last), names in sorted(found.items())
+    ]
+    if begin is not None and begin > times[0]:
+        gaps.insert(0, RecordGap(record, float(times[0]), begin, "", "before"))
+    return tuple(gaps)
+
+
 def _is_noted_at_changes(given: Input, experiment: Experiment, *, held: bool) -> bool:
     """Return whether an input has points only where it begins to take other values."""
     if len(given.times) <= LEAST_STEPS:
@@ -223,6 +260,7 @@ EFFECTS: Mapping[Treatment, tuple[str, str]] = {
         " may have moved there, and is drawn through in a straight line or held",
         'gaps = "split" in the experiment lets what is behind begin anew',
     ),
+    "before": ("the record begins behind it", ""),
     "run through": ("the inputs are known there, and the model runs through", ""),
 }
 """What became of gaps, and what changes it."""

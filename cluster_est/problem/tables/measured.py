@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.files import read_table
-from cluster_est.problem.tables.gaps import RecordGap
+from cluster_est.problem.tables.gaps import STEPS_OF_GAP, RecordGap
 from cluster_est.problem.tables.measured_table import MeasuredTable, Reading
 from cluster_est.problem.tables.stand_ins import FoundStandIn, is_missing
 from cluster_est.problem.tables.times import JOINT, TableTimes, read_times
@@ -214,6 +214,23 @@ class MeasuredColumns:
         values = self._values(times, column, f"outputs.{variable}")
         measured = self._known(times, values, column)
         return Output(variable, times[measured], values[measured], sigma, relative_sigma)
+
+    def empty_until(self, times: FloatArray, inputs: Sequence[str], others: Sequence[str]) -> float:
+        """The time of the first row that is not empty, where a gap stands before it.
+
+        Else that of the first row: without inputs a record may well begin before its first value.
+        """
+        lengths = {name: len(self.table.column(name, self.where)) for name in (*inputs, *others)}
+        usual = {len(times)} if self.rows is None else set(lengths.values())
+        if not inputs or set(lengths.values()) != usual:  # columns with times of their own
+            return float(times[0])
+        try:
+            known = [np.isfinite(self.column(name)) for name in lengths]
+        except DataError:  # words of an ordinal output
+            return float(times[0])
+        first = float(times[np.argmax(np.any(known, axis=0))])
+        gap = STEPS_OF_GAP * float(np.median(np.diff(times)))
+        return first if first - times[0] > gap else float(times[0])
 
     def points(self, columns: Collection[str]) -> FloatArray:
         """(n, d): the points of a curve, without those of which a part was not measured.

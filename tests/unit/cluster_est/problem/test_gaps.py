@@ -314,3 +314,19 @@ def test_init_says_where_rows_are_missing(tmp_path):
     file.write_text("\n".join(["time,y", *rows]))
     (said,) = read_columns(file).notes
     assert said.startswith("no rows between 2 and 3 of 'time'; gaps")
+
+
+@pytest.mark.parametrize(
+    ("empty", "inputs", "start"), [(20, ["F"], 0.4), (3, ["F"], 0.0), (20, [], 0.0)]
+)
+def test_a_record_begins_behind_rows_without_any_cell(empty, inputs, start):
+    """Without inputs it may well begin before its first value."""
+    columns = {"t": TIMES, "F": moving(), "y": np.sin(TIMES)}
+    for name in "Fy":
+        columns[name] = np.where(np.arange(300) < empty, np.nan, columns[name])
+    run = ce.Experiment.from_table(columns, id="run", time="t", inputs=inputs, outputs=["y"])
+    assert run.start == pytest.approx(start)
+    given = ce.Experiment.from_table(
+        columns, id="run", time="t", inputs=inputs, outputs=["y"], start=-1.0
+    )
+    assert given.start == -1.0
