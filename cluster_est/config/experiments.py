@@ -108,11 +108,11 @@ def _source(
     times = () if section.time is None else tuple(section.time.split(JOINT))
     used = (*times, *(table.resolved(column) for _, column in named))
     notes = list(table.notes)
-    if section.time is not None:
-        said = replace(raw, changes=_changes(section)).clock(section.time).said
-        notes += [said] if said else []
-    gaps = _output_gaps(replace(raw, changes=_changes(section)), section)
+    changed = replace(raw, changes=_changes(section))
+    if section.time is not None and (said := changed.clock(section.time).said):
+        notes.append(said)
     found = by_column(numbers, looked_at, section.id)
+    gaps = _output_gaps(changed, section)
     source = TableSource(
         section.id, Path(table.path), section.time, section.sample_time, section.rows, used,
         named, missing, found, table.reading, _test(section), tuple(notes), gaps,
@@ -123,8 +123,9 @@ def _source(
 def _begin(columns: MeasuredColumns, times: FloatArray, section: ExperimentSection) -> float:
     """Return where a record begins: with its first row, or behind rows without any cell."""
     inputs = [each.column for each in section.inputs.values()]
-    others = [*section.outputs.values(), *section.signals.values()]
-    return columns.empty_until(times, inputs, [each.column for each in others])
+    rest = section.outputs, section.signals
+    others = [each.column for given in rest for each in given.values()]
+    return columns.empty_until(times, inputs, others)
 
 
 def _output_gaps(columns: MeasuredColumns, section: ExperimentSection) -> tuple[RecordGap, ...]:
