@@ -107,15 +107,14 @@ def _source(
     looked_at = [(key, column) for key, column in named if column in numbers]
     times = () if section.time is None else tuple(section.time.split(JOINT))
     used = (*times, *(table.resolved(column) for _, column in named))
-    notes = list(table.notes)
-    changed = replace(raw, changes=_changes(section))
+    changed, notes = replace(raw, changes=_changes(section)), list(table.notes)
     if section.time is not None and (said := changed.clock(section.time).said):
         notes.append(said)
     found = by_column(numbers, looked_at, section.id)
-    gaps = _output_gaps(changed, section)
     source = TableSource(
         section.id, Path(table.path), section.time, section.sample_time, section.rows, used,
-        named, missing, found, table.reading, _test(section), tuple(notes), gaps,
+        named, missing, found, table.reading, _test(section), tuple(notes),
+        _output_gaps(changed, section),
     )  # fmt: skip
     return [source]
 

@@ -141,9 +141,10 @@ def input_gaps(experiment: Experiment, holds: Callable[[str], bool]) -> list[Inp
     found: list[tuple[float, float, str, bool]] = []
     for given in (*experiment.inputs, *experiment.signals):
         held = given.interpolation == "hold" or holds(given.variable)
-        if _is_noted_at_changes(given, experiment, held=held):
+        gaps = long_steps(given.times).tolist()
+        if not gaps or _is_noted_at_changes(given, experiment, held=held):
             continue
-        for first, last in long_steps(given.times).tolist():
+        for first, last in gaps:
             if experiment.start <= first and last <= experiment.stop:
                 goes_on = _goes_on(given, (first, last), held=held)
                 found.append((first, last, given.variable, not goes_on))

@@ -220,15 +220,16 @@ class MeasuredColumns:
 
         Else that of the first row: without inputs a record may well begin before its first value.
         """
-        lengths = {name: len(self.table.column(name, self.where)) for name in (*inputs, *others)}
-        usual = {len(times)} if self.rows is None else set(lengths.values())
-        if not inputs or set(lengths.values()) != usual:  # columns with times of their own
-            return float(times[0])
-        try:
-            known = [np.isfinite(self.column(name)) for name in lengths]
-        except DataError:  # words of an ordinal output
-            return float(times[0])
-        first = float(times[np.argmax(np.any(known, axis=0))])
+        known = np.zeros(len(times), dtype=bool)
+        for name in (*inputs, *others) if inputs else ():
+            try:
+                values = self.column(name)
+            except DataError:  # words of an ordinal output
+                return float(times[0])
+            if len(values) != len(times) or np.isfinite(values[0]):  # or times of its own
+                return float(times[0])
+            known |= np.isfinite(values)
+        first = float(times[np.argmax(known)])
         gap = STEPS_OF_GAP * float(np.median(np.diff(times)))
         return first if first - times[0] > gap else float(times[0])
 
