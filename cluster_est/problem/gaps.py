@@ -71,6 +71,8 @@ class RestartableStates:
         For each state the name by which it is set.
     owner
         The state of each name that one has.
+    limits
+        By target, what the FMU allows.
     starts
         The start of an estimation, by target, where nothing better is known.
     added
