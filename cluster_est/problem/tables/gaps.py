@@ -248,8 +248,8 @@ def _joined(experiment: Experiment, group: Sequence[tuple[float, float, str, boo
     return InputGap(first, last, names, moving, not any(inside))
 
 
-MOST_NAMED_GAPS = 4
-"""Gaps of a record that a sentence names."""
+MOST_NAMED_GAPS, MOST_FINDINGS = 4, 12
+"""Gaps of a record that a sentence names, and sentences."""
 EFFECTS: Mapping[Treatment, tuple[str, str]] = {
     "split": (
         " may have moved there, so what is behind begins with initial states of its own, which are "
@@ -273,22 +273,29 @@ def gap_findings(gaps: Sequence[RecordGap]) -> list[tuple[str, str, Treatment]]:
     for gap in gaps:
         same = gap.record, gap.treatment, gap.missing, gap.moving, gap.why
         groups.setdefault(same, []).append(gap)
-    found = []
-    for own in groups.values():
-        treatment, missing, why = own[0].treatment, own[0].missing, own[0].why
-        named = [gap.interval for gap in own[:MOST_NAMED_GAPS]]
-        more = f" and {len(own) - MOST_NAMED_GAPS} more" if len(own) > MOST_NAMED_GAPS else ""
-        what = f"{missing} not measured" if missing else "nothing measured"
-        count = "a gap of" if len(own) == 1 else f"{len(own)} gaps:"
-        said, do = EFFECTS[treatment]
-        because = f" ({why})" if why else ""
-        who = named_signals("input", own[0].moving) if own[0].moving else ""
-        found.append(
-            (
-                f"experiment {own[0].record} has {count} {'; '.join(named)}{more}, with {what}: "
-                f"{who}{said}{because}",
-                do,
-                treatment,
-            )
-        )
+    alike = list(groups.values())
+    found = [
+        (_sentence(own), EFFECTS[t := own[0].treatment][1], t) for own in alike[:MOST_FINDINGS]
+    ]
+    rest = [gap for own in alike[MOST_FINDINGS:] for gap in own]
+    if rest:
+        records = len({gap.record for gap in rest})
+        said = f"{len(rest)} more gaps in {records} experiment{'s' if records > 1 else ''}"
+        cut = [gap.treatment for gap in rest if gap.treatment != "run through"]
+        found.append((said, "", cut[0] if cut else "run through"))
     return found
+
+
+def _sentence(alike: Sequence[RecordGap]) -> str:
+    """Say which gaps a record has that were treated alike, and how."""
+    gap, count = alike[0], len(alike)
+    named = [each.interval for each in alike[:MOST_NAMED_GAPS]]
+    more = f" and {count - MOST_NAMED_GAPS} more" if count > MOST_NAMED_GAPS else ""
+    what = f"{gap.missing} not measured" if gap.missing else "nothing measured"
+    has = "a gap of" if count == 1 else f"{count} gaps:"
+    who = named_signals("input", gap.moving) if gap.moving else ""
+    because = f" ({gap.why})" if gap.why else ""
+    return (
+        f"experiment {gap.record} has {has} {'; '.join(named)}{more}, with {what}: "
+        f"{who}{EFFECTS[gap.treatment][0]}{because}"
+    )

@@ -330,3 +330,10 @@ def test_a_record_begins_behind_rows_without_any_cell(empty, inputs, start):
         columns, id="run", time="t", inputs=inputs, outputs=["y"], start=-1.0
     )
     assert given.start == -1.0
+
+
+def test_gaps_of_many_records_are_counted_in_the_end():
+    gaps = [RecordGap(f"run{i}", 1.0, 2.0, "", "split", ("F",)) for i in range(50)]
+    found = gap_findings(gaps)
+    assert "run0 has a gap of 1 s, from 1 to 2 s" in found[0][0]
+    assert found[-1][0] == "38 more gaps in 38 experiments"
