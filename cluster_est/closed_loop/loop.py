@@ -49,9 +49,11 @@ from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import make_space
 from cluster_est.problem.thinning import ThinnedProblem, ThinningSettings
 from cluster_est.results.interpolation import PreferredInterpolation, preferred_interpolation
+from cluster_est.running.arguments import prepared
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Note, Record, Resources, Show
 from cluster_est.running.study import Study, run_study
+from cluster_est.shooting.carried_states import with_carried_states
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,7 @@ def close_loop(
     """
     settings = LoopSettings() if settings is None else settings
     thinning = ThinningSettings() if thinning is None else thinning
-    study = ClosedLoop(problem, settings, seed, thinning)
+    study = ClosedLoop(prepared(problem), settings, seed, thinning)
     return run_study(study, resources, record=record, show=show, note=note)
 
 
@@ -137,6 +139,8 @@ def run_loop(request: LoopRequest) -> LoopResult:
         If model, experiments and machine do not fit together, or the data cannot carry a search.
     """
     begin = time.monotonic()
+    carried = with_carried_states(request.environment, request.problem)
+    request = replace(request, problem=carried)
     if noise_names(request.problem):
         return close_loop_under_noise(request, begin)
     thin = thinned_records(request, request.rows)

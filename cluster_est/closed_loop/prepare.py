@@ -27,7 +27,12 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import make_space
 from cluster_est.problem.variables import silent_notes
-from cluster_est.running.arguments import check_method, check_problem, checked_resources
+from cluster_est.running.arguments import (
+    check_method,
+    check_problem,
+    checked_resources,
+    prepared,
+)
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Record, Resources, TaskOrigin, one_blas_thread
 from cluster_est.statistics.noise.estimate import SHORTEST_NOISE_RECORD
@@ -79,6 +84,7 @@ def checked_request(
     ProblemError
         If something is of the wrong kind or out of its range.
     """
+    problem = prepared(problem)
     settings = LoopSettings() if settings is None else settings
     check_arguments(problem, settings, seed)
     return LoopRequest(problem, RunEnvironment(checked_resources(resources)), settings, seed)

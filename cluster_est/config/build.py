@@ -31,6 +31,7 @@ from cluster_est.problem.declared_effects import (
 )
 from cluster_est.problem.fmu_file import choose_interface
 from cluster_est.problem.free_curves import UNBOUNDED, TableShape, ValueTable, check_table_name
+from cluster_est.problem.gaps import split_at_gaps
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.sensors import shared_sensor
@@ -117,9 +118,10 @@ def build_problem(config: Config, base: Path, *, allow_code: bool = False) -> Pr
         constraints,
         units=tuple(config.model.units.items()),
         tables=tables,
+        gaps=tuple(gap for table in tables for gap in table.gaps),
     )
     problem.describe()
-    return problem
+    return split_at_gaps(problem)
 
 
 def _check_units(units: Mapping[str, str], description: ModelDescription) -> None:

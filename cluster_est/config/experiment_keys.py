@@ -27,7 +27,7 @@ from cluster_est.settings import (
 )
 from cluster_est.toml import dotted
 from workers.fmu.description import nearest
-from workers.messages import Interpolation
+from workers.messages import GapRule, Interpolation
 
 
 class InputSection(ConfigSection):
@@ -193,6 +193,12 @@ class _ExperimentKeys(ConfigSection):
         '"ID (held out)"',
     )
     role: Literal["train", "test"] = Field("train", description="test: held out, only reported")
+    gaps: GapRule = Field(
+        "split",
+        description="where rows or cells are missing: split: what is behind a gap in which inputs "
+        "may have moved begins with states of its own, which are estimated; bridge: inputs are "
+        "drawn through",
+    )
     values: dict[str, KnownValue] = Field(
         default_factory=dict, description="known values of this run, by FMU name"
     )

@@ -21,6 +21,7 @@ from cluster_est.config.sections import Config, Normalise, TimeBase
 from cluster_est.errors import ConfigError
 from cluster_est.problem.held_out import hold_out, within
 from cluster_est.problem.tables.files import read_table
+from cluster_est.problem.tables.gaps import RecordGap, output_gaps
 from cluster_est.problem.tables.grades import with_grades
 from cluster_est.problem.tables.measured import (
     Clock,
@@ -106,27 +107,35 @@ def _source(
     looked_at = [(key, column) for key, column in named if column in numbers]
     times = () if section.time is None else tuple(section.time.split(JOINT))
     used = (*times, *(table.resolved(column) for _, column in named))
-    notes = list(table.notes)
-    if section.time is not None:
-        said = replace(raw, changes=_changes(section)).clock(section.time).said
-        notes += [said] if said else []
-    return [
-        TableSource(
-            section.id,
-            Path(table.path),
-            section.time,
-            section.sample_time,
-            section.rows,
-            used,
-            named,
-            missing,
-            by_column(numbers, looked_at, section.id),
-            table.reading,
-            _test(section),
-            tuple(notes),
-            _units(table, used),
-        )
-    ]
+    changed, notes = replace(raw, changes=_changes(section)), list(table.notes)
+    if section.time is not None and (said := changed.clock(section.time).said):
+        notes.append(said)
+    found = by_column(numbers, looked_at, section.id)
+    source = TableSource(
+        section.id, Path(table.path), section.time, section.sample_time, section.rows, used,
+        named, missing, found, table.reading, _test(section), tuple(notes),
+        _units(table, used), _output_gaps(changed, section),
+    )  # fmt: skip
+    return [source]
+
+
+def _begin(columns: MeasuredColumns, times: FloatArray, section: ExperimentSection) -> float:
+    """Return where a record begins: with its first row, or behind rows without any cell."""
+    inputs = [each.column for each in section.inputs.values()]
+    rest = section.outputs, section.signals
+    others = [each.column for given in rest for each in given.values()]
+    return columns.empty_until(times, inputs, others)
+
+
+def _output_gaps(columns: MeasuredColumns, section: ExperimentSection) -> tuple[RecordGap, ...]:
+    """Return the gaps in which outputs were not measured; windows of the user's are none."""
+    if not section.outputs:
+        return ()
+    counted = next(iter(section.outputs.values())).column
+    times = columns.times(section.time, section.sample_time, counted)
+    outputs = [_output(columns, times, section, name) for name in section.outputs]
+    begin = _begin(columns, times, section) if section.start is None else None
+    return output_gaps(section.id, outputs, times, begin, section.stop)
 
 
 def _units(table: MeasuredTable, used: Sequence[str]) -> tuple[tuple[str, str], ...]:
@@ -198,7 +207,10 @@ def _experiment(
             )
             for key, given in (("inputs", section.inputs), ("signals", section.signals))
         )
-    start, stop = interval(section.start, section.stop, times, measured, where)
+    begin = section.start
+    if begin is None and columns is not None and len(times):
+        begin = _begin(columns, times, section)
+    start, stop = interval(begin, section.stop, times, measured, where)
     function = config.cost.function
     return Experiment(
         id=section.id,
@@ -208,6 +220,7 @@ def _experiment(
         outputs=_compared(section, config, measured, start, stop),
         values=tuple((config.values | section.values).items()),
         role=section.role,
+        gaps=section.gaps,
         groups=tuple(section.group.items()),
         signals=signals,
         curve=None if columns is None else _curve(section, columns, start, stop, where),

@@ -178,6 +178,7 @@ class CandidateMaker:
             self.like,
             id=name,
             record="",
+            own_starts=(),
             role="train",
             stop=float(times[-1]),
             inputs=(*inputs, *(g for g in self.like.inputs if g.variable not in designed)),

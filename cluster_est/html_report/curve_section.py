@@ -21,6 +21,7 @@ from cluster_est.html_report.page_blocks import (
     with_unit,
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row
+from cluster_est.problem.tables.gaps import long_steps
 from workers.messages import FloatArray, IntArray
 
 
@@ -203,7 +204,7 @@ def _chart(key: Key, each: OutputCurves, row: Row | None, unit: TimeUnit, column
         upper.append(_band(time, each.band, columns))
     few = len(time) <= FEW_SAMPLES
     measured = Dots("measured", "measured", time, each.measured)
-    upper.append(measured if few else _thinned("measured", time, each.measured, columns))
+    upper.append(measured if few else broken_line("measured", time, each.measured, columns))
     lower: list[Mark] = [Rules("", "faint", y=(0.0,))]
     fine_time, fine_after, fine_before = each.fine or (each.time, each.after, each.before)
     for label, curve, fine in (
@@ -211,8 +212,8 @@ def _chart(key: Key, each: OutputCurves, row: Row | None, unit: TimeUnit, column
         ("after", each.after, fine_after),
     ):
         if np.isfinite(curve).any():
-            upper.append(_thinned(label, fine_time / unit.seconds, fine, columns))
-            lower.append(_thinned(label, time, each.measured - curve, columns))
+            upper.append(broken_line(label, fine_time / unit.seconds, fine, columns))
+            lower.append(broken_line(label, time, each.measured - curve, columns))
     x = Scale.around(time, fine_time / unit.seconds, margin=0.0)
     values = (each.measured, fine_after, fine_before, *(each.band or ()))
     rest = (each.measured - each.after, each.measured - each.before)
@@ -234,7 +235,7 @@ def _band(time: FloatArray, band: tuple[FloatArray, FloatArray], columns: int) -
 def _distances(name: str, each: OutputCurves, columns: int) -> Chart:
     """Of a curve without times: how far each of its segments is from what was simulated."""
     segment = np.arange(len(each.residual), dtype=float)
-    marks = [_thinned("after", segment, each.residual, columns)]
+    marks = [broken_line("after", segment, each.residual, columns)]
     plot = Plot(
         f"{name}: distance of each segment",
         "distance, relative",
@@ -246,7 +247,11 @@ def _distances(name: str, each: OutputCurves, columns: int) -> Chart:
     return Chart((plot,), "segment", legend=False, across=5)
 
 
-def _thinned(name: str, x: FloatArray, y: FloatArray, columns: int) -> Line:
+def broken_line(name: str, x: FloatArray, y: FloatArray, columns: int) -> Line:
+    """Return a line through samples, but not across gaps between them."""
+    gaps = long_steps(x)
+    behind = np.searchsorted(x, gaps[:, 1])
+    x, y = np.insert(x, behind, gaps.mean(axis=1)), np.insert(y, behind, np.nan)
     kept = extremes(x, y, columns)
     return Line(name, name, x[kept], y[kept])
 

@@ -205,7 +205,7 @@ class ParameterReader:
         named = [p for p in problem.parameters if not p.auxiliary]
         known = dict(self.experiment.values) if self.experiment is not None else {}
         found = [(p, self._find(p)) for p in named[:count] if p.target not in known]
-        absent = [p.name for p, value in found if value is None]
+        absent = [p.name for p, value in found if value is None and p.per != "gap"]
         effects, coefficients, left = self._effects(named[count:])
         absent += [p.name for p in named[count:] if self._find(p) is None]
         notes = list(left)
@@ -254,7 +254,12 @@ class ParameterReader:
         for experiment in self.problem.experiments:
             reader = replace(self, experiment=experiment)
             known = dict(experiment.values)
-            wanted = [p for p in (*named[:count], *own) if p.target not in known]
+            begun = {own.variable for own in experiment.own_starts}
+            wanted = [
+                p
+                for p in (*named[:count], *own)
+                if p.target not in known and (p.per != "gap" or p.target in begun)
+            ]
             values = {p.target: reader._find(p) for p in wanted}
             there = {name: value.value for name, value in values.items() if value is not None}
             if len(there) == len(values):

@@ -14,6 +14,7 @@ from cluster_est.config.sections import Config
 from cluster_est.preflight.subject import CheckFinding, listed, note, passed
 from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.tables.gaps import RecordGap, gap_findings
 from cluster_est.problem.tables.jumps import after_jumps, jump_findings, samples_after
 from cluster_est.problem.tables.stand_ins import stand_ins
 from cluster_est.problem.thinning import thinned
@@ -43,6 +44,7 @@ def data_findings(problem: Problem, description: ModelDescription) -> list[Check
         *_readings(problem),
         *_inputs_without_data(problem, description),
         *_stand_ins(problem),
+        *_gaps_of_records(problem),
         *_bridged(problem, description),
         *_jumping(problem, description),
         *_rounded(problem),
@@ -78,6 +80,14 @@ def _inputs_without_data(problem: Problem, description: ModelDescription) -> lis
     return lines
 
 
+def _gaps_of_records(problem: Problem) -> list[CheckFinding]:
+    """Return a line for the gaps of each record, with what becomes of what is behind them."""
+    return [
+        passed("gaps", said, do) if treatment == "run through" else note("gaps", said, do)
+        for said, do, treatment in gap_findings(problem.gaps)
+    ]
+
+
 def _bridged(problem: Problem, description: ModelDescription) -> list[CheckFinding]:
     """Return a line for each input with samples missing, with its longest gap."""
     worst: dict[str, tuple[float, str]] = {}
@@ -86,7 +96,7 @@ def _bridged(problem: Problem, description: ModelDescription) -> list[CheckFindi
             held = given.interpolation == "hold" or description.holds(given.variable)
             if held:  # a signal that is noted when it changes
                 continue
-            found = _gaps(given.times, _rows(each), each)
+            found = _gaps(given.times, _rows(each, problem.gaps), each)
             if found is not None and found[0] > worst.get(given.variable, (0.0, ""))[0]:
                 worst[given.variable] = found
     do = (
@@ -184,13 +194,19 @@ def _rounded(problem: Problem) -> list[CheckFinding]:
     ]
 
 
-def _rows(experiment: Experiment) -> FloatArray:
-    """Return all times at which anything was measured in the simulated interval."""
+def _rows(experiment: Experiment, gaps: Sequence[RecordGap]) -> FloatArray:
+    """Return all times at which anything was measured in the simulated interval.
+
+    Without those in gaps that are told of already.
+    """
     inputs = [each.times for each in (*experiment.inputs, *experiment.signals)]
     outputs = [each.times for each in experiment.outputs]
     times = np.unique(np.concatenate([*inputs, *outputs]))
-    found: FloatArray = times[(times >= experiment.start) & (times <= experiment.stop)]
-    return found
+    kept = (times >= experiment.start) & (times <= experiment.stop)
+    for gap in gaps:
+        if gap.record == experiment.record_id:
+            kept &= (times <= gap.first) | (times >= gap.last)
+    return np.asarray(times[kept])
 
 
 def _gaps(times: FloatArray, rows: FloatArray, experiment: Experiment) -> tuple[float, str] | None:

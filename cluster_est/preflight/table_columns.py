@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from cluster_est.preflight.table_times import (
 )
 from cluster_est.problem.tables.cells import is_text, trimmed_cells
 from cluster_est.problem.tables.files import read_table
+from cluster_est.problem.tables.gaps import long_steps
 from cluster_est.problem.tables.jumps import count_jumps
 from cluster_est.problem.tables.long_tables import long_columns, wide
 from cluster_est.problem.tables.measured_table import (
@@ -138,11 +139,25 @@ def read_columns(path: Path, time_column: str = "", reading: Reading | None = No
         others,
         reading=whole.reading,
         found=whole.found,
-        notes=(*whole.notes, *([found.said] if found is not None and found.said else [])),
+        notes=(*whole.notes, *(_notes_on_times(found) if found is not None else ())),
         split_by=split_by,
         tests=tests,
         refused=refused,
     )
+
+
+def _notes_on_times(found: FoundTime) -> Iterator[str]:
+    """Say how times were read, and where rows are missing."""
+    if found.said:
+        yield found.said
+    gaps = long_steps(np.unique(found.seconds[np.isfinite(found.seconds)])).tolist()
+    if gaps:
+        first, last = gaps[0]
+        more = f" (and {len(gaps) - 1} more gaps)" if len(gaps) > 1 else ""
+        yield (
+            f"no rows between {first:.10g} and {last:.10g} of {found.column.name!r}{more}; gaps = "
+            '"split" or "bridge" in the experiment says what becomes of what is behind'
+        )
 
 
 def _columns(

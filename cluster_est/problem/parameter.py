@@ -46,7 +46,8 @@ class Parameter:
         The FMU's name for it; `name` if empty.
     per
         None: one value for all experiments. "experiment": one for each. "group:KEY": one for each
-        label that the experiments have under KEY.
+        label that the experiments have under KEY. "gap": `start`, but one for each part
+        of a record that begins behind a gap.
     unit
         For tables; filled in from the FMU if empty.
     expression
@@ -94,7 +95,7 @@ class Parameter:
                 f'{self.start:g}; use scale = "linear" or positive values'
             )
         per = str(self.per)
-        if self.per is not None and not re.fullmatch("experiment|group(:.+)?", per):
+        if self.per is not None and not re.fullmatch("experiment|gap|group(:.+)?", per):
             raise ProblemError(
                 f'{where}.per: must be "experiment" or "group:KEY" but is {self.per!r}'
             )

@@ -11,6 +11,7 @@ from cluster_est.problem import display
 from cluster_est.problem.costs import Cost, SumSquared
 from cluster_est.problem.formulas import Formula, ParameterConstraint
 from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.tables.gaps import RecordGap, gap_findings
 from cluster_est.problem.tables.jumps import jump_findings
 from cluster_est.problem.tables.measured import TableSource
 from cluster_est.problem.tables.stand_ins import of_experiment, stand_in_findings
@@ -56,6 +57,9 @@ class Problem:
     tables
         The files that experiments were read from, for columns that are not used. No result of a fit
         depends on them.
+    gaps
+        Those of its records, and what became of each; `split_at_gaps` puts them here. No result
+        depends on them.
 
     Raises
     ------
@@ -71,6 +75,7 @@ class Problem:
     constraints: tuple[ParameterConstraint, ...] = ()
     units: tuple[tuple[str, str], ...] = ()
     tables: tuple[TableSource, ...] = ()
+    gaps: tuple[RecordGap, ...] = ()
 
     def __post_init__(self) -> None:
         self._check_kinds()
@@ -189,8 +194,10 @@ class Problem:
         return communication_notes(self.model, self.describe(), self.experiments)
 
     def data_notes(self) -> tuple[str, ...]:
-        """Say which numbers of the data are hardly measurements, and what leaves them out."""
-        return tuple(": ".join(words) for words in self.data_findings)
+        """Say which numbers are hardly measurements, and where records have gaps; what to do."""
+        gaps = [(said, do) for said, do, _ in gap_findings(self.gaps)]
+        found = [*gaps, *self.data_findings]
+        return tuple(f"{said}: {do}" if do else said for said, do in found)
 
     @property
     def columns(self) -> dict[str, str]:
@@ -241,6 +248,7 @@ _PROBLEM_LISTS: dict[str, type] = {
     "effects": Effect,
     "constraints": ParameterConstraint,
     "tables": TableSource,
+    "gaps": RecordGap,
 }
 """The lists of a problem, and what each holds."""
 

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cluster_est.problem.costs import Cost
+from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.unknowns import (
     ConstraintSpec,
@@ -325,7 +326,8 @@ class SearchSpace:
     @cached_property
     def _free(self) -> npt.NDArray[np.bool_]:
         """(experiments, all parameters): whether the experiment brings no value of its own."""
-        given = [dict(self.problem.experiments[e].values) for e in self.experiments]
+        chosen = [self.problem.experiments[e] for e in self.experiments]
+        given = [{*dict(e.values), *(own.variable for own in e.own_starts)} for e in chosen]
         return np.array([[p.target not in g for p in self.problem.parameters] for g in given])
 
     def derived(self, x: FloatArray) -> dict[str, float]:
@@ -374,17 +376,35 @@ def make_space(
         given = [dict(e.values).get(parameter.target) for e in chosen]
         base[:, column] = [parameter.start if v is None else float(v) for v in given]
         members: dict[str, list[int]] = {}
-        kept = parameter.fixed or bool(parameter.expression)
+        kept = parameter.fixed or bool(parameter.expression) or parameter.per == "gap"
         for position, experiment in enumerate(chosen):
-            if given[position] is None and not kept:
+            alone = experiment.estimates_alone(parameter.target)
+            if given[position] is None and (alone or not kept):
                 members.setdefault(label_of(parameter, experiment), []).append(position)
         for label, positions in members.items():
             if label in known:
                 base[positions, column] = known[label]
             else:
-                start = starts.get(label, parameter.start)
-                unknowns.append(Unknown(label, parameter, column, tuple(positions), start))
+                own = _of_part(parameter, chosen[positions[0]])
+                start = starts.get(label, own.start)
+                unknowns.append(Unknown(label, own, column, tuple(positions), start))
     return SearchSpace(problem, experiments, tuple(unknowns), base)
+
+
+def _of_part(parameter: Parameter, experiment: Experiment) -> Parameter:
+    """Return a parameter as an experiment has it: behind a gap nothing is known of its start."""
+    for own in experiment.own_starts:
+        if own.variable == parameter.target:
+            return Parameter(
+                parameter.name,
+                own.start,
+                own.lower,
+                own.upper,
+                variable=parameter.variable,
+                per="gap",
+                unit=parameter.unit,
+            )
+    return parameter
 
 
 def _slices(sizes: list[int]) -> tuple[slice, ...]:

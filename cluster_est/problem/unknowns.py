@@ -219,6 +219,8 @@ def expand(problem: Problem, experiments: Sequence[Experiment]) -> tuple[Constra
         parameters = [p for p in problem.parameters if p.name in needed]
         seen: dict[tuple[object, ...], int] = {}
         for position, experiment in enumerate(experiments):
+            if any(experiment.estimates_alone(p.target) for p in parameters):
+                continue  # it is said of how a record begins, not of what is behind its gaps
             given = dict(experiment.values)
             values = (given.get(p.target, label_of(p, experiment)) for p in parameters)
             seen.setdefault(tuple(values), position)
@@ -269,8 +271,18 @@ def _bounds_of_derived(problem: Problem) -> list[ParameterConstraint]:
     return found
 
 
+def part_name(record: str, start: float) -> str:
+    """Return the name of what is behind a gap of a record."""
+    return f"{record} from {start:.10g} s"
+
+
 def label_of(parameter: Parameter, experiment: Experiment) -> str:
-    """Return the label of a parameter's unknown in an experiment."""
+    """Return the label of a parameter's unknown in an experiment.
+
+    What is held out of a record shares the states that it begins with behind a gap.
+    """
+    if experiment.estimates_alone(parameter.target):
+        return f"{parameter.name}[{part_name(experiment.record_id, experiment.start)}]"
     if parameter.per is None:
         return parameter.name
     if parameter.per == "experiment":

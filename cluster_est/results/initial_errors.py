@@ -114,7 +114,7 @@ def initial_notes(problem: Problem, simulations: Sequence[Simulation]) -> tuple[
 def free_start_advice(problem: Problem) -> str:
     """Say which keys give the initial states of the experiments, or let a fit find them."""
     description = problem.describe()
-    taken = {p.target for p in problem.parameters}
+    taken = {p.target for p in problem.parameters if p.per != "gap"}
     states = [
         name
         for name in description.states

@@ -13,6 +13,7 @@ from cluster_est.errors import ProblemError
 from cluster_est.executors import EXECUTORS
 from cluster_est.methods import METHOD_ALIASES, SEARCH_METHODS, Method
 from cluster_est.plug_in import check_options
+from cluster_est.problem.gaps import split_at_gaps
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.resources import Budget, Resources
@@ -36,6 +37,18 @@ def check_problem(problem: object) -> None:
     elif type(problem).__name__ == "Config":
         advice = "; use build_problem(config, folder)"
     check_kind(problem, Problem, "problem", ProblemError, advice)
+
+
+def prepared(problem: Problem) -> Problem:
+    """Return what a user hands over as a problem, with its records split at their gaps.
+
+    Raises
+    ------
+    ProblemError
+        If it is none.
+    """
+    check_problem(problem)
+    return split_at_gaps(problem)
 
 
 def checked_resources(resources: Resources | None) -> Resources:

@@ -28,7 +28,7 @@ from cluster_est.methods.method import GivenPoints
 from cluster_est.problem.compatibility import without_priors
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import SearchSpace, make_space
-from cluster_est.running.arguments import check_problem
+from cluster_est.running.arguments import check_problem, prepared
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Note, Record, Resources, Show, one_blas_thread
 from cluster_est.running.runner import Runner
@@ -45,6 +45,7 @@ from cluster_est.sensitivity.result import (
     with_log_cost,
 )
 from cluster_est.sensitivity.settings import SensitivitySettings
+from cluster_est.shooting.carried_states import with_carried_states
 from cluster_est.toml import dotted
 from cluster_est.uncertainty import linearise
 from workers.messages import FloatArray
@@ -148,8 +149,9 @@ class Sensitivity(Study[SensitivityResult]):
 
     @override
     def run(self, environment: RunEnvironment) -> SensitivityResult:
-        space = check_bounds(self.problem)
-        with one_blas_thread(), environment.executor(self.problem) as executor:
+        problem = with_carried_states(environment, self.problem)
+        space = check_bounds(problem)
+        with one_blas_thread(), environment.executor(problem) as executor:
             runner = environment.runner(executor, whole=True)
             return analyse_on(runner, space, self.settings, self.seed)
 
@@ -187,7 +189,7 @@ def sensitivity(
         If model, experiments and machine do not fit together, or too few points can be simulated.
     """
     settings = SensitivitySettings() if settings is None else settings
-    study = Sensitivity(problem, settings, seed)
+    study = Sensitivity(prepared(problem), settings, seed)
     return run_study(study, resources, record=record, show=show, note=note)
 
 
@@ -254,7 +256,10 @@ def check_bounds(problem: Problem) -> SearchSpace:
     ProblemError
         If there is nothing to sample, or a bound is infinite.
     """
-    space = make_space(without_priors(problem), problem.indices("train"))
+    problem = without_priors(problem)
+    space = make_space(problem, problem.indices("train"))
+    behind_gaps = {u.label: u.start for u in space.unknowns if u.parameter.per == "gap"}
+    space = make_space(problem, problem.indices("train"), known=behind_gaps)
     if space.size == 0:
         raise ProblemError(
             "parameters: at least one must be free to be analysed but all are fixed or known"

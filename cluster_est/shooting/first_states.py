@@ -207,13 +207,13 @@ def find_measured(
     for name in compared:
         values = np.concatenate([p.values[:, p.variables.index(name)] for p in paths])
         for state in range(joined.shape[1]):
-            line = _line(values, joined[:, state])
+            line = line_between(values, joined[:, state])
             if state not in found and line is not None:
                 found[state] = MeasuredState(state, name, *line)
     return tuple(found[state] for state in sorted(found))
 
 
-def _line(output: FloatArray, state: FloatArray) -> tuple[float, float] | None:
+def line_between(output: FloatArray, state: FloatArray) -> tuple[float, float] | None:
     """Offset and slope of a state as a line in an output; None if it is not a line."""
     if len(output) < LEAST_SAMPLES_FOR_STATE or not np.isfinite(output).all():
         return None

@@ -31,6 +31,7 @@ from cluster_est.running.arguments import (
     check_values,
     checked_resources,
     method_of,
+    prepared,
 )
 from cluster_est.running.environment import RunEnvironment, open_executor
 from cluster_est.running.multistart import (
@@ -42,6 +43,7 @@ from cluster_est.running.resources import Note, Record, Resources, Show, one_bla
 from cluster_est.running.runner import Runner
 from cluster_est.running.sizes import with_sizes
 from cluster_est.running.study import Study, run_study
+from cluster_est.shooting.carried_states import with_carried_states
 from cluster_est.shooting.record_segments import Shooting
 from cluster_est.shooting.shoot import SearchResult, check_shooting, fit_whole_records, shoot
 from cluster_est.uncertainty import (
@@ -136,13 +138,16 @@ class Fit(Study[Result]):
     @override
     def run(self, environment: RunEnvironment) -> Result:
         begin = time.monotonic()
+        known = with_carried_states(environment, self.problem)
+        result = replace(self, problem=known)._run(environment)
+        return replace(result, seconds=time.monotonic() - begin)
+
+    def _run(self, environment: RunEnvironment) -> Result:
         train = self.space()
         with one_blas_thread():
             if self.shooting is None:
-                result = self._searched(environment, train, self._from_starts)
-            else:
-                result = self._through_segments(environment, train, self.shooting)
-        return replace(result, seconds=time.monotonic() - begin)
+                return self._searched(environment, train, self._from_starts)
+            return self._through_segments(environment, train, self.shooting)
 
     def _from_starts(self, runner: Runner, train: SearchSpace) -> SearchResult:
         return SearchResult(
@@ -349,7 +354,7 @@ def fit(
         If model, experiments, method and machine do not fit together.
     """
     study = Fit(
-        problem,
+        prepared(problem),
         LeastSquares() if method is None else method_of(method),
         seed,
         Multistart() if multistart is None else multistart,
@@ -369,7 +374,7 @@ def simulate(
     ModelError, ProblemError, ExecutorError
         If the FMU cannot be run in this way, or a label is unknown.
     """
-    check_problem(problem)
+    problem = prepared(problem)
     resources = checked_resources(resources)
     check_values(problem, values or {})
     problem.describe()

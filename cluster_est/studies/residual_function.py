@@ -15,7 +15,7 @@ from cluster_est.problem.compatibility import check_observed_outputs, check_prio
 from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import SearchSpace, make_space
-from cluster_est.running.arguments import check_problem, checked_resources
+from cluster_est.running.arguments import checked_resources, prepared
 from cluster_est.running.environment import open_executor
 from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Runner
@@ -52,7 +52,7 @@ def residuals(
     ModelError, ProblemError, ExecutorError
         If the problem cannot be said in residuals, or the FMU cannot be run.
     """
-    check_problem(problem)
+    problem = prepared(problem)
     resources = checked_resources(resources)
     check_choice(differences, get_args(Scheme), "residuals: differences", ProblemError)
     problem.describe()

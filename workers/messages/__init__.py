@@ -4,7 +4,13 @@ The coordinator sends a `Model` and its `Experiment`s once to every worker, and 
 (one point, one experiment). The worker answers each with an `Outcome`, failures included.
 """
 
-from workers.messages.measured_experiment import Curve, Experiment, SignalBound, UserFunction
+from workers.messages.measured_experiment import (
+    Curve,
+    Experiment,
+    OwnStart,
+    SignalBound,
+    UserFunction,
+)
 from workers.messages.model import Effect, Model, Seats, Solver
 from workers.messages.signals import Input, Output
 from workers.messages.tasks import (
@@ -20,6 +26,7 @@ from workers.messages.types import (
     REDUCTIONS,
     USUAL,
     FloatArray,
+    GapRule,
     IntArray,
     Interface,
     Interpolation,
@@ -39,6 +46,7 @@ __all__ = [
     "Effect",
     "Experiment",
     "FloatArray",
+    "GapRule",
     "Input",
     "IntArray",
     "Interface",
@@ -49,6 +57,7 @@ __all__ = [
     "Model",
     "Outcome",
     "Output",
+    "OwnStart",
     "Reduction",
     "ResetPolicy",
     "Role",

@@ -5,6 +5,7 @@ Besides outputs it may be compared with a curve, bounds and functions.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -38,6 +39,7 @@ from workers.messages.signals import (
 from workers.messages.types import (
     REDUCTIONS,
     FloatArray,
+    GapRule,
     Role,
     Value,
     Want,
@@ -240,6 +242,28 @@ def _check_points(points: FloatArray, variables: tuple[str, ...]) -> None:
         check_finite(column, f"curve.points of {name!r}")
 
 
+@dataclass(frozen=True)
+class OwnStart:
+    """A start value that is estimated for one experiment alone: it begins behind a gap.
+
+    Attributes
+    ----------
+    variable
+        A state of the FMU.
+    start, lower, upper
+        Where the estimation starts, and bounds; a label as `role` is.
+    """
+
+    variable: str
+    start: float
+    lower: float = -math.inf
+    upper: float = math.inf
+
+    def __post_init__(self) -> None:
+        check_name(self.variable, "own_starts.variable", DataError)
+        check_number(self.start, f"own_starts of {self.variable!r}: start", DataError)
+
+
 @by_content
 @dataclass(frozen=True)
 class Experiment:
@@ -273,6 +297,12 @@ class Experiment:
     record
         Name of the experiment whose values it shares where parameters have one per experiment,
         because both are parts of one record; "" if it has its own. A label too.
+    gaps
+        What becomes of gaps in the record: "split" lets what is behind one begin with initial
+        states of its own where the inputs are unknown in it, "bridge" draws them through. A label.
+    own_starts
+        Initial states that are estimated for it alone, because it begins behind a gap of its
+        record. A label.
     log_spread
         With process noise: what is taken off the sum of log(S / sigma^2) in -2 log likelihood, S
         being the variances that a Kalman filter predicts. A constant, with which no estimate
@@ -299,6 +329,8 @@ class Experiment:
     cost_function: UserFunction | None = None
     constraint_functions: tuple[UserFunction, ...] = ()
     record: str = ""
+    gaps: GapRule = "split"
+    own_starts: tuple[OwnStart, ...] = ()
     log_spread: float = 0.0
 
     from_table: ClassVar[Callable[..., Experiment]]
@@ -318,6 +350,7 @@ class Experiment:
             given = getattr(self, key)
             object.__setattr__(self, key, as_pairs(given, f"{where}.{key}", DataError))
         check_choice(self.role, get_args(Role), f"{where}.role", DataError)
+        check_choice(self.gaps, get_args(GapRule), f"{where}.gaps", DataError)
         if self.record:
             check_name(self.record, f"{where}.record", DataError)
         _check_values(self.values, f"{where}.values")
@@ -336,6 +369,10 @@ class Experiment:
     def record_id(self) -> str:
         """Name of the record that it is, or is a part of."""
         return self.record or self.id
+
+    def estimates_alone(self, variable: str) -> bool:
+        """Return whether a start value is estimated for it alone."""
+        return any(each.variable == variable for each in self.own_starts)
 
     @property
     def size(self) -> int:
@@ -416,6 +453,7 @@ _EXPERIMENT_LISTS: dict[str, type] = {
     "signals": Input,
     "bounds": SignalBound,
     "constraint_functions": UserFunction,
+    "own_starts": OwnStart,
 }
 """The lists of an experiment, and what each holds."""
 

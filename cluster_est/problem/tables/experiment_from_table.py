@@ -31,7 +31,16 @@ from cluster_est.problem.tables.measured_table import (
     repeated,
 )
 from workers.fmu.description import nearest
-from workers.messages import Experiment, FloatArray, Input, Interpolation, Output, Role, Value
+from workers.messages import (
+    Experiment,
+    FloatArray,
+    GapRule,
+    Input,
+    Interpolation,
+    Output,
+    Role,
+    Value,
+)
 from workers.messages.checks import (
     as_tuple,
     check_choice,
@@ -127,6 +136,7 @@ def experiment_from_table(
     values: Mapping[str, Value] | None = None,
     role: Role = "train",
     groups: Mapping[str, str] | None = None,
+    gaps: GapRule = "split",
 ) -> Experiment:
     """Make an experiment from a measured table.
 
@@ -180,6 +190,9 @@ def experiment_from_table(
         "train", or "test" for an experiment that is only predicted.
     groups
         Labels by key, for parameters that are per "group:KEY".
+    gaps
+        "split" lets what is behind a gap in which inputs may have moved begin with initial states
+        of its own, which a fit estimates; "bridge" draws inputs through.
 
     Raises
     ------
@@ -208,6 +221,10 @@ def experiment_from_table(
         _output(reader, times, name, given, (sigmas[name], parts[name]), time)
         for name, given in wanted["outputs"].items()
     ]
+    if start is None:
+        driven = [each["column"] for each in wanted["inputs"].values()]
+        others = [each["column"] for k in ("outputs", "signals") for each in wanted[k].values()]
+        start = reader.empty_until(times, driven, others)
     start, stop = interval(start, stop, times, measured, where)
     driving = {
         key: _driving(reader, times, wanted[key], key, time) for key in ("inputs", "signals")
@@ -222,6 +239,7 @@ def experiment_from_table(
         role=role,
         groups={} if groups is None else groups,  # type: ignore[arg-type]
         signals=driving["signals"],
+        gaps=gaps,
     )
 
 

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from cluster_est.errors import DataError
 from cluster_est.problem.tables.files import read_table
+from cluster_est.problem.tables.gaps import STEPS_OF_GAP, RecordGap
 from cluster_est.problem.tables.measured_table import MeasuredTable, Reading
 from cluster_est.problem.tables.stand_ins import FoundStandIn, is_missing
 from cluster_est.problem.tables.times import JOINT, TableTimes, read_times
@@ -214,6 +215,24 @@ class MeasuredColumns:
         measured = self._known(times, values, column)
         return Output(variable, times[measured], values[measured], sigma, relative_sigma)
 
+    def empty_until(self, times: FloatArray, inputs: Sequence[str], others: Sequence[str]) -> float:
+        """The time of the first row that is not empty, where a gap stands before it.
+
+        Else that of the first row: without inputs a record may well begin before its first value.
+        """
+        known = np.zeros(len(times), dtype=bool)
+        for name in (*inputs, *others) if inputs else ():
+            try:
+                values = self.column(name)
+            except DataError:  # words of an ordinal output
+                return float(times[0])
+            if len(values) != len(times) or np.isfinite(values[0]):  # or times of its own
+                return float(times[0])
+            known |= np.isfinite(values)
+        first = float(times[np.argmax(known)])
+        gap = STEPS_OF_GAP * float(np.median(np.diff(times)))
+        return first if first - times[0] > gap else float(times[0])
+
     def points(self, columns: Collection[str]) -> FloatArray:
         """(n, d): the points of a curve, without those of which a part was not measured.
 
@@ -293,6 +312,17 @@ def interval(
 ) -> tuple[float, float]:
     """The simulated interval: as it is given, else as far as the data goes.
 
+    Parameters
+    ----------
+    start, stop
+        As they are given; None if they are not.
+    times
+        Of the rows, or those at which anything was measured.
+    outputs
+        Of which the last one with a sample ends it.
+    where
+        Opens each message.
+
     Raises
     ------
     DataError
@@ -360,6 +390,8 @@ class TableSource:
         How the file was read, a sentence each.
     units
         (column, unit), as far as the file says them beside the names.
+    gaps
+        Those in its outputs.
     """
 
     experiment: str
@@ -375,6 +407,7 @@ class TableSource:
     test: tuple[str, str] | None = None
     notes: tuple[str, ...] = ()
     units: tuple[tuple[str, str], ...] = ()
+    gaps: tuple[RecordGap, ...] = ()
 
     def unused(self) -> UnusedColumns:
         """Read the file again, for its other columns.

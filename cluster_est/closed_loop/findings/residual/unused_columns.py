@@ -134,7 +134,7 @@ def _dependence(pairs: Sequence[_Pair]) -> Dependence:
 def _tables(workbench: LoopWorkbench) -> dict[int, UnusedColumns]:
     """Unused columns of the training experiments, by position; none if one has no table."""
     sources = {source.experiment: source for source in workbench.problem.tables}
-    ids = [workbench.problem.experiments[e].id for e in workbench.train]
+    ids = [workbench.problem.experiments[e].record_id for e in workbench.train]
     if not all(name in sources for name in ids):
         return {}
     return {i: sources[name].unused() for i, name in enumerate(ids)}

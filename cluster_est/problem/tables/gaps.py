@@ -1,0 +1,301 @@
+"""Gaps in a record: stretches much longer than its usual step in which inputs were not measured.
+
+A gap is found by the times alone. Whether a model can run through it is a question of its inputs:
+where one is constant, or goes on along one straight line, for as long before the gap and behind it
+as the gap lasts, it is taken to have done so in it too. Anything else may have happened there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from workers.messages import Experiment, FloatArray, Input, Output
+
+LEAST_STEPS = 10
+"""Steps of a signal of which the usual one can be told."""
+STEPS_OF_GAP = 5.0
+"""Median steps that a gap is longer than: fewer samples that were lost are bridged."""
+LONG_STEPS_OF_GAP, LONG_STEP = 4.0, 0.95
+"""And steps of this quantile: of steps that are exponentially distributed, as widely as there is,
+six in a million are longer."""
+NEAR = 5
+"""Steps to either side that a gap is compared with too, where a record changes its rate."""
+STRAIGHT = 1e-3
+"""Distance of an input from a straight line around a gap, over its range, that is nothing."""
+NOISES, MOST_NOISE = 4.0, 0.02
+"""The same over the noise of an input, and what that may be of its range at most."""
+WITH_OUTPUTS, UNEVEN, REPEATED = 0.5, 3.0, 0.1
+"""An input has points where it changes, not samples, if it has one at fewer than this share of the
+outputs' times, and either its long steps are so many times its short ones (of the 95 and the 10 %
+quantile), or it is held and hardly ever repeats a value."""
+
+LONG_UNITS = (("d", 86400.0), ("h", 3600.0))
+"""Units that long gaps are given in too."""
+
+Treatment = Literal["split", "left out", "bridged", "run through", "before"]
+
+
+@dataclass(frozen=True)
+class RecordGap:
+    """A gap of a record, and what became of it.
+
+    Attributes
+    ----------
+    record
+        Id of the experiment.
+    first, last
+        The last time before it and the first one behind it, in seconds.
+    missing
+        What was not measured, as "input F"; "" for nothing at all.
+    treatment
+        "split": what is behind it is an experiment of its own. "left out": it is not used.
+        "bridged": inputs are drawn through. "run through": the model may, as nothing moves.
+        "before": the record begins behind it.
+    moving
+        The inputs that may have moved in it.
+    why
+        What stands against splitting the record, or leads to what was done; may be "".
+    """
+
+    record: str
+    first: float
+    last: float
+    missing: str
+    treatment: Treatment
+    moving: tuple[str, ...] = ()
+    why: str = ""
+
+    @property
+    def interval(self) -> str:
+        """Its length and times in words."""
+        length = self.last - self.first
+        long = next((f" ({length / s:.3g} {u})" for u, s in LONG_UNITS if length >= 2.0 * s), "")
+        return f"{length:.6g} s{long}, from {self.first:.10g} to {self.last:.10g} s"
+
+
+@dataclass(frozen=True)
+class InputGap:
+    """A gap in which one or more inputs were not measured.
+
+    Attributes
+    ----------
+    first, last
+        As of `RecordGap`.
+    inputs
+        Which were not.
+    moving
+        Those of them that may have moved.
+    whole
+        Whether nothing at all was measured in it.
+    """
+
+    first: float
+    last: float
+    inputs: tuple[str, ...]
+    moving: tuple[str, ...]
+    whole: bool
+
+    @property
+    def missing(self) -> str:
+        """What was not measured, in words; "" for nothing at all."""
+        return "" if self.whole else named_signals("input", self.inputs)
+
+
+def named_signals(kind: str, names: Sequence[str]) -> str:
+    """Return "input F", or "inputs F and G"."""
+    return f"{kind}{'s' if len(names) > 1 else ''} {' and '.join(names)}"
+
+
+def long_steps(times: FloatArray) -> FloatArray:
+    """Return the gaps between samples, (gaps, 2): the times before and behind each."""
+    steps = np.diff(times)
+    if len(steps) < LEAST_STEPS:
+        return np.zeros((0, 2))
+    long = float(np.quantile(steps, LONG_STEP, method="lower"))
+    least = max(STEPS_OF_GAP * float(np.median(steps)), LONG_STEPS_OF_GAP * long)
+    found = [i for i in np.flatnonzero(steps > least).tolist() if _stands_out(steps, i)]
+    return np.array([[times[i], times[i + 1]] for i in found]).reshape(-1, 2)
+
+
+def _stands_out(steps: FloatArray, i: int) -> bool:
+    """Return whether a step is long beside those near it, on either side."""
+    sides = steps[max(i - NEAR, 0) : i], steps[i + 1 : i + 1 + NEAR]
+    near = max(float(np.median(side)) if len(side) else 0.0 for side in sides)
+    return float(steps[i]) > STEPS_OF_GAP * near
+
+
+def input_gaps(experiment: Experiment, holds: Callable[[str], bool]) -> list[InputGap]:
+    """Return the gaps of an experiment's inputs and signals, those that overlap as one.
+
+    Parameters
+    ----------
+    experiment
+        As it was measured.
+    holds
+        Whether an input of this name changes at events alone.
+    """
+    found: list[tuple[float, float, str, bool]] = []
+    for given in (*experiment.inputs, *experiment.signals):
+        held = given.interpolation == "hold" or holds(given.variable)
+        gaps = long_steps(given.times).tolist()
+        if not gaps or _is_noted_at_changes(given, experiment, held=held):
+            continue
+        for first, last in gaps:
+            if experiment.start <= first and last <= experiment.stop:
+                goes_on = _goes_on(given, (first, last), held=held)
+                found.append((first, last, given.variable, not goes_on))
+    return [_joined(experiment, group) for group in _overlapping(sorted(found))]
+
+
+def output_gaps(
+    record: str,
+    outputs: Sequence[Output],
+    times: FloatArray,
+    begin: float | None,
+    stop: float | None,
+) -> tuple[RecordGap, ...]:
+    """Return the gaps in which outputs alone were not measured, and one before a record begins.
+
+    Parameters
+    ----------
+    record
+        Id of the experiment.
+    outputs
+        All samples of each.
+    times
+        Of the rows.
+    begin
+        Where the record begins; None where a user says it.
+    stop
+        Where it ends, if a user says it.
+    """
+    found: dict[tuple[float, float], list[str]] = {}
+    for output in outputs:
+        for first, last in long_steps(output.times).tolist():
+            if stop is None or last <= stop:
+                found.setdefault((first, last), []).append(output.variable)
+    gaps = [
+        RecordGap(record, first, last, named_signals("output", names), "run through")
+        for (first, last), names in sorted(found.items())
+    ]
+    if begin is not None and begin > times[0]:
+        gaps.insert(0, RecordGap(record, float(times[0]), begin, "", "before"))
+    return tuple(gaps)
+
+
+def _is_noted_at_changes(given: Input, experiment: Experiment, *, held: bool) -> bool:
+    """Return whether an input has points only where it begins to take other values."""
+    if len(given.times) <= LEAST_STEPS:
+        return True
+    measured = np.concatenate([np.zeros(0), *(output.times for output in experiment.outputs)])
+    if len(measured) and np.mean(np.isin(measured, given.times)) >= WITH_OUTPUTS:
+        return False
+    short, long = np.quantile(np.diff(given.times), [0.1, LONG_STEP], method="lower").tolist()
+    repeats = float(np.mean(np.diff(given.values) == 0.0))
+    return bool(long > UNEVEN * short) or (held and repeats < REPEATED)
+
+
+def _goes_on(given: Input, gap: tuple[float, float], *, held: bool) -> bool:
+    """Return whether an input goes on along a straight line before, in and behind a gap."""
+    extent = float(np.ptp(given.values))
+    if extent == 0.0:
+        return True
+    first, last = gap
+    length = last - first
+    near = (given.times >= first - length) & (given.times <= last + length)
+    times, values = given.times[near], given.values[near]
+    if times[0] > first - 0.5 * length or times[-1] < last + 0.5 * length:
+        return False
+    noise = NOISES * _noise(given.values)
+    tolerance = max(STRAIGHT * extent, min(noise, MOST_NOISE * extent))
+    if held:
+        return bool(0.5 * np.ptp(values) <= tolerance)
+    x = (times - first) / length
+    line = np.polynomial.Polynomial.fit(x, values, 1)
+    return bool(np.max(np.abs(values - line(x))) <= tolerance)
+
+
+def _noise(values: FloatArray) -> float:
+    """The noise of an input by its second differences."""
+    return float(1.4826 * np.median(np.abs(np.diff(values, 2))) / np.sqrt(6.0))
+
+
+def _overlapping(
+    found: Sequence[tuple[float, float, str, bool]],
+) -> Iterator[list[tuple[float, float, str, bool]]]:
+    """Give gaps in groups of those that overlap."""
+    group: list[tuple[float, float, str, bool]] = []
+    for each in found:
+        if group and each[0] >= max(last for _, last, *_ in group):
+            yield group
+            group = []
+        group.append(each)
+    if group:
+        yield group
+
+
+def _joined(experiment: Experiment, group: Sequence[tuple[float, float, str, bool]]) -> InputGap:
+    first, last = min(each[0] for each in group), max(each[1] for each in group)
+    driving = (*experiment.inputs, *experiment.signals)
+    times = [given.times for given in driving] + [o.times for o in experiment.outputs]
+    inside = [bool(np.any((own > first) & (own < last))) for own in times]
+    names = tuple(dict.fromkeys(each[2] for each in group))
+    moving = tuple(dict.fromkeys(each[2] for each in group if each[3]))
+    return InputGap(first, last, names, moving, not any(inside))
+
+
+MOST_NAMED_GAPS, MOST_FINDINGS = 4, 12
+"""Gaps of a record that a sentence names, and sentences."""
+EFFECTS: Mapping[Treatment, tuple[str, str]] = {
+    "split": (
+        " may have moved there, so what is behind begins with initial states of its own, which are "
+        "estimated",
+        'gaps = "bridge" in the experiment draws the inputs through instead',
+    ),
+    "left out": (" may have moved there, and what is behind is left out", ""),
+    "bridged": (
+        " may have moved there, and is drawn through in a straight line or held",
+        'gaps = "split" in the experiment lets what is behind begin anew',
+    ),
+    "before": ("the record begins behind it", ""),
+    "run through": ("the inputs are known there, and the model runs through", ""),
+}
+"""What became of gaps, and what changes it."""
+
+
+def gap_findings(gaps: Sequence[RecordGap]) -> list[tuple[str, str, Treatment]]:
+    """Return a sentence for the gaps of each record, what can be done, and what was."""
+    groups: dict[tuple[object, ...], list[RecordGap]] = {}
+    for gap in gaps:
+        same = gap.record, gap.treatment, gap.missing, gap.moving, gap.why
+        groups.setdefault(same, []).append(gap)
+    alike = list(groups.values())
+    found = [
+        (_sentence(own), EFFECTS[t := own[0].treatment][1], t) for own in alike[:MOST_FINDINGS]
+    ]
+    rest = [gap for own in alike[MOST_FINDINGS:] for gap in own]
+    if rest:
+        records = len({gap.record for gap in rest})
+        said = f"{len(rest)} more gaps in {records} experiment{'s' if records > 1 else ''}"
+        cut = [gap.treatment for gap in rest if gap.treatment != "run through"]
+        found.append((said, "", cut[0] if cut else "run through"))
+    return found
+
+
+def _sentence(alike: Sequence[RecordGap]) -> str:
+    """Say which gaps a record has that were treated alike, and how."""
+    gap, count = alike[0], len(alike)
+    named = [each.interval for each in alike[:MOST_NAMED_GAPS]]
+    more = f" and {count - MOST_NAMED_GAPS} more" if count > MOST_NAMED_GAPS else ""
+    what = f"{gap.missing} not measured" if gap.missing else "nothing measured"
+    has = "a gap of" if count == 1 else f"{count} gaps:"
+    who = named_signals("input", gap.moving) if gap.moving else ""
+    because = f" ({gap.why})" if gap.why else ""
+    return (
+        f"experiment {gap.record} has {has} {'; '.join(named)}{more}, with {what}: "
+        f"{who}{EFFECTS[gap.treatment][0]}{because}"
+    )

@@ -1,0 +1,1 @@
+"""Records with gaps, made from the systems of the closed loop's benchmark."""
