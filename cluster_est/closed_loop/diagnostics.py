@@ -9,14 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.closed_loop.candidates.scales import SignalScales
-from cluster_est.closed_loop.first_pass import open_checked_workbench
-from cluster_est.closed_loop.measured_noise import expected_noise, noise_of
-from cluster_est.closed_loop.numerical_error.error import NumericalError
-from cluster_est.closed_loop.numerical_error.measure import measure_numerical_error
+from cluster_est.closed_loop.numerical_error import NumericalError, measure_numerical_error
+from cluster_est.closed_loop.outliers import open_checked_workbench
+from cluster_est.closed_loop.output_noise import expected_noise, noise_of
 from cluster_est.closed_loop.prepare import LoopRequest, checked_request, open_workbench
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
 from cluster_est.closed_loop.screening.screen import findings, screen
-from cluster_est.closed_loop.selection.declared_model import fit_declared
+from cluster_est.closed_loop.selection.starts import fit_declared
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.errors import EffectError, ProblemError

@@ -18,7 +18,6 @@ from typing_extensions import override
 from cluster_est.closed_loop.account import account, last_fits
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.findings.simulation_cost import dear_structures
-from cluster_est.closed_loop.first_pass import open_checked_workbench
 from cluster_est.closed_loop.long_records import (
     CONFIRMED_ON_ALL,
     MANY,
@@ -27,8 +26,9 @@ from cluster_est.closed_loop.long_records import (
     thinned_records,
     with_slim_log,
 )
+from cluster_est.closed_loop.outliers import open_checked_workbench
 from cluster_est.closed_loop.prepare import LoopRequest, check_arguments
-from cluster_est.closed_loop.process_noise.passes import (
+from cluster_est.closed_loop.process_noise import (
     SpentSimulations,
     close_loop_under_noise,
     with_all,

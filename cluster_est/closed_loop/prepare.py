@@ -8,18 +8,18 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.measured_noise import is_told, noise_of
-from cluster_est.closed_loop.selection.declared_model import BRIEF
-from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.simulation_meter import SimulationMeter
-from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.synthetic_experiments import (
+from cluster_est.closed_loop.output_noise import is_told, noise_of
+from cluster_est.closed_loop.selection.starts import BRIEF
+from cluster_est.closed_loop.settings import LoopSettings, LoopStage
+from cluster_est.closed_loop.workbench import (
+    FitStart,
+    LoopWorkbench,
+    SimulationMeter,
     SyntheticKind,
     enlarged_kind,
     shortened_kinds,
     with_outputs,
 )
-from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench
 from cluster_est.errors import ProblemError
 from cluster_est.problem.compatibility import NOT_PLAIN
 from cluster_est.problem.costs import SumSquared

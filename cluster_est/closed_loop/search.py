@@ -8,19 +8,19 @@ from functools import partial
 
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
-from cluster_est.closed_loop.measured_noise import expected_noise
-from cluster_est.closed_loop.numerical_error.error import NumericalError
-from cluster_est.closed_loop.numerical_error.measure import (
+from cluster_est.closed_loop.numerical_error import (
+    NumericalError,
     error_with_effects,
     measure_numerical_error,
 )
+from cluster_est.closed_loop.output_noise import expected_noise
 from cluster_est.closed_loop.selection.beam_search import beam_search
-from cluster_est.closed_loop.selection.declared_model import fit_declared
-from cluster_est.closed_loop.selection.functions_of_time import (
+from cluster_est.closed_loop.selection.moves import (
     functions_of_time,
     without_functions_of_time,
 )
 from cluster_est.closed_loop.selection.rounds import SelectionResult, without_search
+from cluster_est.closed_loop.selection.starts import fit_declared
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.running.resources import Resources
 

@@ -1,7 +1,8 @@
-"""The settings of a closed loop: what a user chooses, and the thresholds of every step."""
+"""The settings of a closed loop, and the names of its stages."""
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Mapping
 from typing import Annotated, ClassVar
 
@@ -11,6 +12,50 @@ from cluster_est.closed_loop.thresholds import LoopThresholds
 from cluster_est.errors import EffectError
 from cluster_est.settings import LARGEST_INTEGER, Finite, Names, Positive, Settings, sentence
 from workers.effects.site import parse_site
+
+
+class LoopStage(enum.Enum):
+    """A stage of a closed loop; its value is the name of its searches in the log.
+
+    Attributes
+    ----------
+    title
+        A text for people, as in "stopped while ...".
+    """
+
+    title: str
+
+    def __new__(cls, value: str, title: str) -> LoopStage:
+        """Make a member of a name and a title."""
+        stage = object.__new__(cls)
+        stage._value_ = value
+        stage.title = title
+        return stage
+
+    WEIGHTS = "weights", "weighting the outputs"
+    DECLARED_MODEL = "base", "fitting the declared model"
+    LEAVE_ONE_OUT = "leave one out", "predicting experiments that were left out"
+    TRAJECTORIES = "course", "screening the candidates"
+    TESTS = "tests", "testing the candidates"
+    PROBE = "probe", "screening the candidates"
+    TRIALS = "trial", "trying candidates"
+    REFITS = "candidate", "refitting candidates"
+    ENLARGED_INPUTS = "enlarged", "simulating with larger inputs"
+    DECLARED_AGAIN = "return", "fitting the declared model again"
+    OTHER_STARTS = "other starts", "refitting from other starts"
+    SWAP = "swap", "revising the effects"
+    DROP = "drop", "revising the effects"
+    FINAL = "final", "the final fits"
+    PROCESS_NOISE = "process noise", "fitting the process noise"
+
+
+def stage_title(search: str) -> str:
+    """Return what a person reads of a search, by its name in the log; the name if it is no stage's.
+
+    The final fits have searches of their own beside "final", such as "before" and "after".
+    """
+    titles = {stage.value: stage.title for stage in LoopStage}
+    return titles.get(search, search)
 
 
 def _sites(given: tuple[str, ...]) -> tuple[str, ...]:

@@ -1,31 +1,126 @@
-"""The workbench of a closed loop: the queue, the experiments, and models fitted to them."""
+"""The workbench of a closed loop: experiments, synthetic ones, and models fitted to them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, make_trajectory
-from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.simulation_meter import SimulationMeter
-from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.synthetic_experiments import EnlargedCopy, SyntheticKind
-from cluster_est.closed_loop.thresholds import LoopThresholds
+from cluster_est.closed_loop.settings import LoopSettings, LoopStage
+from cluster_est.closed_loop.thresholds import LoopThresholds, PreparationThresholds
 from cluster_est.errors import ProblemError
 from cluster_est.methods.method import Ending, Evaluation, GivenPoints, Method
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names, without_noise
 from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.multistart import with_best_sensors
+from cluster_est.running.resources import Record, TaskOrigin
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.whitening import deviance
 from workers.fmu.description import ModelDescription
-from workers.messages import FloatArray, Want
+from workers.messages import Experiment, FloatArray, Outcome, Output, Want
+
+
+@dataclass(frozen=True)
+class ShortenedCopy:
+    """The first part of an experiment.
+
+    Attributes
+    ----------
+    share
+        Of its record.
+    samples
+        Of each output that it keeps at least.
+    """
+
+    share: float
+    samples: int = 12
+
+    def of(self, experiment: Experiment) -> Experiment:
+        """Shorten an experiment."""
+        stop = experiment.start + self.share * (experiment.stop - experiment.start)
+        for output in experiment.outputs:
+            if len(output.times):
+                stop = max(stop, float(output.times[min(self.samples, len(output.times)) - 1]))
+        outputs = [output.only(output.times <= stop) for output in experiment.outputs]
+        name = f"{experiment.id} (first {self.share:.0%})"
+        return replace(experiment, id=name, stop=stop, outputs=tuple(outputs))
+
+
+@dataclass(frozen=True)
+class EnlargedCopy:
+    """An experiment whose inputs swing further about their means.
+
+    Attributes
+    ----------
+    factor
+        By how much.
+    """
+
+    factor: float
+
+    def of(self, experiment: Experiment) -> Experiment:
+        """Enlarge the inputs of an experiment."""
+        inputs = tuple(
+            replace(given, values=_swung(given.values, self.factor)) for given in experiment.inputs
+        )
+        name = f"{experiment.id} (inputs x {self.factor:g})"
+        return replace(experiment, id=name, inputs=inputs)
+
+
+SyntheticKind = ShortenedCopy | EnlargedCopy
+
+
+def shortened_kinds(thresholds: PreparationThresholds) -> tuple[ShortenedCopy, ...]:
+    """Return the shortened experiments that a start grows through, the shortest first."""
+    return tuple(ShortenedCopy(share, thresholds.shortest) for share in thresholds.horizons)
+
+
+def enlarged_kind(thresholds: PreparationThresholds) -> EnlargedCopy:
+    """Return the enlarged experiments in which a model must stay bounded."""
+    return EnlargedCopy(thresholds.enlargement)
+
+
+def with_outputs(problem: Problem, change: Callable[[int, Output], Output]) -> Problem:
+    """Return the problem with each output as a function of it and its experiment's index."""
+    experiments = [
+        replace(experiment, outputs=tuple(change(e, output) for output in experiment.outputs))
+        for e, experiment in enumerate(problem.experiments)
+    ]
+    return replace(problem, experiments=tuple(experiments))
+
+
+def _swung(values: FloatArray, factor: float) -> FloatArray:
+    mean = values.mean()
+    return np.asarray(mean + factor * (values - mean))
+
+
+class SimulationMeter:
+    """Counts simulations in units of a whole experiment, and hands them on to a record.
+
+    Parameters
+    ----------
+    experiments
+        Those that are installed; what has been shortened counts for its part.
+    record
+        Called for each simulation; may be None.
+    """
+
+    def __init__(self, experiments: Sequence[Experiment], record: Record | None) -> None:
+        longest = max(e.stop - e.start for e in experiments)
+        self._parts = [(e.stop - e.start) / longest for e in experiments]
+        self._record = record
+        self.full = 0.0
+
+    def __call__(self, origin: TaskOrigin, outcome: Outcome) -> None:
+        self.full += self._parts[origin.task.experiment]
+        if self._record is not None:
+            self._record(origin, outcome)
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from benches import Row
 from benches.common import WrittenModel
 from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
 from cluster_est.closed_loop.screening.screen import screen
-from cluster_est.closed_loop.selection.declared_model import fit_declared
+from cluster_est.closed_loop.selection.starts import fit_declared
 from cluster_est.closed_loop.workbench import FitStart
 
 SAMPLES, NOISE, RECORDS = 1000, 0.01, 6

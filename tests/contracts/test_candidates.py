@@ -18,11 +18,10 @@ from support.truth.systems_with_missing_effects import (
     unfitted,
 )
 
-from cluster_est.closed_loop.candidates.finer_curves import finer_form, in_finer_form
+from cluster_est.closed_loop.candidates.finer_grids import finer_form, in_finer_form
 from cluster_est.closed_loop.candidates.make import EffectCandidate, make_candidates
 from cluster_est.closed_loop.screening.directions import CandidatePoint, directions
-from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.settings import LoopSettings, LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from workers.effects.definition import define
 from workers.effects.forms import FORMS

@@ -16,10 +16,9 @@ from support.problems.springs import FMU
 from cluster_est import Experiment, LoopSettings, Model, Output, Parameter, Problem, Result, Solver
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.screening.directions import CandidatePoint
-from cluster_est.closed_loop.screening.ranking import CandidateRanking
-from cluster_est.closed_loop.screening.screen import ScreeningResult
-from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
-from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
+from cluster_est.closed_loop.screening.screen import CandidateRanking, ScreeningResult
+from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction
+from cluster_est.closed_loop.selection.refits import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import (
     RejectionReason,
     RoundStart,

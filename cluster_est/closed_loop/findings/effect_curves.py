@@ -7,8 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.kinematics import integrated_states
-from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
+from cluster_est.closed_loop.candidates.trajectory import (
+    LinearisedTrajectory,
+    integrated_states,
+    pooled,
+)
 from cluster_est.closed_loop.findings.free_values import free_values
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.errors import ClusterEstError

@@ -1,21 +1,44 @@
-"""Screening: whether any candidate, or any smooth structure, is more than noise."""
+"""Screening: every candidate against the residual to first order, tested against noise."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from cluster_est.closed_loop.candidates.arguments import (
+    CandidatePlace,
+    count_candidates,
+    count_variables,
+    open_arguments,
+    open_places,
+)
+from cluster_est.closed_loop.candidates.finer_grids import finer_form, in_finer_form
+from cluster_est.closed_loop.candidates.make import (
+    EffectCandidate,
+    candidate_sites,
+    forms_at,
+    make_candidates,
+)
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
+from cluster_est.closed_loop.screening.directions import CandidatePoint, directions, probe
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
-from cluster_est.closed_loop.screening.ranking import CandidateRanking, rank
-from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.screening.places import rank_places
+from cluster_est.closed_loop.settings import LoopStage
+from cluster_est.closed_loop.thresholds import ScreeningThresholds
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.statistics.omnibus import OmnibusTest, omnibus
-from cluster_est.statistics.projection import ProjectedResidual
-from cluster_est.statistics.score import ScoreTests, family_wise
-from workers.messages import FloatArray
+from cluster_est.statistics.projection import (
+    OrthogonalProjection,
+    ProjectedResidual,
+)
+from cluster_est.statistics.records import StackedRecords, thinned
+from cluster_est.statistics.score import ScoreTests, family_wise, score
+from cluster_est.statistics.whitening import fit_autoregression, whiten
+from workers.effects.site import EffectSite
+from workers.messages import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -131,3 +154,257 @@ def refreshed(
 ) -> CandidateEvidence:
     """A finding that has come a stage further."""
     return replace(finding, stage=stage, criterion=criterion)
+
+
+PLACES_STREAM = 7
+"""Stream of the random generator of the places; see `LoopWorkbench.generator`."""
+
+
+@dataclass(frozen=True)
+class CandidateRanking:
+    """All candidates against the residual of a fit.
+
+    Attributes
+    ----------
+    trials
+        Candidates at the points of their grids.
+    columns
+        The direction of each trial, (kept residuals, width).
+    rows
+        Indices of the residuals that were kept.
+    records
+        Of these.
+    plain, white
+        Scores against the residual as it is, and after both were whitened by an autoregression.
+    residual, residual_white
+        What they were scored against.
+    unseen
+        Candidates that were looked at, if only by their places, for each that was compared itself.
+    column_penalty
+        See `ScreeningThresholds`.
+    """
+
+    trials: tuple[CandidatePoint, ...]
+    columns: tuple[FloatArray, ...] = field(repr=False)
+    rows: IntArray = field(repr=False)
+    records: StackedRecords = field(repr=False)
+    plain: ScoreTests = field(repr=False)
+    white: ScoreTests = field(repr=False)
+    residual: ProjectedResidual = field(repr=False)
+    residual_white: ProjectedResidual = field(repr=False)
+    unseen: float = 1.0
+    column_penalty: float = ScreeningThresholds.column_penalty
+
+    @property
+    def count(self) -> int:
+        """Different candidates that the parameters do not confound, the unseen ones among them."""
+        kept = {t.candidate.effect for t, df in zip(self.trials, self.plain.df, strict=True) if df}
+        return max(1, round(len(kept) * self.unseen))
+
+    def leaders(self, scores: ScoreTests, most: int, *, free: bool = False) -> list[int]:
+        """The best trial of each named candidate, or of each free curve; the best first."""
+        rank = scores.statistics - self.column_penalty * np.maximum(scores.df - 1, 0)
+        best: dict[str, int] = {}
+        for i in np.argsort(-rank, kind="stable").tolist():
+            trial = self.trials[i]
+            if scores.df[i] and trial.candidate.form.free is free:
+                best.setdefault(trial.candidate.effect.name, i)
+        return list(best.values())[:most]
+
+
+def rank(workbench: LoopWorkbench, fitted: FittedModel) -> CandidateRanking:
+    """Rank every candidate at a fit.
+
+    Each is compared with the residual by itself, so there may be more candidates than measured
+    values: what the choice among many costs is in the criterion of the selection.
+    """
+    trajectories = workbench.trajectories(fitted)
+    thresholds = workbench.thresholds.screening
+    candidates, possible = _candidates(workbench, fitted, trajectories)
+    trials = tuple(CandidatePoint(c, values) for c in candidates for values in c.grid)
+    width = sum(trial.width for trial in trials)
+    most = min(thresholds.most_rows, thresholds.most_values // max(width, 1))
+    records, rows = thinned(workbench.records, most)
+    columns = tuple(candidate_columns(workbench, fitted, trajectories, trials, rows))
+    matrix, residuals = fitted.jacobian[rows], fitted.residuals[rows]
+    plain = ProjectedResidual(OrthogonalProjection(matrix), residuals)
+    cleaned = plain.projection.remove(residuals)
+    order = thresholds.autoregression
+    coefficients = fit_autoregression(cleaned, records, order, about_mean=True)
+
+    def whitened(values: FloatArray) -> FloatArray:
+        return whiten(values, records, coefficients)
+
+    white = ProjectedResidual(OrthogonalProjection(whitened(matrix)), whitened(residuals))
+    least = thresholds.confounded
+    return CandidateRanking(
+        trials=trials,
+        columns=columns,
+        rows=rows,
+        records=records,
+        plain=score(plain.projection, plain.residuals, columns, least),
+        white=score(white.projection, white.residuals, [whitened(c) for c in columns], least),
+        residual=plain,
+        residual_white=white,
+        unseen=max(possible / max(len(candidates), 1), 1.0),
+        column_penalty=thresholds.column_penalty,
+    )
+
+
+def _candidates(
+    workbench: LoopWorkbench, fitted: FittedModel, trajectories: Sequence[LinearisedTrajectory]
+) -> tuple[list[EffectCandidate], int]:
+    """All candidates, or those at leading places where there are many; how many were looked at."""
+    description, settings = workbench.description, workbench.settings
+    frequencies = _peaks(workbench.records, fitted.residuals, workbench.thresholds.screening)
+    given = (fitted.problem, description, trajectories)
+    sites = candidate_sites(*given, settings)
+    arguments = open_arguments(*given)
+    forms = {site: forms_at(site, fitted.problem, description, settings) for site in sites}
+    possible = sum(count_variables(f, site, arguments) for site in sites for f in forms[site])
+    if not workbench.by_linear_systems or possible <= workbench.thresholds.places.most_candidates:
+        candidates = make_candidates(*given, frequencies, settings)
+        if not workbench.by_linear_systems or len(candidates) <= workbench.size:
+            return candidates, len(candidates)
+    places = open_places(sites, arguments, trajectories)
+    leading = _leading(workbench, fitted, trajectories, places, frequencies)
+    candidates = make_candidates(*given, frequencies, settings, leading)
+    looked_at = count_candidates(places, forms, arguments)
+    return candidates, looked_at + sum(candidate.form.variables > 1 for candidate in candidates)
+
+
+def _leading(
+    workbench: LoopWorkbench,
+    fitted: FittedModel,
+    trajectories: Sequence[LinearisedTrajectory],
+    places: Sequence[CandidatePlace],
+    frequencies: Sequence[float],
+) -> list[CandidatePlace]:
+    """The places at which a free curve explains the most."""
+    thresholds = workbench.thresholds.places
+    residual = ProjectedResidual(OrthogonalProjection(fitted.jacobian), fitted.residuals)
+    generator = workbench.generator(PLACES_STREAM)
+    ranked = rank_places(places, trajectories, residual, frequencies, generator, thresholds)
+    return [each.place for each in ranked[: thresholds.leading]]
+
+
+def candidate_columns(
+    workbench: LoopWorkbench,
+    fitted: FittedModel,
+    trajectories: Sequence[LinearisedTrajectory],
+    trials: Sequence[CandidatePoint],
+    rows: IntArray | None = None,
+) -> list[FloatArray]:
+    """Directions of all trials: from the linear systems, or where there are none by simulation.
+
+    `rows` are the residuals that are kept; None for all of them.
+    """
+    known = fitted.space.physical(fitted.x)
+    targets = [p.target for p in fitted.problem.parameters]
+    values = []
+    for trajectory, row in zip(trajectories, known, strict=True):
+        names = trajectory.linear.parameter_names if trajectory.linear is not None else ()
+        values.append(np.array([row[targets.index(name)] for name in names], float))
+    if workbench.by_linear_systems:
+        return directions(trajectories, trials, values, rows, workbench.compared)
+    outside = [t for t in trials if t.candidate.site.kind == "output"]
+    inside = [t for t in trials if t.candidate.site.kind != "output"]
+    kept = slice(None) if rows is None else rows
+    shown = directions(trajectories, outside, values, rows)
+    found = dict(zip(map(id, outside), shown, strict=True))
+    probed = (column[kept] for column in probe(workbench, fitted, trajectories, inside))
+    found |= dict(zip(map(id, inside), probed, strict=True))
+    return [found[id(trial)] for trial in trials]
+
+
+def _peaks(
+    records: StackedRecords, residuals: FloatArray, thresholds: ScreeningThresholds
+) -> list[float]:
+    """Angular frequencies at which the residual of some record is strongest."""
+    best: list[tuple[float, float]] = []
+    for record in records.items:
+        part, times = residuals[record.rows], record.times
+        if len(part) < thresholds.peak_samples:
+            continue
+        step = float(np.median(np.diff(times)))
+        power = np.abs(np.fft.rfft(part - part.mean())) ** 2 / len(part)
+        rates = 2.0 * np.pi * np.fft.rfftfreq(len(part), step)
+        order = np.argsort(-power[2:])[: thresholds.peaks] + 2
+        best += [(float(power[k]), float(rates[k])) for k in order]
+    found: list[float] = []
+    for _, rate in sorted(best, reverse=True):
+        if all(abs(rate - other) > thresholds.peak_distance * other for other in found):
+            found.append(rate)
+    return found[: thresholds.peaks]
+
+
+def rank_curves(
+    workbench: LoopWorkbench,
+    fitted: FittedModel,
+    ranking: CandidateRanking,
+    *,
+    variables: int = 1,
+) -> CandidateRanking:
+    """Rank the leading free curves at a fit against finer ones at the same places.
+
+    What changes faster than the values of a curve lie apart looks like little to that curve, and
+    may look like more elsewhere.
+
+    Parameters
+    ----------
+    fitted
+        The model that a curve is added to.
+    ranking
+        Of all candidates at that model.
+    variables
+        1 for curves of one argument, 2 for those of a switch, which follow most of what the switch
+        alone does and would crowd out curves that say less.
+
+    Returns
+    -------
+    CandidateRanking
+        Of these curves alone, against the residual as it is; the coarse ones come first.
+    """
+    thresholds = workbench.thresholds.screening
+    leaders = [
+        i
+        for i in ranking.leaders(ranking.plain, len(ranking.trials), free=True)
+        if max(ranking.trials[i].candidate.form.variables, 1) == variables
+    ][: thresholds.curves]
+    coarse = [ranking.trials[i] for i in leaders]
+    refined = len(coarse) if workbench.by_linear_systems else thresholds.probed_curves
+    finer = [
+        CandidatePoint(candidate, values)
+        for trial in coarse[:refined]
+        for candidate in _finer_curves(trial.candidate)
+        for values in candidate.grid
+    ]
+    new = candidate_columns(workbench, fitted, workbench.trajectories(fitted), finer, ranking.rows)
+    columns = (*(ranking.columns[i] for i in leaders), *new)
+    residual = ranking.residual
+    scores = score(residual.projection, residual.residuals, columns, thresholds.confounded)
+    return replace(ranking, trials=(*coarse, *finer), columns=columns, plain=scores)
+
+
+def leading_places(curves: CandidateRanking) -> list[int]:
+    """Return the coarsest curve of each place, in the order of what the best one there explains."""
+    coarsest: dict[tuple[EffectSite, tuple[str, ...]], int] = {}
+    for i, trial in enumerate(curves.trials):
+        coarsest.setdefault(place_of(trial.candidate), i)
+    leaders = curves.leaders(curves.plain, len(curves.trials), free=True)
+    places = dict.fromkeys(place_of(curves.trials[i].candidate) for i in leaders)
+    return [coarsest[place] for place in places]
+
+
+def place_of(candidate: EffectCandidate) -> tuple[EffectSite, tuple[str, ...]]:
+    """Return where a candidate acts, and what it is a function of."""
+    return candidate.site, candidate.effect.variables
+
+
+def _finer_curves(coarse: EffectCandidate) -> list[EffectCandidate]:
+    """Return the finer curves at the same place over the same range."""
+    found, last = [], coarse
+    while (form := finer_form(last)) is not None:
+        last = in_finer_form(last, form)
+        found.append(last)
+    return found

@@ -12,12 +12,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.measured_noise import noise_of
+from cluster_est.closed_loop.output_noise import noise_of
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.screening.screen import ScreeningResult, screen
-from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction, predict
-from cluster_est.closed_loop.selection.declared_model import fit_declared
-from cluster_est.closed_loop.selection.free_curves import refit_curves, refit_named
+from cluster_est.closed_loop.selection.free_curves import (
+    SingleEffects,
+    may_be_single,
+    refit_curves,
+    refit_named,
+    single_effects,
+    single_instead,
+)
 from cluster_est.closed_loop.selection.gates import (
     best_that_passes,
     can_be_claimed,
@@ -25,30 +30,29 @@ from cluster_est.closed_loop.selection.gates import (
     reason_to_stop,
     useful_sse,
 )
-from cluster_est.closed_loop.selection.grow import best_distinct, grow
-from cluster_est.closed_loop.selection.noted import noted, with_single
-from cluster_est.closed_loop.selection.path import compared_structure, compared_structures
-from cluster_est.closed_loop.selection.refinement.pairs import refit_pairs
-from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate, Rivals, rivals_of
-from cluster_est.closed_loop.selection.refinement.refits import FIRST
-from cluster_est.closed_loop.selection.refinement.useful_fit import UsefulFit, may_become_useful
-from cluster_est.closed_loop.selection.refinement.visited_models import VisitedModels
-from cluster_est.closed_loop.selection.restarts import refit_from_other_starts
-from cluster_est.closed_loop.selection.revise import revise
+from cluster_est.closed_loop.selection.linear_model import UsefulFit, may_become_useful
+from cluster_est.closed_loop.selection.moves import best_distinct, grow, refit_pairs, revise
+from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction, predict
+from cluster_est.closed_loop.selection.refits import (
+    FIRST,
+    RefittedCandidate,
+    Rivals,
+    VisitedModels,
+    rivals_of,
+)
 from cluster_est.closed_loop.selection.rounds import (
     ComparedStructure,
     RoundEnd,
     RoundStart,
     SelectionResult,
     SelectionRound,
+    compared_structure,
+    compared_structures,
+    evidence_of_round,
+    with_single,
 )
-from cluster_est.closed_loop.selection.single_effect import (
-    SingleEffects,
-    may_be_single,
-    single_effects,
-    single_instead,
-)
-from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.selection.starts import fit_declared, refit_from_other_starts
+from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from workers.messages import FloatArray
@@ -166,7 +170,7 @@ class _Search:
         """Note what a round has looked at."""
         self.steps.append(end.seen)
         number = len(self.steps)
-        self.seen += noted(self.workbench, self.current, end, number)
+        self.seen += evidence_of_round(self.workbench, self.current, end, number)
         self.path += compared_structures(self.workbench, self.base, end, self.floor, number)
         if not self.current.added and any(c.candidate.form.free for c in end.compared):
             self.singles = SingleEffects(fine=True)  # they have been tried, and did not pass

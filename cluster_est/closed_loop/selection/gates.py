@@ -1,4 +1,10 @@
-"""The gates that a larger structure must pass to take the place of the accepted one."""
+"""The gates that a larger structure must pass to take the place of the accepted one.
+
+Functions of time alone, waves and drifts, must earn more than a mechanism: such a function
+describes a disturbance; it holds for these records and for no others. So it is accepted only where
+all experiments agree on it. A wave must besides be no resonance of the model itself and be seen
+often enough, and a mechanism that does nearly as much comes first.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +12,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.screening.screen import screen
-from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction, is_usable, predict
-from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate, plainest
+from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction, is_usable, predict
+from cluster_est.closed_loop.selection.refits import RefittedCandidate, plainest
 from cluster_est.closed_loop.selection.rounds import (
     RejectionReason,
     RoundEnd,
     RoundStart,
     SelectionRound,
 )
-from cluster_est.closed_loop.selection.waves import believable
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.whitening import deviance, fit_autoregression
@@ -102,7 +108,7 @@ def best_that_passes(
     if not contenders:
         return RoundEnd(SelectionRound(begun.screening, (), RejectionReason.LITTLE_PROMISED))
     better = [c for c in contenders if c.criterion < current.criterion(workbench.records)]
-    left = believable(workbench, current, better)
+    left = admissible(workbench, current, better)
     why = RejectionReason.ONLY_WAVES if better and not left else RejectionReason.NO_IMPROVEMENT
     while left:
         chosen = plainest(left, workbench.thresholds.refinement)
@@ -231,3 +237,129 @@ def _rest_is_coloured(
     if better < thresholds.mostly_better or fall < thresholds.least_fall * current.sse:
         return False
     return screen(workbench, grown, 90).p_white > workbench.settings.significance
+
+
+FREQUENCY = "f"
+"""Coefficient of a wave in time, in rad/s; its parts are a and b."""
+
+PARTS = ("a", "b")
+"""Coefficients of a wave, that of its sine and that of its cosine."""
+
+MODES = 5
+"""Places along a record at which the eigenvalues of the model are looked at."""
+
+
+def admissible(
+    workbench: LoopWorkbench, current: FittedModel, contenders: Sequence[RefittedCandidate]
+) -> list[RefittedCandidate]:
+    """Contenders whose waves in time may be believed; the one to be chosen first.
+
+    Parameters
+    ----------
+    current
+        The structure that they grow from.
+    contenders
+        The best first.
+    """
+    left = [c for c in contenders if _is_admissible(workbench, current, c.fitted)]
+    if not left or not _waves(left[0].fitted, current):
+        return left
+    gain = current.sse - left[0].fitted.sse
+    least = workbench.thresholds.waves.nearly * gain
+    others = [c for c in left if not _waves(c.fitted, current) and not c.candidate.form.free]
+    first = [c for c in others if current.sse - c.fitted.sse >= least]
+    return [*first, *(c for c in left if c not in first)] if first else left
+
+
+def period_of(candidate: EffectCandidate, fitted: FittedModel) -> float:
+    """Return the period in seconds of a wave in time; NaN for what is none."""
+    frequency = fitted.estimates.get(f"{candidate.effect.name}.{FREQUENCY}", np.nan)
+    wave = candidate.form.of_time_alone and frequency > 0.0
+    return 2.0 * np.pi / frequency if wave else np.nan
+
+
+def residuals_without(fitted: FittedModel, candidate: EffectCandidate) -> FloatArray:
+    """Return the residuals that a wave in time leaves when it is taken away, to first order."""
+    labels = [u.label for u in fitted.space.unknowns]
+    names = [f"{candidate.effect.name}.{part}" for part in PARTS]
+    columns = [labels.index(name) for name in names if name in labels]
+    return fitted.residuals - fitted.jacobian[:, columns] @ fitted.x[columns]
+
+
+def _waves(fitted: FittedModel, current: FittedModel) -> list[EffectCandidate]:
+    """The effects that are new, and waves in time."""
+    new = [c for c in fitted.added if c.effect.name not in current.structure]
+    return [c for c in new if np.isfinite(period_of(c, fitted))]
+
+
+def _is_admissible(workbench: LoopWorkbench, current: FittedModel, fitted: FittedModel) -> bool:
+    new = [c for c in fitted.added if c.effect.name not in current.structure]
+    if not all(_agrees(workbench, fitted, c) for c in new if c.form.of_time_alone):
+        return False
+    for candidate in _waves(fitted, current):
+        period = period_of(candidate, fitted)
+        records = [record for record in workbench.records.items if len(record.times)]
+        longest = max(float(np.ptp(record.times)) for record in records)
+        if longest < workbench.thresholds.waves.periods * period:
+            return False
+        if _is_resonance(workbench, current, 2.0 * np.pi / period):
+            return False
+    return True
+
+
+def _is_resonance(workbench: LoopWorkbench, current: FittedModel, frequency: float) -> bool:
+    """Return whether a frequency lies within the width of a resonance of the model.
+
+    Whatever disturbs a model with little damping leaves a residual there. A mode with eigenvalue
+    s is one where its damping ratio -Re(s) / |s| is below 1/2; its width is |Re(s)|, half of that
+    of its power, but never counted below a tenth of its frequency. Where a model is not linear its
+    modes change along a record: one that is there for less than half of it does not ring for long.
+    """
+    for trajectory in workbench.trajectories(current):
+        if trajectory.linear is None:
+            return False
+        steps = np.linspace(0, len(trajectory.linear.times) - 1, MODES).astype(int)
+        places = np.unique(steps).tolist()
+        near = [_rings_at(trajectory.linear.A.at(step), frequency) for step in places]
+        if 2 * sum(near) >= len(places):
+            return True
+    return False
+
+
+def _rings_at(matrix: FloatArray, frequency: float) -> bool:
+    """Return whether a mode of a linear system has this frequency within its width."""
+    modes = np.linalg.eigvals(matrix)
+    size = np.abs(modes)
+    rings = (modes.imag > 0.0) & (-modes.real < 0.5 * size)
+    width = np.maximum(np.abs(modes.real), 0.1 * size)
+    return bool(np.any(rings & (np.abs(modes.imag - frequency) <= width)))
+
+
+def _agrees(workbench: LoopWorkbench, fitted: FittedModel, candidate: EffectCandidate) -> bool:
+    """Return whether each experiment by itself wants nearly the function of time that all share.
+
+    To first order, the strengths that an experiment wants are those of the fit and the step of
+    least squares on its own residual. Of that step, what white noise alone would make is allowed
+    for. With one experiment there is nothing to compare.
+    """
+    labels = [u.label for u in fitted.space.unknowns]
+    names = [f"{candidate.effect.name}.{strength}" for strength in candidate.strengths]
+    if len(workbench.train) < 2 or not names or not all(name in labels for name in names):
+        return True
+    columns = [labels.index(name) for name in names]
+    shared = np.array([fitted.x[column] for column in columns])
+    squares, weights = [], []
+    for rows in fitted.space.rows:
+        own: FloatArray = fitted.jacobian[rows][:, columns]
+        size = float(np.linalg.norm(own))
+        if size > 0.0:
+            inverse = np.linalg.pinv(own, rcond=1e-6)
+            step = -inverse @ fitted.residuals[rows]
+            left = fitted.residuals[rows] + own @ step
+            noise = float(np.mean(left**2)) * float(np.add.reduce(inverse**2, axis=None))
+            squares.append(float(step @ step) - noise)
+            weights.append(size)
+    if not squares:
+        return True
+    apart = float(np.sqrt(max(np.average(squares, weights=weights), 0.0)))
+    return apart <= workbench.thresholds.waves.apart * float(np.linalg.norm(shared))

@@ -1,18 +1,19 @@
-"""The rounds of a beam search, and its result."""
+"""The rounds of a search, what they have compared, and the result."""
 
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.measured_noise import noise_of
-from cluster_est.closed_loop.screening.evidence import CandidateEvidence
-from cluster_est.closed_loop.screening.screen import ScreeningResult
-from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
-from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate, Rivals
-from cluster_est.closed_loop.selection.refinement.visited_models import VisitedModels
+from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.output_noise import noise_of
+from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
+from cluster_est.closed_loop.screening.screen import ScreeningResult, findings, refreshed
+from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction
+from cluster_est.closed_loop.selection.refits import RefittedCandidate, Rivals, VisitedModels
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 
 
@@ -188,3 +189,103 @@ def without_search(workbench: LoopWorkbench, base: FittedModel) -> SelectionResu
     nothing = LeaveOneOutPrediction(np.zeros(0))
     noise = noise_of(workbench, base.residuals)
     return SelectionResult(base, base, nothing, nothing, {}, (), (), noise)
+
+
+def evidence_of_round(
+    workbench: LoopWorkbench, current: FittedModel, end: RoundEnd, number: int
+) -> list[CandidateEvidence]:
+    """Return the candidates of a round, with how far each came."""
+    found = findings(end.seen.screening.ranking, current, number)
+    base = current.criterion(workbench.records)
+    reached = [
+        (c, CandidateStage.REFITTED)
+        for c in end.compared
+        if c.fitted.structure - {c.candidate.effect.name} == current.structure
+    ]
+    if end.won is not None:
+        reached.append((end.won, CandidateStage.ACCEPTED))
+    for contender, stage in reached:
+        for candidate in contender.fitted.added:
+            name = candidate.effect.name
+            known = found.get(name) or _as_finer(found.values(), candidate)
+            if known is not None:
+                found[name] = refreshed(known, stage, contender.criterion - base)
+    return list(found.values())
+
+
+def with_single(
+    seen: Sequence[CandidateEvidence], won: RefittedCandidate, criterion: float
+) -> list[CandidateEvidence]:
+    """Return the candidates, with the one that took the place of all effects as accepted."""
+    first = [each for each in seen if each.step == 1]
+    own = won.candidate
+    known = next((each for each in first if _is_of(each, own)), None) or _as_finer(first, own)
+    if known is None:
+        return list(seen)
+    accepted = refreshed(known, CandidateStage.ACCEPTED, criterion)
+    return [accepted, *(each for each in seen if each.step != 1 or not _is_of(each, own))]
+
+
+def _is_of(evidence: CandidateEvidence, candidate: EffectCandidate) -> bool:
+    place = (str(candidate.site), candidate.form.name, candidate.effect.variables)
+    return (evidence.site, evidence.form, evidence.variables) == place
+
+
+def _as_finer(
+    found: Iterable[CandidateEvidence], candidate: EffectCandidate
+) -> CandidateEvidence | None:
+    """Return the evidence of a finer curve: that of the one with which its place was screened."""
+    if not candidate.form.finer_than:
+        return None
+    place = (str(candidate.site), candidate.form.family, candidate.effect.variables)
+    return next(
+        (
+            replace(each, form=candidate.form.name)
+            for each in found
+            if (each.site, each.family, each.variables) == place
+        ),
+        None,
+    )
+
+
+def compared_structures(
+    workbench: LoopWorkbench, base: FittedModel, end: RoundEnd, floor: float, step: int
+) -> list[ComparedStructure]:
+    """The structures of a round, the best first.
+
+    Parameters
+    ----------
+    base
+        The declared model, fitted.
+    end
+        Of the round.
+    floor
+        Sum of squares that the noise alone would leave.
+    step
+        The number of the round.
+    """
+    return [
+        replace(
+            compared_structure(workbench, base, contender.fitted, floor, step),
+            converged=contender.full,
+            accepted=contender is end.won,
+        )
+        for contender in sorted(end.compared, key=lambda c: c.criterion)
+    ]
+
+
+def compared_structure(
+    workbench: LoopWorkbench, base: FittedModel, fitted: FittedModel, floor: float, step: int
+) -> ComparedStructure:
+    """A structure that was accepted, as a row; see `compared_structures`."""
+    records = workbench.records
+    gap = base.sse - floor
+    return ComparedStructure(
+        step=step,
+        effects=tuple(candidate.label for candidate in fitted.added),
+        criterion=fitted.criterion(records) - base.criterion(records),
+        closed=(base.sse - fitted.sse) / gap if gap > 0.0 else np.nan,
+        converged=True,
+        accepted=True,
+        relative_steps=fitted.steps / base.steps if base.steps and fitted.steps else np.nan,
+    )

@@ -10,8 +10,8 @@ from support.truth.systems_with_missing_effects import opened
 
 import cluster_est as ce
 from cluster_est.closed_loop.findings.effects import Verdict
-from cluster_est.closed_loop.screening.ranking import rank
-from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.screening.screen import rank
+from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.closed_loop.workbench import FitStart
 
 NODES, LEAKING, MEASURED = 12, 8, (2, 5, 8, 11)

@@ -21,7 +21,7 @@ from support.truth.systems_with_missing_effects import (
 import cluster_est as ce
 from cluster_est import Resources, Solver
 from cluster_est.closed_loop.findings.effects import Verdict
-from cluster_est.closed_loop.numerical_error.measure import (
+from cluster_est.closed_loop.numerical_error import (
     error_with_effects,
     measure_numerical_error,
 )

@@ -9,8 +9,7 @@ from support.problems.springs import ROOT
 
 from cluster_est import Experiment, Input, Model, Output, Parameter, Problem, Solver
 from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
-from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.settings import LoopSettings, LoopStage
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from workers.messages import FloatArray
 

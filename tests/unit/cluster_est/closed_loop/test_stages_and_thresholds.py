@@ -4,7 +4,7 @@ import re
 import pytest
 
 from cluster_est import LoopSettings
-from cluster_est.closed_loop.stages import LoopStage, stage_title
+from cluster_est.closed_loop.settings import LoopStage, stage_title
 
 THRESHOLDS = LoopSettings().thresholds
 GROUPS = [group.name for group in dataclasses.fields(THRESHOLDS)]

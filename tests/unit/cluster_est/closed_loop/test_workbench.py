@@ -12,7 +12,7 @@ from support.truth.systems_with_missing_effects import (
 
 from cluster_est import Experiment, LeastSquares, LoopSettings, Output, close_loop
 from cluster_est.closed_loop.candidates.make import make_candidates
-from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.closed_loop.workbench import FitStart
 from cluster_est.errors import ProblemError
 

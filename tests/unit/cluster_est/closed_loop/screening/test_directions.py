@@ -15,9 +15,9 @@ from support.truth.systems_with_missing_effects import (
 
 from cluster_est import LoopSettings
 from cluster_est.closed_loop.candidates.make import make_candidates
-from cluster_est.closed_loop.screening.adjoint import adjoint_signals
 from cluster_est.closed_loop.screening.directions import CandidatePoint, added_at, directions
-from cluster_est.closed_loop.screening.ranking import rank
+from cluster_est.closed_loop.screening.places import adjoint_signals
+from cluster_est.closed_loop.screening.screen import rank
 
 
 class Screened:

@@ -6,8 +6,7 @@ import pytest
 from support.truth.systems_with_missing_effects import missing_effect_problem, opened, unfitted
 
 from cluster_est import LoopSettings
-from cluster_est.closed_loop.screening.curves import leading_places, rank_curves
-from cluster_est.closed_loop.screening.ranking import rank
+from cluster_est.closed_loop.screening.screen import leading_places, rank, rank_curves
 
 LEADING = 12
 

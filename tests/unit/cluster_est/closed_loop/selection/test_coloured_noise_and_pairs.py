@@ -14,11 +14,11 @@ from support.loop_objects import (
 )
 
 from cluster_est import LoopSettings
-from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
+from cluster_est.closed_loop.selection.free_curves import coloured_criterion
 from cluster_est.closed_loop.selection.gates import coloured_noise_explains, failed_gate
-from cluster_est.closed_loop.selection.refinement.pairs import best_pairs
+from cluster_est.closed_loop.selection.moves import best_pairs
+from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.rounds import RejectionReason
-from cluster_est.closed_loop.selection.single_effect import coloured_criterion
 
 
 def slow_noise(count: int, seed: int) -> np.ndarray:

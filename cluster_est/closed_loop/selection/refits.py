@@ -1,4 +1,4 @@
-"""Refinement of the leading candidates by real simulations and joint refits of all parameters.
+"""Refits of the leading candidates, which all moves share, and the models that were refitted.
 
 A score sees only a first small step. Each leading candidate is therefore switched on together with
 the step of all parameters that the linear model asks for, simulated, and the best are refitted.
@@ -12,19 +12,39 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
-from cluster_est.closed_loop.screening.ranking import CandidateRanking
-from cluster_est.closed_loop.selection.refinement.first_steps import FirstStep, first_steps
-from cluster_est.closed_loop.selection.refinement.refits import FIRST, SHORT, full_refit
-from cluster_est.closed_loop.selection.refinement.useful_fit import (
+from cluster_est.closed_loop.screening.screen import CandidateRanking, rank
+from cluster_est.closed_loop.selection.linear_model import (
     ANY_FIT,
+    FirstStep,
     UsefulFit,
+    first_steps,
     may_become_useful,
     promised,
 )
-from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.closed_loop.thresholds import RefinementThresholds
 from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.statistics.score import ScoreTests
+
+BRIEFLY = 1e-4
+"""Relative fall of the sum of squares that ends a refit at most: of two decimals one is enough to
+see who is ahead."""
+
+FIRST = LeastSquares(trials=1, max_iterations=1, ftol=BRIEFLY, xtol=1e-5, differences="forward")
+SHORT = LeastSquares(trials=1, max_iterations=2, ftol=BRIEFLY, xtol=1e-5, differences="forward")
+
+
+def full_refit(workbench: LoopWorkbench) -> LeastSquares:
+    """Return the refit to convergence.
+
+    The criterion of n residuals of one output falls by n times the relative fall of their squares,
+    so it ends where that is a part of the smallest difference that tells two candidates apart. An
+    output with a small part of all squares may move the criterion by more.
+    """
+    settled = workbench.thresholds.refinement.settled / max(workbench.size, 1)
+    ftol = min(BRIEFLY, settled)
+    return LeastSquares(trials=1, max_iterations=15, ftol=ftol, xtol=1e-5, differences="forward")
 
 
 @dataclass(frozen=True)
@@ -290,3 +310,86 @@ def _mixed(steps: Sequence[FirstStep], count: int) -> tuple[list[FirstStep], lis
     ranked = 2 * count // 3
     rest = sorted(steps[ranked:], key=lambda step: step.sse)
     return [*steps[:ranked], *rest[: count - ranked]], rest[count - ranked :]
+
+
+SAME = 0.1
+"""Distance of two residuals, in standard deviations of one sample's noise, up to which they are
+those of one model: a statistic of 100 then changes by 2 at most."""
+
+
+@dataclass
+class VisitedModel:
+    """A model that effects were added to.
+
+    Attributes
+    ----------
+    fitted
+        The model.
+    ranking
+        Of the candidates at it; None where it was not kept.
+    grown
+        What was refitted to convergence with one effect more, by its structure.
+    """
+
+    fitted: FittedModel = field(repr=False)
+    ranking: CandidateRanking | None = field(default=None, repr=False)
+    grown: dict[frozenset[str], RefittedCandidate] = field(default_factory=dict, repr=False)
+
+
+@dataclass
+class VisitedModels:
+    """The models that a search has added effects to, by their structures.
+
+    A revision takes effects out again, and so comes back to models that were ranked and grown
+    before. The rankings are kept where each takes a simulation for every candidate, as in
+    co-simulation and with process noise; where linear systems answer for all, one takes none and is
+    made again. Free curves are not kept: they are made anew for each model.
+
+    Attributes
+    ----------
+    noise
+        Variance of the residuals that the noise alone would leave.
+    """
+
+    noise: float
+    _models: dict[frozenset[str], VisitedModel] = field(default_factory=dict, repr=False)
+
+    def ranking(self, workbench: LoopWorkbench, fitted: FittedModel) -> CandidateRanking:
+        """The ranking of the candidates at a model."""
+        known = self._at(fitted).ranking
+        return known if known is not None else self.keep(workbench, fitted, rank(workbench, fitted))
+
+    def keep(
+        self, workbench: LoopWorkbench, fitted: FittedModel, ranking: CandidateRanking
+    ) -> CandidateRanking:
+        """Keep the ranking of a model."""
+        self._at(fitted).ranking = None if workbench.by_linear_systems else ranking
+        return ranking
+
+    def grown_from(self, fitted: FittedModel) -> list[RefittedCandidate]:
+        """What was refitted with one effect more than a model, which is counted last."""
+        return [
+            ending_with(contender, min(structure - fitted.structure))
+            for structure, contender in self._at(fitted).grown.items()
+        ]
+
+    def add(self, fitted: FittedModel, contenders: Collection[RefittedCandidate]) -> None:
+        """Add what was grown from a model; of one structure, the better one stays."""
+        grown = self._at(fitted).grown
+        for contender in contenders:
+            known = grown.get(contender.fitted.structure, contender)
+            if contender.full and not contender.candidate.form.free:
+                best = min(known, contender, key=lambda c: c.criterion)
+                grown[contender.fitted.structure] = best
+
+    def _at(self, fitted: FittedModel) -> VisitedModel:
+        """The model, if it still is where it was; else a new one in its place."""
+        known = self._models.get(fitted.structure)
+        if known is None or _distance(fitted, known.fitted) > SAME**2 * self.noise:
+            known = self._models[fitted.structure] = VisitedModel(fitted)
+        return known
+
+
+def _distance(one: FittedModel, other: FittedModel) -> float:
+    """Return the sum of squares between the residuals of two fits."""
+    return float(np.add.reduce((one.residuals - other.residuals) ** 2))

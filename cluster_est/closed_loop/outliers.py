@@ -11,14 +11,18 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import bdtrc
 
-from cluster_est.closed_loop.growing_noise import GrowingNoise, growing_noise, with_own_sigmas
-from cluster_est.closed_loop.measured_noise import measured_values, noise_of
+from cluster_est.closed_loop.output_noise import (
+    GrowingNoise,
+    growing_noise,
+    measured_values,
+    noise_of,
+    with_own_sigmas,
+)
 from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
-from cluster_est.closed_loop.selection.declared_model import THOROUGH
-from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.synthetic_experiments import with_outputs
+from cluster_est.closed_loop.selection.starts import THOROUGH
+from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.closed_loop.thresholds import PreparationThresholds
-from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench, with_outputs
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
 from cluster_est.problem.tables.jumps import after_jumps

@@ -1,20 +1,68 @@
-"""Noise that grows with the signal: each sample is weighted with its own, or a note says how."""
+"""The noise of the outputs: from residuals and measured signals; where it grows with the signal."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.closed_loop.measured_noise import measured_values
-from cluster_est.closed_loop.synthetic_experiments import with_outputs
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench, with_outputs
 from cluster_est.problem.problem import Problem
+from cluster_est.statistics.noise.estimate import SHORTEST_NOISE_RECORD, estimate_noise
 from cluster_est.statistics.noise.growing_noise import NoiseGrowth, noise_growth
+from cluster_est.statistics.records import StackedRecords
 from cluster_est.toml import dotted
-from workers.messages import Output
+from workers.messages import Experiment, FloatArray, Output
+
+
+def noise_of(workbench: LoopWorkbench, residuals: FloatArray) -> FloatArray:
+    """Standard deviation of the noise of each output; see `estimate_noise`.
+
+    Where all records of an output are too short to tell noise from misfit, it is the sigma that was
+    given for it: the whole residual counted as noise would hide what is missing.
+
+    Parameters
+    ----------
+    residuals : (N,)
+        Of the training experiments.
+
+    Returns
+    -------
+    (outputs,)
+        In units of the residual.
+    """
+    runs = [workbench.problem.experiments[e] for e in workbench.train]
+    found = estimate_noise(residuals, workbench.records, measured_values(runs))
+    for number in range(len(found)):
+        if is_given(workbench, number) and not is_told(workbench.records, number):
+            found[number] = 1.0
+    return found
+
+
+def expected_noise(workbench: LoopWorkbench, residuals: FloatArray) -> FloatArray:
+    """Return the noise of each output as it is declared, else as `noise_of` estimates it."""
+    if workbench.sigma_declared:
+        return np.ones(len(workbench.records.outputs))
+    return noise_of(workbench, residuals)
+
+
+def is_told(records: StackedRecords, output: int) -> bool:
+    """Return whether some record of an output is long enough to tell noise from misfit."""
+    lengths = [len(record.times) for record in records.items if record.output == output]
+    return max(lengths, default=0) >= SHORTEST_NOISE_RECORD
+
+
+def is_given(workbench: LoopWorkbench, output: int) -> bool:
+    """Return whether an output's sigma is not 1 throughout, as it is where none is given."""
+    return bool(np.any(workbench.sigmas[workbench.records.of_output(output)] != 1.0))
+
+
+def measured_values(experiments: Iterable[Experiment]) -> FloatArray:
+    """Return what was measured over sigma, stacked like the residuals of these experiments."""
+    parts = [o.values / o.sigmas for experiment in experiments for o in experiment.outputs]
+    return np.concatenate(parts) if parts else np.zeros(0)
 
 
 @dataclass(frozen=True)

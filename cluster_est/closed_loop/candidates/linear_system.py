@@ -1,23 +1,145 @@
-"""Linear time-varying systems, integrated for many forcings at once.
+"""Linear time-varying systems along one experiment, integrated for many forcings at once.
 
     d(dx)/dt = A dx + f,    dy = C dx
 
 f is linear between the times of the grid, and A constant within each step: the mean of its values
-at both ends. Symbols are those of the references in `discrete_time.py` and `step_matrices.py`.
+at both ends. With Z = h A, dx' = phi_0(Z) dx + h (phi_1(Z) - phi_2(Z)) f + h phi_2(Z) f', where
+phi_0 is the exponential and phi_k(Z) = Z phi_(k + 1)(Z) + I / k!.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from math import factorial
 from typing import final
 
 import numpy as np
+import numpy.typing as npt
 
-from cluster_est.closed_loop.candidates.step_matrices import propagate, run_recursion
-from cluster_est.closed_loop.screening.discrete_time import discretise, streamed_steps
+from workers.core.library import core
 from workers.messages import FloatArray, IntArray, Linearisation
+
+TERMS = 12
+"""Of the Taylor series of phi_2: at a norm of 1/2 the first that is left out is below rounding."""
+
+
+@dataclass(frozen=True)
+class StepMatrices:
+    """A system in discrete time: dx' = keep dx + from_first f + from_last f'.
+
+    Each is (x, x) for one step, and (n - 1, x, x) for all of them.
+    """
+
+    keep: FloatArray
+    from_first: FloatArray
+    from_last: FloatArray
+
+
+def step_matrices(a: FloatArray, h: float | FloatArray) -> StepMatrices:
+    """Matrices of one step, or of many at once, by scaling and squaring of phi_2.
+
+    B. Skaflestad, W. M. Wright, Appl. Numer. Math. 59 (2009) 783-799,
+    doi:10.1016/j.apnum.2008.03.035, with the Taylor series in the place of their rational function:
+    phi_1(2 Z) = (phi_0 phi_1 + phi_1) / 2 and phi_2(2 Z) = (phi_0 phi_2 + phi_1 + phi_2) / 4.
+
+    Parameters
+    ----------
+    a : (x, x)
+        Or (n, x, x), of each step its own.
+    h
+        The step, or (n,) steps.
+    """
+    h = np.asarray(h)[..., None, None]
+    eye: npt.NDArray[np.float64] = np.eye(a.shape[-1])
+    size = float(np.abs(h * a).sum(axis=-1).max(initial=0.0))
+    halvings = max(0, int(np.ceil(np.log2(max(size, 1e-300)))) + 1)
+    z = h * a / 2.0**halvings
+    phi_2 = eye / factorial(TERMS + 2)
+    for k in range(TERMS + 1, 1, -1):
+        phi_2 = z @ phi_2 + eye / factorial(k)
+    phi_1 = z @ phi_2 + eye
+    phi_0 = z @ phi_1 + eye
+    for _ in range(halvings):
+        phi_2 = 0.25 * (phi_0 @ phi_2 + phi_1 + phi_2)
+        phi_1 = 0.5 * (phi_0 @ phi_1 + phi_1)
+        phi_0 = phi_0 @ phi_0
+    return StepMatrices(phi_0, h * (phi_1 - phi_2), h * phi_2)
+
+
+def propagate(steps: StepMatrices, forcing: FloatArray) -> FloatArray:
+    """Integrate d(dx)/dt = A dx + f from dx = 0.
+
+    Parameters
+    ----------
+    steps
+        The system.
+    forcing : (n, x, m)
+        m right-hand sides at every time of the grid, linear in between. The states take their
+        place.
+
+    Returns
+    -------
+    (n, x, m)
+    """
+    return run_recursion("core_run_linear", steps, forcing)
+
+
+def run_recursion(name: str, steps: StepMatrices, values: FloatArray) -> FloatArray:
+    """Run a recursion of the core over (n, x, m) values, which its results take the place of."""
+    values = np.ascontiguousarray(values)
+    matrices = [np.ascontiguousarray(m) for m in (steps.keep, steps.from_first, steps.from_last)]
+    n, x, m = values.shape
+    scratch = np.empty((2, x, m))
+    getattr(core(), name)(*(a.ctypes.data for a in (*matrices, values, scratch)), n, x, m)
+    return values
+
+
+HELD = 1e-3
+"""Largest change of A, over the largest entry of its row, for which the matrices of the last step
+hold for the next one: a fifth of what tells a direction from the declared parameters."""
+
+
+def discretise(linear: Linearisation) -> StepMatrices:
+    """Matrices of all steps at once, exact where A is constant within each step."""
+    a = np.asarray(linear.A)
+    return step_matrices(0.5 * (a[1:] + a[:-1]), np.diff(linear.times))
+
+
+def streamed_steps(linear: Linearisation, *, backwards: bool = False) -> Iterator[StepMatrices]:
+    """Give the matrices of each step in turn, or from the last one on.
+
+    They are made anew where A has changed by more than `HELD`, or the step by more than rounding.
+    The steps where that happens are the same in both directions of time, so that one is the adjoint
+    of the other.
+    """
+    h = np.diff(linear.times)
+    values = 0.5 * (linear.A.values[1:] + linear.A.values[:-1])
+    made = _made_at(linear, h, values)
+    first = -1
+    step: StepMatrices | None = None
+    for k in range(len(h) - 1, -1, -1) if backwards else range(len(h)):
+        if step is None or made[k] != first:
+            first = made[k]
+            a = np.zeros(linear.A.shape[1:])
+            a[linear.A.rows, linear.A.columns] = values[first]
+            step = step_matrices(a, float(h[first]))
+        yield step
+
+
+def _made_at(linear: Linearisation, h: FloatArray, values: FloatArray) -> list[int]:
+    """The step whose matrices hold for each step: itself, or the one where they were made last."""
+    largest = linear.A.largest().max(axis=1)[linear.A.rows]
+    most = HELD * np.maximum(largest, np.finfo(float).tiny)
+    found = [0]
+    for k in range(1, len(h)):
+        last = found[-1]
+        same = abs(h[k] - h[last]) <= 1e-9 * h[last]
+        same = same and bool((np.abs(values[k] - values[last]) <= most).all())
+        found.append(last if same else k)
+    return found
+
 
 LARGE = 24
 """States from which the matrices of all steps take too much memory, and a library's products of

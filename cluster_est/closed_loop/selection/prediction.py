@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cluster_est.closed_loop.selection.refinement.linear_step import longest_step
-from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.synthetic_experiments import enlarged_kind
+from cluster_est.closed_loop.selection.linear_model import longest_step
+from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.closed_loop.thresholds import AcceptanceThresholds
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench, enlarged_kind
 from cluster_est.errors import ProblemError
 from workers.messages import FloatArray, IntArray, Output
 
