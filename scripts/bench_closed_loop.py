@@ -32,10 +32,10 @@ from closed_loop_benchmark.scoring import Score, blank, score
 from closed_loop_benchmark.system import Split
 from closed_loop_benchmark.systems import SYSTEMS
 from closed_loop_benchmark.tables import compare_runs, one_line, page
+from cluster_est.closed_loop.thresholds import LoopThresholds
 
 from cluster_est.closed_loop.loop import close_loop
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.thresholds import LoopThresholds
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 

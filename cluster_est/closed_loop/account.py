@@ -30,8 +30,10 @@ from cluster_est.closed_loop.findings.wording import (
     shared_arguments,
     where_left,
 )
+from cluster_est.closed_loop.fitter import FitStart, FittedModel
+from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
-from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.facts import fitted_to_held_out
@@ -122,7 +124,7 @@ def account(
     begun = initial_errors(after.problem, after.simulations, fitted=True)
     compared = steps.do(
         "the probabilities of the structures",
-        lambda: with_choices(_compared(workbench, judgement.verdict, found), choices),
+        lambda: with_choices(_compared(judgement.verdict, found), choices),
         found.path,
     )
     notes = _notes(workbench, judgement.verdict, kept, before, after)
@@ -161,13 +163,11 @@ def _scale(workbench: LoopWorkbench) -> ErrorScale:
     return ErrorScale.SIGMA if workbench.sigma_declared else ErrorScale.ESTIMATED_NOISE
 
 
-def _compared(
-    workbench: LoopWorkbench, verdict: Verdict, found: SelectionResult
-) -> tuple[ComparedStructure, ...]:
+def _compared(verdict: Verdict, found: SelectionResult) -> tuple[ComparedStructure, ...]:
     """The structures that were compared; with probabilities, where noise is all that is left."""
     if verdict is not Verdict.FOUND:
         return found.path
-    price = workbench.thresholds.selection.choice_price
+    price = SELECTION.choice_price
     return with_probabilities(found.path, price * np.log(found.steps[0].screening.count))
 
 

@@ -18,6 +18,7 @@ from typing_extensions import override
 from cluster_est.closed_loop.account import account, last_fits
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.findings.simulation_cost import dear_structures
+from cluster_est.closed_loop.fitter import FitStart
 from cluster_est.closed_loop.long_records import (
     CONFIRMED_ON_ALL,
     MANY,
@@ -37,7 +38,7 @@ from cluster_est.closed_loop.search import SearchedModel, search_for_effects
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.so_far import result_so_far
-from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench
+from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import make_space

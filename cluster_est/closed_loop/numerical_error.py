@@ -9,8 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.thresholds import NumericalErrorThresholds
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.errors import ClusterEstError
 from cluster_est.results.solver_error.finer_solver import (
     SolverScale,
@@ -20,6 +19,40 @@ from cluster_est.results.solver_error.finer_solver import (
 from cluster_est.results.solver_error.measure import simulate_with_solver
 from cluster_est.running.resources import Resources
 from workers.messages import FloatArray, Solver
+
+
+@dataclass(frozen=True)
+class NumericalErrorThresholds:
+    """Thresholds of the error of solver and steps, beside the noise.
+
+    Attributes
+    ----------
+    small
+        Error over noise up to which it is not spoken of. Theory: among some 2,500 samples its sum
+        of squares is then 6 times the noise's variance, less than the choice among the candidates
+        costs an effect, see `SelectionThresholds.choice_price`.
+    large
+        The same, above which no effect is looked for. Theory: a quarter of the noise's variance, in
+        a shape that is the same in every experiment, is what an effect looks like.
+    share
+        Error over residual up to which a large one does not end the search, because most of the
+        residual is something else. By definition: a hundredth of its squares.
+    known
+        Factor by which the error may be larger than measured. Theory: that between an error of
+        first order and the change where its step is halved.
+    loose
+        Relative tolerance above which the error is spoken of in any case. By definition.
+    """
+
+    small: float = 0.05
+    large: float = 0.5
+    share: float = 0.1
+    known: float = 2.0
+    loose: float = 1e-4
+
+
+NUMERICAL_ERROR = NumericalErrorThresholds()
+
 
 LEAST_ORDER, MOST_ORDER = 1.0, 4.0
 """Between which the order of a step is believed: events and kinks spoil what is observed."""
@@ -46,8 +79,6 @@ class NumericalError:
         Part of a sentence: why it could not be measured; the arrays are empty then.
     beside
         Other sentences on the solver.
-    thresholds
-        What counts as small, large and loose.
     """
 
     scale: SolverScale
@@ -59,7 +90,6 @@ class NumericalError:
     order: float = np.nan
     why_not: str = ""
     beside: tuple[str, ...] = ()
-    thresholds: NumericalErrorThresholds = field(default_factory=NumericalErrorThresholds)
 
     @property
     def ratios(self) -> FloatArray:
@@ -76,7 +106,7 @@ class NumericalError:
     @property
     def explainable(self) -> float:
         """Fall of the sum of squares that an effect could owe to the numerical error."""
-        return self.thresholds.known**2 * self.squares
+        return NUMERICAL_ERROR.known**2 * self.squares
 
     @property
     def hides_effects(self) -> bool:
@@ -84,8 +114,8 @@ class NumericalError:
 
         Where the residual is far larger than both, most of it is something else.
         """
-        large = self.ratios > self.thresholds.large
-        return bool(np.any(large & (self.rms > self.thresholds.share * self.residual)))
+        large = self.ratios > NUMERICAL_ERROR.large
+        return bool(np.any(large & (self.rms > NUMERICAL_ERROR.share * self.residual)))
 
     @property
     def refusal(self) -> str:
@@ -107,10 +137,10 @@ class NumericalError:
         if self.hides_effects:
             why = f"no effect was looked for, because {self._said}"
             return (*self.beside, f"{why}; {self._advice} makes it negligible")
-        if self.ratio > self.thresholds.small:
+        if self.ratio > NUMERICAL_ERROR.small:
             said = f"{self._said}; an effect that explains no more than it could is refused"
             return (*self.beside, f"{said}; {self._advice} makes it negligible")
-        if self.scale.rtol > self.thresholds.loose:
+        if self.scale.rtol > NUMERICAL_ERROR.loose:
             said = f"{self._said}, which is negligible here"
             return (*self.beside, f"{said}; {self._advice} keeps it so elsewhere")
         return self.beside
@@ -118,7 +148,7 @@ class NumericalError:
     @property
     def notes_with_effects(self) -> tuple[str, ...]:
         """Sentences on the error of a model with effects; none where it is small."""
-        if not self.ratio > self.thresholds.small:
+        if not self.ratio > NUMERICAL_ERROR.small:
             return ()
         refused = "a further effect that explains no more than it could is refused"
         return (f"with the effects, {self._said}; {refused}; {self._advice} makes it negligible",)
@@ -136,10 +166,10 @@ class NumericalError:
 
     @property
     def _advice(self) -> str:
-        factor = self.ratio / self.thresholds.small
-        factor = factor if np.isfinite(factor) else 1.0 / self.thresholds.small
+        factor = self.ratio / NUMERICAL_ERROR.small
+        factor = factor if np.isfinite(factor) else 1.0 / NUMERICAL_ERROR.small
         if not self.scale.step:  # a looser tolerance than is usual is never the advice
-            factor = max(factor, self.scale.rtol / self.thresholds.loose)
+            factor = max(factor, self.scale.rtol / NUMERICAL_ERROR.loose)
         return self.scale.advice(factor, self.order)
 
 
@@ -172,7 +202,7 @@ class _NoSolutionError(Exception):
 
 
 def measure_numerical_error(
-    workbench: LoopWorkbench, fitted: FittedModel, noise: FloatArray, resources: Resources
+    fitter: Fitter, fitted: FittedModel, noise: FloatArray, resources: Resources
 ) -> NumericalError:
     """Simulate the training experiments again with a finer solver, where a fit stands.
 
@@ -196,35 +226,34 @@ def measure_numerical_error(
     resources
         For the limits of a simulation, and of instances.
     """
-    runs = [workbench.problem.experiments[e] for e in workbench.train]
-    model, description = workbench.problem.model, workbench.description
+    runs = [fitter.problem.experiments[e] for e in fitter.train]
+    model, description = fitter.problem.model, fitter.description
     scale = solver_scale(model, description, runs)
     never = step_never_taken(model, description, runs)
     unknown = NumericalError(
         scale,
-        workbench.records.outputs,
+        fitter.records.outputs,
         why_not=scale.why_not,
         beside=(never,) if never else (),
-        thresholds=workbench.thresholds.numerical_error,
     )
     if scale.why_not:
         return unknown
     try:
-        error, order = _error(workbench, fitted, noise, scale, resources)
+        error, order = _error(fitter, fitted, noise, scale, resources)
     except (_NoSolutionError, ClusterEstError) as why:
         return replace(unknown, why_not=f"a finer one fails ({why})")
     return replace(
         unknown,
-        rms=_rms(workbench, error),
+        rms=_rms(fitter, error),
         noise=noise,
-        residual=_rms(workbench, fitted.residuals),
+        residual=_rms(fitter, fitted.residuals),
         squares=float(np.add.reduce(error**2)),
         order=order,
     )
 
 
 def error_with_effects(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     fitted: FittedModel,
     declared: NumericalError,
     noise: FloatArray,
@@ -252,28 +281,28 @@ def error_with_effects(
     """
     if not fitted.added or not declared.scale.step:
         return declared
-    found = measure_numerical_error(workbench, fitted, noise, resources)
+    found = measure_numerical_error(fitter, fitted, noise, resources)
     return declared if found.why_not or found.squares <= declared.squares else found
 
 
 def _error(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     fitted: FittedModel,
     noise: FloatArray,
     scale: SolverScale,
     resources: Resources,
 ) -> tuple[FloatArray, float]:
     """The numerical error of each residual, and the order of the step."""
-    once = _residuals(workbench, fitted, scale.finer(), resources)
+    once = _residuals(fitter, fitted, scale.finer(), resources)
     first = fitted.residuals - once
     if not scale.step:
         return first, np.nan
     error = extrapolated(first, scale.ratio, LEAST_ORDER)
-    small = workbench.thresholds.numerical_error.small
-    noticed = np.any(_rms(workbench, error) > small * noise)
+    small = NUMERICAL_ERROR.small
+    noticed = np.any(_rms(fitter, error) > small * noise)
     if not noticed or not scale.can_be_finer_twice():
         return error, LEAST_ORDER
-    second = once - _residuals(workbench, fitted, scale.finer(2), resources)
+    second = once - _residuals(fitter, fitted, scale.finer(2), resources)
     if scale.fixed and float(np.add.reduce(second**2)) >= float(np.add.reduce(first**2)):
         raise _NoSolutionError("the outputs change the more, the shorter its fixed step is made")
     order = observed_order(first, second, scale.ratio)
@@ -281,23 +310,23 @@ def _error(
 
 
 def _residuals(
-    workbench: LoopWorkbench, fitted: FittedModel, solver: Solver, resources: Resources
+    fitter: Fitter, fitted: FittedModel, solver: Solver, resources: Resources
 ) -> FloatArray:
     """The residuals of the training experiments with another solver."""
-    runs = tuple(workbench.problem.experiments[e] for e in workbench.train)
+    runs = tuple(fitter.problem.experiments[e] for e in fitter.train)
     values = fitted.space.physical(fitted.x)
     outcomes = simulate_with_solver(
-        fitted.problem, runs, values, solver, "residuals", resources, beside=workbench.runner
+        fitted.problem, runs, values, solver, "residuals", resources, beside=fitter.runner
     )
-    workbench.meter.full += len(runs)
+    fitter.meter.full += len(runs)
     for run, outcome in zip(runs, outcomes, strict=True):
         if not outcome.ok or outcome.residuals is None:
             raise _NoSolutionError(f"experiment {run.id!r}: {outcome.status}, {outcome.message}")
     return np.concatenate([o.residuals for o in outcomes if o.residuals is not None])
 
 
-def _rms(workbench: LoopWorkbench, stacked: FloatArray) -> FloatArray:
+def _rms(fitter: Fitter, stacked: FloatArray) -> FloatArray:
     """Root mean square of each output, over all training experiments."""
-    records = workbench.records
+    records = fitter.records
     parts = [stacked[records.of_output(o)] for o in range(len(records.outputs))]
     return np.array([float(np.sqrt(np.mean(part**2))) if len(part) else 0.0 for part in parts])

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench, with_outputs
+from cluster_est.closed_loop.fitter import FittedModel, Fitter, with_outputs
 from cluster_est.problem.problem import Problem
 from cluster_est.statistics.noise.estimate import SHORTEST_NOISE_RECORD, estimate_noise
 from cluster_est.statistics.noise.growing_noise import NoiseGrowth, noise_growth
@@ -16,8 +16,16 @@ from cluster_est.statistics.records import StackedRecords
 from cluster_est.toml import dotted
 from workers.messages import Experiment, FloatArray, Output
 
+GROWTH = 2.0
+"""Noise where a signal is large over that where it is small, from which a note is made. Theory:
+with weights wrong by a factor of 2 in sigma, least squares loses a third of its efficiency; with
+less, little."""
 
-def noise_of(workbench: LoopWorkbench, residuals: FloatArray) -> FloatArray:
+GROWTH_P = 1e-6
+"""Largest p-value for the same. Theory: a thousand outputs have a false note with 0.001."""
+
+
+def noise_of(fitter: Fitter, residuals: FloatArray) -> FloatArray:
     """Standard deviation of the noise of each output; see `estimate_noise`.
 
     Where all records of an output are too short to tell noise from misfit, it is the sigma that was
@@ -33,19 +41,19 @@ def noise_of(workbench: LoopWorkbench, residuals: FloatArray) -> FloatArray:
     (outputs,)
         In units of the residual.
     """
-    runs = [workbench.problem.experiments[e] for e in workbench.train]
-    found = estimate_noise(residuals, workbench.records, measured_values(runs))
+    runs = [fitter.problem.experiments[e] for e in fitter.train]
+    found = estimate_noise(residuals, fitter.records, measured_values(runs))
     for number in range(len(found)):
-        if is_given(workbench, number) and not is_told(workbench.records, number):
+        if is_given(fitter, number) and not is_told(fitter.records, number):
             found[number] = 1.0
     return found
 
 
-def expected_noise(workbench: LoopWorkbench, residuals: FloatArray) -> FloatArray:
+def expected_noise(fitter: Fitter, residuals: FloatArray, *, declared: bool) -> FloatArray:
     """Return the noise of each output as it is declared, else as `noise_of` estimates it."""
-    if workbench.sigma_declared:
-        return np.ones(len(workbench.records.outputs))
-    return noise_of(workbench, residuals)
+    if declared:
+        return np.ones(len(fitter.records.outputs))
+    return noise_of(fitter, residuals)
 
 
 def is_told(records: StackedRecords, output: int) -> bool:
@@ -54,9 +62,9 @@ def is_told(records: StackedRecords, output: int) -> bool:
     return max(lengths, default=0) >= SHORTEST_NOISE_RECORD
 
 
-def is_given(workbench: LoopWorkbench, output: int) -> bool:
+def is_given(fitter: Fitter, output: int) -> bool:
     """Return whether an output's sigma is not 1 throughout, as it is where none is given."""
-    return bool(np.any(workbench.sigmas[workbench.records.of_output(output)] != 1.0))
+    return bool(np.any(fitter.sigmas[fitter.records.of_output(output)] != 1.0))
 
 
 def measured_values(experiments: Iterable[Experiment]) -> FloatArray:
@@ -109,32 +117,33 @@ class GrowingNoise:
 
 
 def growing_noise(
-    workbench: LoopWorkbench, fitted: FittedModel, kept: npt.NDArray[np.bool_]
+    fitter: Fitter, fitted: FittedModel, kept: npt.NDArray[np.bool_], *, declared: bool
 ) -> tuple[GrowingNoise, ...]:
     """Return the outputs whose noise grows with their signal.
 
     Parameters
     ----------
-    workbench, fitted
+    fitter, fitted
         Where, and the declared model.
     kept : (residuals,)
         The samples that are no outliers.
+    declared
+        The user has given a sigma.
     """
-    thresholds = workbench.thresholds.preparation
-    runs = [workbench.problem.experiments[e] for e in workbench.train]
+    runs = [fitter.problem.experiments[e] for e in fitter.train]
     measured = measured_values(runs)
     found = []
-    for output, name in enumerate(workbench.records.outputs):
-        rows = workbench.records.of_output(output)
+    for output, name in enumerate(fitter.records.outputs):
+        rows = fitter.records.of_output(output)
         rows = rows[kept[rows]]
         growth = noise_growth(fitted.residuals[rows], measured[rows])
-        if growth.p >= thresholds.growth_p or growth.loud < thresholds.growth * growth.quiet:
+        if growth.p >= GROWTH_P or growth.loud < GROWTH * growth.quiet:
             continue
-        sigmas = workbench.sigmas[rows]
+        sigmas = fitter.sigmas[rows]
         known = growth.quiet > 0.0 and growth.part > 0.0 and np.ptp(sigmas) == 0.0
         sigma = _rounded(growth.constant * sigmas[0]) if known else np.nan
         relative = _rounded(growth.part) if known else np.nan
-        weighted = known and not workbench.sigma_declared
+        weighted = known and not declared
         found.append(GrowingNoise(name, growth, sigma, relative, weighted))
     return tuple(found)
 

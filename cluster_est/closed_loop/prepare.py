@@ -8,18 +8,21 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.output_noise import is_told, noise_of
-from cluster_est.closed_loop.selection.starts import BRIEF
-from cluster_est.closed_loop.settings import LoopSettings, LoopStage
-from cluster_est.closed_loop.workbench import (
+from cluster_est.closed_loop.fitter import (
     FitStart,
-    LoopWorkbench,
+    Fitter,
+    PredictionFitter,
+    SimulationFitter,
     SimulationMeter,
     SyntheticKind,
     enlarged_kind,
     shortened_kinds,
     with_outputs,
 )
+from cluster_est.closed_loop.output_noise import is_told, noise_of
+from cluster_est.closed_loop.selection.starts import BRIEF
+from cluster_est.closed_loop.settings import LoopSettings, LoopStage
+from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.errors import ProblemError
 from cluster_est.problem.compatibility import NOT_PLAIN
 from cluster_est.problem.costs import SumSquared
@@ -39,6 +42,9 @@ from workers.fmu.description import ModelDescription, nearest
 from workers.messages import Experiment, Outcome, Output
 from workers.messages.checks import check_kind, check_number
 
+SAMPLES_PER_UNKNOWN = 4
+"""Measured values for each unknown that a loop needs. Benchmark."""
+
 
 @dataclass(frozen=True)
 class LoopRequest:
@@ -51,7 +57,7 @@ class LoopRequest:
     environment
         Workers, budget, and who is told of the simulations.
     settings, seed
-        Sizes and thresholds; the start of every random generator.
+        Sizes; the start of every random generator.
     rows
         That are left of each long record while effects are looked for; None for all.
     """
@@ -103,54 +109,55 @@ def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
     """
     problem = request.problem
     description = problem.describe()
-    _check_shape(problem, request.settings)
+    _check_shape(problem)
     _check_choices(problem, request.settings, description)
     declared = _declares_sigma(problem)
     weights: tuple[str, ...] = ()
     if _unweighted(problem):
-        with _opened(request, description) as workbench:
-            (fitted,) = workbench.fit(LoopStage.WEIGHTS, [FitStart(problem, {})], BRIEF)
+        with _opened(request, description) as fitter:
+            (fitted,) = fitter.fit(LoopStage.WEIGHTS, [FitStart(problem, {})], BRIEF)
             if fitted is not None:
-                noise = noise_of(workbench, fitted.residuals)
-                sigmas = dict(zip(workbench.records.outputs, noise.tolist(), strict=True))
+                noise = noise_of(fitter, fitted.residuals)
+                sigmas = dict(zip(fitter.records.outputs, noise.tolist(), strict=True))
                 request = replace(request, problem=_weighted(problem, sigmas))
                 weights = (_weight_note(request.problem, sigmas),)
-    with _opened(request, description) as workbench:
-        workbench = replace(workbench, sigma_declared=declared)
-        yield replace(workbench, notes=(*workbench.notes, *weights, *_short_notes(workbench)))
+    with _opened(request, description) as fitter:
+        problem = request.problem
+        notes = (*_notes(problem, description), *weights)
+        if not declared:
+            notes += _short_notes(fitter)
+        sites = _sites(problem, description)
+        yield LoopWorkbench(fitter, request.settings, sites, notes, declared)
 
 
 @contextmanager
-def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[LoopWorkbench]:
-    """A workbench for a problem as it is."""
-    problem, settings = request.problem, request.settings
+def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[Fitter]:
+    """What fits models of a problem as it is."""
+    problem = request.problem
     train = problem.indices("train")
     runs = [problem.experiments[e] for e in train]
     installed = list(problem.experiments)
-    thresholds = settings.thresholds.preparation
     synthetic: dict[SyntheticKind, tuple[int, ...]] = {}
-    kinds: list[SyntheticKind] = [*shortened_kinds(thresholds), enlarged_kind(thresholds)]
-    for kind in kinds:
-        synthetic[kind] = tuple(range(len(installed), len(installed) + len(runs)))
-        installed += [kind.of(run) for run in runs]
+    kinds: list[SyntheticKind] = [*shortened_kinds(), enlarged_kind()]
+    for copy in kinds:
+        synthetic[copy] = tuple(range(len(installed), len(installed) + len(runs)))
+        installed += [copy.of(run) for run in runs]
     everything = replace(problem, experiments=tuple(installed))
     environment = request.environment
     record = _named(everything.experiments, environment.monitor.record)
     meter = SimulationMeter(everything.experiments, record)
     with one_blas_thread(), environment.executor(everything) as executor:
-        yield LoopWorkbench(
+        kind = PredictionFitter if noise_names(problem) else SimulationFitter
+        yield kind(
             runner=environment.runner(executor, record=meter, whole=True),
             problem=problem,
             description=description,
-            settings=settings,
             seed=request.seed,
             train=train,
             records=make_records(runs),
             synthetic=synthetic,
             everything=everything,
             meter=meter,
-            sites=_sites(problem, description),
-            notes=_notes(problem, description),
         )
 
 
@@ -166,7 +173,7 @@ def _named(experiments: Sequence[Experiment], record: Record | None) -> Record |
     return named
 
 
-def _check_shape(problem: Problem, settings: LoopSettings) -> None:
+def _check_shape(problem: Problem) -> None:
     """Refuse a problem that the tests are not made for, or with too few data.
 
     Raises
@@ -200,7 +207,7 @@ def _check_shape(problem: Problem, settings: LoopSettings) -> None:
     train = make_space(problem, problem.indices("train"))
     check_method(BRIEF, train)
     samples = train.rows[-1].stop
-    least = settings.thresholds.preparation.samples_per_unknown * (train.size + 1)
+    least = SAMPLES_PER_UNKNOWN * (train.size + 1)
     if samples < least:
         raise ProblemError(
             f"closed loop: the training experiments must have at least {least} measured values to "
@@ -306,15 +313,15 @@ def _closed_parameters(problem: Problem, description: ModelDescription) -> tuple
     )
 
 
-def _short_notes(workbench: LoopWorkbench) -> tuple[str, ...]:
+def _short_notes(fitter: Fitter) -> tuple[str, ...]:
     """Name the outputs whose records are all too short to estimate a noise that is not given."""
-    records = workbench.records
+    records = fitter.records
     short = [
         name
         for number, name in enumerate(records.outputs)
-        if len(workbench.sigmas[records.of_output(number)]) and not is_told(records, number)
+        if len(fitter.sigmas[records.of_output(number)]) and not is_told(records, number)
     ]
-    if workbench.sigma_declared or not short:
+    if not short:
         return ()
     return (
         f"no record of {', '.join(short)} has {SHORTEST_NOISE_RECORD} samples, so its noise "

@@ -24,11 +24,13 @@ from cluster_est.closed_loop.findings.effects import ErrorChange, NoiseChange, V
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.findings.simulation_cost import dear_structures
 from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
 from cluster_est.closed_loop.search import SearchedModel, search_for_effects
+from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import LoopStage
-from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.errors import ProblemError
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.problem.problem import Problem
@@ -68,7 +70,7 @@ def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
     check_noise_parameters(request.problem)
     with open_workbench(request) as workbench:
         workbench.enter("the process noise")
-        held = hold_noise(workbench, request.problem, FitStart(request.problem, {}), {})
+        held = hold_noise(workbench.fitter, request.problem, FitStart(request.problem, {}), {})
         spent = [SpentSimulations.at(workbench)]
     passed: list[frozenset[str]] = []
     while True:
@@ -83,7 +85,7 @@ def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
                 return with_all(result, spent)
             workbench.enter("the process noise that is left")
             start = released(searched.found.current.start, request.problem)
-            held = hold_noise(workbench, request.problem, start, held.values)
+            held = hold_noise(workbench.fitter, request.problem, start, held.values)
             spent.append(SpentSimulations.at(workbench))
 
 
@@ -125,7 +127,7 @@ def _accounted(
     found, judged = searched.found, searched.judged
     fits = last_fits_with_noise(workbench, request.problem, found, begin)
     if judged.verdict in CLAIMS:
-        against = why_not_likely(workbench, found, fits)
+        against = why_not_likely(workbench.size, found, fits)
         if against:
             why = f"the best candidate was not accepted: {against}"
             judged = replace(judged, verdict=Verdict.NONE, reason=why)
@@ -134,7 +136,7 @@ def _accounted(
     result = account(workbench, found, judged, fits)
     kept = bool(result.effects)
     said = [noise_sentence(each, kept=kept) for each in fits.noise]
-    free = simulation_sentence(workbench, result.before, result.after) if kept else ""
+    free = simulation_sentence(workbench.fitter, result.before, result.after) if kept else ""
     return replace(
         result,
         summary="; ".join([result.summary, *said]),
@@ -236,13 +238,13 @@ def released(start: FitStart, declared: Problem) -> FitStart:
 
 
 def hold_noise(
-    workbench: LoopWorkbench, declared: Problem, start: FitStart, known: Mapping[str, float]
+    fitter: Fitter, declared: Problem, start: FitStart, known: Mapping[str, float]
 ) -> HeldNoise:
     """Fit a model with its noise, and hold the noise of that fit in the declared one.
 
     Parameters
     ----------
-    workbench
+    fitter
         Its experiments are those of the declared model, with any `log_spread`.
     declared
         As the user has given it.
@@ -256,14 +258,14 @@ def hold_noise(
     ProblemError
         If the model cannot be simulated.
     """
-    (fitted,) = workbench.fit(LoopStage.PROCESS_NOISE, [start], WITH_NOISE)
+    (fitted,) = fitter.fit(LoopStage.PROCESS_NOISE, [start], WITH_NOISE)
     if fitted is None:
         raise ProblemError(
             "close-loop: the model cannot be simulated with its process noise from its start "
             "values; try cluster-est check, and other start values"
         )
     estimates = fitted.estimates
-    spreads = _log_spreads(workbench, fitted)
+    spreads = _log_spreads(fitter, fitted)
     own = {p.name for p in noise_parameters(declared)}
     parameters = tuple(
         replace(p, start=float(estimates.get(p.name, p.start)), fixed=True) if p.name in own else p
@@ -279,12 +281,12 @@ def hold_noise(
     return HeldNoise(problem, {**values, **known})
 
 
-def _log_spreads(workbench: LoopWorkbench, fitted: FittedModel) -> list[float]:
+def _log_spreads(fitter: Fitter, fitted: FittedModel) -> list[float]:
     """Return the `log_spread` of every experiment at a fit; 0 where it cannot be simulated."""
     problem = fitted.problem
     everything = tuple(range(len(problem.experiments)))
     space = make_space(problem, everything, fitted.estimates)
-    outcomes = workbench.runner.simulate(
+    outcomes = fitter.runner.simulate(
         space.physical(space.start),
         everything,
         "linearisation",
@@ -329,7 +331,7 @@ def last_fits_with_noise(
     )
 
 
-def why_not_likely(workbench: LoopWorkbench, found: SelectionResult, fits: LastFits) -> str:
+def why_not_likely(size: int, found: SelectionResult, fits: LastFits) -> str:
     """Say what speaks against the effects once both models have noise of their own; "" if nothing.
 
     The fall of -2 log likelihood must pay for the unknowns, as in the criterion of G. Schwarz, and
@@ -338,8 +340,8 @@ def why_not_likely(workbench: LoopWorkbench, found: SelectionResult, fits: LastF
     """
     unknowns = len(fits.after.solution.x) - len(fits.before.solution.x)
     count = found.steps[0].screening.count
-    price = workbench.thresholds.selection.choice_price * len(found.current.added) * np.log(count)
-    needed = unknowns * np.log(workbench.size) + price
+    price = SELECTION.choice_price * len(found.current.added) * np.log(count)
+    needed = unknowns * np.log(size) + price
     fall = _deviance(fits.before, "train") - _deviance(fits.after, "train")
     if not fall > needed:
         return (
@@ -352,12 +354,12 @@ def why_not_likely(workbench: LoopWorkbench, found: SelectionResult, fits: LastF
     return ""
 
 
-def simulation_sentence(workbench: LoopWorkbench, before: Result, after: Result) -> str:
+def simulation_sentence(fitter: Fitter, before: Result, after: Result) -> str:
     """Say how far simulations that go their own way are from what was measured; "" if unknown."""
     roles: tuple[tuple[Role, str], ...] = (("train", "training"), ("test", "held-out"))
     said = []
     for role, name in roles:
-        old, new = (_simulation_error(workbench, each, role) for each in (before, after))
+        old, new = (_simulation_error(fitter, each, role) for each in (before, after))
         if np.isfinite(old) and np.isfinite(new):
             said.append(f"from {old:.3g} to {new:.3g} times sigma on {name} data")
     if not said:
@@ -368,7 +370,7 @@ def simulation_sentence(workbench: LoopWorkbench, before: Result, after: Result)
     )
 
 
-def _simulation_error(workbench: LoopWorkbench, result: Result, role: Role) -> float:
+def _simulation_error(fitter: Fitter, result: Result, role: Role) -> float:
     """Root mean square over sigma of simulations without noise; NaN if there are none."""
     known = {e.label: e.value for e in result.estimates}
     problem = without_noise(result.problem)
@@ -377,7 +379,7 @@ def _simulation_error(workbench: LoopWorkbench, result: Result, role: Role) -> f
         return np.nan
     space = make_space(problem, chosen, known)
     values = space.physical(space.start)
-    outcomes = workbench.runner.simulate(values, chosen, "trajectory", "free", problem.effects)
+    outcomes = fitter.runner.simulate(values, chosen, "trajectory", "free", problem.effects)
     parts = [
         output_residuals(output, outcome)
         for e, outcome in zip(chosen, outcomes, strict=True)

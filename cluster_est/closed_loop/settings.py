@@ -6,12 +6,12 @@ import enum
 from collections.abc import Mapping
 from typing import Annotated, ClassVar
 
-from pydantic import AfterValidator, Field, InstanceOf
+from pydantic import AfterValidator, Field
 
-from cluster_est.closed_loop.thresholds import LoopThresholds
 from cluster_est.errors import EffectError
 from cluster_est.settings import LARGEST_INTEGER, Finite, Names, Positive, Settings, sentence
 from workers.effects.site import parse_site
+from workers.fmu.description import nearest
 
 
 class LoopStage(enum.Enum):
@@ -66,6 +66,50 @@ def _sites(given: tuple[str, ...]) -> tuple[str, ...]:
         raise sentence(str(error)) from None
 
 
+class LoopPart(enum.StrEnum):
+    """A part of the search that can be taken out alone: a move, a gate, or what moves share.
+
+    Moves propose structures (`selection/moves.py`), gates refuse them (`selection/gates.py`).
+    """
+
+    ADD = "add"
+    BEAM = "beam"
+    ADD_TWO = "add two"
+    FREE_CURVE = "free curve"
+    SIBLINGS = "siblings"
+    SWITCH_WIDTHS = "switch widths"
+    RESTARTS = "restarts"
+    REPLACE = "replace"
+    MERGE_TWO = "merge two"
+    DROP = "drop"
+    MERGE = "merge"
+    LOCAL_MINIMUM = "local minimum"
+    FUNCTIONS_OF_TIME = "functions of time"
+    PLACES_FIRST = "places first"
+    PRUNING = "pruning"
+    REMEMBERED_FITS = "remembered fits"
+    SIGNIFICANCE = "significance"
+    COLOURED_NOISE = "coloured noise"
+    CURVE_ENDS = "curve ends"
+    CRITERION = "criterion"
+    WAVES = "waves"
+    BOUNDED = "bounded"
+    CHOICE_PRICE = "choice price"
+    COLOURED_GAIN = "coloured gain"
+    NUMERICAL = "numerical error"
+    PREDICTION = "prediction"
+    LEAST_GAIN = "least gain"
+
+
+def _parts(given: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of parts."""
+    known = [part.value for part in LoopPart]
+    for name in given:
+        if name not in known:
+            raise sentence(f"closed_loop.without: there is no part {name!r}{nearest(name, known)}")
+    return given
+
+
 class LoopSettings(Settings):
     """The size of the search, and the level of evidence that it asks for."""
 
@@ -107,10 +151,11 @@ class LoopSettings(Settings):
         "structure is also refitted from other starts, and two effects may be replaced by one",
     )
     pairs: bool = Field(True, description="try two effects at once where no single one is enough")
-    thresholds: InstanceOf[LoopThresholds] = Field(
-        default_factory=LoopThresholds, repr=False, exclude=True
+    without: Annotated[Names, AfterValidator(_parts)] = Field(
+        (),
+        description="parts of the search to leave out, such as restarts, to measure what they are "
+        "good for",
     )
-    """Of every step; no key of a config."""
 
     @property
     def forms(self) -> tuple[str, ...]:

@@ -9,8 +9,9 @@ from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.findings.verdict import judge
 from cluster_est.closed_loop.findings.wording import error_changes
+from cluster_est.closed_loop.fitter import FittedModel
 from cluster_est.closed_loop.selection.rounds import SelectionResult
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.errors import ClusterEstError
 from cluster_est.methods.method import Ending, Solution
 from cluster_est.results.complete import complete, simulate_all

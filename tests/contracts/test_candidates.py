@@ -20,9 +20,10 @@ from support.truth.systems_with_missing_effects import (
 
 from cluster_est.closed_loop.candidates.finer_grids import finer_form, in_finer_form
 from cluster_est.closed_loop.candidates.make import EffectCandidate, make_candidates
+from cluster_est.closed_loop.fitter import FittedModel
 from cluster_est.closed_loop.screening.directions import CandidatePoint, directions
 from cluster_est.closed_loop.settings import LoopSettings, LoopStage
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.workbench import LoopWorkbench
 from workers.effects.definition import define
 from workers.effects.forms import FORMS
 from workers.effects.site import parse_site
@@ -57,7 +58,7 @@ class SimulatedSystem:
         """The same by simulation: central differences, or the whole change of a finite effect."""
         candidate = trial.candidate
         names = [c.name for c in candidate.form.coefficients]
-        space = self.bench.space(self.fitted.start.plus(candidate, trial.values))
+        space = self.bench.fitter.space(self.fitted.start.plus(candidate, trial.values))
         rows = [trial.values]
         if candidate.strengths:
             rows = [
@@ -73,7 +74,7 @@ class SimulatedSystem:
                                for u, n in zip(own, labels, strict=True))]
             for row in rows
         ]  # fmt: skip
-        (seen,) = self.bench.evaluate(LoopStage.PROBE, [(space, np.array(points))])
+        (seen,) = self.bench.fitter.evaluate(LoopStage.PROBE, [(space, np.array(points))])
         assert all(at.ok for at in seen), seen[0].reason
         if not candidate.strengths:
             return (seen[0].residuals - self.fitted.residuals)[:, None]

@@ -18,7 +18,7 @@ from cluster_est.closed_loop.candidates.arguments import (
 )
 from cluster_est.closed_loop.candidates.array_forms import shape_of
 from cluster_est.closed_loop.candidates.equation import equation_text
-from cluster_est.closed_loop.candidates.scales import SignalScales
+from cluster_est.closed_loop.candidates.scales import CANDIDATES, SignalScales
 from cluster_est.closed_loop.candidates.trajectory import (
     CONSTANT_FACTOR,
     LinearisedTrajectory,
@@ -121,14 +121,13 @@ def make_candidates(
     frequencies
         Angular frequencies of peaks in the residuals' spectra, for periodic effects.
     settings
-        Forms and sites to try, and thresholds.
+        Forms and sites to try.
     places
         Where functions of a variable are tried; None for everywhere.
     """
-    thresholds = settings.thresholds.candidates
     exchanged, step = communication_step(problem.model, description), fixed_step(problem.model)
     arguments = open_arguments(problem, description, trajectories)
-    scales = SignalScales(trajectories, frequencies, thresholds, exchanged, step, arguments.units)
+    scales = SignalScales(trajectories, frequencies, exchanged, step, arguments.units)
     known = {_identity(e) for e in problem.effects if e.form and not e.is_noise}
     taken = {effect.name for effect in problem.effects}
     leading = None if places is None else _by_site(places)
@@ -236,12 +235,11 @@ def _bounds(
         return float(2.0 * v.min() - v.max()), float(2.0 * v.max() - v.min())
     if coefficient.scale is GridScale.EXPONENT:
         return 0.125, 8.0
-    thresholds = scales.thresholds
     if coefficient.positive:
-        low = min(values) / thresholds.narrowest
+        low = min(values) / CANDIDATES.narrowest
         if coefficient.scale is GridScale.STEP and not free:
-            low = max(low, thresholds.shortest * scales.resolution)
-        return low, max(values) * thresholds.widest
+            low = max(low, CANDIDATES.shortest * scales.resolution)
+        return low, max(values) * CANDIDATES.widest
     width = 10.0 * max(abs(v) for v in values) + 1e-12
     return -width, width
 
@@ -270,7 +268,7 @@ def single_sites(
     measured = {output.variable for e in train for output in e.outputs}
     estimated = {p.target for p in problem.parameters if not p.fixed}
     wanted = {
-        "derivative": _moving(description, trajectories, settings),
+        "derivative": _moving(description, trajectories),
         "input": driven,
         "parameter": estimated - set(description.states),
         "output": set(),
@@ -289,7 +287,7 @@ def pair_sites(
     settings: LoopSettings,
 ) -> list[EffectSite]:
     """Return the pairs of states between which a force could be missing, in either order."""
-    moving = _moving(description, trajectories, settings)
+    moving = _moving(description, trajectories)
     sites: list[EffectSite] = []
     for site in open_pairs(description, problem.model.interface):
         if set(site.targets) <= moving:
@@ -313,12 +311,9 @@ def forms_at(
 
 
 def _moving(
-    description: ModelDescription,
-    trajectories: Sequence[LinearisedTrajectory],
-    settings: LoopSettings,
+    description: ModelDescription, trajectories: Sequence[LinearisedTrajectory]
 ) -> set[str]:
     """The states in whose derivative something may be missing: where dx/dt = v, nothing can be."""
-    tolerance = settings.thresholds.candidates.kinematic
-    integrated = integrated_states(trajectories, tolerance)
+    integrated = integrated_states(trajectories)
     exact = {x for x, (_, factor) in integrated.items() if abs(factor - 1.0) < CONSTANT_FACTOR}
     return set(description.states) - exact

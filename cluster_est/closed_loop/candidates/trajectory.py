@@ -7,10 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cluster_est.closed_loop.thresholds import CandidateThresholds
 from workers.effects.site import split_variable
 from workers.grid import build_grid, values_at
 from workers.messages import Experiment, FloatArray, IntArray, Linearisation, Outcome
+
+KINEMATIC = 1e-6
+"""Relative gap of der(x) and another state below which they are the same: a little above the error
+of a solver. Signal."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +120,7 @@ CONSTANT_FACTOR = 1e-4
 
 def integrated_states(
     trajectories: Sequence[LinearisedTrajectory],
-    tolerance: float = CandidateThresholds.kinematic,
+    tolerance: float = KINEMATIC,
 ) -> dict[str, tuple[str, float]]:
     """Find the states x with dx/dt = c v, where v is another state and c a constant.
 

@@ -13,7 +13,8 @@ from cluster_est.closed_loop.candidates.trajectory import (
     pooled,
 )
 from cluster_est.closed_loop.findings.free_values import free_values
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.fitter import FittedModel
+from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.errors import ClusterEstError
 from cluster_est.results.fit_tables import EffectCurve
 from cluster_est.results.result import Result

@@ -27,11 +27,16 @@ from cluster_est.closed_loop.candidates.linear_system import (
 )
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
+from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.settings import LoopStage
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.problem.unknowns import Unknown
 from workers.effects.site import EffectSite
 from workers.messages import FloatArray, IntArray, Linearisation
+
+PROBE_AMOUNT = 0.01
+"""Share of the signal that it changes by which a candidate is switched on in co-simulation. Signal:
+large beside a solver's error, small beside the signal."""
+
 
 Told = Callable[[int, int], None]
 """Hears how many candidates are done, and of how many."""
@@ -241,7 +246,7 @@ def coupling(linear: Linearisation, site: EffectSite) -> tuple[FloatArray, Float
 
 
 def probe(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     fitted: FittedModel,
     trajectories: Sequence[LinearisedTrajectory],
     trials: Sequence[CandidatePoint],
@@ -252,22 +257,22 @@ def probe(
     effect that can only be switched on by a finite amount is, by its whole amount.
     """
     asked, amounts = [], []
-    amount = workbench.thresholds.screening.probe_amount
+    amount = PROBE_AMOUNT
     for trial in trials:
         rows, steps = _switched(trial, trajectories, amount)
         start = fitted.start.plus(trial.candidate, trial.values)
-        space = workbench.space(start)
+        space = fitter.space(start)
         points = np.array([_point(fitted, space.unknowns, trial, row) for row in rows])
         asked.append((space, points))
         amounts.append(steps)
     found = []
-    answers = workbench.evaluate(LoopStage.PROBE, asked)
+    answers = fitter.evaluate(LoopStage.PROBE, asked)
     for trial, steps, seen in zip(trials, amounts, answers, strict=True):
         columns = [
-            (at.residuals - fitted.residuals) / step if at.ok else np.zeros(workbench.size)
+            (at.residuals - fitted.residuals) / step if at.ok else np.zeros(fitter.size)
             for at, step in zip(seen, steps, strict=True)
         ]
-        found.append(np.column_stack(columns).reshape(workbench.size, trial.width))
+        found.append(np.column_stack(columns).reshape(fitter.size, trial.width))
     return found
 
 

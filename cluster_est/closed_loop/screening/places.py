@@ -22,10 +22,40 @@ from cluster_est.closed_loop.candidates.arguments import TIME, CandidatePlace
 from cluster_est.closed_loop.candidates.linear_system import linear_system
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
 from cluster_est.closed_loop.screening.directions import coupling
-from cluster_est.closed_loop.thresholds import PlaceThresholds
 from cluster_est.statistics.projection import ProjectedResidual
 from workers.effects.site import EffectSite
 from workers.messages import FloatArray, Linearisation
+
+
+@dataclass(frozen=True)
+class PlaceThresholds:
+    """Thresholds of the ranking of places, where there are too many candidates to look at each.
+
+    Attributes
+    ----------
+    most_candidates
+        Candidates above which only those at leading places are looked at. Memory: see `most_rows`.
+    leading
+        Places that are looked at. Benchmark.
+    hats
+        Coefficients of the curve that stands for every form. Benchmark.
+    weightings
+        Random weightings that estimate the size of a direction. Theory: the relative error of a
+        squared length is the square root of 2 over their number.
+    price
+        Rise of the statistic that each further coefficient must bring; see `column_penalty`.
+        Benchmark.
+    """
+
+    most_candidates: int = 1500
+    leading: int = 40
+    hats: int = 9
+    weightings: int = 96
+    price: float = 8.0
+
+
+LEADING_PLACES = PlaceThresholds()
+
 
 SITES_AT_ONCE = 16
 """In one product of matrices: all of some hundred states would be a product as large as its sum."""

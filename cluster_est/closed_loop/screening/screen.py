@@ -23,22 +23,79 @@ from cluster_est.closed_loop.candidates.make import (
     make_candidates,
 )
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
+from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.screening.directions import CandidatePoint, directions, probe
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
-from cluster_est.closed_loop.screening.places import rank_places
-from cluster_est.closed_loop.settings import LoopStage
-from cluster_est.closed_loop.thresholds import ScreeningThresholds
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
-from cluster_est.statistics.omnibus import OmnibusTest, omnibus
+from cluster_est.closed_loop.screening.places import LEADING_PLACES, PlaceThresholds, rank_places
+from cluster_est.closed_loop.settings import LoopPart, LoopSettings, LoopStage
+from cluster_est.statistics.omnibus import (
+    NULL_DISTRIBUTION_DRAWS,
+    OMNIBUS_LENGTHS,
+    OmnibusTest,
+    omnibus,
+)
 from cluster_est.statistics.projection import (
     OrthogonalProjection,
     ProjectedResidual,
 )
 from cluster_est.statistics.records import StackedRecords, thinned
-from cluster_est.statistics.score import ScoreTests, family_wise, score
+from cluster_est.statistics.score import CONFOUNDED, ScoreTests, family_wise, score
 from cluster_est.statistics.whitening import fit_autoregression, whiten
 from workers.effects.site import EffectSite
 from workers.messages import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class ScreeningThresholds:
+    """Thresholds of the score tests of all candidates.
+
+    Attributes
+    ----------
+    most_rows
+        Residuals that are screened; longer records are thinned. Memory: all directions of some
+        hundred candidates at once.
+    most_values
+        The same times the columns of all candidates. Memory: 128 MB, and some five copies of it.
+    peaks
+        Frequencies of the residual's spectrum that periodic effects begin with. Benchmark.
+    peak_samples
+        Samples that a record needs for a spectrum. Signal.
+    peak_distance
+        Relative distance of two peaks that count as different. Benchmark.
+    column_penalty
+        Rise of the statistic that each further column of a candidate must bring to be ranked as
+        high. Benchmark; its mean is 1 where the column means nothing (theory: chi-squared).
+    curves
+        Places of leading free curves at which finer ones are looked at. Benchmark.
+    probed_curves
+        The same in co-simulation, where each value of a curve takes simulations of its own.
+        Benchmark.
+    confounded
+        Share of a direction outside the declared parameters below which it cannot be told from
+        them. Signal: the linearisations of a simulation are not more exact.
+    autoregression
+        Order of the autoregression that whitens. Benchmark.
+    omnibus_lengths
+        Lengths of smooth structure, in samples, that the omnibus test looks for. Benchmark.
+    omnibus_draws
+        Of its null distribution: a p-value of 0.01 needs some hundred. Theory: Monte Carlo tests.
+    """
+
+    most_rows: int = 20_000
+    most_values: int = 16_000_000
+    peaks: int = 2
+    peak_samples: int = 16
+    peak_distance: float = 0.1
+    column_penalty: float = 8.0
+    curves: int = 12
+    probed_curves: int = 4
+    confounded: float = CONFOUNDED
+    autoregression: int = 2
+    omnibus_lengths: tuple[float, ...] = OMNIBUS_LENGTHS
+    omnibus_draws: int = NULL_DISTRIBUTION_DRAWS
+
+
+SCREENING = ScreeningThresholds()
 
 
 @dataclass(frozen=True)
@@ -68,19 +125,21 @@ class ScreeningResult:
         return self.ranking.count
 
 
-def screen(workbench: LoopWorkbench, fitted: FittedModel, step: int) -> ScreeningResult:
+def screen(
+    fitter: Fitter, settings: LoopSettings, fitted: FittedModel, step: int
+) -> ScreeningResult:
     """Rank every candidate at a fit, and test the best.
 
     Parameters
     ----------
-    workbench, fitted
-        Where, and what is screened.
+    fitter, settings, fitted
+        Where, with which forms and sites, and what is screened.
     step
         The number of the round: its random generators are its own.
     """
-    ranking = rank(workbench, fitted)
-    streams = [workbench.generator(10 * step + stream) for stream in (2, 3, 4, 5)]
-    thresholds, draws = workbench.thresholds.screening, workbench.settings.draws
+    ranking = rank(fitter, settings, fitted)
+    streams = [fitter.generator(10 * step + stream) for stream in (2, 3, 4, 5)]
+    draws = settings.draws
 
     def smooth(tested: ProjectedResidual, generator: np.random.Generator) -> OmnibusTest:
         return omnibus(
@@ -88,8 +147,8 @@ def screen(workbench: LoopWorkbench, fitted: FittedModel, step: int) -> Screenin
             tested.residuals,
             ranking.records,
             generator,
-            thresholds.omnibus_draws,
-            thresholds.omnibus_lengths,
+            SCREENING.omnibus_draws,
+            SCREENING.omnibus_lengths,
         )
 
     def best(scores: ScoreTests, generator: np.random.Generator) -> float:
@@ -103,7 +162,7 @@ def screen(workbench: LoopWorkbench, fitted: FittedModel, step: int) -> Screenin
     ]
     found = []
     for done, test in enumerate(tests):
-        workbench.runner.display.step(LoopStage.TESTS.value, done, len(tests))
+        fitter.runner.display.step(LoopStage.TESTS.value, done, len(tests))
         found.append(test())
     return ScreeningResult(ranking, *found)
 
@@ -157,7 +216,7 @@ def refreshed(
 
 
 PLACES_STREAM = 7
-"""Stream of the random generator of the places; see `LoopWorkbench.generator`."""
+"""Stream of the random generator of the places; see `Fitter.generator`."""
 
 
 @dataclass(frozen=True)
@@ -212,31 +271,35 @@ class CandidateRanking:
         return list(best.values())[:most]
 
 
-def rank(workbench: LoopWorkbench, fitted: FittedModel) -> CandidateRanking:
+def rank(
+    fitter: Fitter,
+    settings: LoopSettings,
+    fitted: FittedModel,
+    chosen: PlaceThresholds = LEADING_PLACES,
+) -> CandidateRanking:
     """Rank every candidate at a fit.
 
     Each is compared with the residual by itself, so there may be more candidates than measured
     values: what the choice among many costs is in the criterion of the selection.
     """
-    trajectories = workbench.trajectories(fitted)
-    thresholds = workbench.thresholds.screening
-    candidates, possible = _candidates(workbench, fitted, trajectories)
+    trajectories = fitter.trajectories(fitted)
+    candidates, possible = _candidates(fitter, settings, fitted, trajectories, chosen)
     trials = tuple(CandidatePoint(c, values) for c in candidates for values in c.grid)
     width = sum(trial.width for trial in trials)
-    most = min(thresholds.most_rows, thresholds.most_values // max(width, 1))
-    records, rows = thinned(workbench.records, most)
-    columns = tuple(candidate_columns(workbench, fitted, trajectories, trials, rows))
+    most = min(SCREENING.most_rows, SCREENING.most_values // max(width, 1))
+    records, rows = thinned(fitter.records, most)
+    columns = tuple(candidate_columns(fitter, fitted, trajectories, trials, rows))
     matrix, residuals = fitted.jacobian[rows], fitted.residuals[rows]
     plain = ProjectedResidual(OrthogonalProjection(matrix), residuals)
     cleaned = plain.projection.remove(residuals)
-    order = thresholds.autoregression
+    order = SCREENING.autoregression
     coefficients = fit_autoregression(cleaned, records, order, about_mean=True)
 
     def whitened(values: FloatArray) -> FloatArray:
         return whiten(values, records, coefficients)
 
     white = ProjectedResidual(OrthogonalProjection(whitened(matrix)), whitened(residuals))
-    least = thresholds.confounded
+    least = SCREENING.confounded
     return CandidateRanking(
         trials=trials,
         columns=columns,
@@ -247,49 +310,54 @@ def rank(workbench: LoopWorkbench, fitted: FittedModel) -> CandidateRanking:
         residual=plain,
         residual_white=white,
         unseen=max(possible / max(len(candidates), 1), 1.0),
-        column_penalty=thresholds.column_penalty,
+        column_penalty=SCREENING.column_penalty,
     )
 
 
 def _candidates(
-    workbench: LoopWorkbench, fitted: FittedModel, trajectories: Sequence[LinearisedTrajectory]
+    fitter: Fitter,
+    settings: LoopSettings,
+    fitted: FittedModel,
+    trajectories: Sequence[LinearisedTrajectory],
+    chosen: PlaceThresholds,
 ) -> tuple[list[EffectCandidate], int]:
     """All candidates, or those at leading places where there are many; how many were looked at."""
-    description, settings = workbench.description, workbench.settings
-    frequencies = _peaks(workbench.records, fitted.residuals, workbench.thresholds.screening)
+    description = fitter.description
+    frequencies = _peaks(fitter.records, fitted.residuals)
     given = (fitted.problem, description, trajectories)
     sites = candidate_sites(*given, settings)
     arguments = open_arguments(*given)
     forms = {site: forms_at(site, fitted.problem, description, settings) for site in sites}
     possible = sum(count_variables(f, site, arguments) for site in sites for f in forms[site])
-    if not workbench.by_linear_systems or possible <= workbench.thresholds.places.most_candidates:
+    everywhere = LoopPart.PLACES_FIRST in settings.without or not fitter.by_linear_systems
+    if everywhere or possible <= chosen.most_candidates:
         candidates = make_candidates(*given, frequencies, settings)
-        if not workbench.by_linear_systems or len(candidates) <= workbench.size:
+        if everywhere or len(candidates) <= fitter.size:
             return candidates, len(candidates)
     places = open_places(sites, arguments, trajectories)
-    leading = _leading(workbench, fitted, trajectories, places, frequencies)
+    leading = _leading(fitter, fitted, trajectories, places, frequencies, chosen)
     candidates = make_candidates(*given, frequencies, settings, leading)
     looked_at = count_candidates(places, forms, arguments)
     return candidates, looked_at + sum(candidate.form.variables > 1 for candidate in candidates)
 
 
 def _leading(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     fitted: FittedModel,
     trajectories: Sequence[LinearisedTrajectory],
     places: Sequence[CandidatePlace],
     frequencies: Sequence[float],
+    chosen: PlaceThresholds,
 ) -> list[CandidatePlace]:
     """The places at which a free curve explains the most."""
-    thresholds = workbench.thresholds.places
     residual = ProjectedResidual(OrthogonalProjection(fitted.jacobian), fitted.residuals)
-    generator = workbench.generator(PLACES_STREAM)
-    ranked = rank_places(places, trajectories, residual, frequencies, generator, thresholds)
-    return [each.place for each in ranked[: thresholds.leading]]
+    generator = fitter.generator(PLACES_STREAM)
+    ranked = rank_places(places, trajectories, residual, frequencies, generator, chosen)
+    return [each.place for each in ranked[: chosen.leading]]
 
 
 def candidate_columns(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     fitted: FittedModel,
     trajectories: Sequence[LinearisedTrajectory],
     trials: Sequence[CandidatePoint],
@@ -305,41 +373,39 @@ def candidate_columns(
     for trajectory, row in zip(trajectories, known, strict=True):
         names = trajectory.linear.parameter_names if trajectory.linear is not None else ()
         values.append(np.array([row[targets.index(name)] for name in names], float))
-    if workbench.by_linear_systems:
-        return directions(trajectories, trials, values, rows, workbench.compared)
+    if fitter.by_linear_systems:
+        return directions(trajectories, trials, values, rows, fitter.compared)
     outside = [t for t in trials if t.candidate.site.kind == "output"]
     inside = [t for t in trials if t.candidate.site.kind != "output"]
     kept = slice(None) if rows is None else rows
     shown = directions(trajectories, outside, values, rows)
     found = dict(zip(map(id, outside), shown, strict=True))
-    probed = (column[kept] for column in probe(workbench, fitted, trajectories, inside))
+    probed = (column[kept] for column in probe(fitter, fitted, trajectories, inside))
     found |= dict(zip(map(id, inside), probed, strict=True))
     return [found[id(trial)] for trial in trials]
 
 
-def _peaks(
-    records: StackedRecords, residuals: FloatArray, thresholds: ScreeningThresholds
-) -> list[float]:
+def _peaks(records: StackedRecords, residuals: FloatArray) -> list[float]:
     """Angular frequencies at which the residual of some record is strongest."""
     best: list[tuple[float, float]] = []
     for record in records.items:
         part, times = residuals[record.rows], record.times
-        if len(part) < thresholds.peak_samples:
+        if len(part) < SCREENING.peak_samples:
             continue
         step = float(np.median(np.diff(times)))
         power = np.abs(np.fft.rfft(part - part.mean())) ** 2 / len(part)
         rates = 2.0 * np.pi * np.fft.rfftfreq(len(part), step)
-        order = np.argsort(-power[2:])[: thresholds.peaks] + 2
+        order = np.argsort(-power[2:])[: SCREENING.peaks] + 2
         best += [(float(power[k]), float(rates[k])) for k in order]
     found: list[float] = []
     for _, rate in sorted(best, reverse=True):
-        if all(abs(rate - other) > thresholds.peak_distance * other for other in found):
+        if all(abs(rate - other) > SCREENING.peak_distance * other for other in found):
             found.append(rate)
-    return found[: thresholds.peaks]
+    return found[: SCREENING.peaks]
 
 
 def rank_curves(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     fitted: FittedModel,
     ranking: CandidateRanking,
     *,
@@ -365,24 +431,23 @@ def rank_curves(
     CandidateRanking
         Of these curves alone, against the residual as it is; the coarse ones come first.
     """
-    thresholds = workbench.thresholds.screening
     leaders = [
         i
         for i in ranking.leaders(ranking.plain, len(ranking.trials), free=True)
         if max(ranking.trials[i].candidate.form.variables, 1) == variables
-    ][: thresholds.curves]
+    ][: SCREENING.curves]
     coarse = [ranking.trials[i] for i in leaders]
-    refined = len(coarse) if workbench.by_linear_systems else thresholds.probed_curves
+    refined = len(coarse) if fitter.by_linear_systems else SCREENING.probed_curves
     finer = [
         CandidatePoint(candidate, values)
         for trial in coarse[:refined]
         for candidate in _finer_curves(trial.candidate)
         for values in candidate.grid
     ]
-    new = candidate_columns(workbench, fitted, workbench.trajectories(fitted), finer, ranking.rows)
+    new = candidate_columns(fitter, fitted, fitter.trajectories(fitted), finer, ranking.rows)
     columns = (*(ranking.columns[i] for i in leaders), *new)
     residual = ranking.residual
-    scores = score(residual.projection, residual.residuals, columns, thresholds.confounded)
+    scores = score(residual.projection, residual.residuals, columns, SCREENING.confounded)
     return replace(ranking, trials=(*coarse, *finer), columns=columns, plain=scores)
 
 

@@ -13,14 +13,91 @@ from itertools import pairwise
 
 import numpy as np
 
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.screening.directions import CandidatePoint
 from cluster_est.closed_loop.screening.screen import CandidateRanking
 from cluster_est.closed_loop.settings import LoopStage
-from cluster_est.closed_loop.thresholds import RefinementThresholds
-from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
 from cluster_est.problem.search_space import SearchSpace
 from cluster_est.statistics.records import StackedRecords
 from workers.messages import FloatArray
+
+
+@dataclass(frozen=True)
+class RefinementThresholds:
+    """Thresholds of the simulations and refits of leading candidates.
+
+    Attributes
+    ----------
+    step_lengths
+        Parts of the linear model's step that are tried. Benchmark.
+    largest_step
+        Of a parameter: in logarithms, or as a share of its value. Benchmark.
+    weakest, strongest
+        Factors between which a finite amount of the grid is scaled. Benchmark.
+    points_of_grid
+        Points of a candidate's grid that are tried, the best by score. Benchmark.
+    white_leaders
+        Leaders of the whitened scores that are tried besides. Benchmark.
+    closes
+        Share of the gap to the noise that a single effect must close, or more are tried.
+        Benchmark.
+    actual_reduction
+        Share of the predicted reduction that a step must bring, or a shorter one is
+        tried. Theory: half of it is a good step, J. J. More, doi:10.1007/BFb0067700.
+    behind
+        Share of what the best candidate does, where that closes the gap, that another must do to
+        be refitted further. Benchmark.
+    claim_promise, rival_promise
+        Times the fall of the squares that the linear model promises for an effect that is not yet
+        there, that it may bring: where a claim hangs on it, and where it must come near what was
+        found already. Benchmark: 1.1 times as a median, 1.5 times in one of twenty.
+    linear_promise
+        Times the fall of the criterion that the linear model promises after some iterations that
+        the rest of a fit may bring. Benchmark.
+    finalists
+        Candidates that are refitted to convergence. Benchmark.
+    promising
+        Candidates that go on although they are behind, because of what the linear model promises.
+        Benchmark.
+    curves
+        Free curves that are refitted. Benchmark.
+    same_argument
+        Other functions of the best candidate's argument that are refitted. Benchmark.
+    explains
+        Share of what that candidate does that they must be able to do. Benchmark.
+    settled
+        Fall of the criterion that ends a refit to convergence. Theory: a tenth of `equal`.
+    equal
+        Difference of criteria that does not tell two candidates apart. Theory: below 2 "not worth
+        more than a bare mention", R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795.
+    alternative
+        Difference of criteria that leaves a candidate possible. Theory: above 10 the evidence is
+        "very strong", ibid.
+    """
+
+    step_lengths: tuple[float, ...] = (1.0, 0.3)
+    largest_step: float = 0.8
+    weakest: float = 0.06
+    strongest: float = 3.0
+    points_of_grid: int = 2
+    white_leaders: int = 8
+    closes: float = 0.9
+    actual_reduction: float = 0.5
+    behind: float = 0.25
+    claim_promise: float = 2.0
+    rival_promise: float = 1.5
+    linear_promise: float = 3.0
+    finalists: int = 3
+    promising: int = 2
+    curves: int = 2
+    same_argument: int = 3
+    explains: float = 0.8
+    settled: float = 0.2
+    equal: float = 2.0
+    alternative: float = 10.0
+
+
+REFINEMENT = RefinementThresholds()
 
 
 def gauss_newton_step(jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
@@ -64,35 +141,39 @@ class UsefulFit:
     ----------
     criterion, sse
         Its criterion and its sum of squares at most.
+    pruned
+        What falls behind the best of its fellows is refitted no further either.
     """
 
     criterion: float = np.inf
     sse: float = np.inf
+    pruned: bool = True
 
 
 ANY_FIT = UsefulFit()
+UNPRUNED = UsefulFit(pruned=False)
 
 
-def promised(workbench: LoopWorkbench, fitted: FittedModel) -> float:
+def promised(records: StackedRecords, fitted: FittedModel) -> float:
     """Return the criterion that the linear model promises after one more step without bounds."""
-    return _ahead(fitted).criterion(workbench.records)
+    return _ahead(fitted).criterion(records)
 
 
-def may_become_useful(workbench: LoopWorkbench, fitted: FittedModel, useful: UsefulFit) -> bool:
+def may_become_useful(records: StackedRecords, fitted: FittedModel, useful: UsefulFit) -> bool:
     """Return whether more iterations could bring a fit down to what it must reach.
 
     The linear model says how far one more step would lead, if there were no bounds. After some
     iterations the rest of a fit brings little more than that, so some times as much is allowed.
     """
-    times, ahead = workbench.thresholds.refinement.linear_promise, _ahead(fitted)
-    criteria = [each.criterion(workbench.records) for each in (fitted, ahead)]
+    times, ahead = REFINEMENT.linear_promise, _ahead(fitted)
+    criteria = [each.criterion(records) for each in (fitted, ahead)]
     criterion = criteria[0] - times * (criteria[0] - criteria[1])
     sse = fitted.sse - times * (fitted.sse - ahead.sse)
     return bool(criterion <= useful.criterion and sse <= useful.sse)
 
 
 def may_start_useful(
-    workbench: LoopWorkbench,
+    records: StackedRecords,
     current: FittedModel,
     shares: FloatArray,
     added: int,
@@ -109,14 +190,13 @@ def may_start_useful(
     added
         Number of new unknowns.
     """
-    records, thresholds = workbench.records, workbench.thresholds.refinement
     total, likelihood = 0.0, 0.0
     for output, share in enumerate(shares.tolist()):
         part = current.residuals[records.of_output(output)]
         if len(part):
             squares = float(np.add.reduce(part**2))
-            total += squares * max(1.0 - thresholds.claim_promise * (1.0 - share), 0.0)
-            rest = squares * max(1.0 - thresholds.rival_promise * (1.0 - share), 0.0)
+            total += squares * max(1.0 - REFINEMENT.claim_promise * (1.0 - share), 0.0)
+            rest = squares * max(1.0 - REFINEMENT.rival_promise * (1.0 - share), 0.0)
             likelihood += len(part) * np.log(max(rest / len(part), 1e-300))
     price = (current.space.size + added) * np.log(len(current.residuals))
     return bool(total <= useful.sse and likelihood + price <= useful.criterion)
@@ -159,20 +239,18 @@ class AskedStep:
     space: SearchSpace = field(repr=False)
 
     def may_be_useful(
-        self, workbench: LoopWorkbench, current: FittedModel, useful: UsefulFit
+        self, records: StackedRecords, current: FittedModel, useful: UsefulFit
     ) -> bool:
         """Return whether it may; of what is no small change, the linear model knows nothing."""
         if not is_proportional(self.trial):
             return True
         added = len(self.space.unknowns) - len(current.x)
-        return may_start_useful(workbench, current, self.left, added, useful)
+        return may_start_useful(records, current, self.left, added, useful)
 
-    def point(
-        self, current: FittedModel, length: float, thresholds: RefinementThresholds
-    ) -> FloatArray:
+    def point(self, current: FittedModel, length: float) -> FloatArray:
         """The point that a part of the step leads to, in the extended space."""
         known, space = len(current.x), self.space
-        most = longest_step(current.space, current.x, thresholds.largest_step)
+        most = longest_step(current.space, current.x, REFINEMENT.largest_step)
         moved = current.x + np.clip(length * self.step, -most, most)
         point = np.concatenate([moved, space.start[known:]])
         for i, unknown in enumerate(space.unknowns[known:], known):
@@ -201,7 +279,7 @@ class FirstStep:
 
 
 def first_steps(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     current: FittedModel,
     ranking: CandidateRanking,
     leaders: Sequence[int],
@@ -213,19 +291,18 @@ def first_steps(
     to be useful. One whose steps all make it worse starts from
     nothing instead: with one effect more no model need fit worse.
     """
-    thresholds = workbench.thresholds.refinement
     asked = [
-        _asked_step(workbench, current, ranking, owner, i)
+        _asked_step(fitter, current, ranking, owner, i)
         for owner, leader in enumerate(leaders)
-        for i in _grid_points(ranking, leader)[: thresholds.points_of_grid]
+        for i in _grid_points(ranking, leader)[: REFINEMENT.points_of_grid]
     ]
-    hopeful = {each.owner for each in asked if each.may_be_useful(workbench, current, useful)}
+    hopeful = {each.owner for each in asked if each.may_be_useful(fitter.records, current, useful)}
     asked = [each for each in asked if each.owner in hopeful]
     best: dict[int, FirstStep] = {}
-    for length in thresholds.step_lengths:
-        asked = [each for each in asked if not _does_enough(each, best, current, thresholds)]
-        points = [(each.space, each.point(current, length, thresholds)[None]) for each in asked]
-        answers = workbench.evaluate(LoopStage.TRIALS, points)
+    for length in REFINEMENT.step_lengths:
+        asked = [each for each in asked if not _does_enough(each, best, current)]
+        points = [(each.space, each.point(current, length)[None]) for each in asked]
+        answers = fitter.evaluate(LoopStage.TRIALS, points)
         for each, (_, (point,)), (at,) in zip(asked, points, answers, strict=True):
             if not at.ok:
                 continue
@@ -252,7 +329,7 @@ def _from_nothing(current: FittedModel, ranking: CandidateRanking, leader: int) 
 
 
 def _asked_step(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     current: FittedModel,
     ranking: CandidateRanking,
     owner: int,
@@ -260,21 +337,20 @@ def _asked_step(
 ) -> AskedStep:
     trial = ranking.trials[index]
     step, (strengths,), after = joint_step(current, ranking, [index])
-    values = values_at(trial, strengths, workbench.thresholds.refinement)
+    values = values_at(trial, strengths)
     start = current.start.plus(trial.candidate, values)
     left = shares_left(ranking.records, current.residuals[ranking.rows], after)
-    sizes = [current.residuals[workbench.records.of_output(o)] for o in range(len(left))]
+    sizes = [current.residuals[fitter.records.of_output(o)] for o in range(len(left))]
     predicted = float(
         sum(share * np.add.reduce(r**2) for share, r in zip(left, sizes, strict=True))
     )
-    return AskedStep(owner, trial, step, predicted, left, start, workbench.space(start))
+    return AskedStep(owner, trial, step, predicted, left, start, fitter.space(start))
 
 
 def _does_enough(
     asked: AskedStep,
     best: Mapping[int, FirstStep],
     current: FittedModel,
-    thresholds: RefinementThresholds,
 ) -> bool:
     """Return whether its candidate's first step has brought enough of the predicted reduction.
 
@@ -283,7 +359,7 @@ def _does_enough(
     if asked.owner not in best:
         return False
     gained = current.sse - best[asked.owner].sse
-    return gained >= thresholds.actual_reduction * (current.sse - asked.predicted)
+    return gained >= REFINEMENT.actual_reduction * (current.sse - asked.predicted)
 
 
 def _grid_points(ranking: CandidateRanking, leader: int) -> list[int]:
@@ -331,9 +407,7 @@ def is_proportional(trial: CandidatePoint) -> bool:
     return any(c.neutral == 0.0 for c in trial.candidate.form.coefficients)
 
 
-def values_at(
-    trial: CandidatePoint, strengths: FloatArray, thresholds: RefinementThresholds
-) -> list[float]:
+def values_at(trial: CandidatePoint, strengths: FloatArray) -> list[float]:
     """The trial's coefficients, as strong as the linear model asks for.
 
     Where an effect is switched on by a finite amount, that amount is scaled, within limits.
@@ -344,7 +418,7 @@ def values_at(
         if c.name in trial.candidate.strengths:
             values.append(next(asked))
         elif c.neutral == 0.0 and strengths.size:
-            factor = min(max(next(asked), thresholds.weakest), thresholds.strongest)
+            factor = min(max(next(asked), REFINEMENT.weakest), REFINEMENT.strongest)
             values.append(value * factor)
         else:
             values.append(value)

@@ -1,4 +1,9 @@
-"""Moves: one effect more, two at once, others in the place of earlier ones, one less.
+"""The moves of a search: each proposes structures, from one, the ranking at it, and the data.
+
+`MOVES` grow a structure, in the order in which they are tried: one effect more, two at once, a free
+curve. `REVISIONS` change one that has passed the gates: other starts, others in the place of
+earlier effects, one for two, one less. `LoopPart` has their names, by which a setting leaves them
+out. What they share is remembered and pruned in one place (`refits.py`, `linear_model.py`).
 
 The best pairs of directions are found by linear algebra alone: for two unit directions b, c with
 g = b'c and the residual's shares x = b'r, y = c'r, both together carry
@@ -7,16 +12,25 @@ g = b'c and the residual's shares x = b'r, y = c'r, both together carry
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.make import EffectCandidate
-from cluster_est.closed_loop.screening.screen import CandidateRanking, screen
-from cluster_est.closed_loop.selection.gates import admissible, claimable_sse, useful_sse
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
+from cluster_est.closed_loop.screening.screen import CandidateRanking
+from cluster_est.closed_loop.selection.free_curves import free_curve
+from cluster_est.closed_loop.selection.functions_of_time import admissible
+from cluster_est.closed_loop.selection.gates import (
+    SELECTION,
+    can_be_claimed,
+    claimable_sse,
+    leaves_more_than_noise,
+    useful_sse,
+)
 from cluster_est.closed_loop.selection.linear_model import (
+    REFINEMENT,
     UsefulFit,
     is_proportional,
     joint_step,
@@ -24,36 +38,198 @@ from cluster_est.closed_loop.selection.linear_model import (
     shares_left,
     values_at,
 )
-from cluster_est.closed_loop.selection.neighbours import refit_same_argument, refit_switch_widths
-from cluster_est.closed_loop.selection.prediction import can_be_linearised, is_usable, predict
+from cluster_est.closed_loop.selection.neighbours import refit_siblings, refit_switch_widths
+from cluster_est.closed_loop.selection.prediction import can_be_linearised, is_usable
 from cluster_est.closed_loop.selection.refits import (
     RefittedCandidate,
     Rivals,
     ending_with,
     full_refit,
     plainest,
+    proposed_by,
     refit,
     refit_briefly,
     rivals_of,
     successive_halving,
 )
-from cluster_est.closed_loop.selection.rounds import (
-    RejectionReason,
-    RoundStart,
-    SelectionResult,
-    SelectionRound,
-    compared_structure,
-)
-from cluster_est.closed_loop.settings import LoopStage
-from cluster_est.closed_loop.thresholds import PairThresholds
-from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.closed_loop.selection.rounds import RoundEnd, RoundStart
+from cluster_est.closed_loop.selection.starts import refit_from_other_starts
+from cluster_est.closed_loop.settings import LoopPart, LoopStage
 from workers.messages import FloatArray
 
 
-def grow(
-    workbench: LoopWorkbench,
+@dataclass(frozen=True)
+class PairThresholds:
+    """Thresholds of the search for two effects at once.
+
+    Attributes
+    ----------
+    leaders
+        Directions that are paired. Benchmark; the work grows with its square.
+    alike
+        Cosine above which two directions are no pair. Benchmark.
+    fitted
+        Pairs that are refitted. Benchmark.
+    """
+
+    leaders: int = 90
+    alike: float = 0.98
+    fitted: int = 8
+
+
+PAIRS = PairThresholds()
+
+
+@dataclass(frozen=True)
+class RevisionThresholds:
+    """Thresholds of the revision of effects that were added before.
+
+    Attributes
+    ----------
+    sweeps
+        Rounds through all effects at most. Benchmark.
+    swap
+        Fall of the criterion for which an earlier effect is replaced. Benchmark.
+    drop_price
+        Logarithms of the number of candidates by which the criterion may rise where an effect is
+        dropped. Theory: a Bonferroni correction, twice the logarithm on the scale of the criterion.
+    """
+
+    sweeps: int = 2
+    swap: float = 4.0
+    drop_price: float = 2.0
+
+
+REVISION = RevisionThresholds()
+
+SAME_PREDICTION = 0.98
+"""Cosine between the changes of two structures' predictions above which they count as one.
+Benchmark."""
+
+
+@dataclass(frozen=True)
+class Move:
+    """A way to grow a structure.
+
+    Attributes
+    ----------
+    part
+        Its name.
+    propose
+        Refit larger structures, given the best so far and what it was compared with; the best
+        first.
+    is_worth
+        Whether it is tried after what the moves before it have come to.
+    preferred
+        The one of two ends of a round that is kept: the best so far, or that of its own proposals.
+    """
+
+    part: LoopPart
+    propose: Callable[[Fitter, RoundStart, RoundEnd], list[RefittedCandidate]]
+    is_worth: Callable[[RoundStart, RoundEnd], bool]
+    preferred: Callable[[RoundStart, RoundEnd, RoundEnd], RoundEnd]
+
+
+@dataclass(frozen=True)
+class Revised:
+    """A structure that has passed the gates, and what revisions made of it.
+
+    Attributes
+    ----------
+    model
+        The structure, fitted.
+    rivals
+        Of its effects; those of others may be among them.
+    move
+        The last part of the search that changed it.
+    """
+
+    model: FittedModel
+    rivals: Rivals
+    move: LoopPart | None = None
+
+
+@dataclass(frozen=True)
+class Revision:
+    """A way to change a structure that has passed the gates; it may lead to the same one."""
+
+    part: LoopPart
+    revise: Callable[[Fitter, RoundStart, Revised], Revised]
+
+
+def add(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
+    """Propose one effect more, for the accepted structure and for others that are as large."""
+    del best
+    return _grown(fitter, begun, _parents(fitter, begun), LoopPart.ADD)
+
+
+def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
+    """Propose two effects more: from pairs of directions, and grown from single ones."""
+    useful = begun.useful(sse=useful_sse(begun, len(begun.model.added) + 2))
+    found = {c.fitted.structure: c for c in _refit_pairs(fitter, begun, useful)}
+    if _grows_several(begun, begun.model):
+        singles = best.compared if best.won is None else ()
+        parents = best_distinct(fitter, begun, singles)
+        for contender in _grown(fitter, begun, parents, LoopPart.ADD_TWO, known=tuple(found)):
+            found.setdefault(contender.fitted.structure, contender)
+    return sorted(found.values(), key=lambda c: c.criterion)
+
+
+def _two_are_worth(begun: RoundStart, best: RoundEnd) -> bool:
+    """Return whether two effects at once are worth a look: no single one does most of it."""
+    done = best.won is not None and best.seen.closed >= SELECTION.hard
+    return _has_room_for_two(begun, best) and not done
+
+
+def _has_room_for_two(begun: RoundStart, best: RoundEnd) -> bool:
+    """Return whether more than one effect may be tried; two follow a disturbance the better."""
+    settings = begun.settings
+    room = len(begun.model.added) + 2 <= settings.max_effects
+    return settings.pairs and room and not (best.won is None and best.seen.coloured)
+
+
+def _two_that_pay(begun: RoundStart, single: RoundEnd, double: RoundEnd) -> RoundEnd:
+    """One effect more or two, which must pay for the choice among so many pairs."""
+    if double.won is None:
+        return single
+    price = SELECTION.pair_price * np.log(begun.screening.count)
+    if single.won is not None and double.won.criterion + price > single.won.criterion:
+        return single
+    return double
+
+
+MOVES = (
+    Move(LoopPart.ADD, add, lambda *_: True, lambda *ends: ends[-1]),
+    Move(LoopPart.ADD_TWO, add_two, _two_are_worth, _two_that_pay),
+    Move(
+        LoopPart.FREE_CURVE,
+        free_curve,
+        lambda begun, best: best.won is None and _has_room_for_two(begun, best),
+        lambda _, best, own: own if own.won is not None else best,
+    ),
+)
+"""In the order in which they are tried."""
+
+
+def _parents(fitter: Fitter, begun: RoundStart) -> tuple[FittedModel, ...]:
+    """The accepted structure, and where it leaves more than noise, others as large."""
+    if not begun.beside or not _grows_several(begun, begun.model):
+        return (begun.model,)
+    size = len(begun.model.added)
+    beside = [c for c in begun.beside if len(c.fitted.added) == size]
+    return best_distinct(fitter, begun, beside, first=begun.model)
+
+
+def _grows_several(begun: RoundStart, fitted: FittedModel) -> bool:
+    """Return whether the search is a wide one, and has something left to look for."""
+    return begun.settings.beam > 1 and leaves_more_than_noise(fitted, begun.floor)
+
+
+def _grown(
+    fitter: Fitter,
     begun: RoundStart,
     parents: Sequence[FittedModel],
+    move: LoopPart,
     known: Collection[frozenset[str]] = (),
 ) -> list[RefittedCandidate]:
     """Refit structures with one effect more than each parent has; the best first.
@@ -63,48 +239,50 @@ def grow(
     second parent on it must come near the best structure so far.
     """
     found: dict[frozenset[str], RefittedCandidate] = {}
-    large = _leaves_much(workbench, begun)
+    large = _leaves_much(begun)
     for parent in parents:
         accepted = parent is begun.model
-        if not accepted and not can_be_linearised(workbench, parent):
+        if not accepted and not can_be_linearised(fitter, parent):
             continue
-        ranking = begun.screening.ranking if accepted else begun.visited.ranking(workbench, parent)
+        ranking = begun.screening.ranking
+        if not accepted:
+            ranking = begun.cache.ranking(fitter, begun.settings, parent)
         best = min((c.criterion for c in found.values()), default=np.inf)
-        useful = UsefulFit(
-            best + workbench.thresholds.refinement.alternative,
-            useful_sse(workbench, begun, len(parent.added) + 1),
+        useful = begun.useful(
+            best + REFINEMENT.alternative, useful_sse(begun, len(parent.added) + 1)
         )
-        earlier = begun.visited.grown_from(parent)
+        earlier = begun.cache.grown_from(parent)
         contenders = refit(
-            workbench,
+            fitter,
             parent,
             ranking,
             begun.floor,
+            begun.settings,
             wide=accepted,
             further=accepted and large,
             known={*known, *found},
             done={c.fitted.structure for c in earlier},
             useful=useful,
         )
+        contenders = proposed_by(move, contenders)
         contenders = sorted([*contenders, *earlier], key=lambda c: c.criterion)
-        contenders += refit_same_argument(workbench, parent, ranking, contenders)
-        contenders = refit_switch_widths(workbench, contenders, useful.criterion)
-        begun.visited.add(parent, contenders)
+        contenders += refit_siblings(fitter, begun, parent, ranking, contenders)
+        contenders = refit_switch_widths(fitter, begun, contenders, useful.criterion)
+        begun.cache.add(parent, contenders)
         for contender in contenders:
             found.setdefault(contender.fitted.structure, contender)
     return sorted(found.values(), key=lambda c: c.criterion)
 
 
-def _leaves_much(workbench: LoopWorkbench, begun: RoundStart) -> bool:
+def _leaves_much(begun: RoundStart) -> bool:
     """Return whether what is missing is still large: the score of a small effect says enough."""
     closed = begun.base.sse - begun.model.sse
-    share = workbench.thresholds.refinement.closes
-    return closed < share * (begun.base.sse - begun.floor)
+    return closed < REFINEMENT.closes * (begun.base.sse - begun.floor)
 
 
 def best_distinct(
-    workbench: LoopWorkbench,
-    base: FittedModel,
+    fitter: Fitter,
+    begun: RoundStart,
     contenders: Sequence[RefittedCandidate],
     first: FittedModel | None = None,
 ) -> tuple[FittedModel, ...]:
@@ -115,14 +293,15 @@ def best_distinct(
 
     Parameters
     ----------
-    base
-        The declared model, fitted: predictions are compared by how they differ from its own.
+    begun
+        The round: predictions are compared by how they differ from the declared model's.
     contenders
         The structures to choose from.
     first
         A structure that has its place in any case.
     """
-    width = workbench.settings.beam
+    width = begun.settings.beam if begun.has(LoopPart.BEAM) else 1
+    base = begun.base
     kept = [] if first is None else [first]
     changes = [_direction(base, fitted) for fitted in kept]
     for contender in sorted(contenders, key=lambda c: c.criterion):
@@ -130,16 +309,13 @@ def best_distinct(
             break
         change = _direction(base, contender.fitted)
         alike = [float(np.add.reduce(change * other)) for other in changes]
-        if (
-            contender.candidate.form.free
-            or max(alike, default=0.0) > workbench.thresholds.beam.alike
-        ):
+        if contender.candidate.form.free or max(alike, default=0.0) > SAME_PREDICTION:
             continue
         kept.append(contender.fitted)
         changes.append(change)
     rough = {id(c.fitted) for c in contenders if not c.full}
     asked = [fitted.start for fitted in kept if id(fitted) in rough]
-    finished = iter(workbench.fit(LoopStage.REFITS, asked, full_refit(workbench)))
+    finished = iter(fitter.fit(LoopStage.REFITS, asked, full_refit(fitter)))
     return tuple((next(finished) or f) if id(f) in rough else f for f in kept)
 
 
@@ -149,33 +325,25 @@ def _direction(base: FittedModel, fitted: FittedModel) -> FloatArray:
     return change / max(float(np.sqrt(np.add.reduce(change**2))), 1e-300)
 
 
-def refit_pairs(
-    workbench: LoopWorkbench,
-    current: FittedModel,
-    ranking: CandidateRanking,
-    floor: float,
-    useful: UsefulFit,
-) -> list[RefittedCandidate]:
+def _refit_pairs(fitter: Fitter, begun: RoundStart, useful: UsefulFit) -> list[RefittedCandidate]:
     """Refit the best pairs; the best first. A contender's last two effects are the pair.
 
     Those that the linear model does not let hope to be useful are left out.
     """
-    found = best_pairs(ranking, workbench.thresholds.pairs)
-    asked = [_start_of_pair(workbench, current, ranking, pair, useful) for pair in found]
-    fits = refit_briefly(workbench, [start for start in asked if start is not None])
-    return successive_halving(workbench, current, floor, fits, useful)
+    current, ranking = begun.model, begun.screening.ranking
+    asked = [_start_of_pair(fitter, current, ranking, p, useful) for p in best_pairs(ranking)]
+    fits = refit_briefly(fitter, [start for start in asked if start is not None])
+    found = successive_halving(fitter, current, begun.floor, fits, useful)
+    return proposed_by(LoopPart.ADD_TWO, found)
 
 
-def best_pairs(
-    ranking: CandidateRanking, thresholds: PairThresholds | None = None
-) -> list[tuple[int, int]]:
+def best_pairs(ranking: CandidateRanking, most: int = PAIRS.fitted) -> list[tuple[int, int]]:
     """Pairs of trials of different candidates by the share of the residual that they carry."""
-    thresholds = thresholds or PairThresholds()
     scores = ranking.plain
     usable = [
         i for i in np.argsort(-scores.statistics, kind="stable").tolist()
         if scores.df[i] == 1 and not ranking.trials[i].candidate.form.free
-    ][: thresholds.leaders]  # fmt: skip
+    ][: PAIRS.leaders]  # fmt: skip
     if len(usable) < 2:
         return []
     first = scores.offsets[usable]
@@ -185,7 +353,7 @@ def best_pairs(
     g = gram[a, b]
     with np.errstate(divide="ignore", invalid="ignore"):
         carried = (shares[a] ** 2 + shares[b] ** 2 - 2.0 * g * shares[a] * shares[b]) / (1 - g**2)
-    carried[np.abs(g) > thresholds.alike] = 0.0
+    carried[np.abs(g) > PAIRS.alike] = 0.0
     found: list[tuple[int, int]] = []
     seen: set[frozenset[str]] = set()
     for k in np.argsort(-carried, kind="stable").tolist():
@@ -195,13 +363,13 @@ def best_pairs(
             continue
         seen.add(names)
         found.append((i, j))
-        if len(found) >= thresholds.fitted:
+        if len(found) >= most:
             break
     return found
 
 
 def _start_of_pair(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     current: FittedModel,
     ranking: CandidateRanking,
     pair: tuple[int, int],
@@ -212,88 +380,121 @@ def _start_of_pair(
     start = current.start
     for m, own in zip(pair, strengths, strict=True):
         trial = ranking.trials[m]
-        values = values_at(trial, own, workbench.thresholds.refinement)
-        start = start.plus(trial.candidate, values)
+        start = start.plus(trial.candidate, values_at(trial, own))
     if all(is_proportional(ranking.trials[m]) for m in pair):
-        added = workbench.space(start).size - len(current.x)
+        added = fitter.space(start).size - len(current.x)
         left = shares_left(ranking.records, current.residuals[ranking.rows], after)
-        if not may_start_useful(workbench, current, left, added, useful):
+        if not may_start_useful(fitter.records, current, left, added, useful):
             return None
     return start
 
 
-def revise(
-    workbench: LoopWorkbench,
-    begun: RoundStart,
-    grown: FittedModel,
-    rivals: Rivals,
-) -> tuple[FittedModel, Rivals]:
-    """Replace earlier effects that others are better than now, and drop those not needed.
+def restart(fitter: Fitter, begun: RoundStart, grown: Revised) -> Revised:
+    """Refit from other starts, where the search is a wide one and more than noise is left."""
+    if not _grows_several(begun, grown.model):
+        return grown
+    found = refit_from_other_starts(fitter, begun.base, grown.model)
+    return grown if found is grown.model else replace(grown, model=found)
 
-    Parameters
-    ----------
-    begun
-        The round that it was chosen in.
-    grown
-        The structure, fitted.
-    rivals
-        Of its effects.
 
-    Returns
-    -------
-    FittedModel
-        The structure that is left.
-    Rivals
-        Of its effects; those of others may be among them.
-    """
-    thresholds = workbench.thresholds.revision
-    saved = thresholds.drop_price * float(np.log(begun.screening.count))  # by an effect less
-    for sweep in range(thresholds.sweeps):
-        before = grown
-        for position in range(len(grown.added) - (sweep == 0)):
-            found = _instead(workbench, begun, grown, (position,), -thresholds.swap)
+def replace_earlier(fitter: Fitter, begun: RoundStart, grown: Revised) -> Revised:
+    """Replace earlier effects that others are better than now."""
+    if len(grown.model.added) < 2:
+        return grown
+    for sweep in range(REVISION.sweeps):
+        before = grown.model
+        for position in range(len(grown.model.added) - (sweep == 0)):
+            places, rise = (position,), -REVISION.swap
+            found = _instead(fitter, begun, grown.model, places, rise, LoopPart.REPLACE)
             if found is not None:
                 # in its old place, so that the other positions still mean the same effects
-                grown, rivals = found[0].fitted.moved(position), {**rivals, **found[1]}
-        if grown is before:
+                model = found[0].fitted.moved(position)
+                grown = replace(grown, model=model, rivals={**grown.rivals, **found[1]})
+        if grown.model is before:
             break
-    if workbench.settings.beam > 1:
-        grown, rivals = _merged(workbench, begun, grown, saved, rivals)
-    return _without_needless(workbench, grown, saved), rivals
-
-
-def _merged(
-    workbench: LoopWorkbench, begun: RoundStart, grown: FittedModel, saved: float, rivals: Rivals
-) -> tuple[FittedModel, Rivals]:
-    """The structure with one effect in the place of two, as long as that pays."""
-    for pair in combinations(range(len(grown.added)), 2):
-        found = _instead(workbench, begun, grown, pair, saved)
-        if found is not None:
-            return _merged(workbench, begun, found[0].fitted, saved, {**rivals, **found[1]})
-    return grown, rivals
-
-
-def _without_needless(workbench: LoopWorkbench, grown: FittedModel, saved: float) -> FittedModel:
-    """The structure without the effects that do not pay for themselves; one is left at least."""
-    for position in reversed(range(len(grown.added))):
-        if len(grown.added) < 2:
-            break
-        (rest,) = workbench.fit(
-            LoopStage.DROP, [grown.start.minus(position)], full_refit(workbench)
-        )
-        if rest is not None and (
-            rest.criterion(workbench.records) < grown.criterion(workbench.records) + saved
-        ):
-            grown = rest
     return grown
 
 
+def merge_two(fitter: Fitter, begun: RoundStart, grown: Revised) -> Revised:
+    """Put one effect in the place of two, as long as that pays."""
+    if begun.settings.beam < 2:
+        return grown
+    for pair in combinations(range(len(grown.model.added)), 2):
+        rise = _saved(begun)
+        found = _instead(fitter, begun, grown.model, pair, rise, LoopPart.MERGE_TWO)
+        if found is not None:
+            rivals = {**grown.rivals, **found[1]}
+            return merge_two(fitter, begun, replace(grown, model=found[0].fitted, rivals=rivals))
+    return grown
+
+
+def drop(fitter: Fitter, begun: RoundStart, grown: Revised) -> Revised:
+    """Drop the effects that do not pay for themselves; one is left at least."""
+    model, records = grown.model, fitter.records
+    for position in reversed(range(len(model.added))):
+        if len(model.added) < 2:
+            break
+        start = model.start.minus(position)
+        (rest,) = fitter.fit(LoopStage.DROP, [start], full_refit(fitter))
+        most = model.criterion(records) + _saved(begun)
+        if rest is not None and rest.criterion(records) < most:
+            model = rest
+    return grown if model is grown.model else replace(grown, model=model)
+
+
+REVISIONS = (
+    Revision(LoopPart.RESTARTS, restart),
+    Revision(LoopPart.REPLACE, replace_earlier),
+    Revision(LoopPart.MERGE_TWO, merge_two),
+    Revision(LoopPart.DROP, drop),
+)
+"""In the order in which they are done."""
+
+
+def revise(fitter: Fitter, begun: RoundStart, end: RoundEnd, rivals: Rivals) -> Revised:
+    """Let all revisions change what has won a round.
+
+    What closes too little for a claim is grown first: other starts and a revision cost as much as a
+    round, and the next effect changes what they would find.
+
+    Parameters
+    ----------
+    end
+        Of the round; something has won.
+    rivals
+        Of the effects that were accepted before.
+
+    Raises
+    ------
+    ValueError
+        If nothing has won.
+    """
+    if end.won is None:
+        raise ValueError("only what has won a round can be revised")
+    found = rivals_of(end.won, end.seen.contenders)
+    rivals = {**found, **rivals, **{name: own for name, own in found.items() if own[1]}}
+    grown = Revised(end.won.fitted, rivals)
+    if not can_be_claimed(begun, grown.model):
+        return grown
+    for revision in REVISIONS:
+        if begun.has(revision.part):
+            new = revision.revise(fitter, begun, grown)
+            grown = new if new is grown else replace(new, move=revision.part)
+    return grown
+
+
+def _saved(begun: RoundStart) -> float:
+    """By how much the criterion may rise for an effect less."""
+    return REVISION.drop_price * float(np.log(begun.screening.count))
+
+
 def _instead(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     begun: RoundStart,
     grown: FittedModel,
     positions: tuple[int, ...],
     rise: float,
+    move: LoopPart,
 ) -> tuple[RefittedCandidate, Rivals] | None:
     """The best effect in the place of some, with its rivals.
 
@@ -306,75 +507,38 @@ def _instead(
     start = grown.start
     for position in reversed(positions):
         start = start.minus(position)
-    (rest,) = workbench.fit(LoopStage.SWAP, [start], full_refit(workbench))
-    if rest is None or not can_be_linearised(workbench, rest):
+    (rest,) = fitter.fit(LoopStage.SWAP, [start], full_refit(fitter))
+    if rest is None or not can_be_linearised(fitter, rest):
         return None
-    thresholds = workbench.thresholds.refinement
-    most = grown.criterion(workbench.records) + rise
-    claimable = claimable_sse(workbench, begun, len(rest.added) + 1)
-    useful = UsefulFit(most + thresholds.alternative, claimable)
-    ranking = begun.visited.ranking(workbench, rest)
-    earlier = begun.visited.grown_from(rest)
+    most = grown.criterion(fitter.records) + rise
+    claimable = claimable_sse(begun, len(rest.added) + 1)
+    useful = begun.useful(most + REFINEMENT.alternative, claimable)
+    ranking = begun.cache.ranking(fitter, begun.settings, rest)
+    earlier = begun.cache.grown_from(rest)
     refitted = refit(
-        workbench,
+        fitter,
         rest,
         ranking,
         begun.floor,
+        begun.settings,
         wide=False,
         further=False,
         done={c.fitted.structure for c in earlier},
         useful=useful,
     )
-    refitted += earlier
+    refitted = [*proposed_by(move, refitted), *earlier]
     if len(positions) == 1:
-        own = RefittedCandidate(grown, grown.criterion(workbench.records), True)
+        own = RefittedCandidate(grown, grown.criterion(fitter.records), True)
         there = ending_with(own, grown.added[positions[0]].effect.name)
-        refitted += refit_same_argument(workbench, rest, ranking, [there])
-    refitted = refit_switch_widths(workbench, refitted, useful.criterion)
-    begun.visited.add(rest, refitted)
-    contenders = admissible(workbench, rest, refitted)
+        refitted += refit_siblings(fitter, begun, rest, ranking, [there])
+    refitted = refit_switch_widths(fitter, begun, refitted, useful.criterion)
+    begun.cache.add(rest, refitted)
+    waves = begun.has(LoopPart.WAVES)
+    contenders = admissible(fitter, rest, refitted) if waves else refitted
     if not contenders or contenders[0].criterion >= most:
         return None
-    won = plainest(contenders, thresholds)
+    won = plainest(contenders)
     name = won.candidate.effect.name
-    if not is_usable(workbench, won.fitted, rest):
+    if begun.has(LoopPart.BOUNDED) and not is_usable(fitter, won.fitted, rest):
         return None
-    return won, {name: rivals_of(won, contenders, thresholds)[name]}
-
-
-def functions_of_time(found: SelectionResult) -> tuple[EffectCandidate, ...]:
-    """Return the effects that were added and are functions of time alone."""
-    return tuple(c for c in found.current.added if c.form.of_time_alone)
-
-
-def without_functions_of_time(workbench: LoopWorkbench, found: SelectionResult) -> SelectionResult:
-    """Take the functions of time out of a result, and refit what stays.
-
-    Where the other effects cannot be simulated without them, or run away, nothing stays.
-    """
-    start = found.current.start
-    for position in reversed(range(len(found.current.added))):
-        if found.current.added[position].form.of_time_alone:
-            start = start.minus(position)
-    kept, prediction, screening = found.base, found.base_prediction, found.steps[0].screening
-    gone = {c.label for c in functions_of_time(found)}
-    path = tuple(
-        replace(row, accepted=row.accepted and not gone & {*row.effects}) for row in found.path
-    )
-    if start.added:
-        (refitted,) = workbench.fit(LoopStage.DROP, [start], full_refit(workbench))
-        if refitted is not None and is_usable(workbench, refitted, found.base):
-            number, floor = len(found.steps) + 1, workbench.noise_floor(found.noise)
-            kept, prediction = refitted, predict(workbench, refitted)
-            screening = screen(workbench, refitted, number)
-            path += (compared_structure(workbench, found.base, refitted, floor, number),)
-    seen = SelectionRound(screening, (), RejectionReason.FUNCTIONS_OF_TIME)
-    rivals = {name: own for name, own in found.rivals.items() if name in kept.structure}
-    return replace(
-        found,
-        current=kept,
-        prediction=prediction,
-        rivals=rivals,
-        steps=(*found.steps, seen),
-        path=path,
-    )
+    return won, {name: rivals_of(won, contenders)[name]}

@@ -21,9 +21,11 @@ import numpy as np
 from cluster_est.closed_loop.candidates.finer_grids import denser_grid
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.screening.directions import CandidatePoint
 from cluster_est.closed_loop.screening.screen import CandidateRanking, candidate_columns
 from cluster_est.closed_loop.selection.linear_model import (
+    REFINEMENT,
     UsefulFit,
     gauss_newton_step,
     is_proportional,
@@ -33,8 +35,8 @@ from cluster_est.closed_loop.selection.linear_model import (
 )
 from cluster_est.closed_loop.selection.prediction import can_be_linearised
 from cluster_est.closed_loop.selection.refits import SHORT, RefittedCandidate, full_refit
-from cluster_est.closed_loop.settings import LoopStage
-from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.closed_loop.selection.rounds import RoundStart
+from cluster_est.closed_loop.settings import LoopPart, LoopStage
 from cluster_est.methods.method import Evaluation
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.search_space import SearchSpace
@@ -43,8 +45,9 @@ from workers.effects.kinds import GridScale
 from workers.messages import FloatArray
 
 
-def refit_same_argument(
-    workbench: LoopWorkbench,
+def refit_siblings(
+    fitter: Fitter,
+    begun: RoundStart,
     current: FittedModel,
     ranking: CandidateRanking,
     contenders: Sequence[RefittedCandidate],
@@ -55,6 +58,8 @@ def refit_same_argument(
 
     Parameters
     ----------
+    begun
+        The round.
     current
         The model that candidates are added to.
     ranking
@@ -67,34 +72,37 @@ def refit_same_argument(
     list of RefittedCandidate
         Those that were refitted, in no order.
     """
-    if not contenders or not contenders[0].full or not workbench.by_linear_systems:
+    if not begun.has(LoopPart.SIBLINGS) or not fitter.by_linear_systems:
+        return []
+    if not contenders or not contenders[0].full:
         return []
     best = contenders[0]
     done = {c.candidate.effect.name for c in contenders if c.full}
     named = {t.candidate.effect.name: t.candidate for t in ranking.trials}
     rivals = [candidate for candidate in named.values() if _is_rival(candidate, best, done)]
-    if not rivals or not can_be_linearised(workbench, best.fitted):
+    if not rivals or not can_be_linearised(fitter, best.fitted):
         return []
-    trajectories = workbench.trajectories(best.fitted)
+    trajectories = fitter.trajectories(best.fitted)
     trials = [
         CandidatePoint(candidate, values)
         for candidate in rivals
         for values in denser_grid(candidate, trajectories)
     ]
-    count = workbench.thresholds.refinement.same_argument
-    starts = starts_in_its_place(workbench, current, best, trials, count)
-    brief = [f for f in workbench.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
-    most = best.criterion + workbench.thresholds.refinement.alternative
-    criteria = [fitted.criterion(workbench.records) for fitted in brief]
+    count = REFINEMENT.same_argument
+    starts = starts_in_its_place(fitter, current, best, trials, count)
+    brief = [f for f in fitter.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
+    most = best.criterion + REFINEMENT.alternative
+    criteria = [fitted.criterion(fitter.records) for fitted in brief]
     near = [f for f, criterion in zip(brief, criteria, strict=True) if criterion < most]
-    finished = workbench.fit(LoopStage.REFITS, [f.start for f in near], full_refit(workbench))
+    finished = fitter.fit(LoopStage.REFITS, [f.start for f in near], full_refit(fitter))
     full = [new or old for new, old in zip(finished, near, strict=True)]
     far = [
-        RefittedCandidate(f, criterion, False)
+        RefittedCandidate(f, criterion, False, LoopPart.SIBLINGS)
         for f, criterion in zip(brief, criteria, strict=True)
         if criterion >= most
     ]
-    return [RefittedCandidate(f, f.criterion(workbench.records), True) for f in full] + far
+    made = [(f, f.criterion(fitter.records)) for f in full]
+    return [RefittedCandidate(f, value, True, LoopPart.SIBLINGS) for f, value in made] + far
 
 
 def _is_rival(candidate: EffectCandidate, best: RefittedCandidate, done: Collection[str]) -> bool:
@@ -107,7 +115,7 @@ def _is_rival(candidate: EffectCandidate, best: RefittedCandidate, done: Collect
 
 
 def starts_in_its_place(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     current: FittedModel,
     best: RefittedCandidate,
     trials: Sequence[CandidatePoint],
@@ -128,14 +136,11 @@ def starts_in_its_place(
     most
         Number of different ones that are wanted; those that could not do as much are left out.
     """
-    thresholds = workbench.thresholds.refinement
     fitted = best.fitted
     name = best.candidate.effect.name
     values = tuple(_value(fitted, c.name, best) for c in best.candidate.form.coefficients)
     own = CandidatePoint(best.candidate, values)
-    columns = candidate_columns(
-        workbench, fitted, _before(workbench, current, best), [own, *trials]
-    )
+    columns = candidate_columns(fitter, fitted, _before(fitter, current, best), [own, *trials])
     strengths = [v for c, v in zip(own.candidate.form.coefficients, values, strict=True)
                  if c.name in own.candidate.strengths]  # fmt: skip
     target = columns[0] @ np.array(strengths or [1.0]) - fitted.residuals
@@ -150,8 +155,8 @@ def starts_in_its_place(
             target, projection.remove(column), free=is_proportional(trial)
         )
         rival = trial.candidate
-        if share > found.get(rival.effect.name, (thresholds.explains,))[0]:
-            start = without.plus(rival, values_at(trial, sizes, thresholds))
+        if share > found.get(rival.effect.name, (REFINEMENT.explains,))[0]:
+            start = without.plus(rival, values_at(trial, sizes))
             found[rival.effect.name] = share, start
     ranked = sorted(found.values(), key=lambda each: -each[0])
     return [start for _, start in ranked[:most]]
@@ -187,10 +192,10 @@ def _value(fitted: FittedModel, coefficient: str, best: RefittedCandidate) -> fl
 
 
 def _before(
-    workbench: LoopWorkbench, current: FittedModel, best: RefittedCandidate
+    fitter: Fitter, current: FittedModel, best: RefittedCandidate
 ) -> list[LinearisedTrajectory]:
     """Trajectories with the best candidate; an input at which it acts is as it was before it."""
-    trajectories = workbench.trajectories(best.fitted)
+    trajectories = fitter.trajectories(best.fitted)
     site = best.candidate.site
     if site.kind != "input":
         return trajectories
@@ -202,7 +207,7 @@ def _before(
                 site.target: np.interp(new.times, old.times, old.signals[site.target]),
             },
         )
-        for new, old in zip(trajectories, workbench.trajectories(current), strict=True)
+        for new, old in zip(trajectories, fitter.trajectories(current), strict=True)
     ]
 
 
@@ -215,7 +220,8 @@ TRIED = (0.3, 2.5, 8.0, 25.0)
 
 
 def refit_switch_widths(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
+    begun: RoundStart,
     contenders: Sequence[RefittedCandidate],
     most: float = np.inf,
 ) -> list[RefittedCandidate]:
@@ -226,6 +232,8 @@ def refit_switch_widths(
 
     Parameters
     ----------
+    begun
+        The round.
     contenders
         Refitted candidates, in any order.
     most
@@ -236,28 +244,28 @@ def refit_switch_widths(
     list of RefittedCandidate
         The same structures, each once, the best first.
     """
-    thresholds = workbench.thresholds.refinement
     best: dict[frozenset[str], RefittedCandidate] = {}
     for contender in sorted(contenders, key=lambda c: c.criterion):
         best.setdefault(contender.fitted.structure, contender)
     ranked = list(best.values())
-    asked = [i for i, c in enumerate(ranked) if _held_widths(c)][: thresholds.finalists]
-    near = min([most, *(c.criterion + thresholds.alternative for c in ranked[:1])])
-    hopeful = _starts_that_may_pay(workbench, [ranked[i] for i in asked], near)
+    asked = [i for i, c in enumerate(ranked) if _held_widths(c)][: REFINEMENT.finalists]
+    asked = asked if begun.has(LoopPart.SWITCH_WIDTHS) else []
+    near = min([most, *(c.criterion + REFINEMENT.alternative for c in ranked[:1])])
+    hopeful = _starts_that_may_pay(fitter, [ranked[i] for i in asked], near)
     asked = [i for i, start in zip(asked, hopeful, strict=True) if start is not None]
     starts = [start for start in hopeful if start is not None]
-    fits = workbench.fit(LoopStage.REFITS, starts, full_refit(workbench))
+    fits = fitter.fit(LoopStage.REFITS, starts, full_refit(fitter))
     for i, fitted in zip(asked, fits, strict=True):
         if fitted is None:
             continue
-        criterion = fitted.criterion(workbench.records)
+        criterion = fitted.criterion(fitter.records)
         if criterion < ranked[i].criterion:
-            ranked[i] = RefittedCandidate(fitted, criterion, True)
+            ranked[i] = RefittedCandidate(fitted, criterion, True, LoopPart.SWITCH_WIDTHS)
     return sorted(ranked, key=lambda c: c.criterion)
 
 
 def _starts_that_may_pay(
-    workbench: LoopWorkbench, contenders: Sequence[RefittedCandidate], most: float
+    fitter: Fitter, contenders: Sequence[RefittedCandidate], most: float
 ) -> list[FitStart | None]:
     """Where to refit each from, with its widths unknown; None where no width would be of use.
 
@@ -266,18 +274,18 @@ def _starts_that_may_pay(
     """
     starts: list[FitStart | None] = [_with_free_widths(contender) for contender in contenders]
     asked = [i for i, contender in enumerate(contenders) if contender.full]
-    spaces = [workbench.space(_with_free_widths(contenders[i])) for i in asked]
+    spaces = [fitter.space(_with_free_widths(contenders[i])) for i in asked]
     points = [
         (space, _other_widths(contenders[i], space)) for i, space in zip(asked, spaces, strict=True)
     ]
-    answers = workbench.evaluate(LoopStage.TRIALS, points)
+    answers = fitter.evaluate(LoopStage.TRIALS, points)
     for i, (space, widths), seen in zip(asked, points, answers, strict=True):
-        starts[i] = _best_width(workbench, contenders[i], space, widths, seen, most)
+        starts[i] = _best_width(fitter, contenders[i], space, widths, seen, most)
     return starts
 
 
 def _best_width(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     contender: RefittedCandidate,
     space: SearchSpace,
     points: FloatArray,
@@ -294,9 +302,9 @@ def _best_width(
     if not found:
         return None
     _, after, point = min(found, key=lambda each: each[0])
-    left = shares_left(workbench.records, fitted.residuals, after)
+    left = shares_left(fitter.records, fitted.residuals, after)
     useful = UsefulFit(criterion=min(contender.criterion, most))
-    if not may_start_useful(workbench, fitted, left, space.size - fitted.space.size, useful):
+    if not may_start_useful(fitter.records, fitted, left, space.size - fitted.space.size, useful):
         return None
     start = _with_free_widths(contender)
     return FitStart(start.problem, {**start.values, **space.estimates(point)}, start.added)

@@ -12,19 +12,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.screening.screen import CandidateRanking, rank
 from cluster_est.closed_loop.selection.linear_model import (
     ANY_FIT,
+    REFINEMENT,
     FirstStep,
     UsefulFit,
     first_steps,
     may_become_useful,
     promised,
 )
-from cluster_est.closed_loop.settings import LoopStage
-from cluster_est.closed_loop.thresholds import RefinementThresholds
-from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.closed_loop.settings import LoopPart, LoopSettings, LoopStage
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
+from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.score import ScoreTests
 
 BRIEFLY = 1e-4
@@ -35,25 +36,36 @@ FIRST = LeastSquares(trials=1, max_iterations=1, ftol=BRIEFLY, xtol=1e-5, differ
 SHORT = LeastSquares(trials=1, max_iterations=2, ftol=BRIEFLY, xtol=1e-5, differences="forward")
 
 
-def full_refit(workbench: LoopWorkbench) -> LeastSquares:
+def full_refit(fitter: Fitter) -> LeastSquares:
     """Return the refit to convergence.
 
     The criterion of n residuals of one output falls by n times the relative fall of their squares,
     so it ends where that is a part of the smallest difference that tells two candidates apart. An
     output with a small part of all squares may move the criterion by more.
     """
-    settled = workbench.thresholds.refinement.settled / max(workbench.size, 1)
+    settled = REFINEMENT.settled / max(fitter.size, 1)
     ftol = min(BRIEFLY, settled)
     return LeastSquares(trials=1, max_iterations=15, ftol=ftol, xtol=1e-5, differences="forward")
 
 
 @dataclass(frozen=True)
 class RefittedCandidate:
-    """A model with one effect more, refitted."""
+    """A model with one effect more, refitted: the proposal of a move.
+
+    Attributes
+    ----------
+    fitted, criterion
+        The model, and its criterion.
+    full
+        It was refitted to convergence.
+    move
+        The part of the search that proposed it; None while that is not said.
+    """
 
     fitted: FittedModel = field(repr=False)
     criterion: float
     full: bool
+    move: LoopPart | None = None
 
     @property
     def candidate(self) -> EffectCandidate:
@@ -64,11 +76,17 @@ Rivals = Mapping[str, tuple[RefittedCandidate, list[RefittedCandidate]]]
 """For each effect, by name, the model that brought it in and those that it won against."""
 
 
+def proposed_by(move: LoopPart, contenders: Sequence[RefittedCandidate]) -> list[RefittedCandidate]:
+    """Return contenders that name the move which proposed them."""
+    return [replace(contender, move=move) for contender in contenders]
+
+
 def refit(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     current: FittedModel,
     ranking: CandidateRanking,
     floor: float,
+    settings: LoopSettings,
     *,
     wide: bool = True,
     further: bool = True,
@@ -86,6 +104,8 @@ def refit(
         Of all candidates at that model.
     floor
         Sum of squares that the noise alone would leave.
+    settings
+        How many are tried and refitted.
     wide
         Try all that the settings ask for; without, half as many.
     further
@@ -99,8 +119,7 @@ def refit(
     useful
         What a structure must come down to. What cannot is refitted no further.
     """
-    thresholds = workbench.thresholds.refinement
-    count, trials = workbench.settings.refits, workbench.settings.trials
+    count, trials = settings.refits, settings.trials
     if not wide:
         count, trials = (count + 1) // 2, (trials + 1) // 2
     own = current.structure
@@ -115,27 +134,27 @@ def refit(
         return own | {ranking.trials[i].candidate.effect.name} in done
 
     leaders = leading(ranking.plain, 2 * trials)
-    white = leading(ranking.white, thresholds.white_leaders)
+    white = leading(ranking.white, REFINEMENT.white_leaders)
     places = list(dict.fromkeys([*leaders[:trials], *white]))
     first = [i for i in places if not is_done(i)]
     count = max(count - (len(places) - len(first)), 0)
-    chosen, left = _mixed(first_steps(workbench, current, ranking, first, useful), count)
+    chosen, left = _mixed(first_steps(fitter, current, ranking, first, useful), count)
     reached = [step.sse for step in chosen]
     possible = [min(step.sse, step.asked.predicted) for step in chosen]
-    near = _near_the_best(reached, possible, current, floor, thresholds)
-    contenders = _refit_steps(workbench, current, floor, [chosen[i] for i in near], useful)
+    near = _near_the_best(reached, possible, current, floor)
+    contenders = _refit_steps(fitter, current, floor, [chosen[i] for i in near], useful)
     best = min((c.fitted.sse for c in contenders), default=current.sse)
-    if not further or _closes(current, best, floor, thresholds.closes):
+    if not further or _closes(current, best, floor, REFINEMENT.closes):
         return contenders
     later = [i for i in leaders[trials:] if i not in places and not is_done(i)]
-    left += first_steps(workbench, current, ranking, later, useful)
+    left += first_steps(fitter, current, ranking, later, useful)
     left.sort(key=lambda step: step.sse)
-    contenders += _refit_steps(workbench, current, floor, left[:count], useful)
+    contenders += _refit_steps(fitter, current, floor, left[:count], useful)
     return sorted(contenders, key=lambda c: c.criterion)
 
 
 def _refit_steps(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     current: FittedModel,
     floor: float,
     steps: Sequence[FirstStep],
@@ -144,20 +163,22 @@ def _refit_steps(
     """Refit from first steps; the latter half only what may come near the best of the first."""
     ordered = sorted(steps, key=lambda step: step.sse)
     half = (len(ordered) + 1) // 2
-    fits = refit_briefly(workbench, [step.start for step in ordered[:half]])
-    rival = _rival_of_the_best(workbench, current, floor, fits, useful)
-    near = [s.start for s in ordered[half:] if s.asked.may_be_useful(workbench, current, rival)]
-    fits += refit_briefly(workbench, near)
-    return successive_halving(workbench, current, floor, fits, useful)
+    fits = refit_briefly(fitter, [step.start for step in ordered[:half]])
+    rival = _rival_of_the_best(fitter.records, current, floor, fits, useful)
+    near = [
+        s.start for s in ordered[half:] if s.asked.may_be_useful(fitter.records, current, rival)
+    ]
+    fits += refit_briefly(fitter, near)
+    return successive_halving(fitter, current, floor, fits, useful)
 
 
-def refit_briefly(workbench: LoopWorkbench, starts: Sequence[FitStart]) -> list[FittedModel]:
+def refit_briefly(fitter: Fitter, starts: Sequence[FitStart]) -> list[FittedModel]:
     """Refit by one iteration; without those that cannot be simulated."""
-    return [f for f in workbench.fit(LoopStage.REFITS, starts, FIRST) if f is not None]
+    return [f for f in fitter.fit(LoopStage.REFITS, starts, FIRST) if f is not None]
 
 
 def successive_halving(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     current: FittedModel,
     floor: float,
     fits: Sequence[FittedModel],
@@ -171,30 +192,29 @@ def successive_halving(
     Some candidates have further to go than others, as where a parameter must make room for them:
     those that the linear model promises to become the best go on too.
     """
-    thresholds = workbench.thresholds.refinement
     lost: list[FittedModel] = []
     for last in (False, True):
-        fits = sorted(fits, key=lambda f: f.criterion(workbench.records))
+        fits = sorted(fits, key=lambda f: f.criterion(fitter.records))
         sums = [f.sse for f in fits]
-        near = _near_the_best(sums, sums, current, floor, thresholds)
-        rival = _rival_of_the_best(workbench, current, floor, fits, useful)
-        near = [i for i in near if may_become_useful(workbench, fits[i], rival)]
-        kept = near[: max(thresholds.finalists, len(fits) // 2)]
-        kept += _promising(workbench, fits, near, kept)
+        near = _near_the_best(sums, sums, current, floor)
+        rival = _rival_of_the_best(fitter.records, current, floor, fits, useful)
+        near = [i for i in near if may_become_useful(fitter.records, fits[i], rival)]
+        kept = near[: max(REFINEMENT.finalists, len(fits) // 2)]
+        kept += _promising(fitter.records, fits, near, kept)
         lost += [f for i, f in enumerate(fits) if i not in kept]
         fits = [fits[i] for i in kept]
         if not last:
             going = [f for f in fits if not f.converged]
-            further = iter(workbench.fit(LoopStage.REFITS, [f.start for f in going], SHORT))
+            further = iter(fitter.fit(LoopStage.REFITS, [f.start for f in going], SHORT))
             fits = [f if f.converged else next(further) or f for f in fits]
     order = list(range(len(fits)))
-    first = order[: thresholds.finalists]
-    first += _promising(workbench, fits, order, first)
+    first = order[: REFINEMENT.finalists]
+    first += _promising(fitter.records, fits, order, first)
     best, rest = [fits[i] for i in first], [fits[i] for i in order if i not in first]
-    finished = workbench.fit(LoopStage.REFITS, [f.start for f in best], full_refit(workbench))
+    finished = fitter.fit(LoopStage.REFITS, [f.start for f in best], full_refit(fitter))
     found = [(f, False) for f in (*lost, *rest)]
     found += [(new or old, True) for new, old in zip(finished, best, strict=True)]
-    made = [RefittedCandidate(f, f.criterion(workbench.records), full) for f, full in found]
+    made = [RefittedCandidate(f, f.criterion(fitter.records), full) for f, full in found]
     return sorted(made, key=lambda c: c.criterion)
 
 
@@ -203,7 +223,6 @@ def _near_the_best(
     possible: Sequence[float],
     current: FittedModel,
     floor: float,
-    thresholds: RefinementThresholds,
 ) -> list[int]:
     """Positions of what does, or could do, a part of what the best does, where that does it all.
 
@@ -213,13 +232,13 @@ def _near_the_best(
         Sums of squares of each, as simulated, and at best.
     """
     best = min(reached, default=current.sse)
-    enough = _closes(current, best, floor, thresholds.closes)
-    least = thresholds.behind * (current.sse - best) if enough else -np.inf
+    enough = _closes(current, best, floor, REFINEMENT.closes)
+    least = REFINEMENT.behind * (current.sse - best) if enough else -np.inf
     return [i for i, sse in enumerate(possible) if current.sse - sse >= least]
 
 
 def _rival_of_the_best(
-    workbench: LoopWorkbench,
+    records: StackedRecords,
     current: FittedModel,
     floor: float,
     fits: Sequence[FittedModel],
@@ -229,16 +248,17 @@ def _rival_of_the_best(
 
     Else none is far behind: what is a part of the truth may do less than what imitates all of it.
     """
-    thresholds = workbench.thresholds.refinement
-    best = min(fits, key=lambda f: f.criterion(workbench.records), default=current)
-    if not _closes(current, best.sse, floor, thresholds.closes):
+    if not useful.pruned:
         return useful
-    rival = best.criterion(workbench.records) + thresholds.alternative
+    best = min(fits, key=lambda f: f.criterion(records), default=current)
+    if not _closes(current, best.sse, floor, REFINEMENT.closes):
+        return useful
+    rival = best.criterion(records) + REFINEMENT.alternative
     return replace(useful, criterion=min(useful.criterion, rival))
 
 
 def _promising(
-    workbench: LoopWorkbench,
+    records: StackedRecords,
     fits: Sequence[FittedModel],
     near: Sequence[int],
     kept: Sequence[int],
@@ -246,10 +266,10 @@ def _promising(
     """Positions of some that are not kept, though their next step promises more than the best's."""
     if not kept:
         return []
-    best = min(promised(workbench, fits[i]) for i in kept)
-    others = [(promised(workbench, fits[i]), i) for i in near if i not in kept]
+    best = min(promised(records, fits[i]) for i in kept)
+    others = [(promised(records, fits[i]), i) for i in near if i not in kept]
     better = sorted(each for each in others if each[0] < best)
-    return [i for _, i in better[: workbench.thresholds.refinement.promising]]
+    return [i for _, i in better[: REFINEMENT.promising]]
 
 
 def _closes(current: FittedModel, best: float, floor: float, share: float) -> bool:
@@ -257,15 +277,13 @@ def _closes(current: FittedModel, best: float, floor: float, share: float) -> bo
     return current.sse - best >= share * (current.sse - floor)
 
 
-def plainest(
-    contenders: Sequence[RefittedCandidate], thresholds: RefinementThresholds
-) -> RefittedCandidate:
+def plainest(contenders: Sequence[RefittedCandidate]) -> RefittedCandidate:
     """The best contender; among equals the plainest name, then the one with fewest unknowns.
 
     Then the one with fewest states of its own.
     """
     best = contenders[0].criterion
-    equal = [c for c in contenders if c.full and c.criterion - best < thresholds.equal]
+    equal = [c for c in contenders if c.full and c.criterion - best < REFINEMENT.equal]
     equal = equal or list(contenders[:1])
 
     def plainness(c: RefittedCandidate) -> tuple[float, int, int, float]:
@@ -278,11 +296,10 @@ def plainest(
 def rivals_of(
     won: RefittedCandidate,
     contenders: Sequence[RefittedCandidate],
-    thresholds: RefinementThresholds,
 ) -> Rivals:
     """For each effect of a structure, those that the data leave possible in its place."""
     best = min((c.criterion for c in contenders), default=won.criterion)
-    possible = [c for c in contenders if c.criterion - best <= thresholds.alternative]
+    possible = [c for c in contenders if c.criterion - best <= REFINEMENT.alternative]
     found: dict[str, tuple[RefittedCandidate, list[RefittedCandidate]]] = {}
     for effect in won.fitted.added:
         others = won.fitted.structure - {effect.effect.name}
@@ -318,7 +335,7 @@ those of one model: a statistic of 100 then changes by 2 at most."""
 
 
 @dataclass
-class VisitedModel:
+class CachedModel:
     """A model that effects were added to.
 
     Attributes
@@ -337,7 +354,7 @@ class VisitedModel:
 
 
 @dataclass
-class VisitedModels:
+class ModelCache:
     """The models that a search has added effects to, by their structures.
 
     A revision takes effects out again, and so comes back to models that were ranked and grown
@@ -349,21 +366,29 @@ class VisitedModels:
     ----------
     noise
         Variance of the residuals that the noise alone would leave.
+    remembers
+        Without, everything is done again.
     """
 
     noise: float
-    _models: dict[frozenset[str], VisitedModel] = field(default_factory=dict, repr=False)
+    remembers: bool = True
+    _models: dict[frozenset[str], CachedModel] = field(default_factory=dict, repr=False)
 
-    def ranking(self, workbench: LoopWorkbench, fitted: FittedModel) -> CandidateRanking:
+    def ranking(
+        self, fitter: Fitter, settings: LoopSettings, fitted: FittedModel
+    ) -> CandidateRanking:
         """The ranking of the candidates at a model."""
         known = self._at(fitted).ranking
-        return known if known is not None else self.keep(workbench, fitted, rank(workbench, fitted))
+        if known is not None:
+            return known
+        return self.keep(fitter, fitted, rank(fitter, settings, fitted))
 
     def keep(
-        self, workbench: LoopWorkbench, fitted: FittedModel, ranking: CandidateRanking
+        self, fitter: Fitter, fitted: FittedModel, ranking: CandidateRanking
     ) -> CandidateRanking:
         """Keep the ranking of a model."""
-        self._at(fitted).ranking = None if workbench.by_linear_systems else ranking
+        kept = self.remembers and not fitter.by_linear_systems
+        self._at(fitted).ranking = ranking if kept else None
         return ranking
 
     def grown_from(self, fitted: FittedModel) -> list[RefittedCandidate]:
@@ -375,6 +400,8 @@ class VisitedModels:
 
     def add(self, fitted: FittedModel, contenders: Collection[RefittedCandidate]) -> None:
         """Add what was grown from a model; of one structure, the better one stays."""
+        if not self.remembers:
+            return
         grown = self._at(fitted).grown
         for contender in contenders:
             known = grown.get(contender.fitted.structure, contender)
@@ -382,11 +409,11 @@ class VisitedModels:
                 best = min(known, contender, key=lambda c: c.criterion)
                 grown[contender.fitted.structure] = best
 
-    def _at(self, fitted: FittedModel) -> VisitedModel:
+    def _at(self, fitted: FittedModel) -> CachedModel:
         """The model, if it still is where it was; else a new one in its place."""
         known = self._models.get(fitted.structure)
         if known is None or _distance(fitted, known.fitted) > SAME**2 * self.noise:
-            known = self._models[fitted.structure] = VisitedModel(fitted)
+            known = self._models[fitted.structure] = CachedModel(fitted)
         return known
 
 

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.output_noise import noise_of
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
 from cluster_est.closed_loop.screening.screen import ScreeningResult, findings, refreshed
+from cluster_est.closed_loop.selection.linear_model import UNPRUNED, UsefulFit
 from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction
-from cluster_est.closed_loop.selection.refits import RefittedCandidate, Rivals, VisitedModels
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.selection.refits import ModelCache, RefittedCandidate, Rivals
+from cluster_est.closed_loop.settings import LoopPart, LoopSettings
+from cluster_est.statistics.records import StackedRecords
 
 
 class RejectionReason(enum.StrEnum):
@@ -71,10 +74,14 @@ class RoundStart:
         The accepted structure, fitted, and its leave-one-out prediction.
     screening
         Of all candidates at that model.
-    visited
+    cache
         The models that the search has added effects to.
     floor
         Sum of squares that the noise alone would leave.
+    settings
+        Of the loop; what they leave out is left out.
+    sigma_declared
+        The user has given a sigma.
     beside
         The structures that it was compared with in the round before.
     numerical
@@ -85,10 +92,20 @@ class RoundStart:
     model: FittedModel = field(repr=False)
     prediction: LeaveOneOutPrediction = field(repr=False)
     screening: ScreeningResult = field(repr=False)
-    visited: VisitedModels = field(repr=False)
+    cache: ModelCache = field(repr=False)
     floor: float
+    settings: LoopSettings
+    sigma_declared: bool
     beside: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
     numerical: float = 0.0
+
+    def has(self, part: LoopPart) -> bool:
+        """Return whether a part of the search is not left out."""
+        return part not in self.settings.without
+
+    def useful(self, criterion: float = np.inf, sse: float = np.inf) -> UsefulFit:
+        """Return what a refit must come down to, to be of any use."""
+        return UsefulFit(criterion, sse) if self.has(LoopPart.PRUNING) else UNPRUNED
 
 
 @dataclass(frozen=True)
@@ -103,12 +120,15 @@ class RoundEnd:
         The structure that passed, and its prediction; None where nothing was added.
     compared
         All structures that were refitted.
+    stopped
+        By structure, the gate that stopped it.
     """
 
     seen: SelectionRound
     won: RefittedCandidate | None = None
     prediction: LeaveOneOutPrediction | None = None
     compared: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
+    stopped: Mapping[frozenset[str], LoopPart] = field(default_factory=dict, repr=False)
 
 
 @dataclass(frozen=True)
@@ -136,6 +156,10 @@ class ComparedStructure:
         Of the set among all that were compared; NaN where that is not known.
     chosen
         Share of the draws of the experiments in which the set is the best one; NaN likewise.
+    move
+        The part of the search that proposed it, by its name in `closed_loop.without`.
+    stopped_by
+        The gate that it did not pass, by the same; empty where it was not the best of its round.
     """
 
     step: int
@@ -147,6 +171,8 @@ class ComparedStructure:
     relative_steps: float = np.nan
     probability: float = np.nan
     chosen: float = np.nan
+    move: str = ""
+    stopped_by: str = ""
 
 
 @dataclass(frozen=True)
@@ -184,19 +210,19 @@ class SelectionResult:
         return self.steps[-1]
 
 
-def without_search(workbench: LoopWorkbench, base: FittedModel) -> SelectionResult:
+def without_search(fitter: Fitter, base: FittedModel) -> SelectionResult:
     """The declared model alone, where no effect was looked for."""
     nothing = LeaveOneOutPrediction(np.zeros(0))
-    noise = noise_of(workbench, base.residuals)
+    noise = noise_of(fitter, base.residuals)
     return SelectionResult(base, base, nothing, nothing, {}, (), (), noise)
 
 
 def evidence_of_round(
-    workbench: LoopWorkbench, current: FittedModel, end: RoundEnd, number: int
+    records: StackedRecords, current: FittedModel, end: RoundEnd, number: int
 ) -> list[CandidateEvidence]:
     """Return the candidates of a round, with how far each came."""
     found = findings(end.seen.screening.ranking, current, number)
-    base = current.criterion(workbench.records)
+    base = current.criterion(records)
     reached = [
         (c, CandidateStage.REFITTED)
         for c in end.compared
@@ -249,7 +275,7 @@ def _as_finer(
 
 
 def compared_structures(
-    workbench: LoopWorkbench, base: FittedModel, end: RoundEnd, floor: float, step: int
+    records: StackedRecords, base: FittedModel, end: RoundEnd, floor: float, step: int
 ) -> list[ComparedStructure]:
     """The structures of a round, the best first.
 
@@ -266,19 +292,25 @@ def compared_structures(
     """
     return [
         replace(
-            compared_structure(workbench, base, contender.fitted, floor, step),
+            compared_structure(records, base, contender.fitted, floor, step),
             converged=contender.full,
             accepted=contender is end.won,
+            move=contender.move or "",
+            stopped_by=end.stopped.get(contender.fitted.structure, ""),
         )
         for contender in sorted(end.compared, key=lambda c: c.criterion)
     ]
 
 
 def compared_structure(
-    workbench: LoopWorkbench, base: FittedModel, fitted: FittedModel, floor: float, step: int
+    records: StackedRecords,
+    base: FittedModel,
+    fitted: FittedModel,
+    floor: float,
+    step: int,
+    move: str = "",
 ) -> ComparedStructure:
     """A structure that was accepted, as a row; see `compared_structures`."""
-    records = workbench.records
     gap = base.sse - floor
     return ComparedStructure(
         step=step,
@@ -288,4 +320,5 @@ def compared_structure(
         converged=True,
         accepted=True,
         relative_steps=fitted.steps / base.steps if base.steps and fitted.steps else np.nan,
+        move=move,
     )

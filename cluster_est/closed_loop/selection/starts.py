@@ -9,46 +9,85 @@ wrong name, so it is refitted from the declared parameters and with other shapes
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter, shortened_kinds
 from cluster_est.closed_loop.output_noise import noise_of
 from cluster_est.closed_loop.selection.linear_model import (
+    REFINEMENT,
     gauss_newton_step,
     longest_step,
 )
 from cluster_est.closed_loop.selection.prediction import is_usable
 from cluster_est.closed_loop.selection.refits import SHORT, full_refit
 from cluster_est.closed_loop.settings import LoopStage
-from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench, shortened_kinds
 from cluster_est.errors import ProblemError
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.problem.search_space import SearchSpace
 from cluster_est.problem.sensors import unstarted_sensors
 from workers.messages import FloatArray
 
+
+@dataclass(frozen=True)
+class DeclaredModelThresholds:
+    """Thresholds of the fit of the declared model.
+
+    Attributes
+    ----------
+    at_noise
+        Residual over noise below which no other start is tried. Benchmark.
+    spread
+        Of the starts around the user's: in logarithms, or as a share of a value. Benchmark.
+    survivors
+        Starts that go on after each horizon. Benchmark.
+    distinct
+        Relative distance of two fits that count as different. Benchmark.
+    """
+
+    at_noise: float = 1.05
+    spread: float = 0.35
+    survivors: tuple[int, ...] = (4, 2)
+    distinct: float = 1e-2
+
+
+DECLARED_MODEL = DeclaredModelThresholds()
+
+
 THOROUGH = LeastSquares(trials=1, max_iterations=25, ftol=1e-7, xtol=1e-8, differences="forward")
 BRIEF = LeastSquares(trials=1, max_iterations=8, ftol=1e-4, xtol=1e-5, differences="forward")
 
 
-def fit_declared(workbench: LoopWorkbench, start: FitStart) -> FittedModel:
+def fit_declared(
+    fitter: Fitter, start: FitStart, count: int, known: FittedModel | None = None
+) -> FittedModel:
     """Fit from the user's start, and from others unless that reaches the noise.
 
     With process noise it is the one start: a filter follows what is measured from wherever it
     stands, so that there is no growing along a record.
+
+    Parameters
+    ----------
+    start
+        Of the model.
+    count
+        Number of starts where one is not enough.
+    known
+        The fit from the user's start, where there is one.
 
     Raises
     ------
     ProblemError
         If the model cannot be simulated at its start.
     """
-    first = workbench.first_fit if not start.values else None
+    first = known if not start.values else None
     if first is None:
-        (first,) = workbench.fit(LoopStage.DECLARED_MODEL, [start], THOROUGH)
-    if first is not None and (workbench.filtered or at_noise(workbench, first)):
+        (first,) = fitter.fit(LoopStage.DECLARED_MODEL, [start], THOROUGH)
+    if first is not None and (fitter.predicts or at_noise(fitter, first)):
         return first
-    grown = _grow(workbench, start)
+    grown = _grow(fitter, start, count)
     best = [f for f in (first, *grown) if f is not None]
     if not best:
         raise ProblemError(
@@ -58,46 +97,41 @@ def fit_declared(workbench: LoopWorkbench, start: FitStart) -> FittedModel:
     return min(best, key=lambda fitted: fitted.sse)
 
 
-def at_noise(workbench: LoopWorkbench, fitted: FittedModel) -> bool:
+def at_noise(fitter: Fitter, fitted: FittedModel) -> bool:
     """Return whether the residual is as small as its own roughness says it can be."""
-    noise = noise_of(workbench, fitted.residuals)
+    noise = noise_of(fitter, fitted.residuals)
     for output, sigma in enumerate(noise.tolist()):
-        part = fitted.residuals[workbench.records.of_output(output)]
-        if (
-            len(part)
-            and np.sqrt(np.mean(part**2)) > workbench.thresholds.declared_model.at_noise * sigma
-        ):
+        part = fitted.residuals[fitter.records.of_output(output)]
+        if len(part) and np.sqrt(np.mean(part**2)) > DECLARED_MODEL.at_noise * sigma:
             return False
     return True
 
 
-def _grow(workbench: LoopWorkbench, start: FitStart) -> list[FittedModel | None]:
+def _grow(fitter: Fitter, start: FitStart, count: int) -> list[FittedModel | None]:
     """Several starts through the horizons to the full records."""
-    starts = _spread(workbench, start)
-    thresholds = workbench.thresholds.declared_model
-    horizons = shortened_kinds(workbench.thresholds.preparation)
-    for horizon, survivors in zip(horizons, thresholds.survivors, strict=True):
-        fits = workbench.fit(LoopStage.DECLARED_MODEL, starts, BRIEF, horizon)
+    starts = _spread(fitter, start, count)
+    horizons = shortened_kinds()
+    for horizon, survivors in zip(horizons, DECLARED_MODEL.survivors, strict=True):
+        fits = fitter.fit(LoopStage.DECLARED_MODEL, starts, BRIEF, horizon)
         alive = sorted((f for f in fits if f is not None), key=lambda f: f.sse)
         starts = [
-            FitStart(start.problem, workbench.measured_estimates(f, horizon), start.added)
-            for f in _distinct(alive, thresholds.distinct)[:survivors]
+            FitStart(start.problem, fitter.measured_estimates(f, horizon), start.added)
+            for f in _distinct(alive, DECLARED_MODEL.distinct)[:survivors]
         ]
-    return workbench.fit(LoopStage.DECLARED_MODEL, starts, THOROUGH)
+    return fitter.fit(LoopStage.DECLARED_MODEL, starts, THOROUGH)
 
 
-def _spread(workbench: LoopWorkbench, start: FitStart) -> list[FitStart]:
+def _spread(fitter: Fitter, start: FitStart, count: int) -> list[FitStart]:
     """The user's start, and points of a Sobol sequence around it for the shared values."""
     from scipy.stats import qmc  # slow to import, and only a fit that misses the noise asks for it
 
-    space = workbench.space(start)
+    space = fitter.space(start)
     sensors = {i for sensor in unstarted_sensors(space) for i in sensor.unknowns}
     shared = [i for i, u in enumerate(space.unknowns) if not u.scope and i not in sensors]
-    sampler = qmc.Sobol(max(1, len(shared)), rng=workbench.generator(1))
-    count = workbench.settings.starts
+    sampler = qmc.Sobol(max(1, len(shared)), rng=fitter.generator(1))
     cube = 2.0 * sampler.random(1 << (count - 1).bit_length())[:count] - 1.0
     cube[0] = 0.0
-    spread = workbench.thresholds.declared_model.spread
+    spread = DECLARED_MODEL.spread
     return [
         FitStart(start.problem, space.estimates(_moved(space, shared, row, spread)), start.added)
         for row in cube
@@ -123,7 +157,7 @@ def _distinct(fits: Sequence[FittedModel], distance: float) -> list[FittedModel]
 
 
 def refit_from_other_starts(
-    workbench: LoopWorkbench, declared: FittedModel, grown: FittedModel
+    fitter: Fitter, declared: FittedModel, grown: FittedModel
 ) -> FittedModel:
     """Refit from the declared parameters, and with shapes at the best points of their grids.
 
@@ -138,12 +172,12 @@ def refit_from_other_starts(
         The same structure where it fits best.
     """
     values = grown.estimates
-    space = workbench.space(grown.start)
-    shapes = _best_first(workbench, grown, space, list(_other_shapes(workbench, grown)))
-    given = workbench.space(FitStart(declared.problem, {}))
+    space = fitter.space(grown.start)
+    shapes = _best_first(fitter, grown, space, list(_other_shapes(fitter, grown)))
+    given = fitter.space(FitStart(declared.problem, {}))
     starts = [values | given.estimates(given.start), values | declared.estimates]
-    starts += [space.estimates(x) for x in shapes[: workbench.thresholds.refinement.finalists]]
-    fits = workbench.fit(
+    starts += [space.estimates(x) for x in shapes[: REFINEMENT.finalists]]
+    fits = fitter.fit(
         LoopStage.OTHER_STARTS,
         [FitStart(grown.problem, start, grown.added) for start in starts],
         SHORT,
@@ -153,18 +187,18 @@ def refit_from_other_starts(
         return grown
     best = min(brief, key=lambda fitted: fitted.sse)
     going = [best] if fits[0] is None or fits[0] is best else [best, fits[0]]
-    finished = workbench.fit(
-        LoopStage.OTHER_STARTS, [fitted.start for fitted in going], full_refit(workbench)
+    finished = fitter.fit(
+        LoopStage.OTHER_STARTS, [fitted.start for fitted in going], full_refit(fitter)
     )
     better = [each for each in finished if each is not None and each.sse < grown.sse]
     for each in sorted(better, key=lambda fitted: fitted.sse):
-        if is_usable(workbench, each, declared):
+        if is_usable(fitter, each, declared):
             return each
     return grown
 
 
 def _best_first(
-    workbench: LoopWorkbench, grown: FittedModel, space: SearchSpace, shapes: list[FloatArray]
+    fitter: Fitter, grown: FittedModel, space: SearchSpace, shapes: list[FloatArray]
 ) -> list[FloatArray]:
     """Points with other shapes, the lowest sum of squares first.
 
@@ -176,7 +210,7 @@ def _best_first(
     plain, adapted = np.array(shapes), np.array(shapes)
     found: dict[int, tuple[float, FloatArray]] = {}
     for points in (plain, adapted):
-        (answers,) = workbench.evaluate(LoopStage.OTHER_STARTS, [(space, points)])
+        (answers,) = fitter.evaluate(LoopStage.OTHER_STARTS, [(space, points)])
         for i, at in enumerate(answers):
             if not at.ok:
                 continue
@@ -184,12 +218,11 @@ def _best_first(
             if i not in found or sse < found[i][0]:
                 found[i] = sse, points[i]
             if points is plain:
-                adapted[i] = _adapted(workbench, grown, space, plain[i], at.residuals)
+                adapted[i] = _adapted(grown, space, plain[i], at.residuals)
     return [point for _, point in sorted(found.values(), key=lambda known: known[0])]
 
 
 def _adapted(
-    workbench: LoopWorkbench,
     grown: FittedModel,
     space: SearchSpace,
     point: FloatArray,
@@ -198,14 +231,14 @@ def _adapted(
     """A point, after the Gauss-Newton step of all unknowns that it has in common with the fit."""
     same = point == grown.x
     step = gauss_newton_step(grown.jacobian[:, same], residuals)
-    largest = workbench.thresholds.refinement.largest_step
+    largest = REFINEMENT.largest_step
     most = longest_step(space, grown.x, largest)[same]
     moved = point.copy()
     moved[same] += np.clip(step, -most, most)
     return np.asarray(np.clip(moved, space.lower, space.upper))
 
 
-def _other_shapes(workbench: LoopWorkbench, grown: FittedModel) -> Iterator[FloatArray]:
+def _other_shapes(fitter: Fitter, grown: FittedModel) -> Iterator[FloatArray]:
     """The fit, with the shape of one effect at each point of its grid, in search coordinates."""
     values = grown.estimates
     for candidate in grown.added:
@@ -213,7 +246,7 @@ def _other_shapes(workbench: LoopWorkbench, grown: FittedModel) -> Iterator[Floa
             known = {label: value for label, value in shape.items() if label in values}
             if known:
                 start = FitStart(grown.problem, values | known, grown.added)
-                yield workbench.space(start).start
+                yield fitter.space(start).start
 
 
 def _shapes(candidate: EffectCandidate) -> list[dict[str, float]]:

@@ -122,7 +122,7 @@ def probed():
     problem = missing_effect_problem("battery", interface="co_simulation", signals=())
     sites, forms = zip(*CHANGES, strict=True)
     with opened(problem, LoopSettings(forms=forms, sites=tuple(dict.fromkeys(sites)))) as bench:
-        ranking = rank(bench, unfitted(bench))
+        ranking = rank(bench.fitter, bench.settings, unfitted(bench))
     found = {}
     for trial, column in zip(ranking.trials, ranking.columns, strict=True):
         key = str(trial.candidate.site), trial.candidate.form.name
