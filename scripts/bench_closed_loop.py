@@ -3,11 +3,14 @@
     python scripts/bench_closed_loop.py --out results.jsonl --split tune --every 10
     python scripts/bench_closed_loop.py --out results.jsonl --page closed-loop-benchmark.md
     python scripts/bench_closed_loop.py --compare old.jsonl new.jsonl
+    python scripts/bench_closed_loop.py --out results.jsonl --kinds pair --ablation all
 
 The first prints one line a case and appends to the file, one record a line; cases that are in it
 already are skipped, so a run can be continued. The second writes the tables of all that is there.
 The third lists the cases of both files that were right and are no longer; there must be none, and
-the exit code is 1 if there is one.
+the exit code is 1 if there is one. The fourth runs the cases as they are, and with each part of
+the search (a move, a gate, or what moves share) left out alone, each into a file beside that of
+`--out`, and prints the parts side by side.
 """
 
 from __future__ import annotations
@@ -21,7 +24,6 @@ import traceback
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -31,11 +33,10 @@ from closed_loop_benchmark.scenarios import Kind, Scenario, all_scenarios
 from closed_loop_benchmark.scoring import Score, blank, score
 from closed_loop_benchmark.system import Split
 from closed_loop_benchmark.systems import SYSTEMS
-from closed_loop_benchmark.tables import compare_runs, one_line, page
-from cluster_est.closed_loop.thresholds import LoopThresholds
+from closed_loop_benchmark.tables import compare_runs, one_line, page, paired
 
 from cluster_est.closed_loop.loop import close_loop
-from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.settings import LoopPart, LoopSettings
 
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -53,17 +54,32 @@ def main() -> int:
         text = page(list(own.values()), {"as it is": own, **variants} if variants else {})
         options.page.write_text(text, encoding="utf-8")
         return 0
-    done = read(options.out)
+    whole = complete(options, options.out, options.without)
+    if options.ablation:
+        runs = {"as it is": whole}
+        for part in options.ablation:
+            file = options.out.with_name(f"{options.out.stem}.without {part}.jsonl")
+            runs[part] = complete(options, file, (*options.without, part))
+        print(paired(runs))
+    return 0
+
+
+def complete(options: argparse.Namespace, out: Path, without: Sequence[str]) -> dict[str, Score]:
+    """Run what a file lacks, and return the records of all cases that were asked for."""
+    done = read(out)
     if options.again:
         done = {name: known for name, known in done.items() if not known.error}
-    cases = [case for case in choose(options) if case.name not in done]
-    print(f"{len(cases)} cases to run, {len(done)} in {options.out} already", flush=True)
-    with options.out.open("a", encoding="utf-8") as file:
-        for one in run(cases, options):
+    chosen = choose(options)
+    cases = [case for case in chosen if case.name not in done]
+    print(f"{out}: {len(cases)} cases to run, {len(done)} are there already", flush=True)
+    settings = LoopSettings(beam=options.beam, without=tuple(without))
+    with out.open("a", encoding="utf-8") as file:
+        for one in run(cases, options, settings):
             file.write(one.to_json() + "\n")
             file.flush()
             print(one_line(one), flush=True)
-    return 0
+            done[one.name] = one
+    return {case.name: done[case.name] for case in chosen if case.name in done}
 
 
 def parse() -> argparse.Namespace:
@@ -84,34 +100,23 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--kinds", type=names_of(get_args(Kind)), default=get_args(Kind))
     parser.add_argument("--systems", type=names_of(tuple(SYSTEMS)), default=tuple(SYSTEMS))
     parser.add_argument("--split", choices=get_args(Split))
+    parser.add_argument("--cases", nargs="+", default=(), metavar="NAME", help="these alone")
     parser.add_argument("--every", type=int, default=1, help="of the cases, spread over all sorts")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="then start no case")
     parser.add_argument("--beam", type=int, default=LoopSettings().beam, help="closed_loop.beam")
-    parser.add_argument("--no-curves", action="store_true", help="refit no free curve")
+    parts = tuple(part.value for part in LoopPart)
     parser.add_argument(
-        "--places",
-        choices=("many", "always", "never"),
-        default="many",
-        help="look at leading places alone: where candidates are many, always, never",
+        "--without", type=names_of(parts), default=(), help="parts of the search to leave out"
+    )
+    parser.add_argument(
+        "--ablation",
+        type=lambda text: parts if text == "all" else names_of(parts)(text),
+        default=(),
+        help='parts to leave out one at a time, with commas between them, or "all"',
     )
     parser.add_argument("--again", action="store_true", help="repeat cases that failed")
     return parser.parse_args()
-
-
-def settings_of(options: argparse.Namespace) -> LoopSettings:
-    """Return the settings of every loop."""
-    thresholds = LoopThresholds()
-    most = {"many": thresholds.places.most_candidates, "always": 0, "never": 10**9}
-    curves = 0 if options.no_curves else thresholds.refinement.curves
-    return LoopSettings(
-        beam=options.beam,
-        thresholds=replace(
-            thresholds,
-            places=replace(thresholds.places, most_candidates=most[options.places]),
-            refinement=replace(thresholds.refinement, curves=curves),
-        ),
-    )
 
 
 def names_of(known: tuple[str, ...]) -> Any:
@@ -146,17 +151,20 @@ def choose(options: argparse.Namespace) -> list[Scenario]:
     ]
     # By seed within a system and kind: every third of the listed cases would be of one size.
     cases.sort(key=lambda case: (case.kind, case.system, case.seed))
+    cases = [case for case in cases if not options.cases or case.name in options.cases]
     return cases[:: options.every]
 
 
-def run(cases: Sequence[Scenario], options: argparse.Namespace) -> Iterator[Score]:
+def run(
+    cases: Sequence[Scenario], options: argparse.Namespace, settings: LoopSettings
+) -> Iterator[Score]:
     """Run cases in some processes, and give the score of each as it ends.
 
     All cases of a portion run in one process, which keeps what it has compiled for their system. A
     case in which a process dies has an error as its score; what its portion had left is not run.
     """
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
-    deadline, settings = time.time() + options.seconds, settings_of(options)
+    deadline = time.time() + options.seconds
     scores: queue.SimpleQueue[Score | None] = queue.SimpleQueue()
 
     def run_portion(portion: Sequence[Scenario]) -> None:

@@ -155,21 +155,14 @@ def grow(
     again
         Begin once more where the declared model turns out to have been in a local minimum.
     """
-    fitter, settings = workbench.fitter, workbench.settings
-    log = SearchLog.begun(fitter, base)
+    fitter = workbench.fitter
+    log, merging = SearchLog.begun(fitter, base), Merging()
+    remembers = LoopPart.REMEMBERED_FITS not in workbench.settings.without
+    cache = ModelCache(log.floor / fitter.size, remembers)
     now = Accepted(base, log.predicted)
-    cache = ModelCache(log.floor / fitter.size, LoopPart.REMEMBERED_FITS not in settings.without)
-    merging = Merging()
     passed: set[frozenset[str]] = set()
     while True:
-        _say_phase(workbench, now.model)
-        ranked = screen(fitter, settings, now.model, len(log.rounds) + 1)
-        error = numerical(now.model)
-        cache.keep(fitter, now.model, ranked.ranking)
-        begun = RoundStart(
-            base, now.model, now.prediction, ranked, cache, log.floor, settings,
-            workbench.sigma_declared, now.beside, error,
-        )  # fmt: skip
+        begun = _screened(workbench, log, now, cache, numerical)
         passed.add(now.model.structure)
         best = propose_and_choose(fitter, begun)
         log.note(begun, best)
@@ -182,7 +175,7 @@ def grow(
             continue
         if again and not begun.model.added and _was_local(fitter, begun, best.won):
             restart = FitStart(base.problem, _declared_only(best.won), base.added)
-            declared = fit_declared(fitter, restart, settings.starts)
+            declared = fit_declared(fitter, restart, begun.settings.starts)
             return grow(workbench, declared, numerical, reached, again=False)
         grown = revise(fitter, begun, best, now.rivals)
         now = replace(now, rivals=grown.rivals)
@@ -351,10 +344,33 @@ class Merging:
         return Accepted(single.won.fitted, single.prediction, single.rivals)
 
 
-def _say_phase(workbench: LoopWorkbench, current: FittedModel) -> None:
-    found, most = len(current.added), workbench.settings.max_effects
+def _screened(
+    workbench: LoopWorkbench,
+    log: SearchLog,
+    now: Accepted,
+    cache: ModelCache,
+    numerical: Callable[[FittedModel], float],
+) -> RoundStart:
+    """Begin a round: compare all candidates with what the accepted structure leaves."""
+    fitter, settings = workbench.fitter, workbench.settings
+    found, most = len(now.model.added), settings.max_effects
     which = f"effect {found + 1} of at most {most}" if found < most else "what is left"
     workbench.enter(f"looking for {which}")
+    screening = screen(fitter, settings, now.model, len(log.rounds) + 1)
+    error = numerical(now.model)
+    cache.keep(fitter, now.model, screening.ranking)
+    return RoundStart(
+        base=log.base,
+        model=now.model,
+        prediction=now.prediction,
+        screening=screening,
+        cache=cache,
+        floor=log.floor,
+        settings=settings,
+        sigma_declared=workbench.sigma_declared,
+        beside=now.beside,
+        numerical=error,
+    )
 
 
 def _was_local(fitter: Fitter, begun: RoundStart, won: RefittedCandidate) -> bool:
