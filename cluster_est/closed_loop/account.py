@@ -30,7 +30,7 @@ from cluster_est.closed_loop.findings.wording import (
     shared_arguments,
     where_left,
 )
-from cluster_est.closed_loop.fitter import FitStart, FittedModel
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
 from cluster_est.closed_loop.workbench import LoopWorkbench
@@ -80,7 +80,7 @@ def last_fits(workbench: LoopWorkbench, found: SelectionResult, begin: float) ->
     def fitted(model: FittedModel) -> Result:
         start = model.start
         problem = replace(start.problem, experiments=experiments)
-        return final_fit(workbench, replace(start, problem=problem), begin)
+        return final_fit(workbench.fitter, replace(start, problem=problem), begin)
 
     before = fitted(found.base)
     after = fitted(found.current) if found.current.added else before
@@ -260,22 +260,22 @@ def _not_converged(before: Result, after: Result) -> tuple[str, ...]:
     )
 
 
-def final_fit(workbench: LoopWorkbench, start: FitStart, begin: float) -> Result:
+def final_fit(fitter: Fitter, start: FitStart, begin: float) -> Result:
     """Fit to convergence, and simulate every experiment; `begin` as for `complete`."""
-    space = workbench.space(start)
-    (solution,) = workbench.runner.run([SearchRequest("final", FINAL, space, workbench.seed)])
-    units = {n: v.unit for n, v in workbench.description.variables.items()}
-    before = simulate_all(workbench.runner, start.problem, {})
+    space = fitter.space(start)
+    (solution,) = fitter.runner.run([SearchRequest("final", FINAL, space, fitter.seed)])
+    units = {n: v.unit for n, v in fitter.description.variables.items()}
+    before = simulate_all(fitter.runner, start.problem, {})
     steps = GuardedSteps()
-    known = steps.assessed(space, solution, lambda: examine(workbench.runner, space, solution))
+    known = steps.assessed(space, solution, lambda: examine(fitter.runner, space, solution))
     found = complete(
-        workbench.runner,
+        fitter.runner,
         space,
         solution,
         FINAL,
         before,
         units=units,
-        seed=workbench.seed,
+        seed=fitter.seed,
         begin=begin,
         steps=steps,
         uncertainty=known,

@@ -172,7 +172,7 @@ def _confirmed_on_all_rows(
     begin: float,
 ) -> LoopResult:
     """Fit both models to convergence on all rows, and put what was found into words."""
-    found, spent = searched.found, [SpentSimulations.at(searching)]
+    found, spent = searched.found, [SpentSimulations.at(searching.fitter)]
 
     def left() -> LoopRequest:
         used = sum(each.evaluations for each in spent)
@@ -183,7 +183,7 @@ def _confirmed_on_all_rows(
     with open_whole_workbench(left(), thin, searching) as whole:
         whole.enter("before and after")
         fits = last_fits(whole, found, begin)
-        spent.append(SpentSimulations.at(whole))
+        spent.append(SpentSimulations.at(whole.fitter))
         noise = whole.noise_in_units(found.noise)
     with reopened(left(), searching) as workbench:
         result = account(workbench, found, searched.judged, fits)

@@ -71,7 +71,7 @@ def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
     with open_workbench(request) as workbench:
         workbench.enter("the process noise")
         held = hold_noise(workbench.fitter, request.problem, FitStart(request.problem, {}), {})
-        spent = [SpentSimulations.at(workbench)]
+        spent = [SpentSimulations.at(workbench.fitter)]
     passed: list[frozenset[str]] = []
     while True:
         used = sum(each.evaluations for each in spent)
@@ -86,12 +86,12 @@ def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
             workbench.enter("the process noise that is left")
             start = released(searched.found.current.start, request.problem)
             held = hold_noise(workbench.fitter, request.problem, start, held.values)
-            spent.append(SpentSimulations.at(workbench))
+            spent.append(SpentSimulations.at(workbench.fitter))
 
 
 @dataclass(frozen=True)
 class SpentSimulations:
-    """What a workbench has simulated; see `LoopResult`."""
+    """What a fitter has simulated; see `LoopResult`."""
 
     simulations: float
     simulated: int
@@ -99,9 +99,9 @@ class SpentSimulations:
     failures: int
 
     @classmethod
-    def at(cls, workbench: LoopWorkbench) -> Self:
-        runner = workbench.runner
-        return cls(workbench.meter.full, runner.simulations, runner.evaluations, runner.failures)
+    def at(cls, fitter: Fitter) -> Self:
+        runner = fitter.runner
+        return cls(fitter.meter.full, runner.simulations, runner.evaluations, runner.failures)
 
 
 def with_all(result: LoopResult, spent: Sequence[SpentSimulations]) -> LoopResult:
@@ -125,7 +125,7 @@ def _accounted(
     """Compare both models with noise of their own, and put it into words."""
     workbench.enter("before and after")
     found, judged = searched.found, searched.judged
-    fits = last_fits_with_noise(workbench, request.problem, found, begin)
+    fits = last_fits_with_noise(workbench.fitter, request.problem, found, begin)
     if judged.verdict in CLAIMS:
         against = why_not_likely(workbench.size, found, fits)
         if against:
@@ -298,7 +298,7 @@ def _log_spreads(fitter: Fitter, fitted: FittedModel) -> list[float]:
 
 
 def last_fits_with_noise(
-    workbench: LoopWorkbench, declared: Problem, found: SelectionResult, begin: float
+    fitter: Fitter, declared: Problem, found: SelectionResult, begin: float
 ) -> LastFits:
     """Fit both models with noise of their own, and compare their innovations under one noise.
 
@@ -308,7 +308,7 @@ def last_fits_with_noise(
 
     Parameters
     ----------
-    workbench
+    fitter
         With the noise that the search was done under.
     declared
         As the user has given it.
@@ -317,11 +317,11 @@ def last_fits_with_noise(
     begin
         As for `complete`.
     """
-    held = [final_fit(workbench, found.base.start, begin)]
-    free = [final_fit(workbench, released(found.base.start, declared), begin)]
+    held = [final_fit(fitter, found.base.start, begin)]
+    free = [final_fit(fitter, released(found.base.start, declared), begin)]
     if found.current.added:
-        held.append(final_fit(workbench, found.current.start, begin))
-        free.append(final_fit(workbench, released(found.current.start, declared), begin))
+        held.append(final_fit(fitter, found.current.start, begin))
+        free.append(final_fit(fitter, released(found.current.start, declared), begin))
     return LastFits(
         before=free[0],
         after=free[-1],

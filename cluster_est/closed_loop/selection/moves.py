@@ -4,10 +4,6 @@
 curve. `REVISIONS` change one that has passed the gates: other starts, others in the place of
 earlier effects, one for two, one less. `LoopPart` has their names, by which a setting leaves them
 out. What they share is remembered and pruned in one place (`refits.py`, `linear_model.py`).
-
-The best pairs of directions are found by linear algebra alone: for two unit directions b, c with
-g = b'c and the residual's shares x = b'r, y = c'r, both together carry
-(x^2 + y^2 - 2 g x y) / (1 - g^2) of r'r.
 """
 
 from __future__ import annotations
@@ -18,8 +14,7 @@ from itertools import combinations
 
 import numpy as np
 
-from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
-from cluster_est.closed_loop.screening.screen import CandidateRanking
+from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.selection.free_curves import free_curve
 from cluster_est.closed_loop.selection.functions_of_time import admissible
 from cluster_est.closed_loop.selection.gates import (
@@ -31,14 +26,9 @@ from cluster_est.closed_loop.selection.gates import (
 )
 from cluster_est.closed_loop.selection.linear_model import (
     REFINEMENT,
-    UsefulFit,
-    is_proportional,
-    joint_step,
-    may_start_useful,
-    shares_left,
-    values_at,
 )
 from cluster_est.closed_loop.selection.neighbours import refit_siblings, refit_switch_widths
+from cluster_est.closed_loop.selection.pairs import refit_pairs
 from cluster_est.closed_loop.selection.prediction import can_be_linearised, is_usable
 from cluster_est.closed_loop.selection.refits import (
     RefittedCandidate,
@@ -48,36 +38,12 @@ from cluster_est.closed_loop.selection.refits import (
     plainest,
     proposed_by,
     refit,
-    refit_briefly,
     rivals_of,
-    successive_halving,
 )
 from cluster_est.closed_loop.selection.rounds import RoundEnd, RoundStart
 from cluster_est.closed_loop.selection.starts import refit_from_other_starts
 from cluster_est.closed_loop.settings import LoopPart, LoopStage
 from workers.messages import FloatArray
-
-
-@dataclass(frozen=True)
-class PairThresholds:
-    """Thresholds of the search for two effects at once.
-
-    Attributes
-    ----------
-    leaders
-        Directions that are paired. Benchmark; the work grows with its square.
-    alike
-        Cosine above which two directions are no pair. Benchmark.
-    fitted
-        Pairs that are refitted. Benchmark.
-    """
-
-    leaders: int = 90
-    alike: float = 0.98
-    fitted: int = 8
-
-
-PAIRS = PairThresholds()
 
 
 @dataclass(frozen=True)
@@ -166,7 +132,7 @@ def add(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandi
 def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
     """Propose two effects more: from pairs of directions, and grown from single ones."""
     useful = begun.useful(sse=useful_sse(begun, len(begun.model.added) + 2))
-    found = {c.fitted.structure: c for c in _refit_pairs(fitter, begun, useful)}
+    found = {c.fitted.structure: c for c in refit_pairs(fitter, begun, useful)}
     if _grows_several(begun, begun.model):
         singles = best.compared if best.won is None else ()
         parents = best_distinct(fitter, begun, singles)
@@ -323,70 +289,6 @@ def _direction(base: FittedModel, fitted: FittedModel) -> FloatArray:
     """The change of the residuals from the declared model's, of length 1."""
     change = fitted.residuals - base.residuals
     return change / max(float(np.sqrt(np.add.reduce(change**2))), 1e-300)
-
-
-def _refit_pairs(fitter: Fitter, begun: RoundStart, useful: UsefulFit) -> list[RefittedCandidate]:
-    """Refit the best pairs; the best first. A contender's last two effects are the pair.
-
-    Those that the linear model does not let hope to be useful are left out.
-    """
-    current, ranking = begun.model, begun.screening.ranking
-    asked = [_start_of_pair(fitter, current, ranking, p, useful) for p in best_pairs(ranking)]
-    fits = refit_briefly(fitter, [start for start in asked if start is not None])
-    found = successive_halving(fitter, current, begun.floor, fits, useful)
-    return proposed_by(LoopPart.ADD_TWO, found)
-
-
-def best_pairs(ranking: CandidateRanking, most: int = PAIRS.fitted) -> list[tuple[int, int]]:
-    """Pairs of trials of different candidates by the share of the residual that they carry."""
-    scores = ranking.plain
-    usable = [
-        i for i in np.argsort(-scores.statistics, kind="stable").tolist()
-        if scores.df[i] == 1 and not ranking.trials[i].candidate.form.free
-    ][: PAIRS.leaders]  # fmt: skip
-    if len(usable) < 2:
-        return []
-    first = scores.offsets[usable]
-    basis, shares = scores.bases[:, first], scores.coordinates[first]
-    gram = basis.T @ basis
-    a, b = np.triu_indices(len(usable), 1)
-    g = gram[a, b]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        carried = (shares[a] ** 2 + shares[b] ** 2 - 2.0 * g * shares[a] * shares[b]) / (1 - g**2)
-    carried[np.abs(g) > PAIRS.alike] = 0.0
-    found: list[tuple[int, int]] = []
-    seen: set[frozenset[str]] = set()
-    for k in np.argsort(-carried, kind="stable").tolist():
-        i, j = usable[a[k]], usable[b[k]]
-        names = frozenset(ranking.trials[m].candidate.effect.name for m in (i, j))
-        if len(names) < 2 or names in seen or carried[k] <= 0.0:
-            continue
-        seen.add(names)
-        found.append((i, j))
-        if len(found) >= most:
-            break
-    return found
-
-
-def _start_of_pair(
-    fitter: Fitter,
-    current: FittedModel,
-    ranking: CandidateRanking,
-    pair: tuple[int, int],
-    useful: UsefulFit,
-) -> FitStart | None:
-    """Both effects, with the strengths of the joint linear step; None if of no use."""
-    _, strengths, after = joint_step(current, ranking, pair)
-    start = current.start
-    for m, own in zip(pair, strengths, strict=True):
-        trial = ranking.trials[m]
-        start = start.plus(trial.candidate, values_at(trial, own))
-    if all(is_proportional(ranking.trials[m]) for m in pair):
-        added = fitter.space(start).size - len(current.x)
-        left = shares_left(ranking.records, current.residuals[ranking.rows], after)
-        if not may_start_useful(fitter.records, current, left, added, useful):
-            return None
-    return start
 
 
 def restart(fitter: Fitter, begun: RoundStart, grown: Revised) -> Revised:

@@ -15,7 +15,7 @@ from support.loop_objects import (
 
 from cluster_est.closed_loop.selection.free_curves import coloured_criterion
 from cluster_est.closed_loop.selection.gates import Attempt, coloured_noise_explains, first_refusal
-from cluster_est.closed_loop.selection.moves import PAIRS, best_pairs
+from cluster_est.closed_loop.selection.pairs import PAIRS, best_pairs
 from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.rounds import RejectionReason
 
