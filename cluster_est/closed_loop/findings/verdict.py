@@ -21,8 +21,9 @@ from cluster_est.closed_loop.findings.residual.noise_of_sensors import (
     suspected_sigma,
 )
 from cluster_est.closed_loop.fitter import FittedModel
-from cluster_est.closed_loop.selection.gates import SELECTION, VERDICT
+from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import (
+    VERDICT,
     RejectionReason,
     SelectionResult,
     SelectionRound,

@@ -27,14 +27,7 @@ from cluster_est.closed_loop.screening.screen import (
     place_of,
     rank_curves,
 )
-from cluster_est.closed_loop.selection.gates import (
-    SELECTION,
-    can_be_claimed,
-    choose,
-    claimable_sse,
-    leaves_more_than_noise,
-    reason_to_stop,
-)
+from cluster_est.closed_loop.selection.gates import SELECTION, choose, reason_to_stop
 from cluster_est.closed_loop.selection.linear_model import (
     ANY_FIT,
     REFINEMENT,
@@ -54,7 +47,13 @@ from cluster_est.closed_loop.selection.refits import (
     full_refit,
     rivals_of,
 )
-from cluster_est.closed_loop.selection.rounds import RoundEnd, RoundStart
+from cluster_est.closed_loop.selection.rounds import (
+    RoundEnd,
+    RoundStart,
+    can_be_claimed,
+    claimable_sse,
+    leaves_more_than_noise,
+)
 from cluster_est.closed_loop.settings import LoopPart, LoopStage
 from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.whitening import deviance, fit_autoregression

@@ -17,14 +17,21 @@ import numpy as np
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.numerical_error import NUMERICAL_ERROR
 from cluster_est.closed_loop.screening.screen import screen
-from cluster_est.closed_loop.selection.functions_of_time import admissible
-from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction, is_usable, predict
+from cluster_est.closed_loop.selection.functions_of_time import WAVES, admissible
+from cluster_est.closed_loop.selection.prediction import (
+    LeaveOneOutPrediction,
+    can_be_linearised,
+    is_usable,
+    predict,
+)
 from cluster_est.closed_loop.selection.refits import RefittedCandidate, plainest
 from cluster_est.closed_loop.selection.rounds import (
+    VERDICT,
     RejectionReason,
     RoundEnd,
     RoundStart,
     SelectionRound,
+    leaves_more_than_noise,
 )
 from cluster_est.closed_loop.settings import LoopPart
 from cluster_est.statistics.records import StackedRecords
@@ -53,8 +60,6 @@ class SelectionThresholds:
     hard
         Share of the gap to the noise that a single effect must close, or two at once are tried.
         Benchmark.
-    gap
-        Residual over noise, in squares, above which an effect must close a part of it. Benchmark.
     least_gap
         Share of the noise that a gap counts as at least. Benchmark.
     mostly_better
@@ -76,7 +81,6 @@ class SelectionThresholds:
     solo_share: float = 0.98
     minority: float = 0.5
     hard: float = 0.7
-    gap: float = 1.15
     least_gap: float = 0.02
     mostly_better: float = 0.75
     least_fall: float = 0.02
@@ -85,51 +89,6 @@ class SelectionThresholds:
 
 
 SELECTION = SelectionThresholds()
-
-
-@dataclass(frozen=True)
-class VerdictThresholds:
-    """Thresholds of the verdict.
-
-    Attributes
-    ----------
-    structure
-        Standardised omnibus statistic above which structure counts as left. Benchmark.
-    excess
-        Residual over noise, in squares, less 1, below which nothing can be left. Benchmark.
-    coloured
-        Residual over the estimated noise above which what is left is no noise of a sensor, where
-        no sigma is declared. Theory: a fourth difference of first-order noise with a correlation
-        of 0.93 is five times too small.
-    partial
-        Partial autocorrelation beyond lag 1 up to which noise counts as of first order. Benchmark.
-    nearly_all
-        Share of the gap to the noise, in squares, that effects must close for "found". Benchmark.
-    most
-        The same for "partial": the error is at least halved, on training and on held-out data.
-        By definition: what explains less is a hint, and no model.
-    most_by_curve
-        The same for "partial" with a free curve, which takes any shape: what it leaves says that
-        the effect is another one. Benchmark.
-    mostly_better
-        Share of the parts left out that must be predicted better for the rest to count as noise.
-        Benchmark.
-    smooth
-        p-value of the omnibus test above which a residual is not called autocorrelated. Benchmark.
-    """
-
-    structure: float = 5.0
-    excess: float = 0.05
-    coloured: float = 5.0
-    partial: float = 0.1
-    nearly_all: float = 0.98
-    most: float = 0.75
-    most_by_curve: float = 0.9
-    mostly_better: float = 0.75
-    smooth: float = 0.1
-
-
-VERDICT = VerdictThresholds()
 
 
 @dataclass(frozen=True)
@@ -176,6 +135,23 @@ class Stop:
     part: LoopPart | None
     refuses: Callable[[RoundStart], bool]
     reason: RejectionReason
+    origin: str
+
+
+@dataclass(frozen=True)
+class Filter:
+    """What refuses proposals of a round before the best of them is chosen; see `Gate`.
+
+    Attributes
+    ----------
+    kept
+        Those that pass, the one to be chosen first.
+    """
+
+    part: LoopPart
+    kept: Callable[[Fitter, RoundStart, list[RefittedCandidate]], list[RefittedCandidate]]
+    reason: RejectionReason
+    threshold: float
     origin: str
 
 
@@ -236,6 +212,25 @@ STOPS = (
 )
 """In the order in which they are asked."""
 
+FILTERS = (
+    Filter(
+        LoopPart.CRITERION,
+        lambda fitter, begun, contenders: _improving(fitter.records, begun, contenders),
+        RejectionReason.NO_IMPROVEMENT,
+        0.0,
+        "by definition",
+    ),
+    Filter(
+        LoopPart.WAVES,
+        lambda fitter, begun, contenders: admissible(fitter, begun.model, contenders),
+        RejectionReason.ONLY_WAVES,
+        WAVES.periods,
+        "signal: of fewer periods a drift looks the same",
+    ),
+)
+"""In the order in which they are asked. What is left must besides stay bounded (`BOUNDED`), which
+is asked of the best alone, because it takes a simulation."""
+
 GATES = (
     Gate(
         LoopPart.CHOICE_PRICE,
@@ -269,12 +264,11 @@ GATES = (
         LoopPart.LEAST_GAIN,
         lambda attempt, fitter: _explains_little(attempt, fitter),
         RejectionReason.LITTLE_EXPLAINED,
-        SELECTION.gap,
+        VERDICT.gap,
         "setting: least_gain; benchmark: the gap from which it is asked for",
     ),
 )
-"""In the order in which they are asked; before them `choose` asks for `CRITERION`, `WAVES` and
-`BOUNDED`, which every proposal must pass to be the best."""
+"""In the order in which they are asked."""
 
 
 def reason_to_stop(begun: RoundStart) -> RejectionReason | None:
@@ -302,17 +296,17 @@ def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandid
     current = begun.model
     if not proposals:
         return RoundEnd(SelectionRound(begun.screening, (), RejectionReason.LITTLE_PROMISED))
-    ranked = sorted(proposals, key=lambda c: c.criterion)
-    most = current.criterion(fitter.records) if begun.has(LoopPart.CRITERION) else np.inf
-    better = [c for c in ranked if c.criterion < most]
-    stopped = {c.fitted.structure: LoopPart.CRITERION for c in ranked if c.criterion >= most}
-    left = admissible(fitter, current, better) if begun.has(LoopPart.WAVES) else better
-    kept = {id(c) for c in left}
-    stopped |= {c.fitted.structure: LoopPart.WAVES for c in better if id(c) not in kept}
-    why = RejectionReason.ONLY_WAVES if better and not left else RejectionReason.NO_IMPROVEMENT
+    left = ranked = sorted(proposals, key=lambda c: c.criterion)
+    stopped: dict[frozenset[str], LoopPart] = {}
+    why = RejectionReason.NO_IMPROVEMENT
+    for filter_ in (each for each in FILTERS if begun.has(each.part) and left):
+        kept = filter_.kept(fitter, begun, left)
+        known = {id(contender) for contender in kept}
+        stopped |= {c.fitted.structure: filter_.part for c in left if id(c) not in known}
+        left, why = kept, why if kept else filter_.reason
     while left:
         chosen = plainest(left)
-        if not begun.has(LoopPart.BOUNDED) or is_usable(fitter, chosen.fitted, current):
+        if may_go_on(fitter, begun, chosen.fitted, current):
             break
         stopped[chosen.fitted.structure] = LoopPart.BOUNDED
         left = [c for c in left if c is not chosen]
@@ -330,55 +324,19 @@ def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandid
     return RoundEnd(seen, stopped=stopped)
 
 
-def leaves_more_than_noise(fitted: FittedModel, floor: float) -> bool:
-    """Return whether the residual of a fit is clearly larger than the noise."""
-    return fitted.sse > SELECTION.gap * floor
+def may_go_on(fitter: Fitter, begun: RoundStart, fitted: FittedModel, trusted: FittedModel) -> bool:
+    """Return whether a grown model stays bounded, and the search can go on from it in any case."""
+    if begun.has(LoopPart.BOUNDED):
+        return is_usable(fitter, fitted, trusted)
+    return can_be_linearised(fitter, fitted)
 
 
-def useful_sse(begun: RoundStart, added: int) -> float:
-    """Return the sum of squares that structures of a round must come down to, to be of any use.
-
-    With the last effect that is allowed a structure must close the least share of the gap, and as
-    much of it as a claim needs. What may be the noise of sensors for its size has to close nothing,
-    and a smaller structure neither: a further effect may show what it is good for.
-
-    Parameters
-    ----------
-    added
-        Number of effects of the structures.
-    """
-    settings, floor = begun.settings, begun.floor
-    if added < settings.max_effects:
-        return np.inf
-    gate = begun.model.sse - settings.least_gain * (begun.model.sse - floor)
-    return max(min(gate, _claim_sse(begun)), _near_noise_sse(begun))
-
-
-def claimable_sse(begun: RoundStart, added: int) -> float:
-    """Return the sum of squares above which a structure of so many effects comes to nothing.
-
-    Where nothing can be added to it, it must close as much of the gap as a claim needs, or be the
-    noise of sensors for its size.
-    """
-    return np.inf if added < begun.settings.max_effects else _least_claim_sse(begun)
-
-
-def can_be_claimed(begun: RoundStart, fitted: FittedModel) -> bool:
-    """Return whether a structure closes as much as a claim needs, or leaves sensors' noise."""
-    return fitted.sse <= _least_claim_sse(begun)
-
-
-def _least_claim_sse(begun: RoundStart) -> float:
-    return max(_claim_sse(begun), _near_noise_sse(begun))
-
-
-def _claim_sse(begun: RoundStart) -> float:
-    return begun.base.sse - VERDICT.most * (begun.base.sse - begun.floor)
-
-
-def _near_noise_sse(begun: RoundStart) -> float:
-    near = begun.settings.near_noise if begun.sigma_declared else VERDICT.coloured
-    return float(near**2 * begun.floor)
+def _improving(
+    records: StackedRecords, begun: RoundStart, contenders: Sequence[RefittedCandidate]
+) -> list[RefittedCandidate]:
+    """The contenders whose criterion is better than that of the accepted structure."""
+    most = begun.model.criterion(records)
+    return [c for c in contenders if c.criterion < most]
 
 
 def _gain(records: StackedRecords, begun: RoundStart, chosen: RefittedCandidate) -> float:

@@ -17,19 +17,13 @@ import numpy as np
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.selection.free_curves import free_curve
 from cluster_est.closed_loop.selection.functions_of_time import admissible
-from cluster_est.closed_loop.selection.gates import (
-    SELECTION,
-    can_be_claimed,
-    claimable_sse,
-    leaves_more_than_noise,
-    useful_sse,
-)
+from cluster_est.closed_loop.selection.gates import SELECTION, may_go_on
 from cluster_est.closed_loop.selection.linear_model import (
     REFINEMENT,
 )
 from cluster_est.closed_loop.selection.neighbours import refit_siblings, refit_switch_widths
 from cluster_est.closed_loop.selection.pairs import refit_pairs
-from cluster_est.closed_loop.selection.prediction import can_be_linearised, is_usable
+from cluster_est.closed_loop.selection.prediction import can_be_linearised
 from cluster_est.closed_loop.selection.refits import (
     RefittedCandidate,
     Rivals,
@@ -40,7 +34,14 @@ from cluster_est.closed_loop.selection.refits import (
     refit,
     rivals_of,
 )
-from cluster_est.closed_loop.selection.rounds import RoundEnd, RoundStart
+from cluster_est.closed_loop.selection.rounds import (
+    RoundEnd,
+    RoundStart,
+    can_be_claimed,
+    claimable_sse,
+    leaves_more_than_noise,
+    useful_sse,
+)
 from cluster_est.closed_loop.selection.starts import refit_from_other_starts
 from cluster_est.closed_loop.settings import LoopPart, LoopStage
 from workers.messages import FloatArray
@@ -441,6 +442,6 @@ def _instead(
         return None
     won = plainest(contenders)
     name = won.candidate.effect.name
-    if begun.has(LoopPart.BOUNDED) and not is_usable(fitter, won.fitted, rest):
+    if not may_go_on(fitter, begun, won.fitted, rest):
         return None
     return won, {name: rivals_of(won, contenders)[name]}

@@ -20,6 +20,54 @@ from cluster_est.closed_loop.settings import LoopPart, LoopSettings
 from cluster_est.statistics.records import StackedRecords
 
 
+@dataclass(frozen=True)
+class VerdictThresholds:
+    """Thresholds of a claim and of the verdict.
+
+    Attributes
+    ----------
+    gap
+        Residual over noise, in squares, above which an effect must close a part of it. Benchmark.
+    structure
+        Standardised omnibus statistic above which structure counts as left. Benchmark.
+    excess
+        Residual over noise, in squares, less 1, below which nothing can be left. Benchmark.
+    coloured
+        Residual over the estimated noise above which what is left is no noise of a sensor, where
+        no sigma is declared. Theory: a fourth difference of first-order noise with a correlation
+        of 0.93 is five times too small.
+    partial
+        Partial autocorrelation beyond lag 1 up to which noise counts as of first order. Benchmark.
+    nearly_all
+        Share of the gap to the noise, in squares, that effects must close for "found". Benchmark.
+    most
+        The same for "partial": the error is at least halved, on training and on held-out data.
+        By definition: what explains less is a hint, and no model.
+    most_by_curve
+        The same for "partial" with a free curve, which takes any shape: what it leaves says that
+        the effect is another one. Benchmark.
+    mostly_better
+        Share of the parts left out that must be predicted better for the rest to count as noise.
+        Benchmark.
+    smooth
+        p-value of the omnibus test above which a residual is not called autocorrelated. Benchmark.
+    """
+
+    gap: float = 1.15
+    structure: float = 5.0
+    excess: float = 0.05
+    coloured: float = 5.0
+    partial: float = 0.1
+    nearly_all: float = 0.98
+    most: float = 0.75
+    most_by_curve: float = 0.9
+    mostly_better: float = 0.75
+    smooth: float = 0.1
+
+
+VERDICT = VerdictThresholds()
+
+
 class RejectionReason(enum.StrEnum):
     """The reason why a round added nothing; its text is what the summary says."""
 
@@ -208,6 +256,57 @@ class SelectionResult:
     @property
     def last(self) -> SelectionRound:
         return self.steps[-1]
+
+
+def leaves_more_than_noise(fitted: FittedModel, floor: float) -> bool:
+    """Return whether the residual of a fit is clearly larger than the noise."""
+    return fitted.sse > VERDICT.gap * floor
+
+
+def useful_sse(begun: RoundStart, added: int) -> float:
+    """Return the sum of squares that structures of a round must come down to, to be of any use.
+
+    With the last effect that is allowed a structure must close the least share of the gap, and as
+    much of it as a claim needs. What may be the noise of sensors for its size has to close nothing,
+    and a smaller structure neither: a further effect may show what it is good for.
+
+    Parameters
+    ----------
+    added
+        Number of effects of the structures.
+    """
+    settings, floor = begun.settings, begun.floor
+    if added < settings.max_effects:
+        return np.inf
+    gate = begun.model.sse - settings.least_gain * (begun.model.sse - floor)
+    return max(min(gate, _claim_sse(begun)), _near_noise_sse(begun))
+
+
+def claimable_sse(begun: RoundStart, added: int) -> float:
+    """Return the sum of squares above which a structure of so many effects comes to nothing.
+
+    Where nothing can be added to it, it must close as much of the gap as a claim needs, or be the
+    noise of sensors for its size.
+    """
+    return np.inf if added < begun.settings.max_effects else _least_claim_sse(begun)
+
+
+def can_be_claimed(begun: RoundStart, fitted: FittedModel) -> bool:
+    """Return whether a structure closes as much as a claim needs, or leaves sensors' noise."""
+    return fitted.sse <= _least_claim_sse(begun)
+
+
+def _least_claim_sse(begun: RoundStart) -> float:
+    return max(_claim_sse(begun), _near_noise_sse(begun))
+
+
+def _claim_sse(begun: RoundStart) -> float:
+    return begun.base.sse - VERDICT.most * (begun.base.sse - begun.floor)
+
+
+def _near_noise_sse(begun: RoundStart) -> float:
+    near = begun.settings.near_noise if begun.sigma_declared else VERDICT.coloured
+    return float(near**2 * begun.floor)
 
 
 def without_search(fitter: Fitter, base: FittedModel) -> SelectionResult:

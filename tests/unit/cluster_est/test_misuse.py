@@ -158,7 +158,7 @@ REFUSED = [
     (
         ce.LoopSettings,
         {"without": ("restart",)},
-        "there is no part 'restart'; did you mean 'restarts'",
+        "without: there is no part 'restart'; did you mean 'restarts'",
     ),
 ]
 WHERE = {ce.UncertaintySettings: "uncertainty.", ce.LoopSettings: "closed_loop."}

@@ -10,7 +10,7 @@ from scipy.special import chdtri, ndtr
 
 from cluster_est.closed_loop.fitter import FittedModel
 from cluster_est.closed_loop.output_noise import is_given, is_told
-from cluster_est.closed_loop.selection.gates import VERDICT
+from cluster_est.closed_loop.selection.rounds import VERDICT
 from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.statistics.noise.estimate import SHORTEST_NOISE_RECORD, estimate_noise
 from cluster_est.statistics.records import StackedRecords

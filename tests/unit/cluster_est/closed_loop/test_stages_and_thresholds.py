@@ -7,7 +7,7 @@ import re
 import pytest
 
 import cluster_est.closed_loop
-from cluster_est.closed_loop.selection.gates import GATES, STOPS
+from cluster_est.closed_loop.selection.gates import FILTERS, GATES, STOPS
 from cluster_est.closed_loop.selection.moves import MOVES, REVISIONS
 from cluster_est.closed_loop.settings import LoopPart, LoopStage, stage_title
 
@@ -58,8 +58,8 @@ def test_there_are_thresholds_in_every_room_that_decides():
 
 
 def test_moves_and_gates_have_names_of_their_own_and_say_where_they_come_from():
-    named = [each.part for each in (*MOVES, *REVISIONS, *STOPS, *GATES) if each.part]
+    named = [each.part for each in (*MOVES, *REVISIONS, *STOPS, *FILTERS, *GATES) if each.part]
     assert len(named) == len(set(named))
     assert set(named) <= set(LoopPart)
-    for each in (*STOPS, *GATES):
+    for each in (*STOPS, *FILTERS, *GATES):
         assert each.origin.partition(":")[0].capitalize() in ORIGINS
