@@ -13,12 +13,16 @@ from cluster_est.closed_loop.fitter import FitStart, FittedModel
 from cluster_est.closed_loop.numerical_error import NumericalError, measure_numerical_error
 from cluster_est.closed_loop.outliers import open_checked_workbench
 from cluster_est.closed_loop.output_noise import expected_noise, noise_of
-from cluster_est.closed_loop.prepare import LoopRequest, checked_request, open_workbench
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
 from cluster_est.closed_loop.screening.screen import findings, screen
 from cluster_est.closed_loop.selection.starts import fit_declared
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.workbench import LoopWorkbench
+from cluster_est.closed_loop.workbench import (
+    LoopRequest,
+    LoopWorkbench,
+    checked_request,
+    open_workbench,
+)
 from cluster_est.errors import EffectError, ProblemError
 from cluster_est.problem.declared_effects import DeclaredCoefficient, DeclaredEffect, make_effect
 from cluster_est.problem.free_curves import Monotone, checked_shape

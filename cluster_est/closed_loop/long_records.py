@@ -10,9 +10,8 @@ import numpy as np
 
 from cluster_est.closed_loop.fitter import with_outputs
 from cluster_est.closed_loop.outliers import outliers_of_long_records, without
-from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
 from cluster_est.closed_loop.settings import LoopStage
-from cluster_est.closed_loop.workbench import LoopWorkbench
+from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, open_workbench
 from cluster_est.errors import ClusterEstError
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space

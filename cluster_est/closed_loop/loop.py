@@ -28,7 +28,6 @@ from cluster_est.closed_loop.long_records import (
     with_slim_log,
 )
 from cluster_est.closed_loop.outliers import open_checked_workbench
-from cluster_est.closed_loop.prepare import LoopRequest, check_arguments
 from cluster_est.closed_loop.process_noise import (
     SpentSimulations,
     close_loop_under_noise,
@@ -38,7 +37,7 @@ from cluster_est.closed_loop.search import SearchedModel, search_for_effects
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.so_far import result_so_far
-from cluster_est.closed_loop.workbench import LoopWorkbench
+from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, check_arguments
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import make_space

@@ -19,10 +19,9 @@ from cluster_est.closed_loop.output_noise import (
     noise_of,
     with_own_sigmas,
 )
-from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
 from cluster_est.closed_loop.selection.starts import THOROUGH
 from cluster_est.closed_loop.settings import LoopStage
-from cluster_est.closed_loop.workbench import LoopWorkbench
+from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, open_workbench
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
 from cluster_est.problem.tables.jumps import after_jumps

@@ -25,12 +25,11 @@ from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.findings.simulation_cost import dear_structures
 from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
-from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
 from cluster_est.closed_loop.search import SearchedModel, search_for_effects
 from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import LoopStage
-from cluster_est.closed_loop.workbench import LoopWorkbench
+from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, open_workbench
 from cluster_est.errors import ProblemError
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.problem.problem import Problem

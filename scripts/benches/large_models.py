@@ -24,9 +24,9 @@ import cluster_est as ce
 from benches import Row
 from benches.common import WrittenModel
 from cluster_est.closed_loop.fitter import FitStart
-from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
 from cluster_est.closed_loop.screening.screen import screen
 from cluster_est.closed_loop.selection.starts import fit_declared
+from cluster_est.closed_loop.workbench import LoopRequest, open_workbench
 
 SAMPLES, NOISE, RECORDS = 1000, 0.01, 6
 HELD = 25

@@ -18,8 +18,12 @@ from support.truth.systems_with_missing_effects import (
     unfitted,
 )
 
-from cluster_est.closed_loop.candidates.finer_grids import finer_form, in_finer_form
-from cluster_est.closed_loop.candidates.make import EffectCandidate, make_candidates
+from cluster_est.closed_loop.candidates.make import (
+    EffectCandidate,
+    finer_form,
+    in_finer_form,
+    make_candidates,
+)
 from cluster_est.closed_loop.fitter import FittedModel
 from cluster_est.closed_loop.screening.directions import CandidatePoint, directions
 from cluster_est.closed_loop.settings import LoopSettings, LoopStage

@@ -16,7 +16,7 @@ import numpy as np
 import sympy as sp
 from scipy.integrate import cumulative_trapezoid
 
-from cluster_est.closed_loop.candidates.linear_system import (
+from cluster_est.closed_loop.candidates.trajectory import (
     StepMatrices,
     propagate,
     step_matrices,

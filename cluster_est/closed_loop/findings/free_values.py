@@ -12,8 +12,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.linear_system import Forcing, linear_system
-from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
+from cluster_est.closed_loop.candidates.trajectory import (
+    Forcing,
+    LinearisedTrajectory,
+    linear_system,
+)
 from cluster_est.closed_loop.screening.directions import coupling
 from workers.effects.site import EffectSite
 from workers.messages import FloatArray

@@ -19,14 +19,15 @@ from itertools import pairwise
 import numpy as np
 
 from cluster_est.closed_loop.candidates.array_forms import FormArguments, shape_of
-from cluster_est.closed_loop.candidates.linear_system import (
+from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.candidates.trajectory import (
     FEW_VALUES,
     Forcing,
+    LinearisedTrajectory,
     LinearSystem,
     linear_system,
+    pooled,
 )
-from cluster_est.closed_loop.candidates.make import EffectCandidate
-from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.problem.unknowns import Unknown

@@ -19,8 +19,11 @@ from typing import Self
 import numpy as np
 
 from cluster_est.closed_loop.candidates.arguments import TIME, CandidatePlace
-from cluster_est.closed_loop.candidates.linear_system import linear_system
-from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
+from cluster_est.closed_loop.candidates.trajectory import (
+    LinearisedTrajectory,
+    linear_system,
+    pooled,
+)
 from cluster_est.closed_loop.screening.directions import coupling
 from cluster_est.statistics.projection import ProjectedResidual
 from workers.effects.site import EffectSite

@@ -15,11 +15,12 @@ from cluster_est.closed_loop.candidates.arguments import (
     open_arguments,
     open_places,
 )
-from cluster_est.closed_loop.candidates.finer_grids import finer_form, in_finer_form
 from cluster_est.closed_loop.candidates.make import (
     EffectCandidate,
     candidate_sites,
+    finer_form,
     forms_at,
+    in_finer_form,
     make_candidates,
 )
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory

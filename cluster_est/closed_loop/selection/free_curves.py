@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.finer_grids import finer_form, refined
+from cluster_est.closed_loop.candidates.make import finer_form, refined
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.screening.screen import (
     SCREENING,

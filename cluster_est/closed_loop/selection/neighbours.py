@@ -18,8 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.finer_grids import denser_grid
-from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.candidates.make import EffectCandidate, denser_grid
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.screening.directions import CandidatePoint

@@ -9,9 +9,8 @@ from support.problems.springs import ROOT
 
 from cluster_est import Experiment, Input, Model, Output, Parameter, Problem, Solver
 from cluster_est.closed_loop.fitter import FitStart, FittedModel
-from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
 from cluster_est.closed_loop.settings import LoopSettings, LoopStage
-from cluster_est.closed_loop.workbench import LoopWorkbench
+from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, open_workbench
 from workers.messages import FloatArray
 
 
