@@ -16,12 +16,12 @@ from cluster_est.statistics.records import StackedRecords
 from cluster_est.toml import dotted
 from workers.messages import Experiment, FloatArray, Output
 
-GROWTH = 2.0
+NOISE_GROWTH = 2.0
 """Noise where a signal is large over that where it is small, from which a note is made. Theory:
 with weights wrong by a factor of 2 in sigma, least squares loses a third of its efficiency; with
 less, little."""
 
-GROWTH_P = 1e-6
+NOISE_GROWTH_P = 1e-6
 """Largest p-value for the same. Theory: a thousand outputs have a false note with 0.001."""
 
 
@@ -137,7 +137,7 @@ def growing_noise(
         rows = fitter.records.of_output(output)
         rows = rows[kept[rows]]
         growth = noise_growth(fitted.residuals[rows], measured[rows])
-        if growth.p >= GROWTH_P or growth.loud < GROWTH * growth.quiet:
+        if growth.p >= NOISE_GROWTH_P or growth.loud < NOISE_GROWTH * growth.quiet:
             continue
         sigmas = fitter.sigmas[rows]
         known = growth.quiet > 0.0 and growth.part > 0.0 and np.ptp(sigmas) == 0.0

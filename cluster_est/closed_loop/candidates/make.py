@@ -323,7 +323,7 @@ BETWEEN = 4
 """Steps for each one of the candidate's own grid."""
 BEGINNINGS = np.linspace(0.04, 0.96, 24)
 """Quantiles of its argument at which an effect may begin."""
-MANY = 12
+DENSE_GRID = 12
 """Points of a grid that is dense as it is: of waves."""
 
 
@@ -344,7 +344,7 @@ def denser_grid(
     """
     rows = np.array(candidate.grid)
     moving = np.flatnonzero(np.ptp(rows, axis=0) > 0.0)
-    if len(moving) != 1 or len(rows) > MANY:
+    if len(moving) != 1 or len(rows) > DENSE_GRID:
         return list(candidate.grid)
     values = _dense_values(candidate, int(moving[0]), rows[:, moving[0]], trajectories)
     dense = np.repeat(rows[:1], len(values), axis=0)

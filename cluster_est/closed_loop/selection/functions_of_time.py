@@ -51,13 +51,13 @@ class WaveThresholds:
     apart: float = 0.5
 
 
-WAVES = WaveThresholds()
+TIME_FUNCTIONS = WaveThresholds()
 
 
 FREQUENCY = "f"
 """Coefficient of a wave in time, in rad/s; its parts are a and b."""
 
-PARTS = ("a", "b")
+WAVE_PARTS = ("a", "b")
 """Coefficients of a wave, that of its sine and that of its cosine."""
 
 MODES = 5
@@ -80,7 +80,7 @@ def admissible(
     if not left or not _waves(left[0].fitted, current):
         return left
     gain = current.sse - left[0].fitted.sse
-    least = WAVES.nearly * gain
+    least = TIME_FUNCTIONS.nearly * gain
     others = [c for c in left if not _waves(c.fitted, current) and not c.candidate.form.free]
     first = [c for c in others if current.sse - c.fitted.sse >= least]
     return [*first, *(c for c in left if c not in first)] if first else left
@@ -96,7 +96,7 @@ def period_of(candidate: EffectCandidate, fitted: FittedModel) -> float:
 def residuals_without(fitted: FittedModel, candidate: EffectCandidate) -> FloatArray:
     """Return the residuals that a wave in time leaves when it is taken away, to first order."""
     labels = [u.label for u in fitted.space.unknowns]
-    names = [f"{candidate.effect.name}.{part}" for part in PARTS]
+    names = [f"{candidate.effect.name}.{part}" for part in WAVE_PARTS]
     columns = [labels.index(name) for name in names if name in labels]
     return fitted.residuals - fitted.jacobian[:, columns] @ fitted.x[columns]
 
@@ -115,7 +115,7 @@ def _is_admissible(fitter: Fitter, current: FittedModel, fitted: FittedModel) ->
         period = period_of(candidate, fitted)
         records = [record for record in fitter.records.items if len(record.times)]
         longest = max(float(np.ptp(record.times)) for record in records)
-        if longest < WAVES.periods * period:
+        if longest < TIME_FUNCTIONS.periods * period:
             return False
         if _is_resonance(fitter, current, 2.0 * np.pi / period):
             return False
@@ -177,7 +177,7 @@ def _agrees(fitter: Fitter, fitted: FittedModel, candidate: EffectCandidate) -> 
     if not squares:
         return True
     apart = float(np.sqrt(max(np.average(squares, weights=weights), 0.0)))
-    return apart <= WAVES.apart * float(np.linalg.norm(shared))
+    return apart <= TIME_FUNCTIONS.apart * float(np.linalg.norm(shared))
 
 
 def functions_of_time(found: SelectionResult) -> tuple[EffectCandidate, ...]:

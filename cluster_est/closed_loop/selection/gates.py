@@ -17,7 +17,7 @@ import numpy as np
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.numerical_error import NUMERICAL_ERROR
 from cluster_est.closed_loop.screening.screen import screen
-from cluster_est.closed_loop.selection.functions_of_time import WAVES, admissible
+from cluster_est.closed_loop.selection.functions_of_time import TIME_FUNCTIONS, admissible
 from cluster_est.closed_loop.selection.prediction import (
     LeaveOneOutPrediction,
     can_be_linearised,
@@ -224,7 +224,7 @@ FILTERS = (
         LoopPart.WAVES,
         lambda fitter, begun, contenders: admissible(fitter, begun.model, contenders),
         RejectionReason.ONLY_WAVES,
-        WAVES.periods,
+        TIME_FUNCTIONS.periods,
         "signal: of fewer periods a drift looks the same",
     ),
 )

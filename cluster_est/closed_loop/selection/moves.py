@@ -69,7 +69,7 @@ class RevisionThresholds:
 
 REVISION = RevisionThresholds()
 
-SAME_PREDICTION = 0.98
+ALIKE_PREDICTIONS = 0.98
 """Cosine between the changes of two structures' predictions above which they count as one.
 Benchmark."""
 
@@ -276,7 +276,7 @@ def best_distinct(
             break
         change = _direction(base, contender.fitted)
         alike = [float(np.add.reduce(change * other)) for other in changes]
-        if contender.candidate.form.free or max(alike, default=0.0) > SAME_PREDICTION:
+        if contender.candidate.form.free or max(alike, default=0.0) > ALIKE_PREDICTIONS:
             continue
         kept.append(contender.fitted)
         changes.append(change)

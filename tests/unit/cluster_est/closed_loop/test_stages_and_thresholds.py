@@ -5,8 +5,10 @@ import pkgutil
 import re
 
 import pytest
+from support.problems.springs import ROOT
 
 import cluster_est.closed_loop
+from cluster_est.closed_loop import search
 from cluster_est.closed_loop.selection.gates import FILTERS, GATES, STOPS
 from cluster_est.closed_loop.selection.moves import MOVES, REVISIONS
 from cluster_est.closed_loop.settings import LoopPart, LoopStage, stage_title
@@ -63,3 +65,10 @@ def test_moves_and_gates_have_names_of_their_own_and_say_where_they_come_from():
     assert set(named) <= set(LoopPart)
     for each in (*STOPS, *FILTERS, *GATES):
         assert each.origin.partition(":")[0].capitalize() in ORIGINS
+
+
+def test_the_page_for_contributors_quotes_the_recipe_as_it_stands_in_its_file():
+    lines = (search.__doc__ or "").splitlines()
+    recipe = "\n".join(line for line in lines if line.startswith("    "))
+    assert "choose the best that passes all gates" in recipe
+    assert recipe in (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
