@@ -27,7 +27,7 @@ from cluster_est.closed_loop.selection.rounds import (
     SelectionRound,
     compared_structure,
 )
-from cluster_est.closed_loop.settings import LoopSettings, LoopStage
+from cluster_est.closed_loop.settings import LoopPart, LoopSettings, LoopStage
 from workers.messages import FloatArray
 
 
@@ -207,7 +207,8 @@ def without_functions_of_time(
             number, floor = len(found.steps) + 1, fitter.noise_floor(found.noise)
             kept, prediction = refitted, predict(fitter, refitted)
             screening = screen(fitter, settings, refitted, number)
-            path += (compared_structure(fitter.records, found.base, refitted, floor, number),)
+            move, records = LoopPart.FUNCTIONS_OF_TIME, fitter.records
+            path += (compared_structure(records, found.base, refitted, floor, number, move),)
     seen = SelectionRound(screening, (), RejectionReason.FUNCTIONS_OF_TIME)
     rivals = {name: own for name, own in found.rivals.items() if name in kept.structure}
     return replace(
