@@ -41,7 +41,7 @@ from cluster_est.closed_loop.selection.functions_of_time import (
     without_functions_of_time,
 )
 from cluster_est.closed_loop.selection.gates import SELECTION, choose, reason_to_stop
-from cluster_est.closed_loop.selection.linear_model import UsefulFit, may_become_useful
+from cluster_est.closed_loop.selection.linear_model import PruningBound, can_reach
 from cluster_est.closed_loop.selection.moves import MOVES, revise
 from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction, predict
 from cluster_est.closed_loop.selection.refits import FIRST, ModelCache, RefittedCandidate, Rivals
@@ -379,12 +379,12 @@ def _was_local(fitter: Fitter, begun: RoundStart, won: RefittedCandidate) -> boo
         return False
     base = begun.base
     start = FitStart(base.problem, _declared_only(won), base.added)
-    useful = UsefulFit(sse=SELECTION.local_minimum * base.sse)
+    bound = PruningBound(sse=SELECTION.local_minimum * base.sse)
     (brief,) = fitter.fit(LoopStage.DECLARED_AGAIN, [start], FIRST)
-    if brief is None or not may_become_useful(fitter.records, brief, useful):
+    if brief is None or not can_reach(fitter.records, brief, bound):
         return False
     (fit,) = fitter.fit(LoopStage.DECLARED_AGAIN, [brief.start], AGAIN)
-    return fit is not None and fit.sse < useful.sse
+    return fit is not None and fit.sse < bound.sse
 
 
 def _declared_only(won: RefittedCandidate) -> dict[str, float]:

@@ -29,11 +29,11 @@ from cluster_est.closed_loop.screening.screen import (
 )
 from cluster_est.closed_loop.selection.gates import SELECTION, choose, reason_to_stop
 from cluster_est.closed_loop.selection.linear_model import (
-    ANY_FIT,
+    NO_BOUND,
     REFINEMENT,
-    UsefulFit,
+    PruningBound,
+    can_reach,
     first_steps,
-    may_become_useful,
 )
 from cluster_est.closed_loop.selection.neighbours import (
     refit_siblings,
@@ -121,7 +121,7 @@ def finer_curves(
     fitter: Fitter,
     begun: RoundStart,
     coarse: Sequence[RefittedCandidate],
-    useful: UsefulFit = ANY_FIT,
+    bound: PruningBound = NO_BOUND,
 ) -> list[RefittedCandidate]:
     """Refit finer curves from those that have been refitted; the best comes first.
 
@@ -135,17 +135,17 @@ def finer_curves(
         The start of the round that they are tried in.
     coarse
         The curves to begin with.
-    useful
+    bound
         What a curve must come down to beside a claim.
     """
     records, alternative = fitter.records, REFINEMENT.alternative
     prunes = begun.has(LoopPart.PRUNING)
     claim = claimable_sse(begun, begun.settings.max_effects) if prunes else np.inf
-    useful = replace(useful, sse=min(useful.sse, claim))
+    bound = replace(bound, sse=min(bound.sse, claim))
     going = [curve.fitted for curve in coarse]
     seen: list[FittedModel] = []
     while going:
-        going = _finer_fits(fitter, begun, going, useful)
+        going = _finer_fits(fitter, begun, going, bound)
         seen += going
         best = min((f.criterion(records) for f in seen), default=np.inf)
         going = [f for f in going if f.criterion(records) <= best + alternative]
@@ -200,7 +200,7 @@ def _finished(fitter: Fitter, fits: Sequence[FittedModel]) -> list[FittedModel]:
 
 
 def _finer_fits(
-    fitter: Fitter, begun: RoundStart, fits: Sequence[FittedModel], useful: UsefulFit
+    fitter: Fitter, begun: RoundStart, fits: Sequence[FittedModel], bound: PruningBound
 ) -> list[FittedModel]:
     """Refit each curve with twice as many steps, where it leaves more than noise or is behind.
 
@@ -210,14 +210,14 @@ def _finer_fits(
         f
         for f in fits
         if f.sse > _largest_noise(fitter.size, begun.floor)
-        or f.criterion(fitter.records) > useful.criterion
+        or f.criterion(fitter.records) > bound.criterion
     ]
     asked = [(f, start) for f in rough if (start := _finer_start(fitter, f)) is not None]
     brief = fitter.fit(LoopStage.REFITS, [start for _, start in asked], SHORT)
     hopeful = [
         (old, new)
         for (old, _), new in zip(asked, brief, strict=True)
-        if new is not None and may_become_useful(fitter.records, new, _reachable(new, useful))
+        if new is not None and can_reach(fitter.records, new, _reachable(new, bound))
     ]
     finished = _finished(fitter, [new for _, new in hopeful])
     records = fitter.records
@@ -233,10 +233,10 @@ def _largest_noise(size: int, floor: float) -> float:
     return float(floor * (1.0 + 2.0 * np.sqrt(2.0 / max(size, 1))))
 
 
-def _reachable(fitted: FittedModel, useful: UsefulFit) -> UsefulFit:
+def _reachable(fitted: FittedModel, bound: PruningBound) -> PruningBound:
     """What a curve must come down to itself; what its criterion must, the finest may still do."""
     finest = finer_form(fitted.added[-1]) is None
-    return useful if finest else UsefulFit(sse=useful.sse)
+    return bound if finest else PruningBound(sse=bound.sse)
 
 
 def _finer_start(fitter: Fitter, fitted: FittedModel) -> FitStart | None:
@@ -331,8 +331,8 @@ def single_effects(
     if not whole and not can_be_claimed(first, current):
         switched = switched_curves(fitter, first)
         known = replace(known, curves=(*known.curves, *switched))
-    useful = first.useful(criterion=current.criterion(fitter.records))
-    finer = finer_curves(fitter, first, known.curves, useful)
+    bound = first.bound(criterion=current.criterion(fitter.records))
+    finer = finer_curves(fitter, first, known.curves, bound)
     curves = sorted((*known.curves, *finer), key=lambda c: c.criterion)
     return replace(known, curves=tuple(curves), fine=True)
 

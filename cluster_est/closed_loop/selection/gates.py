@@ -24,7 +24,7 @@ from cluster_est.closed_loop.selection.prediction import (
     is_usable,
     predict,
 )
-from cluster_est.closed_loop.selection.refits import RefittedCandidate, plainest
+from cluster_est.closed_loop.selection.refits import RefittedCandidate, most_parsimonious
 from cluster_est.closed_loop.selection.rounds import (
     VERDICT,
     RejectionReason,
@@ -305,7 +305,7 @@ def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandid
         stopped |= {c.fitted.structure: filter_.part for c in left if id(c) not in known}
         left, why = kept, why if kept else filter_.reason
     while left:
-        chosen = plainest(left)
+        chosen = most_parsimonious(left)
         if may_go_on(fitter, begun, chosen.fitted, current):
             break
         stopped[chosen.fitted.structure] = LoopPart.BOUNDED

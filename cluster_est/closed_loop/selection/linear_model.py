@@ -134,7 +134,7 @@ def longest_step(space: SearchSpace, x: FloatArray, largest: float) -> FloatArra
 
 
 @dataclass(frozen=True)
-class UsefulFit:
+class PruningBound:
     """What a refit must come down to.
 
     Attributes
@@ -150,16 +150,16 @@ class UsefulFit:
     pruned: bool = True
 
 
-ANY_FIT = UsefulFit()
-UNPRUNED = UsefulFit(pruned=False)
+NO_BOUND = PruningBound()
+UNPRUNED = PruningBound(pruned=False)
 
 
-def promised(records: StackedRecords, fitted: FittedModel) -> float:
+def predicted_criterion(records: StackedRecords, fitted: FittedModel) -> float:
     """Return the criterion that the linear model promises after one more step without bounds."""
     return _ahead(fitted).criterion(records)
 
 
-def may_become_useful(records: StackedRecords, fitted: FittedModel, useful: UsefulFit) -> bool:
+def can_reach(records: StackedRecords, fitted: FittedModel, bound: PruningBound) -> bool:
     """Return whether more iterations could bring a fit down to what it must reach.
 
     The linear model says how far one more step would lead, if there were no bounds. After some
@@ -169,15 +169,15 @@ def may_become_useful(records: StackedRecords, fitted: FittedModel, useful: Usef
     criteria = [each.criterion(records) for each in (fitted, ahead)]
     criterion = criteria[0] - times * (criteria[0] - criteria[1])
     sse = fitted.sse - times * (fitted.sse - ahead.sse)
-    return bool(criterion <= useful.criterion and sse <= useful.sse)
+    return bool(criterion <= bound.criterion and sse <= bound.sse)
 
 
-def may_start_useful(
+def can_reach_with(
     records: StackedRecords,
     current: FittedModel,
     shares: FloatArray,
     added: int,
-    useful: UsefulFit,
+    bound: PruningBound,
 ) -> bool:
     """Return whether a model with new unknowns could come down to what it must reach.
 
@@ -199,7 +199,7 @@ def may_start_useful(
             rest = squares * max(1.0 - REFINEMENT.rival_promise * (1.0 - share), 0.0)
             likelihood += len(part) * np.log(max(rest / len(part), 1e-300))
     price = (current.space.size + added) * np.log(len(current.residuals))
-    return bool(total <= useful.sse and likelihood + price <= useful.criterion)
+    return bool(total <= bound.sse and likelihood + price <= bound.criterion)
 
 
 def shares_left(records: StackedRecords, before: FloatArray, after: FloatArray) -> FloatArray:
@@ -238,14 +238,12 @@ class AskedStep:
     start: FitStart = field(repr=False)
     space: SearchSpace = field(repr=False)
 
-    def may_be_useful(
-        self, records: StackedRecords, current: FittedModel, useful: UsefulFit
-    ) -> bool:
+    def can_reach(self, records: StackedRecords, current: FittedModel, bound: PruningBound) -> bool:
         """Return whether it may; of what is no small change, the linear model knows nothing."""
         if not is_proportional(self.trial):
             return True
         added = len(self.space.unknowns) - len(current.x)
-        return may_start_useful(records, current, self.left, added, useful)
+        return can_reach_with(records, current, self.left, added, bound)
 
     def point(self, current: FittedModel, length: float) -> FloatArray:
         """The point that a part of the step leads to, in the extended space."""
@@ -283,7 +281,7 @@ def first_steps(
     current: FittedModel,
     ranking: CandidateRanking,
     leaders: Sequence[int],
-    useful: UsefulFit = ANY_FIT,
+    bound: PruningBound = NO_BOUND,
 ) -> list[FirstStep]:
     """Simulate the first step of each leader; shorter ones where it does less than predicted.
 
@@ -296,7 +294,7 @@ def first_steps(
         for owner, leader in enumerate(leaders)
         for i in _grid_points(ranking, leader)[: REFINEMENT.points_of_grid]
     ]
-    hopeful = {each.owner for each in asked if each.may_be_useful(fitter.records, current, useful)}
+    hopeful = {each.owner for each in asked if each.can_reach(fitter.records, current, bound)}
     asked = [each for each in asked if each.owner in hopeful]
     best: dict[int, FirstStep] = {}
     for length in REFINEMENT.step_lengths:

@@ -29,7 +29,7 @@ from cluster_est.closed_loop.selection.refits import (
     Rivals,
     ending_with,
     full_refit,
-    plainest,
+    most_parsimonious,
     proposed_by,
     refit,
     rivals_of,
@@ -132,8 +132,8 @@ def add(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandi
 
 def add_two(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
     """Propose two effects more: from pairs of directions, and grown from single ones."""
-    useful = begun.useful(sse=useful_sse(begun, len(begun.model.added) + 2))
-    found = {c.fitted.structure: c for c in refit_pairs(fitter, begun, useful)}
+    bound = begun.bound(sse=useful_sse(begun, len(begun.model.added) + 2))
+    found = {c.fitted.structure: c for c in refit_pairs(fitter, begun, bound)}
     if _grows_several(begun, begun.model):
         singles = best.compared if best.won is None else ()
         parents = best_distinct(fitter, begun, singles)
@@ -215,9 +215,7 @@ def _grown(
         if not accepted:
             ranking = begun.cache.ranking(fitter, begun.settings, parent)
         best = min((c.criterion for c in found.values()), default=np.inf)
-        useful = begun.useful(
-            best + REFINEMENT.alternative, useful_sse(begun, len(parent.added) + 1)
-        )
+        bound = begun.bound(best + REFINEMENT.alternative, useful_sse(begun, len(parent.added) + 1))
         earlier = begun.cache.grown_from(parent)
         contenders = refit(
             fitter,
@@ -229,12 +227,12 @@ def _grown(
             further=accepted and large,
             known={*known, *found},
             done={c.fitted.structure for c in earlier},
-            useful=useful,
+            bound=bound,
         )
         contenders = proposed_by(move, contenders)
         contenders = sorted([*contenders, *earlier], key=lambda c: c.criterion)
         contenders += refit_siblings(fitter, begun, parent, ranking, contenders)
-        contenders = refit_switch_widths(fitter, begun, contenders, useful.criterion)
+        contenders = refit_switch_widths(fitter, begun, contenders, bound.criterion)
         begun.cache.add(parent, contenders)
         for contender in contenders:
             found.setdefault(contender.fitted.structure, contender)
@@ -415,7 +413,7 @@ def _instead(
         return None
     most = grown.criterion(fitter.records) + rise
     claimable = claimable_sse(begun, len(rest.added) + 1)
-    useful = begun.useful(most + REFINEMENT.alternative, claimable)
+    bound = begun.bound(most + REFINEMENT.alternative, claimable)
     ranking = begun.cache.ranking(fitter, begun.settings, rest)
     earlier = begun.cache.grown_from(rest)
     refitted = refit(
@@ -427,20 +425,20 @@ def _instead(
         wide=False,
         further=False,
         done={c.fitted.structure for c in earlier},
-        useful=useful,
+        bound=bound,
     )
     refitted = [*proposed_by(move, refitted), *earlier]
     if len(positions) == 1:
         own = RefittedCandidate(grown, grown.criterion(fitter.records), True)
         there = ending_with(own, grown.added[positions[0]].effect.name)
         refitted += refit_siblings(fitter, begun, rest, ranking, [there])
-    refitted = refit_switch_widths(fitter, begun, refitted, useful.criterion)
+    refitted = refit_switch_widths(fitter, begun, refitted, bound.criterion)
     begun.cache.add(rest, refitted)
     waves = begun.has(LoopPart.WAVES)
     contenders = admissible(fitter, rest, refitted) if waves else refitted
     if not contenders or contenders[0].criterion >= most:
         return None
-    won = plainest(contenders)
+    won = most_parsimonious(contenders)
     name = won.candidate.effect.name
     if not may_go_on(fitter, begun, won.fitted, rest):
         return None

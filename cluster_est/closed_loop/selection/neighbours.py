@@ -25,10 +25,10 @@ from cluster_est.closed_loop.screening.directions import CandidatePoint
 from cluster_est.closed_loop.screening.screen import CandidateRanking, candidate_columns
 from cluster_est.closed_loop.selection.linear_model import (
     REFINEMENT,
-    UsefulFit,
+    PruningBound,
+    can_reach_with,
     gauss_newton_step,
     is_proportional,
-    may_start_useful,
     shares_left,
     values_at,
 )
@@ -302,8 +302,8 @@ def _best_width(
         return None
     _, after, point = min(found, key=lambda each: each[0])
     left = shares_left(fitter.records, fitted.residuals, after)
-    useful = UsefulFit(criterion=min(contender.criterion, most))
-    if not may_start_useful(fitter.records, fitted, left, space.size - fitted.space.size, useful):
+    bound = PruningBound(criterion=min(contender.criterion, most))
+    if not can_reach_with(fitter.records, fitted, left, space.size - fitted.space.size, bound):
         return None
     start = _with_free_widths(contender)
     return FitStart(start.problem, {**start.values, **space.estimates(point)}, start.added)

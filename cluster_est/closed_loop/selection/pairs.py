@@ -14,10 +14,10 @@ import numpy as np
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.screening.screen import CandidateRanking
 from cluster_est.closed_loop.selection.linear_model import (
-    UsefulFit,
+    PruningBound,
+    can_reach_with,
     is_proportional,
     joint_step,
-    may_start_useful,
     shares_left,
     values_at,
 )
@@ -53,15 +53,15 @@ class PairThresholds:
 PAIRS = PairThresholds()
 
 
-def refit_pairs(fitter: Fitter, begun: RoundStart, useful: UsefulFit) -> list[RefittedCandidate]:
+def refit_pairs(fitter: Fitter, begun: RoundStart, bound: PruningBound) -> list[RefittedCandidate]:
     """Refit the best pairs; the best first. A contender's last two effects are the pair.
 
     Those that the linear model does not let hope to be useful are left out.
     """
     current, ranking = begun.model, begun.screening.ranking
-    asked = [_start_of_pair(fitter, current, ranking, p, useful) for p in best_pairs(ranking)]
+    asked = [_start_of_pair(fitter, current, ranking, p, bound) for p in best_pairs(ranking)]
     fits = refit_briefly(fitter, [start for start in asked if start is not None])
-    found = successive_halving(fitter, current, begun.floor, fits, useful)
+    found = successive_halving(fitter, current, begun.floor, fits, bound)
     return proposed_by(LoopPart.ADD_TWO, found)
 
 
@@ -101,7 +101,7 @@ def _start_of_pair(
     current: FittedModel,
     ranking: CandidateRanking,
     pair: tuple[int, int],
-    useful: UsefulFit,
+    bound: PruningBound,
 ) -> FitStart | None:
     """Both effects, with the strengths of the joint linear step; None if of no use."""
     _, strengths, after = joint_step(current, ranking, pair)
@@ -112,6 +112,6 @@ def _start_of_pair(
     if all(is_proportional(ranking.trials[m]) for m in pair):
         added = fitter.space(start).size - len(current.x)
         left = shares_left(ranking.records, current.residuals[ranking.rows], after)
-        if not may_start_useful(fitter.records, current, left, added, useful):
+        if not can_reach_with(fitter.records, current, left, added, bound):
             return None
     return start

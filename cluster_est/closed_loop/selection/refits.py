@@ -15,13 +15,13 @@ from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.screening.screen import CandidateRanking, rank
 from cluster_est.closed_loop.selection.linear_model import (
-    ANY_FIT,
+    NO_BOUND,
     REFINEMENT,
     FirstStep,
-    UsefulFit,
+    PruningBound,
+    can_reach,
     first_steps,
-    may_become_useful,
-    promised,
+    predicted_criterion,
 )
 from cluster_est.closed_loop.settings import LoopPart, LoopSettings, LoopStage
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
@@ -92,7 +92,7 @@ def refit(
     further: bool = True,
     known: Collection[frozenset[str]] = (),
     done: Collection[frozenset[str]] = (),
-    useful: UsefulFit = ANY_FIT,
+    bound: PruningBound = NO_BOUND,
 ) -> list[RefittedCandidate]:
     """Refit the leading candidates; the best first.
 
@@ -116,7 +116,7 @@ def refit(
         ranking take their places.
     done
         Structures that were refitted from this model before: they keep their places.
-    useful
+    bound
         What a structure must come down to. What cannot is refitted no further.
     """
     count, trials = settings.refits, settings.trials
@@ -138,18 +138,18 @@ def refit(
     places = list(dict.fromkeys([*leaders[:trials], *white]))
     first = [i for i in places if not is_done(i)]
     count = max(count - (len(places) - len(first)), 0)
-    chosen, left = _mixed(first_steps(fitter, current, ranking, first, useful), count)
+    chosen, left = _mixed(first_steps(fitter, current, ranking, first, bound), count)
     reached = [step.sse for step in chosen]
     possible = [min(step.sse, step.asked.predicted) for step in chosen]
     near = _near_the_best(reached, possible, current, floor)
-    contenders = _refit_steps(fitter, current, floor, [chosen[i] for i in near], useful)
+    contenders = _refit_steps(fitter, current, floor, [chosen[i] for i in near], bound)
     best = min((c.fitted.sse for c in contenders), default=current.sse)
     if not further or _closes(current, best, floor, REFINEMENT.closes):
         return contenders
     later = [i for i in leaders[trials:] if i not in places and not is_done(i)]
-    left += first_steps(fitter, current, ranking, later, useful)
+    left += first_steps(fitter, current, ranking, later, bound)
     left.sort(key=lambda step: step.sse)
-    contenders += _refit_steps(fitter, current, floor, left[:count], useful)
+    contenders += _refit_steps(fitter, current, floor, left[:count], bound)
     return sorted(contenders, key=lambda c: c.criterion)
 
 
@@ -158,18 +158,16 @@ def _refit_steps(
     current: FittedModel,
     floor: float,
     steps: Sequence[FirstStep],
-    useful: UsefulFit,
+    bound: PruningBound,
 ) -> list[RefittedCandidate]:
     """Refit from first steps; the latter half only what may come near the best of the first."""
     ordered = sorted(steps, key=lambda step: step.sse)
     half = (len(ordered) + 1) // 2
     fits = refit_briefly(fitter, [step.start for step in ordered[:half]])
-    rival = _rival_of_the_best(fitter.records, current, floor, fits, useful)
-    near = [
-        s.start for s in ordered[half:] if s.asked.may_be_useful(fitter.records, current, rival)
-    ]
+    rival = _rival_of_the_best(fitter.records, current, floor, fits, bound)
+    near = [s.start for s in ordered[half:] if s.asked.can_reach(fitter.records, current, rival)]
     fits += refit_briefly(fitter, near)
-    return successive_halving(fitter, current, floor, fits, useful)
+    return successive_halving(fitter, current, floor, fits, bound)
 
 
 def refit_briefly(fitter: Fitter, starts: Sequence[FitStart]) -> list[FittedModel]:
@@ -182,7 +180,7 @@ def successive_halving(
     current: FittedModel,
     floor: float,
     fits: Sequence[FittedModel],
-    useful: UsefulFit = ANY_FIT,
+    bound: PruningBound = NO_BOUND,
 ) -> list[RefittedCandidate]:
     """Refit the better half of brief refits more, and the best to convergence; the best first.
 
@@ -197,8 +195,8 @@ def successive_halving(
         fits = sorted(fits, key=lambda f: f.criterion(fitter.records))
         sums = [f.sse for f in fits]
         near = _near_the_best(sums, sums, current, floor)
-        rival = _rival_of_the_best(fitter.records, current, floor, fits, useful)
-        near = [i for i in near if may_become_useful(fitter.records, fits[i], rival)]
+        rival = _rival_of_the_best(fitter.records, current, floor, fits, bound)
+        near = [i for i in near if can_reach(fitter.records, fits[i], rival)]
         kept = near[: max(REFINEMENT.finalists, len(fits) // 2)]
         kept += _promising(fitter.records, fits, near, kept)
         lost += [f for i, f in enumerate(fits) if i not in kept]
@@ -242,19 +240,19 @@ def _rival_of_the_best(
     current: FittedModel,
     floor: float,
     fits: Sequence[FittedModel],
-    useful: UsefulFit,
-) -> UsefulFit:
+    bound: PruningBound,
+) -> PruningBound:
     """What a fit must come down to, to be the best or its rival, where that closes the gap.
 
     Else none is far behind: what is a part of the truth may do less than what imitates all of it.
     """
-    if not useful.pruned:
-        return useful
+    if not bound.pruned:
+        return bound
     best = min(fits, key=lambda f: f.criterion(records), default=current)
     if not _closes(current, best.sse, floor, REFINEMENT.closes):
-        return useful
+        return bound
     rival = best.criterion(records) + REFINEMENT.alternative
-    return replace(useful, criterion=min(useful.criterion, rival))
+    return replace(bound, criterion=min(bound.criterion, rival))
 
 
 def _promising(
@@ -266,8 +264,8 @@ def _promising(
     """Positions of some that are not kept, though their next step promises more than the best's."""
     if not kept:
         return []
-    best = min(promised(records, fits[i]) for i in kept)
-    others = [(promised(records, fits[i]), i) for i in near if i not in kept]
+    best = min(predicted_criterion(records, fits[i]) for i in kept)
+    others = [(predicted_criterion(records, fits[i]), i) for i in near if i not in kept]
     better = sorted(each for each in others if each[0] < best)
     return [i for _, i in better[: REFINEMENT.promising]]
 
@@ -277,7 +275,7 @@ def _closes(current: FittedModel, best: float, floor: float, share: float) -> bo
     return current.sse - best >= share * (current.sse - floor)
 
 
-def plainest(contenders: Sequence[RefittedCandidate]) -> RefittedCandidate:
+def most_parsimonious(contenders: Sequence[RefittedCandidate]) -> RefittedCandidate:
     """The best contender; among equals the plainest name, then the one with fewest unknowns.
 
     Then the one with fewest states of its own.
@@ -286,11 +284,11 @@ def plainest(contenders: Sequence[RefittedCandidate]) -> RefittedCandidate:
     equal = [c for c in contenders if c.full and c.criterion - best < REFINEMENT.equal]
     equal = equal or list(contenders[:1])
 
-    def plainness(c: RefittedCandidate) -> tuple[float, int, int, float]:
+    def complexity(c: RefittedCandidate) -> tuple[float, int, int, float]:
         form = c.candidate.form
         return form.order, c.fitted.space.size, len(form.states), c.criterion
 
-    return min(equal, key=plainness)
+    return min(equal, key=complexity)
 
 
 def rivals_of(

@@ -13,7 +13,7 @@ from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.output_noise import noise_of
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
 from cluster_est.closed_loop.screening.screen import ScreeningResult, findings, refreshed
-from cluster_est.closed_loop.selection.linear_model import UNPRUNED, UsefulFit
+from cluster_est.closed_loop.selection.linear_model import UNPRUNED, PruningBound
 from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.refits import ModelCache, RefittedCandidate, Rivals
 from cluster_est.closed_loop.settings import LoopPart, LoopSettings
@@ -151,9 +151,9 @@ class RoundStart:
         """Return whether a part of the search is not left out."""
         return part not in self.settings.without
 
-    def useful(self, criterion: float = np.inf, sse: float = np.inf) -> UsefulFit:
+    def bound(self, criterion: float = np.inf, sse: float = np.inf) -> PruningBound:
         """Return what a refit must come down to, to be of any use."""
-        return UsefulFit(criterion, sse) if self.has(LoopPart.PRUNING) else UNPRUNED
+        return PruningBound(criterion, sse) if self.has(LoopPart.PRUNING) else UNPRUNED
 
 
 @dataclass(frozen=True)
