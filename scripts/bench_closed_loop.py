@@ -4,12 +4,15 @@
     python scripts/bench_closed_loop.py --out fast.jsonl --kinds single,clean --every 30 --rate 10
     python scripts/bench_closed_loop.py --out results.jsonl --page closed-loop-benchmark.md
     python scripts/bench_closed_loop.py --compare old.jsonl new.jsonl
+    python scripts/bench_closed_loop.py --out results.jsonl --kinds pair --ablation all
 
 The first prints one line a case and appends to the file, one record a line; cases that are in it
 already are skipped, so a run can be continued. The second samples the cases ten times as fast, in
-noise that is larger by the root of ten. The third writes the tables of all that is there. The last
-lists the cases of both files that were right and are no longer; there must be none, and the exit
-code is 1 if there is one.
+noise that is larger by the root of ten. The third writes the tables of all that is there. The
+fourth lists the cases of both files that were right and are no longer; there must be none, and the
+exit code is 1 if there is one. The last runs the cases as they are, and with each part of the
+search (a move, a gate, or what moves share) left out alone, each into a file beside that of
+`--out`, and prints the parts side by side.
 """
 
 from __future__ import annotations
@@ -33,11 +36,10 @@ from closed_loop_benchmark.scenarios import Kind, Scenario, all_scenarios
 from closed_loop_benchmark.scoring import Score, blank, score
 from closed_loop_benchmark.system import Split
 from closed_loop_benchmark.systems import SYSTEMS
-from closed_loop_benchmark.tables import compare_runs, one_line, page
+from closed_loop_benchmark.tables import compare_runs, one_line, page, paired
 
 from cluster_est.closed_loop.loop import close_loop
-from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.thresholds import LoopThresholds
+from cluster_est.closed_loop.settings import LoopPart, LoopSettings
 from cluster_est.problem.thinning import ThinningSettings
 
 
@@ -66,17 +68,37 @@ def main() -> int:
         text = page(list(own.values()), {"as it is": own, **variants} if variants else {})
         options.page.write_text(text, encoding="utf-8")
         return 0
-    done = read(options.out)
+    whole = complete(options, options.out, options.without)
+    if options.ablation:
+        runs = {"as it is": whole}
+        for part in options.ablation:
+            file = options.out.with_name(f"{options.out.stem}.without {part}.jsonl")
+            runs[part] = complete(options, file, (*options.without, part))
+        print(paired(runs))
+    return 0
+
+
+def complete(options: argparse.Namespace, out: Path, without: Sequence[str]) -> dict[str, Score]:
+    """Run what a file lacks, and return the records of all cases that were asked for."""
+    done = read(out)
     if options.again:
         done = {name: known for name, known in done.items() if not known.error}
-    cases = [case for case in choose(options) if case.name not in done]
-    print(f"{len(cases)} cases to run, {len(done)} in {options.out} already", flush=True)
-    with options.out.open("a", encoding="utf-8") as file:
-        for one in run(cases, options):
+    chosen = choose(options)
+    cases = [case for case in chosen if case.name not in done]
+    print(f"{out}: {len(cases)} cases to run, {len(done)} are there already", flush=True)
+    rows = options.rows if options.rows in ("auto", "no") else int(options.rows)
+    way = Way(
+        LoopSettings(beam=options.beam, without=tuple(without)),
+        Sampling(options.rate, options.jitter),
+        ThinningSettings(rows=rows),
+    )
+    with out.open("a", encoding="utf-8") as file:
+        for one in run(cases, options, way):
             file.write(one.to_json() + "\n")
             file.flush()
             print(one_line(one), flush=True)
-    return 0
+            done[one.name] = one
+    return {case.name: done[case.name] for case in chosen if case.name in done}
 
 
 def parse() -> argparse.Namespace:
@@ -97,37 +119,26 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--kinds", type=names_of(get_args(Kind)), default=get_args(Kind))
     parser.add_argument("--systems", type=names_of(tuple(SYSTEMS)), default=tuple(SYSTEMS))
     parser.add_argument("--split", choices=get_args(Split))
+    parser.add_argument("--cases", nargs="+", default=(), metavar="NAME", help="these alone")
     parser.add_argument("--every", type=int, default=1, help="of the cases, spread over all sorts")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="then start no case")
     parser.add_argument("--beam", type=int, default=LoopSettings().beam, help="closed_loop.beam")
-    parser.add_argument("--no-curves", action="store_true", help="refit no free curve")
+    parts = tuple(part.value for part in LoopPart)
     parser.add_argument(
-        "--places",
-        choices=("many", "always", "never"),
-        default="many",
-        help="look at leading places alone: where candidates are many, always, never",
+        "--without", type=names_of(parts), default=(), help="parts of the search to leave out"
+    )
+    parser.add_argument(
+        "--ablation",
+        type=lambda text: parts if text == "all" else names_of(parts)(text),
+        default=(),
+        help='parts to leave out one at a time, with commas between them, or "all"',
     )
     parser.add_argument("--rate", type=int, default=1, help="samples for each, in as much noise")
     parser.add_argument("--jitter", type=float, default=0.0, help="of sample times, over a step")
     parser.add_argument("--rows", default="auto", help='thinning.rows: "auto", "no" or a number')
     parser.add_argument("--again", action="store_true", help="repeat cases that failed")
     return parser.parse_args()
-
-
-def settings_of(options: argparse.Namespace) -> LoopSettings:
-    """Return the settings of every loop."""
-    thresholds = LoopThresholds()
-    most = {"many": thresholds.places.most_candidates, "always": 0, "never": 10**9}
-    curves = 0 if options.no_curves else thresholds.refinement.curves
-    return LoopSettings(
-        beam=options.beam,
-        thresholds=replace(
-            thresholds,
-            places=replace(thresholds.places, most_candidates=most[options.places]),
-            refinement=replace(thresholds.refinement, curves=curves),
-        ),
-    )
 
 
 def names_of(known: tuple[str, ...]) -> Any:
@@ -162,10 +173,11 @@ def choose(options: argparse.Namespace) -> list[Scenario]:
     ]
     # By seed within a system and kind: every third of the listed cases would be of one size.
     cases.sort(key=lambda case: (case.kind, case.system, case.seed))
+    cases = [case for case in cases if not options.cases or case.name in options.cases]
     return cases[:: options.every]
 
 
-def run(cases: Sequence[Scenario], options: argparse.Namespace) -> Iterator[Score]:
+def run(cases: Sequence[Scenario], options: argparse.Namespace, way: Way) -> Iterator[Score]:
     """Run cases in some processes, and give the score of each as it ends.
 
     All cases of a portion run in one process, which keeps what it has compiled for their system. A
@@ -173,9 +185,6 @@ def run(cases: Sequence[Scenario], options: argparse.Namespace) -> Iterator[Scor
     """
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
     deadline = time.time() + options.seconds
-    rows = options.rows if options.rows in ("auto", "no") else int(options.rows)
-    sampling = Sampling(options.rate, options.jitter)
-    way = Way(settings_of(options), sampling, ThinningSettings(rows=rows))
     scores: queue.SimpleQueue[Score | None] = queue.SimpleQueue()
 
     def run_portion(portion: Sequence[Scenario]) -> None:

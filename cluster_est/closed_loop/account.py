@@ -30,9 +30,11 @@ from cluster_est.closed_loop.findings.wording import (
     shared_arguments,
     where_left,
 )
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
+from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
-from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.closed_loop.settings import LoopStage
+from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.methods.least_squares.iteration import NOTICEABLE
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.results.complete import complete, simulate_all
@@ -115,7 +117,7 @@ def _straight_fits(workbench: LoopWorkbench, starts: Sequence[FitStart]) -> list
     for start in starts:  # one by one: each holds its derivatives by all rows
         linear = tuple(replace(p, scale="linear") for p in start.problem.parameters)
         straight = replace(start, problem=replace(start.problem, parameters=linear))
-        (fit,) = workbench.fit(LoopStage.FINAL, [straight], method)
+        (fit,) = workbench.fitter.fit(LoopStage.FINAL, [straight], method)
         found.append(start if fit is None else replace(start, values=fit.estimates))
     return found
 
@@ -132,7 +134,7 @@ def _fitted_from(
     begin: float,
     method: LeastSquares,
 ) -> LastFits:
-    fits = [final_fit(workbench, start, begin, method) for start in starts]
+    fits = [final_fit(workbench.fitter, start, begin, method) for start in starts]
     before, after = fits[0], fits[-1]
     changes = [error_changes(workbench, found, before, each) for each in (after, before)]
     return LastFits(before, after, changes[0], changes[1])
@@ -174,7 +176,7 @@ def account(
     begun = initial_errors(after.problem, after.simulations, fitted=True)
     compared = steps.do(
         "the probabilities of the structures",
-        lambda: with_choices(_compared(workbench, judgement.verdict, found), choices),
+        lambda: with_choices(_compared(judgement.verdict, found), choices),
         found.path,
     )
     notes = _notes(workbench, judgement.verdict, kept, before, after)
@@ -213,13 +215,11 @@ def _scale(workbench: LoopWorkbench) -> ErrorScale:
     return ErrorScale.SIGMA if workbench.sigma_declared else ErrorScale.ESTIMATED_NOISE
 
 
-def _compared(
-    workbench: LoopWorkbench, verdict: Verdict, found: SelectionResult
-) -> tuple[ComparedStructure, ...]:
+def _compared(verdict: Verdict, found: SelectionResult) -> tuple[ComparedStructure, ...]:
     """The structures that were compared; with probabilities, where noise is all that is left."""
     if verdict is not Verdict.FOUND:
         return found.path
-    price = workbench.thresholds.selection.choice_price
+    price = SELECTION.choice_price
     return with_probabilities(found.path, price * np.log(found.steps[0].screening.count))
 
 
@@ -321,23 +321,23 @@ def _of_many_rows(count: int) -> LeastSquares:
 
 
 def final_fit(
-    workbench: LoopWorkbench, start: FitStart, begin: float, method: LeastSquares = FINAL
+    fitter: Fitter, start: FitStart, begin: float, method: LeastSquares = FINAL
 ) -> Result:
     """Fit to convergence, and simulate every experiment; `begin` as for `complete`."""
-    space = workbench.space(start)
-    (solution,) = workbench.runner.run([SearchRequest("final", method, space, workbench.seed)])
-    units = {n: v.unit for n, v in workbench.description.variables.items()}
-    before = simulate_all(workbench.runner, start.problem, {})
+    space = fitter.space(start)
+    (solution,) = fitter.runner.run([SearchRequest("final", method, space, fitter.seed)])
+    units = {n: v.unit for n, v in fitter.description.variables.items()}
+    before = simulate_all(fitter.runner, start.problem, {})
     steps = GuardedSteps()
-    known = steps.assessed(space, solution, lambda: examine(workbench.runner, space, solution))
+    known = steps.assessed(space, solution, lambda: examine(fitter.runner, space, solution))
     found = complete(
-        workbench.runner,
+        fitter.runner,
         space,
         solution,
         method,
         before,
         units=units,
-        seed=workbench.seed,
+        seed=fitter.seed,
         begin=begin,
         steps=steps,
         uncertainty=known,

@@ -9,16 +9,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.closed_loop.candidates.scales import SignalScales
-from cluster_est.closed_loop.first_pass import open_checked_workbench
-from cluster_est.closed_loop.measured_noise import expected_noise, noise_of
-from cluster_est.closed_loop.numerical_error.error import NumericalError
-from cluster_est.closed_loop.numerical_error.measure import measure_numerical_error
-from cluster_est.closed_loop.prepare import LoopRequest, checked_request, open_workbench
+from cluster_est.closed_loop.fitter import FitStart, FittedModel
+from cluster_est.closed_loop.numerical_error import NumericalError, measure_numerical_error
+from cluster_est.closed_loop.outliers import open_checked_workbench
+from cluster_est.closed_loop.output_noise import expected_noise, noise_of
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
 from cluster_est.closed_loop.screening.screen import findings, screen
-from cluster_est.closed_loop.selection.declared_model import fit_declared
+from cluster_est.closed_loop.selection.starts import fit_declared
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.closed_loop.workbench import (
+    LoopRequest,
+    LoopWorkbench,
+    checked_request,
+    open_workbench,
+)
 from cluster_est.errors import EffectError, ProblemError
 from cluster_est.problem.declared_effects import DeclaredCoefficient, DeclaredEffect, make_effect
 from cluster_est.problem.free_curves import Monotone, checked_shape
@@ -116,7 +120,7 @@ def detect(
     """
     request = checked_request(problem, resources, settings, seed)
     with _fitted(request) as (workbench, fitted, error):
-        screening = screen(workbench, fitted, 1)
+        screening = screen(workbench.fitter, request.settings, fitted, 1)
         records = workbench.records
         parts = [fitted.residuals[records.of_output(o)] for o in range(len(records.outputs))]
         rms = np.array([np.sqrt(np.mean(part**2)) if len(part) else np.nan for part in parts])
@@ -125,7 +129,7 @@ def detect(
             p_white=screening.p_white,
             p_structure=screening.omnibus.p,
             candidates=screening.count,
-            noise=workbench.noise_in_units(noise_of(workbench, fitted.residuals)),
+            noise=workbench.noise_in_units(noise_of(workbench.fitter, fitted.residuals)),
             rms=workbench.noise_in_units(rms),
             significance=workbench.settings.significance,
             numerical_error=error.refusal if error.hides_effects else "",
@@ -159,7 +163,9 @@ def locate(
     with _fitted(request) as (workbench, fitted, error):
         if error.hides_effects:
             raise ProblemError(error.refusal)
-        found = findings(screen(workbench, fitted, 1).ranking, fitted, 1).values()
+        found = findings(
+            screen(workbench.fitter, request.settings, fitted, 1).ranking, fitted, 1
+        ).values()
         return tuple(sorted(found, key=lambda f: (f.stage is CandidateStage.SET_ASIDE, f.log_p)))
 
 
@@ -247,10 +253,11 @@ def _fitted(
     """The declared model fitted, and how exact its simulations are there."""
     refuse_process_noise(request.problem, "detect and locate")
     with open_checked_workbench(request) as workbench:
-        fitted = fit_declared(workbench, FitStart(workbench.problem, {}))
-        noise = expected_noise(workbench, fitted.residuals)
+        fitter, start = workbench.fitter, FitStart(workbench.problem, {})
+        fitted = fit_declared(fitter, start, request.settings.starts, workbench.first_fit)
+        noise = expected_noise(fitter, fitted.residuals, declared=workbench.sigma_declared)
         resources = request.environment.resources
-        yield workbench, fitted, measure_numerical_error(workbench, fitted, noise, resources)
+        yield workbench, fitted, measure_numerical_error(fitter, fitted, noise, resources)
 
 
 def _starts(given: Mapping[str, float] | None) -> dict[str, float]:

@@ -8,11 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.closed_loop.first_pass import outliers_of_long_records, without
-from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
-from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.synthetic_experiments import with_outputs
-from cluster_est.closed_loop.workbench import LoopWorkbench
+from cluster_est.closed_loop.fitter import with_outputs
+from cluster_est.closed_loop.outliers import outliers_of_long_records, without
+from cluster_est.closed_loop.settings import LoopStage
+from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, open_workbench
 from cluster_est.errors import ClusterEstError
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
@@ -47,7 +46,7 @@ def thinned_records(request: LoopRequest, most: int | None) -> ThinnedProblem:
     first = thinned(whole, most, FINENESS[0])
     if most is None or not first.is_thinner:
         return first
-    outliers = outliers_of_long_records(whole, request.settings.thresholds.preparation, most)
+    outliers = outliers_of_long_records(whole, most)
     whole = without(whole, outliers) if outliers else whole
     resources = request.environment.resources
     full: list[list[FloatArray]] | None = None
@@ -58,7 +57,7 @@ def thinned_records(request: LoopRequest, most: int | None) -> ThinnedProblem:
             break
         full = full or _simulated(whole, resources)
         if full is None or _difference(found, whole, full, resources) <= FAINT:
-            said = [each.sentence(request.settings.thresholds.preparation) for each in outliers]
+            said = [each.sentence for each in outliers]
             return replace(found, whole=whole, sentence="; ".join([found.sentence, *said]))
     return thinned(request.problem, None)
 
@@ -150,4 +149,5 @@ def open_whole_workbench(
 def reopened(request: LoopRequest, workbench: LoopWorkbench) -> Iterator[LoopWorkbench]:
     """Open a workbench of before once more: there are workers of one at a time."""
     with open_workbench(replace(request, problem=workbench.problem)) as again:
-        yield replace(workbench, runner=again.runner, meter=again.meter)
+        runner, meter = again.runner, again.meter
+        yield replace(workbench, fitter=replace(workbench.fitter, runner=runner, meter=meter))

@@ -24,7 +24,7 @@ from cluster_est.closed_loop.account import (
 )
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.findings.simulation_cost import dear_structures
-from cluster_est.closed_loop.first_pass import open_checked_workbench
+from cluster_est.closed_loop.fitter import FitStart
 from cluster_est.closed_loop.long_records import (
     CONFIRMED_ON_ALL,
     MANY,
@@ -33,8 +33,8 @@ from cluster_est.closed_loop.long_records import (
     thinned_records,
     with_slim_log,
 )
-from cluster_est.closed_loop.prepare import LoopRequest, check_arguments
-from cluster_est.closed_loop.process_noise.passes import (
+from cluster_est.closed_loop.outliers import open_checked_workbench
+from cluster_est.closed_loop.process_noise import (
     SpentSimulations,
     close_loop_under_noise,
     with_all,
@@ -43,7 +43,7 @@ from cluster_est.closed_loop.search import SearchedModel, search_for_effects
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.so_far import result_so_far
-from cluster_est.closed_loop.workbench import FitStart, LoopWorkbench
+from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, check_arguments
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import make_space
@@ -206,7 +206,7 @@ def _confirmed_on_all_rows(
 
     The interpolation that the measurements prefer is told from all rows, too.
     """
-    found, spent = searched.found, [SpentSimulations.at(searching)]
+    found, spent = searched.found, [SpentSimulations.at(searching.fitter)]
 
     def left() -> LoopRequest:
         used = sum(each.evaluations for each in spent)
@@ -217,7 +217,7 @@ def _confirmed_on_all_rows(
     with open_whole_workbench(left(), thin, searching) as whole:
         whole.enter("before and after")
         fits = last_fits_to_all_rows(whole, found, starts, begin)
-        spent.append(SpentSimulations.at(whole))
+        spent.append(SpentSimulations.at(whole.fitter))
         noise = whole.noise_in_units(found.noise)
         other = preferred_interpolation(
             whole.space(replace(found.base.start, problem=fits.before.problem)),

@@ -1,4 +1,17 @@
-"""The search of a closed loop at one workbench: fit, measure the solver's error, grow, judge."""
+"""The search of a closed loop: the recipe, in which moves propose structures and gates refuse them.
+
+    model = fit_declared(data)
+    while something is significant at the model:
+        for each move: propose structures, choose the best that passes all gates
+        if there is none: stop
+        model = revise(the best)
+    judge the model
+
+It is a beam search over structures (sets of effects): the best few of each size, grown by one each
+round. A greedy search never sees two effects that explain the residual together where neither does
+alone, or where a third one imitates both. So each round grows the accepted structure and others of
+its size (B. T. Lowerre, The HARPY Speech Recognition System, Carnegie Mellon University, 1976).
+"""
 
 from __future__ import annotations
 
@@ -8,20 +21,47 @@ from functools import partial
 
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
-from cluster_est.closed_loop.measured_noise import expected_noise
-from cluster_est.closed_loop.numerical_error.error import NumericalError
-from cluster_est.closed_loop.numerical_error.measure import (
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
+from cluster_est.closed_loop.numerical_error import (
+    NumericalError,
     error_with_effects,
     measure_numerical_error,
 )
-from cluster_est.closed_loop.selection.beam_search import beam_search
-from cluster_est.closed_loop.selection.declared_model import fit_declared
+from cluster_est.closed_loop.output_noise import expected_noise, noise_of
+from cluster_est.closed_loop.screening.evidence import CandidateEvidence
+from cluster_est.closed_loop.screening.screen import screen
+from cluster_est.closed_loop.selection.free_curves import (
+    SingleEffects,
+    may_be_single,
+    single_effects,
+    single_instead,
+)
 from cluster_est.closed_loop.selection.functions_of_time import (
     functions_of_time,
     without_functions_of_time,
 )
-from cluster_est.closed_loop.selection.rounds import SelectionResult, without_search
-from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.closed_loop.selection.gates import SELECTION, choose, reason_to_stop
+from cluster_est.closed_loop.selection.linear_model import PruningBound, can_reach
+from cluster_est.closed_loop.selection.moves import MOVES, revise
+from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction, predict
+from cluster_est.closed_loop.selection.refits import FIRST, ModelCache, RefittedCandidate, Rivals
+from cluster_est.closed_loop.selection.rounds import (
+    ComparedStructure,
+    RejectionReason,
+    RoundEnd,
+    RoundStart,
+    SelectionResult,
+    SelectionRound,
+    compared_structure,
+    compared_structures,
+    evidence_of_round,
+    with_single,
+    without_search,
+)
+from cluster_est.closed_loop.selection.starts import fit_declared
+from cluster_est.closed_loop.settings import LoopPart, LoopStage
+from cluster_est.closed_loop.workbench import LoopWorkbench
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.results.interpolation import (
     FittedExperiments,
     PreferredInterpolation,
@@ -29,7 +69,9 @@ from cluster_est.results.interpolation import (
 )
 from cluster_est.results.solver_error.measure import simulate_with_solver
 from cluster_est.running.resources import Resources
-from workers.messages import Experiment, Outcome
+from workers.messages import Experiment, FloatArray, Outcome
+
+AGAIN = LeastSquares(trials=1, max_iterations=15, ftol=1e-6, xtol=1e-7, differences="forward")
 
 
 @dataclass(frozen=True)
@@ -84,41 +126,41 @@ def search_for_effects(
     ProblemError
         If the model cannot be simulated at its start.
     """
+    fitter = workbench.fitter
     workbench.enter("the declared model")
-    base = fit_declared(workbench, start)
-    noise = expected_noise(workbench, base.residuals)
+    base = fit_declared(fitter, start, workbench.settings.starts, workbench.first_fit)
+    noise = expected_noise(fitter, base.residuals, declared=workbench.sigma_declared)
     workbench.enter("the error of the solver")
-    error = measure_numerical_error(workbench, base, noise, resources)
-    other = None if thinned else _other_interpolation(workbench, base, resources)
+    error = measure_numerical_error(fitter, base, noise, resources)
+    other = None if thinned else _other_interpolation(fitter, base, resources)
     with_effects = partial(
-        error_with_effects, workbench, declared=error, noise=noise, resources=resources
+        error_with_effects, fitter, declared=error, noise=noise, resources=resources
     )
-    before = workbench.runner.failures
+    before = fitter.runner.failures
     if error.hides_effects:
-        found = without_search(workbench, base)
+        found = without_search(fitter, base)
         judged = ReasonedVerdict(Verdict.UNEXPLAINED, error.refusal)
     else:
-        found, judged = _searched(
-            workbench, base, lambda fit: with_effects(fit).explainable, reached
-        )
-    failed = workbench.runner.failures - before
+        found = grow(workbench, base, lambda fit: with_effects(fit).explainable, reached)
+        found, judged = _judged(workbench, found)
+    failed = fitter.runner.failures - before
     return SearchedModel(found, judged, error, with_effects, failed, other)
 
 
 def _other_interpolation(
-    workbench: LoopWorkbench, base: FittedModel, resources: Resources
+    fitter: Fitter, base: FittedModel, resources: Resources
 ) -> PreferredInterpolation | None:
     """Return the input that the measurements prefer to be interpolated otherwise, if there is one.
 
     What a wrong one leaves looks like a delay or a lag.
     """
-    if workbench.filtered:
+    if fitter.predicts:
         return None
-    workbench.enter("the interpolation of the inputs")
+    fitter.enter("the interpolation of the inputs")
     values = base.space.physical(base.x)
 
     def simulate(runs: tuple[Experiment, ...], positions: list[int]) -> list[Outcome]:
-        workbench.meter.full += len(runs)
+        fitter.meter.full += len(runs)
         return simulate_with_solver(
             base.problem,
             runs,
@@ -126,28 +168,270 @@ def _other_interpolation(
             base.problem.model.solver,
             "residuals",
             resources,
-            beside=workbench.runner,
+            beside=fitter.runner,
         )
 
-    fitted = FittedExperiments(base.problem, workbench.train, base.residuals, base.jacobian)
+    fitted = FittedExperiments(base.problem, fitter.train, base.residuals, base.jacobian)
     return compare_interpolations(fitted, simulate)
 
 
-def _searched(
+def grow(
     workbench: LoopWorkbench,
     base: FittedModel,
     numerical: Callable[[FittedModel], float],
     reached: Callable[[SelectionResult], None],
+    *,
+    again: bool = True,
+) -> SelectionResult:
+    """Add effects to the declared model while they earn it.
+
+    Parameters
+    ----------
+    base
+        The declared model, fitted.
+    numerical
+        Fall of the sum of squares that one effect more could owe to the error of the solver at a
+        fitted model.
+    reached
+        Called after each round in which something was added, with all that was found so far.
+    again
+        Begin once more where the declared model turns out to have been in a local minimum.
+    """
+    fitter = workbench.fitter
+    log, merging = SearchLog.begun(fitter, base), Merging()
+    remembers = LoopPart.REMEMBERED_FITS not in workbench.settings.without
+    cache = ModelCache(log.floor / fitter.size, remembers)
+    now = Accepted(base, log.predicted)
+    passed: set[frozenset[str]] = set()
+    while True:
+        begun = _screened(workbench, log, now, cache, numerical)
+        passed.add(now.model.structure)
+        best = propose_and_choose(fitter, begun)
+        log.note(begun, best)
+        merging.note(begun, best)
+        if best.won is None or best.prediction is None:
+            merged = merging.instead(fitter, now, log)
+            if merged is None:
+                break
+            now = merged
+            continue
+        if again and not begun.model.added and _was_local(fitter, begun, best.won):
+            restart = FitStart(base.problem, _declared_only(best.won), base.added)
+            declared = fit_declared(fitter, restart, begun.settings.starts)
+            return grow(workbench, declared, numerical, reached, again=False)
+        grown = revise(fitter, begun, best, now.rivals)
+        now = replace(now, rivals=grown.rivals)
+        unchanged = grown.model is best.won.fitted
+        prediction = best.prediction if unchanged else predict(fitter, grown.model)
+        if grown.model.structure != best.won.fitted.structure:
+            log.accept(grown.model, grown.move)
+        if grown.model.structure in passed:
+            break
+        now = Accepted(grown.model, prediction, grown.rivals, best.compared)
+        now = merging.instead(fitter, now, log, whole=True) or now
+        reached(log.result(now))
+        del begun, best  # the next ones are as large
+    return log.result(now)
+
+
+def propose_and_choose(fitter: Fitter, begun: RoundStart) -> RoundEnd:
+    """Let each move propose larger structures, and choose the best that passes the gates."""
+    stop = reason_to_stop(begun)
+    if stop is not None:
+        return RoundEnd(SelectionRound(begun.screening, (), stop))
+    best = RoundEnd(SelectionRound(begun.screening, (), RejectionReason.LITTLE_PROMISED))
+    for move in MOVES:
+        if begun.has(move.part) and move.is_worth(begun, best):
+            proposals = move.propose(fitter, begun, best)
+            own = choose(fitter, begun, proposals)
+            compared = (*best.compared, *proposals)
+            stopped = {**best.stopped, **own.stopped}
+            best = replace(move.preferred(begun, best, own), compared=compared, stopped=stopped)
+    return best
+
+
+def _judged(
+    workbench: LoopWorkbench, found: SelectionResult
 ) -> tuple[SelectionResult, ReasonedVerdict]:
-    """Look for effects; a function of time is one only where it leaves noise."""
-    found = beam_search(workbench, base, numerical, reached=reached)
+    """Judge what was found; a function of time is an effect only where it leaves noise."""
+    settings, gone = workbench.settings, functions_of_time(found)
     judged = judge(workbench, found)
-    gone = functions_of_time(found)
-    if judged.verdict is not Verdict.PARTIAL or not gone:
+    kept = LoopPart.FUNCTIONS_OF_TIME in settings.without
+    if judged.verdict is not Verdict.PARTIAL or not gone or kept:
         return found, judged
-    found = without_functions_of_time(workbench, found)
+    found = without_functions_of_time(workbench.fitter, settings, found)
     judged = judge(workbench, found)
     if not found.current.added:
         return found, judged
     said = f"{' and '.join(c.label for c in gone)} would leave more than noise and was not added"
     return found, replace(judged, reason=f"{judged.reason}; {said}")
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """A structure that was accepted.
+
+    Attributes
+    ----------
+    model, prediction
+        The structure, fitted, and its leave-one-out prediction.
+    rivals
+        Of its effects.
+    beside
+        The structures that it was compared with.
+    """
+
+    model: FittedModel
+    prediction: LeaveOneOutPrediction
+    rivals: Rivals = field(default_factory=dict)
+    beside: tuple[RefittedCandidate, ...] = ()
+
+
+@dataclass
+class SearchLog:
+    """The log of a search: its rounds, how far candidates came, and the structures compared.
+
+    Attributes
+    ----------
+    fitter
+        Of the models.
+    base, predicted
+        The declared model, fitted, and its leave-one-out prediction.
+    noise, floor
+        Of each output, and the sum of squares that the noise alone would leave.
+    rounds, seen, path
+        What each looked at; the candidates; the structures, with moves and gates.
+    """
+
+    fitter: Fitter
+    base: FittedModel
+    predicted: LeaveOneOutPrediction
+    noise: FloatArray
+    floor: float
+    rounds: list[SelectionRound] = field(default_factory=list)
+    seen: list[CandidateEvidence] = field(default_factory=list)
+    path: list[ComparedStructure] = field(default_factory=list)
+
+    @classmethod
+    def begun(cls, fitter: Fitter, base: FittedModel) -> SearchLog:
+        """Begin at the declared model."""
+        noise = noise_of(fitter, base.residuals)
+        return cls(fitter, base, predict(fitter, base), noise, fitter.noise_floor(noise))
+
+    def note(self, begun: RoundStart, end: RoundEnd) -> None:
+        """Note what a round has looked at."""
+        seen = replace(end.seen, screening=end.seen.screening.without_directions())
+        self.rounds.append(seen)
+        records, number = self.fitter.records, len(self.rounds)
+        self.seen += evidence_of_round(records, begun.model, end, number)
+        self.path += compared_structures(records, self.base, end, self.floor, number)
+
+    def accept(self, fitted: FittedModel, move: LoopPart | None) -> None:
+        """Note a structure that takes the place of one that was compared."""
+        records, number = self.fitter.records, len(self.rounds)
+        row = compared_structure(records, self.base, fitted, self.floor, number, move or "")
+        self.path.append(row)
+
+    def accept_single(self, won: RefittedCandidate) -> None:
+        """Note that a single effect takes the place of all."""
+        fall = won.criterion - self.base.criterion(self.fitter.records)
+        self.seen = with_single(self.seen, won, fall)
+        self.accept(won.fitted, LoopPart.MERGE)
+
+    def result(self, now: Accepted) -> SelectionResult:
+        """Return all that was found so far."""
+        return SelectionResult(
+            self.base, now.model, self.predicted, now.prediction, now.rivals, tuple(self.rounds),
+            tuple(self.seen), self.noise, tuple(self.path),
+        )  # fmt: skip
+
+
+@dataclass
+class Merging:
+    """The move that puts a single effect in the place of all that were added, once a search.
+
+    Attributes
+    ----------
+    first
+        The start of the first round.
+    singles
+        What may take the place of several effects; None where it has not been looked for.
+    done
+        It has.
+    """
+
+    first: RoundStart | None = None
+    singles: SingleEffects | None = None
+    done: bool = False
+
+    def note(self, begun: RoundStart, end: RoundEnd) -> None:
+        """Note the first round, and curves that have been tried there and did not pass."""
+        self.first = self.first or replace(begun, screening=begun.screening.without_bases())
+        if not begun.model.added and any(c.candidate.form.free for c in end.compared):
+            self.singles = SingleEffects(fine=True)
+
+    def instead(
+        self, fitter: Fitter, now: Accepted, log: SearchLog, *, whole: bool = False
+    ) -> Accepted | None:
+        """Return a single effect in the place of all, if there is a better one."""
+        first = self.first
+        if self.done or first is None or not first.has(LoopPart.MERGE):
+            return None
+        if not may_be_single(first, now.model):
+            return None
+        self.singles = single_effects(fitter, first, now.model, self.singles, whole=whole)
+        single = single_instead(fitter, first, now.model, now.prediction, self.singles, whole=whole)
+        if single is None:
+            return None
+        self.done = True
+        log.accept_single(single.won)
+        return Accepted(single.won.fitted, single.prediction, single.rivals)
+
+
+def _screened(
+    workbench: LoopWorkbench,
+    log: SearchLog,
+    now: Accepted,
+    cache: ModelCache,
+    numerical: Callable[[FittedModel], float],
+) -> RoundStart:
+    """Begin a round: compare all candidates with what the accepted structure leaves."""
+    fitter, settings = workbench.fitter, workbench.settings
+    found, most = len(now.model.added), settings.max_effects
+    which = f"effect {found + 1} of at most {most}" if found < most else "what is left"
+    workbench.enter(f"looking for {which}")
+    screening = screen(fitter, settings, now.model, len(log.rounds) + 1)
+    error = numerical(now.model)
+    cache.keep(fitter, now.model, screening.ranking)
+    return RoundStart(
+        base=log.base,
+        model=now.model,
+        prediction=now.prediction,
+        screening=screening,
+        cache=cache,
+        floor=log.floor,
+        settings=settings,
+        sigma_declared=workbench.sigma_declared,
+        beside=now.beside,
+        numerical=error,
+    )
+
+
+def _was_local(fitter: Fitter, begun: RoundStart, won: RefittedCandidate) -> bool:
+    """Return whether the declared model does better from the new parameters."""
+    if not begun.has(LoopPart.LOCAL_MINIMUM):
+        return False
+    base = begun.base
+    start = FitStart(base.problem, _declared_only(won), base.added)
+    bound = PruningBound(sse=SELECTION.local_minimum * base.sse)
+    (brief,) = fitter.fit(LoopStage.DECLARED_AGAIN, [start], FIRST)
+    if brief is None or not can_reach(fitter.records, brief, bound):
+        return False
+    (fit,) = fitter.fit(LoopStage.DECLARED_AGAIN, [brief.start], AGAIN)
+    return fit is not None and fit.sse < bound.sse
+
+
+def _declared_only(won: RefittedCandidate) -> dict[str, float]:
+    names = [c.effect.name for c in won.fitted.added]
+    estimates = won.fitted.estimates.items()
+    return {k: v for k, v in estimates if not any(k.startswith(f"{n}.") for n in names)}

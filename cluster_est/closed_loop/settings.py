@@ -1,16 +1,61 @@
-"""The settings of a closed loop: what a user chooses, and the thresholds of every step."""
+"""The settings of a closed loop, and the names of its stages."""
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Mapping
 from typing import Annotated, ClassVar
 
-from pydantic import AfterValidator, Field, InstanceOf
+from pydantic import AfterValidator, Field
 
-from cluster_est.closed_loop.thresholds import LoopThresholds
 from cluster_est.errors import EffectError
 from cluster_est.settings import LARGEST_INTEGER, Finite, Names, Positive, Settings, sentence
 from workers.effects.site import parse_site
+from workers.fmu.description import nearest
+
+
+class LoopStage(enum.Enum):
+    """A stage of a closed loop; its value is the name of its searches in the log.
+
+    Attributes
+    ----------
+    title
+        A text for people, as in "stopped while ...".
+    """
+
+    title: str
+
+    def __new__(cls, value: str, title: str) -> LoopStage:
+        """Make a member of a name and a title."""
+        stage = object.__new__(cls)
+        stage._value_ = value
+        stage.title = title
+        return stage
+
+    WEIGHTS = "weights", "weighting the outputs"
+    DECLARED_MODEL = "base", "fitting the declared model"
+    LEAVE_ONE_OUT = "leave one out", "predicting experiments that were left out"
+    TRAJECTORIES = "course", "screening the candidates"
+    TESTS = "tests", "testing the candidates"
+    PROBE = "probe", "screening the candidates"
+    TRIALS = "trial", "trying candidates"
+    REFITS = "candidate", "refitting candidates"
+    ENLARGED_INPUTS = "enlarged", "simulating with larger inputs"
+    DECLARED_AGAIN = "return", "fitting the declared model again"
+    OTHER_STARTS = "other starts", "refitting from other starts"
+    SWAP = "swap", "revising the effects"
+    DROP = "drop", "revising the effects"
+    FINAL = "final", "the final fits"
+    PROCESS_NOISE = "process noise", "fitting the process noise"
+
+
+def stage_title(search: str) -> str:
+    """Return what a person reads of a search, by its name in the log; the name if it is no stage's.
+
+    The final fits have searches of their own beside "final", such as "before" and "after".
+    """
+    titles = {stage.value: stage.title for stage in LoopStage}
+    return titles.get(search, search)
 
 
 def _sites(given: tuple[str, ...]) -> tuple[str, ...]:
@@ -19,6 +64,50 @@ def _sites(given: tuple[str, ...]) -> tuple[str, ...]:
         return tuple(str(parse_site(text, "closed_loop.sites")) for text in given)
     except EffectError as error:
         raise sentence(str(error)) from None
+
+
+class LoopPart(enum.StrEnum):
+    """A part of the search that can be taken out alone: a move, a gate, or what moves share.
+
+    Moves propose structures (`selection/moves.py`), gates refuse them (`selection/gates.py`).
+    """
+
+    ADD = "add"
+    BEAM = "beam"
+    ADD_TWO = "add two"
+    FREE_CURVE = "free curve"
+    SIBLINGS = "siblings"
+    SWITCH_WIDTHS = "switch widths"
+    RESTARTS = "restarts"
+    REPLACE = "replace"
+    MERGE_TWO = "merge two"
+    DROP = "drop"
+    MERGE = "merge"
+    LOCAL_MINIMUM = "local minimum"
+    FUNCTIONS_OF_TIME = "functions of time"
+    PLACES_FIRST = "places first"
+    PRUNING = "pruning"
+    REMEMBERED_FITS = "remembered fits"
+    SIGNIFICANCE = "significance"
+    COLOURED_NOISE = "coloured noise"
+    CURVE_ENDS = "curve ends"
+    CRITERION = "criterion"
+    WAVES = "waves"
+    BOUNDED = "bounded"
+    CHOICE_PRICE = "choice price"
+    COLOURED_GAIN = "coloured gain"
+    NUMERICAL = "numerical error"
+    PREDICTION = "prediction"
+    LEAST_GAIN = "least gain"
+
+
+def _parts(given: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of parts."""
+    known = [part.value for part in LoopPart]
+    for name in given:
+        if name not in known:
+            raise sentence(f"closed_loop.without: there is no part {name!r}{nearest(name, known)}")
+    return given
 
 
 class LoopSettings(Settings):
@@ -62,10 +151,11 @@ class LoopSettings(Settings):
         "structure is also refitted from other starts, and two effects may be replaced by one",
     )
     pairs: bool = Field(True, description="try two effects at once where no single one is enough")
-    thresholds: InstanceOf[LoopThresholds] = Field(
-        default_factory=LoopThresholds, repr=False, exclude=True
+    without: Annotated[Names, AfterValidator(_parts)] = Field(
+        (),
+        description="parts of the search to leave out, such as restarts, to measure what they are "
+        "good for",
     )
-    """Of every step; no key of a config."""
 
     @property
     def forms(self) -> tuple[str, ...]:

@@ -9,8 +9,9 @@ from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.findings.verdict import judge
 from cluster_est.closed_loop.findings.wording import error_changes
+from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.selection.rounds import SelectionResult
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.errors import ClusterEstError
 from cluster_est.methods.method import Ending, Solution
 from cluster_est.results.complete import complete, simulate_all
@@ -53,16 +54,18 @@ def _result(
     judged = judge(workbench, found)
     rounds = f"stopped after round {len(found.steps)} of at most {workbench.settings.max_effects}"
     judged = replace(judged, verdict=Verdict.PARTIAL, reason=f"{rounds}: {judged.reason}")
-    before, after = (_fit(workbench, fitted, begin) for fitted in (found.base, found.current))
+    before, after = (
+        _fit(workbench.fitter, fitted, begin) for fitted in (found.base, found.current)
+    )
     changes = [error_changes(workbench, found, before, each) for each in (after, before)]
     result = account(workbench, found, judged, LastFits(before, after, changes[0], changes[1]))
     notes = filter(None, (NOT_THE_LAST, said, *result.notes))
     return replace(result, notes=tuple(notes), seconds=after.seconds)
 
 
-def _fit(workbench: LoopWorkbench, fitted: FittedModel, begin: float) -> Result:
+def _fit(fitter: Fitter, fitted: FittedModel, begin: float) -> Result:
     """The result of a fit of the search, which is simulated once more."""
-    space, runner = fitted.space, workbench.runner
+    space, runner = fitted.space, fitter.runner
     values = space.physical(fitted.x)
     effects = fitted.problem.effects
     outcomes = runner.simulate(values, space.experiments, "residuals", "final", effects)
@@ -75,8 +78,8 @@ def _fit(workbench: LoopWorkbench, fitted: FittedModel, begin: float) -> Result:
         solution,
         FINAL,
         simulate_all(runner, fitted.problem, {}),
-        units={n: v.unit for n, v in workbench.description.variables.items()},
-        seed=workbench.seed,
+        units={n: v.unit for n, v in fitter.description.variables.items()},
+        seed=fitter.seed,
         begin=begin,
         steps=GuardedSteps(),
     )

@@ -1,330 +1,464 @@
-"""The workbench of a closed loop: the queue, the experiments, and models fitted to them."""
+"""The workbench of a closed loop: opened on workers, and checked; what is known before a search."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.make import EffectCandidate
-from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, make_trajectory
-from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.simulation_meter import SimulationMeter
-from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.synthetic_experiments import EnlargedCopy, SyntheticKind
-from cluster_est.closed_loop.thresholds import LoopThresholds
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
+from cluster_est.closed_loop.fitter import (
+    FitStart,
+    FittedModel,
+    Fitter,
+    PredictionFitter,
+    SimulationFitter,
+    SimulationMeter,
+    SyntheticKind,
+    enlarged_kind,
+    shortened_kinds,
+    with_outputs,
+)
+from cluster_est.closed_loop.output_noise import is_told, noise_of
+from cluster_est.closed_loop.selection.starts import BRIEF
+from cluster_est.closed_loop.settings import LoopSettings, LoopStage
 from cluster_est.errors import ProblemError
-from cluster_est.methods.method import Ending, Evaluation, GivenPoints, Method
+from cluster_est.problem.compatibility import NOT_PLAIN
+from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.process_noise import noise_names, without_noise
+from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import SearchSpace, make_space
-from cluster_est.running.multistart import with_best_sensors
+from cluster_est.problem.variables import silent_notes
+from cluster_est.running.arguments import (
+    check_method,
+    check_problem,
+    checked_resources,
+    prepared,
+)
+from cluster_est.running.environment import RunEnvironment
+from cluster_est.running.resources import Record, Resources, TaskOrigin, one_blas_thread
 from cluster_est.running.runner import Runner
-from cluster_est.running.search_state import SearchRequest
-from cluster_est.statistics.records import StackedRecords
-from cluster_est.statistics.whitening import deviance
-from workers.fmu.description import ModelDescription
-from workers.messages import FloatArray, Want
-
-
-@dataclass(frozen=True)
-class FittedModel:
-    """A model with effects, fitted to the training experiments.
-
-    Attributes
-    ----------
-    space, x
-        The unknowns and where they stand, in search coordinates.
-    residuals : (N,)
-    jacobian : (N, unknowns)
-        Of the residuals, in search coordinates.
-    added
-        The effects that the loop has added, in order.
-    converged
-        The fit has ended by its tolerances.
-    steps
-        Steps of the solver in one simulation of every training experiment; 0 where they are not
-        counted.
-    """
-
-    space: SearchSpace = field(repr=False)
-    x: FloatArray
-    residuals: FloatArray = field(repr=False)
-    jacobian: FloatArray = field(repr=False)
-    added: tuple[EffectCandidate, ...] = ()
-    converged: bool = False
-    steps: int = 0
-
-    @property
-    def problem(self) -> Problem:
-        return self.space.problem
-
-    @property
-    def structure(self) -> frozenset[str]:
-        """Names of the effects that were added, whatever their order."""
-        return frozenset(candidate.effect.name for candidate in self.added)
-
-    @property
-    def start(self) -> FitStart:
-        """The same model, to be fitted again from here."""
-        return FitStart(self.problem, self.estimates, self.added)
-
-    def moved(self, position: int) -> FittedModel:
-        """The same model, with its last effect counted at another position."""
-        kept, last = self.added[:-1], self.added[-1]
-        return replace(self, added=(*kept[:position], last, *kept[position:]))
-
-    @property
-    def sse(self) -> float:
-        return float(np.add.reduce(self.residuals**2))
-
-    @property
-    def estimates(self) -> dict[str, float]:
-        """Physical values by label."""
-        return self.space.estimates(self.x)
-
-    def likelihood(self, records: StackedRecords) -> float:
-        """-2 log likelihood, with the variance of each output's noise estimated along."""
-        return deviance(self.residuals, records)
-
-    def criterion(self, records: StackedRecords) -> float:
-        """Bayesian information criterion (G. Schwarz, Ann. Stat. 6 (1978) 461-464)."""
-        return float(self.likelihood(records) + self.space.size * np.log(len(self.residuals)))
-
-
-@dataclass(frozen=True)
-class FitStart:
-    """A model to be fitted, and from where."""
-
-    problem: Problem
-    values: Mapping[str, float]
-    added: tuple[EffectCandidate, ...] = ()
-
-    def plus(self, candidate: EffectCandidate, values: Sequence[float]) -> FitStart:
-        """With one more effect, whose coefficients start from these values."""
-        problem = replace(
-            self.problem,
-            effects=(*self.problem.effects, candidate.effect),
-            parameters=(*self.problem.parameters, *candidate.parameters(values)),
-        )
-        return FitStart(problem, self.values, (*self.added, candidate))
-
-    def minus(self, position: int) -> FitStart:
-        """Without one of the effects that were added."""
-        gone = self.added[position].effect.name
-        problem = replace(
-            self.problem,
-            effects=tuple(e for e in self.problem.effects if e.name != gone),
-            parameters=tuple(
-                p for p in self.problem.parameters if not p.name.startswith(f"{gone}.")
-            ),
-        )
-        kept = tuple(c for i, c in enumerate(self.added) if i != position)
-        return FitStart(problem, self.values, kept)
+from cluster_est.statistics.noise.estimate import SHORTEST_NOISE_RECORD
+from cluster_est.statistics.records import StackedRecords, make_records
+from cluster_est.toml import dotted
+from workers.effects.forms import FORMS
+from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site
+from workers.fmu.description import ModelDescription, nearest
+from workers.messages import Experiment, FloatArray, Outcome, Output
+from workers.messages.checks import check_kind, check_number
 
 
 @dataclass(frozen=True)
 class LoopWorkbench:
-    """The queue with everything that the steps of the loop share.
+    """A loop that is open: only recipes and what puts a result into words have all of it.
 
     Attributes
     ----------
-    runner
-        Its executor has the problem's experiments, then the synthetic ones.
-    problem
-        The declared model.
-    description
-        Of its FMU.
-    settings, seed
+    fitter
+        Of the models.
+    settings
         Of the loop.
-    train
-        Indices of the training experiments.
-    records
-        Of their residuals, stacked.
-    synthetic
-        For each kind, the index of each training experiment's copy.
-    everything
-        The problem with all experiments that are installed.
-    meter
-        Counts what was simulated.
     sites, notes
         For the report: what was open, and what a reader should know.
     sigma_declared
         The user has given a sigma, for whatever output.
     first_fit
         The declared model from the user's start, where that was needed before.
-    noise_of_samples
-        By output, where records are thinned: of the samples that rows were made from, in its unit.
     """
 
-    runner: Runner
-    problem: Problem
-    description: ModelDescription
+    fitter: Fitter
     settings: LoopSettings
-    seed: int
-    train: tuple[int, ...]
-    records: StackedRecords
-    synthetic: Mapping[SyntheticKind, tuple[int, ...]]
-    everything: Problem
-    meter: SimulationMeter
     sites: tuple[str, ...]
     notes: tuple[str, ...]
     sigma_declared: bool = False
     first_fit: FittedModel | None = field(default=None, repr=False)
-    noise_of_samples: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def size(self) -> int:
-        return self.records.size
-
-    @property
-    def thresholds(self) -> LoopThresholds:
-        return self.settings.thresholds
-
-    @property
-    def exchange(self) -> bool:
-        return self.problem.model.interface == "model_exchange"
-
-    @property
-    def filtered(self) -> bool:
-        """The problem has process noise: its residuals are innovations of a Kalman filter."""
-        return bool(noise_names(self.problem))
-
-    @property
-    def by_linear_systems(self) -> bool:
-        """The directions of candidates follow from linear systems; else each is simulated.
-
-        In co-simulation the states are hidden, and a filter corrects them.
-        """
-        return self.exchange and not self.filtered
 
     def enter(self, phase: str) -> None:
         """Tell who watches the run what it is about from now on."""
         self.runner.display.phase = phase
 
-    def compared(self, done: int, of: int) -> None:
-        """Tell who watches the run how many candidates were compared with the residual."""
-        self.runner.display.step(LoopStage.TRAJECTORIES.value, done, of)
+    @property
+    def filtered(self) -> bool:
+        """The problem has process noise: its residuals are innovations of a Kalman filter."""
+        return self.fitter.predicts
 
-    def noise_floor(self, noise: FloatArray) -> float:
-        """The sum of squares that the noise alone would leave; never 0."""
-        sizes = [len(self.records.of_output(o)) for o in range(len(self.records.outputs))]
-        return max(float(np.nansum(noise**2 * np.array(sizes))), 1e-300)
+    @property
+    def runner(self) -> Runner:
+        return self.fitter.runner
 
-    def noise_in_units(self, noise: FloatArray) -> dict[str, float]:
-        """The noise of each output in its own unit, from that in units of its residual.
+    @property
+    def problem(self) -> Problem:
+        return self.fitter.problem
 
-        Of sigmas that differ between experiments it is the root mean square over the samples.
-        """
-        sigmas, found = self.sigmas, {}
-        for number, name in enumerate(self.records.outputs):
-            own = sigmas[self.records.of_output(number)]
-            equal = not len(own) or bool(np.all(own == own[0]))
-            sigma = (own[0] if len(own) else 1.0) if equal else np.sqrt(np.mean(own**2))
-            found[name] = float(noise[number] * sigma)
-        return found
+    @property
+    def description(self) -> ModelDescription:
+        return self.fitter.description
+
+    @property
+    def seed(self) -> int:
+        return self.fitter.seed
+
+    @property
+    def train(self) -> tuple[int, ...]:
+        return self.fitter.train
+
+    @property
+    def records(self) -> StackedRecords:
+        return self.fitter.records
+
+    @property
+    def meter(self) -> SimulationMeter:
+        return self.fitter.meter
+
+    @property
+    def size(self) -> int:
+        return self.fitter.size
 
     @property
     def sigmas(self) -> FloatArray:
-        """The sigma of each residual, (N,)."""
-        outputs = [o for e in self.train for o in self.problem.experiments[e].outputs]
-        return np.concatenate([o.sigmas for o in outputs])
+        return self.fitter.sigmas
+
+    def noise_floor(self, noise: FloatArray) -> float:
+        """See `Fitter`."""
+        return self.fitter.noise_floor(noise)
+
+    def noise_in_units(self, noise: FloatArray) -> dict[str, float]:
+        """See `Fitter`."""
+        return self.fitter.noise_in_units(noise)
 
     def generator(self, stream: int) -> np.random.Generator:
-        """A generator of its own for each use, so that no use moves another."""
-        return np.random.default_rng([self.seed, stream])
+        """See `Fitter`."""
+        return self.fitter.generator(stream)
 
-    def space(self, start: FitStart, kind: SyntheticKind | None = None) -> SearchSpace:
-        """Make the unknowns of a model on the training experiments, or on synthetic ones."""
-        if kind is None:
-            return make_space(start.problem, self.train, starts=start.values)
-        experiments = self.synthetic[kind]
-        problem = replace(start.problem, experiments=self.everything.experiments)
-        if isinstance(kind, EnlargedCopy):  # nothing was measured there that a filter could follow
-            problem = without_noise(problem)
-        values = dict(start.values)
-        names = {p.name for p in problem.parameters}
-        for own, copy in zip(self.train, experiments, strict=True):
-            ids = [self.everything.experiments[i].id for i in (own, copy)]
-            for label, value in start.values.items():
-                if label not in names and label.endswith(f"[{ids[0]}]"):
-                    values[f"{label.removesuffix(f'[{ids[0]}]')}[{ids[1]}]"] = value
-        return make_space(problem, experiments, starts=values)
-
-    def measured_estimates(self, fitted: FittedModel, kind: SyntheticKind) -> dict[str, float]:
-        """Relabel estimates on synthetic experiments as those of the measured ones; see `space`."""
-        experiments = self.everything.experiments
-        names = {
-            experiments[copy].id: experiments[own].id
-            for own, copy in zip(self.train, self.synthetic[kind], strict=True)
-        }
-        values = {}
-        for unknown in fitted.space.unknowns:
-            name, scope = unknown.parameter.name, unknown.scope
-            label = f"{name}[{names.get(scope, scope)}]" if scope else name
-            values[label] = fitted.estimates[unknown.label]
-        return values
-
-    def fit(
-        self,
-        stage: LoopStage,
-        starts: Sequence[FitStart],
-        method: Method,
-        kind: SyntheticKind | None = None,
-    ) -> list[FittedModel | None]:
-        """Fit models, all in one queue. None where one cannot be simulated."""
-        spaces = [self._begun(self.space(start, kind)) for start in starts]
-        requests = [SearchRequest(stage.value, method, space, self.seed) for space in spaces]
-        fitted: list[FittedModel | None] = []
-        for start, space, found in zip(starts, spaces, self.runner.run(requests), strict=True):
-            if found.at is None or found.jacobian is None or not found.at.ok:
-                fitted.append(None)
-                continue
-            fitted.append(
-                FittedModel(
-                    space,
-                    found.x,
-                    found.at.residuals,
-                    found.jacobian,
-                    start.added,
-                    found.ending is Ending.CONVERGED,
-                    found.at.steps,
-                )
-            )
-        return fitted
-
-    def _begun(self, space: SearchSpace) -> SearchSpace:
-        """A space with the best scales and offsets of sensors that are not known yet."""
-        return space.starting_at(with_best_sensors(self.runner, space, space.start[None])[0])
-
-    def evaluate(
-        self, stage: LoopStage, points: Sequence[tuple[SearchSpace, FloatArray]]
-    ) -> list[tuple[Evaluation, ...]]:
-        """Evaluate points of several spaces, all in one queue."""
-        requests = [
-            SearchRequest(stage.value, GivenPoints(x, stage.value), space) for space, x in points
-        ]
-        return [solution.evaluations for solution in self.runner.run(requests)]
+    def space(self, start: FitStart) -> SearchSpace:
+        """See `Fitter`."""
+        return self.fitter.space(start)
 
     def trajectories(self, fitted: FittedModel) -> list[LinearisedTrajectory]:
-        """Simulate and linearise the training experiments at a fit."""
-        want: Want = "linearisation" if self.exchange else "trajectory"
-        outcomes = self.runner.simulate(
-            fitted.space.physical(fitted.x),
-            self.train,
-            want,
-            LoopStage.TRAJECTORIES.value,
-            fitted.problem.effects,
+        """See `Fitter`."""
+        return self.fitter.trajectories(fitted)
+
+
+SAMPLES_PER_UNKNOWN = 4
+"""Measured values for each unknown that a loop needs. Benchmark."""
+
+
+@dataclass(frozen=True)
+class LoopRequest:
+    """A closed loop, or a part of one, that is to be run.
+
+    Attributes
+    ----------
+    problem
+        The declared model with its parameters and experiments.
+    environment
+        Workers, budget, and who is told of the simulations.
+    settings, seed
+        Sizes; the start of every random generator.
+    rows
+        That are left of each long record while effects are looked for; None for all.
+    noise_of_samples
+        As far as thinned records are known to have it, by output.
+    """
+
+    problem: Problem
+    environment: RunEnvironment = field(default_factory=RunEnvironment)
+    settings: LoopSettings = field(default_factory=LoopSettings)
+    seed: int = 0
+    rows: int | None = None
+    noise_of_samples: Mapping[str, float] = field(default_factory=dict)
+
+
+def checked_request(
+    problem: Problem,
+    resources: Resources | None,
+    settings: LoopSettings | None,
+    seed: int,
+) -> LoopRequest:
+    """Return a request of what a user has handed over, checked as a config is.
+
+    Raises
+    ------
+    ProblemError
+        If something is of the wrong kind or out of its range.
+    """
+    problem = prepared(problem)
+    settings = LoopSettings() if settings is None else settings
+    check_arguments(problem, settings, seed)
+    return LoopRequest(problem, RunEnvironment(checked_resources(resources)), settings, seed)
+
+
+def check_arguments(problem: Problem, settings: LoopSettings, seed: int) -> None:
+    """Refuse what no config would be allowed to ask for.
+
+    Raises
+    ------
+    ProblemError
+        If something is of the wrong kind or out of its range.
+    """
+    check_problem(problem)
+    check_kind(settings, LoopSettings, "closed_loop", ProblemError)
+    check_number(seed, "closed_loop.seed", ProblemError, least=0, whole=True)
+
+
+@contextmanager
+def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
+    """Start the workers and install the experiments with their synthetic copies.
+
+    Where several outputs have no sigma, a first fit gives each its own from its noise, or one
+    output's unit would decide what is found.
+    """
+    problem = request.problem
+    description = problem.describe()
+    _check_shape(problem)
+    _check_choices(problem, request.settings, description)
+    declared = _declares_sigma(problem)
+    weights: tuple[str, ...] = ()
+    if _unweighted(problem):
+        with _opened(request, description) as fitter:
+            (fitted,) = fitter.fit(LoopStage.WEIGHTS, [FitStart(problem, {})], BRIEF)
+            if fitted is not None:
+                noise = noise_of(fitter, fitted.residuals)
+                sigmas = dict(zip(fitter.records.outputs, noise.tolist(), strict=True))
+                request = replace(request, problem=_weighted(problem, sigmas))
+                weights = (_weight_note(request.problem, sigmas),)
+    with _opened(request, description) as fitter:
+        problem = request.problem
+        notes = (*_notes(problem, description), *weights)
+        if not declared:
+            notes += _short_notes(fitter)
+        sites = _sites(problem, description)
+        yield LoopWorkbench(fitter, request.settings, sites, notes, declared)
+
+
+@contextmanager
+def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[Fitter]:
+    """What fits models of a problem as it is."""
+    problem = request.problem
+    train = problem.indices("train")
+    runs = [problem.experiments[e] for e in train]
+    installed = list(problem.experiments)
+    synthetic: dict[SyntheticKind, tuple[int, ...]] = {}
+    kinds: list[SyntheticKind] = [*shortened_kinds(), enlarged_kind()]
+    for copy in kinds:
+        synthetic[copy] = tuple(range(len(installed), len(installed) + len(runs)))
+        installed += [copy.of(run) for run in runs]
+    everything = replace(problem, experiments=tuple(installed))
+    environment = request.environment
+    record = _named(everything.experiments, environment.monitor.record)
+    meter = SimulationMeter(everything.experiments, record)
+    with one_blas_thread(), environment.executor(everything) as executor:
+        kind = PredictionFitter if noise_names(problem) else SimulationFitter
+        runner = environment.runner(executor, record=meter, whole=True)
+        yield kind(
+            runner=runner,
+            problem=problem,
+            description=description,
+            seed=request.seed,
+            train=train,
+            records=make_records(runs),
+            synthetic=synthetic,
+            everything=everything,
+            meter=meter,
+            noise_of_samples=request.noise_of_samples,
         )
-        for outcome in outcomes:
-            if not outcome.ok:
+        runner.forget()
+
+
+def _named(experiments: Sequence[Experiment], record: Record | None) -> Record | None:
+    """A record that also hears which experiment it was: synthetic ones are not the problem's."""
+    if record is None:
+        return None
+    names = [(e.id, e.key) for e in experiments]
+
+    def named(origin: TaskOrigin, outcome: Outcome) -> None:
+        record(replace(origin, installed=names[origin.task.experiment]), outcome)
+
+    return named
+
+
+def _check_shape(problem: Problem) -> None:
+    """Refuse a problem that the tests are not made for, or with too few data.
+
+    Raises
+    ------
+    ProblemError
+        With what to change.
+    """
+    if not problem.plain or not isinstance(problem.cost, SumSquared):
+        raise ProblemError(
+            "closed loop: must have the cost sse, outputs measured over time and no constraints, "
+            "because its tests are made for those, but has something else; remove it, and fit "
+            "with it before or after"
+        )
+    for experiment in problem.experiments:
+        for output in experiment.outputs:
+            if not output.is_plain:
                 raise ProblemError(
-                    f"closed loop: the fitted model cannot be simulated again "
-                    f"({outcome.status}: {outcome.message})"
+                    f"closed loop: experiment {experiment.id!r}: output {output.variable} must be "
+                    "compared as it is, because its tests take residuals for differences, but has "
+                    f'{NOT_PLAIN}; free_scale = "shared" is a scale that all experiments share, '
+                    "which it takes"
                 )
-        runs = [self.problem.experiments[e] for e in self.train]
-        return [
-            make_trajectory(run, outcome, self.description.states)
-            for run, outcome in zip(runs, outcomes, strict=True)
-        ]
+    for parameter in problem.parameters:
+        if parameter.prior is not None:
+            raise ProblemError(
+                f"closed loop: {dotted('parameters', parameter.name)}.prior must be left out, "
+                "because its "
+                "tests take all residuals for those of measurements; remove it here, and give it "
+                "to a fit with what was found"
+            )
+    train = make_space(problem, problem.indices("train"))
+    check_method(BRIEF, train)
+    samples = train.rows[-1].stop
+    least = SAMPLES_PER_UNKNOWN * (train.size + 1)
+    if samples < least:
+        raise ProblemError(
+            f"closed loop: the training experiments must have at least {least} measured values to "
+            f"tell a missing effect from {train.size} parameters but have {samples}; add data or "
+            "fix parameters"
+        )
+
+
+def _check_choices(problem: Problem, settings: LoopSettings, description: ModelDescription) -> None:
+    """Refuse forms and sites that there are not.
+
+    Raises
+    ------
+    ProblemError
+        With what to change.
+    """
+    known = sorted({name for _, name in FORMS})
+    for name in settings.forms:
+        if name not in known:
+            raise ProblemError(
+                f"closed_loop.effects: there is no form {name!r}{nearest(name, known)}"
+            )
+    offered = _sites(problem, description)
+    outputs = [site for site in settings.sites if site.startswith("output ")]
+    if outputs and noise_names(problem):
+        raise ProblemError(
+            f"closed_loop.sites: {outputs[0]!r} is closed beside process noise, because a Kalman "
+            "filter takes what is measured as it is; leave one of the two out"
+        )
+    closed = {f"parameter {name}" for name in _closed_parameters(problem, description)}
+    for site in settings.sites:
+        if site in closed:
+            raise ProblemError(
+                f"closed_loop.sites: {site!r} is closed, because {description.file} does not allow "
+                "it to change while it runs; export it with variability tunable, or leave it out"
+            )
+        if site not in offered:
+            raise ProblemError(
+                f"closed_loop.sites: {description.file} does not offer the site {site!r}"
+                f"{nearest(site, offered)}"
+            )
+    kinds = {parse_site(site, "closed_loop.sites").kind for site in settings.sites or offered}
+    if settings.forms and not any((kind, f) in FORMS for kind in kinds for f in settings.forms):
+        raise ProblemError(
+            f"closed_loop.effects: must name a form for one of the sites but {settings.forms} are "
+            f"none at {' or '.join(sorted(kinds))} sites; change closed_loop.effects or sites"
+        )
+
+
+def _unweighted(problem: Problem) -> bool:
+    """Return whether there are several outputs, all without a sigma."""
+    outputs = {o.variable for e in problem.experiments for o in e.outputs}
+    return len(outputs) > 1 and not _declares_sigma(problem)
+
+
+def _declares_sigma(problem: Problem) -> bool:
+    """Return whether some output has a sigma."""
+    return any(o.has_sigma for e in problem.experiments for o in e.outputs)
+
+
+def _weighted(problem: Problem, noise: dict[str, float]) -> Problem:
+    def change(_: int, output: Output) -> Output:
+        sigma = noise.get(output.variable, np.nan)
+        return replace(output, sigma=float(sigma)) if np.isfinite(sigma) and sigma > 0.0 else output
+
+    return with_outputs(problem, change)
+
+
+def _weight_note(problem: Problem, noise: dict[str, float]) -> str:
+    sigmas = {o.variable: o.sigma for e in problem.experiments for o in e.outputs}
+    pairs = ", ".join(f"{name} = {sigma:.6g}" for name, sigma in sigmas.items())
+    silent = [name for name in sigmas if not noise.get(name, np.nan) > 0.0]
+    but = f", but for {' and '.join(silent)}, of which no noise is known" if silent else ""
+    return (
+        "no sigma was given for several outputs, so each was weighted with its estimated noise"
+        f"{but}; "
+        f"write sigma = {{ {pairs} }} into the experiments for a fit with the same weights"
+    )
+
+
+def _sites(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
+    interface = problem.model.interface
+    pairs = open_pairs(description, interface)
+    pairs += [EffectSite("pair", *reversed(site.targets)) for site in pairs]
+    measured = {output.variable for e in problem.experiments for output in e.outputs}
+    sites = open_sites(description, interface, measured)
+    if noise_names(problem):  # beside a filter nothing acts on what is measured
+        sites = [site for site in sites if site.kind != "output"]
+    return tuple(str(site) for site in [*sites, *pairs])
+
+
+def _closed_parameters(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
+    """Return the estimated parameters that the FMU does not allow to change while it runs.
+
+    No effect can act there: a parameter that varies with a state, an input or time stays unseen.
+    """
+    known = description.variables
+    targets = dict.fromkeys(p.target for p in problem.parameters if not p.fixed)
+    return tuple(
+        name
+        for name in targets
+        if name in known and known[name].causality == "parameter" and not known[name].tunable
+    )
+
+
+def _short_notes(fitter: Fitter) -> tuple[str, ...]:
+    """Name the outputs whose records are all too short to estimate a noise that is not given."""
+    records = fitter.records
+    short = [
+        name
+        for number, name in enumerate(records.outputs)
+        if len(fitter.sigmas[records.of_output(number)]) and not is_told(records, number)
+    ]
+    if not short:
+        return ()
+    return (
+        f"no record of {', '.join(short)} has {SHORTEST_NOISE_RECORD} samples, so its noise "
+        "cannot be told from what is missing: all that the declared model leaves counts as noise, "
+        "and errors over it say nothing; give sigma",
+    )
+
+
+def _notes(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
+    notes = [*silent_notes(problem, description), *problem.notes()]
+    closed = _closed_parameters(problem, description)
+    if closed:
+        notes.append(
+            f"closed to effects: {', '.join(closed)}, because {description.file} does not allow "
+            f"{'it' if len(closed) == 1 else 'them'} to change while it runs; something missing "
+            "that makes such a parameter vary cannot be seen as that; export with variability "
+            "tunable to open the site"
+        )
+    if not problem.indices("test"):
+        notes.append(
+            'no experiment has role = "test": nothing could veto what was found, and the errors '
+            "are those of the data that it was found on"
+        )
+    if len(problem.indices("train")) == 1:
+        notes.append(
+            "there is only one training experiment: quarters of its record were predicted from the "
+            "rest instead of experiments from each other"
+        )
+    if problem.model.interface == "co_simulation":
+        notes.append(
+            "co-simulation: state derivatives were closed; an effect inside the model can only be "
+            "seen as one at an input, an output or a parameter"
+        )
+    return tuple(notes)

@@ -199,7 +199,7 @@ def candidates(run: ReportedRun) -> ReportSection:
 
 def _compared(run: ReportedRun) -> list[Block]:
     """The structures that each step refitted, the best first."""
-    names = ("structure", "#gap closed", "#criterion", "#probability", "#chosen", "")
+    names = ("structure", "#gap closed", "#criterion", "#probability", "#chosen", "move", "")
     said = [run.facts[key] for key in ("likely", "resampled") if run.facts.get(key)]
     blocks: list[Block] = [TextBlock(f"{each[:1].upper()}{each[1:]}.") for each in said]
     rows = [row for row in run.tables["structures"] if row["effects"]]  # not the declared model
@@ -212,14 +212,21 @@ def _compared(run: ReportedRun) -> list[Block]:
                 digits(row["criterion"], 4),
                 _share(row, "probability"),
                 _share(row, "chosen"),
-                TableCell("accepted", "good") if row["accepted"]
-                else TableCell("" if row["converged"] else "fell behind", "faint"),
+                row["move"],
+                TableCell("accepted", "good") if row["accepted"] else TableCell(_end(row), "faint"),
             )
             for row in own
         ]  # fmt: skip
         caption = f"Step {step}: {len(own)} sets of effects refitted"
         blocks.append(table(names, lines, caption, folded=True))
     return blocks
+
+
+def _end(row: Row) -> str:
+    """Why a set of effects was not accepted; nothing where another one was better."""
+    if row["stopped_by"]:
+        return f"stopped by: {row['stopped_by']}"
+    return "" if row["converged"] else "fell behind"
 
 
 def _closed(row: Row) -> str:

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from cluster_est.closed_loop.stages import stage_title
+from cluster_est.closed_loop.settings import stage_title
 from cluster_est.html_report.activity import busy_shares, without_breaks
 from cluster_est.html_report.charts import Cells, Chart, Dots, Line, Plot, Rules, Scale, row_chart
 from cluster_est.html_report.number_text import count, digits, duration, percent, time_unit

@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from cluster_est.closed_loop.stages import stage_title
+from cluster_est.closed_loop.settings import stage_title
 from cluster_est.errors import RunFolderError
 from cluster_est.methods.method import Progress
 from cluster_est.running.resources import RunSnapshot, SearchIteration

@@ -23,10 +23,10 @@ import numpy as np
 import cluster_est as ce
 from benches import Row
 from benches.common import WrittenModel
-from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
+from cluster_est.closed_loop.fitter import FitStart
 from cluster_est.closed_loop.screening.screen import screen
-from cluster_est.closed_loop.selection.declared_model import fit_declared
-from cluster_est.closed_loop.workbench import FitStart
+from cluster_est.closed_loop.selection.starts import fit_declared
+from cluster_est.closed_loop.workbench import LoopRequest, open_workbench
 
 SAMPLES, NOISE, RECORDS = 1000, 0.01, 6
 HELD = 25
@@ -114,9 +114,9 @@ def screened(name: str) -> Row:
     """Screen one model."""
     model = MODELS[name]()
     with open_workbench(LoopRequest(made_problem(model))) as bench:
-        fitted = fit_declared(bench, FitStart(bench.problem, {}))
+        fitted = fit_declared(bench.fitter, FitStart(bench.problem, {}), bench.settings.starts)
         begin = time.perf_counter()
-        screening = screen(bench, fitted, 1)
+        screening = screen(bench.fitter, bench.settings, fitted, 1)
         seconds = time.perf_counter() - begin
     best = screening.ranking.leaders(screening.ranking.plain, 1)[0]
     first = screening.ranking.trials[best].candidate

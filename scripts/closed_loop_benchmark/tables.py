@@ -261,6 +261,45 @@ def _row(label: str, scores: list[Score]) -> list[str]:
     ]
 
 
+def paired(runs: Runs) -> str:
+    """Write one line a part that was left out, over the cases that came to an end with it.
+
+    The first run is the search as it is; each other one is compared with it on the same cases:
+    right cases, those lost and won, false names (effects that are none of the true ones), and what
+    held-out errors and simulations are multiplied by, as geometric means.
+    """
+    (_, whole), *_ = runs.items()
+    head = ["left out", "cases", "right", "lost", "won", "false names", "held out", "simulations"]
+    rows = []
+    for label, scores in runs.items():
+        names = [n for n, s in scores.items() if n in whole and not (s.error or whole[n].error)]
+        pairs = [(whole[name], scores[name]) for name in names]
+        counts = (
+            len(pairs),
+            sum(holds(own) for _, own in pairs),
+            sum(holds(before) and not holds(own) for before, own in pairs),
+            sum(holds(own) and not holds(before) for before, own in pairs),
+            sum(_false_names(own) for _, own in pairs),
+        )
+        held_out = _ratio((before.after, own.after) for before, own in pairs)
+        cost = _ratio((before.simulations, own.simulations) for before, own in pairs)
+        rows.append([label, *map(str, counts), held_out, cost])
+    return markdown(head, rows)
+
+
+def _false_names(score: Score) -> int:
+    """Count the effects that were named and are none of the true ones."""
+    named = len(score.named or [])
+    right = named if score.numerical else sum(score.alias or [])
+    return max(named - right, 0)
+
+
+def _ratio(pairs: Iterable[tuple[float, float]]) -> str:
+    """Write the geometric mean of what figures were multiplied by."""
+    logs = [np.log(after / before) for before, after in pairs if before > 0.0 and after > 0.0]
+    return f"x {np.exp(np.mean(logs)):.3f}" if logs else ""
+
+
 def holds(score: Score) -> bool:
     """Tell whether what was said of a case is right.
 

@@ -9,7 +9,7 @@ import numpy as np
 import sympy as sp
 from docs.svg import document
 
-from cluster_est.closed_loop.candidates.own_states import own_states_of
+from cluster_est.closed_loop.candidates.array_forms import own_states_of
 from workers.effects.expression import parse
 from workers.effects.forms import FORMS, EffectForm
 from workers.effects.signal_memory import MEMORIES, SampledSignal

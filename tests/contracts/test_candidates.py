@@ -18,12 +18,16 @@ from support.truth.systems_with_missing_effects import (
     unfitted,
 )
 
-from cluster_est.closed_loop.candidates.finer_curves import finer_form, in_finer_form
-from cluster_est.closed_loop.candidates.make import EffectCandidate, make_candidates
+from cluster_est.closed_loop.candidates.make import (
+    EffectCandidate,
+    finer_form,
+    in_finer_form,
+    make_candidates,
+)
+from cluster_est.closed_loop.fitter import FittedModel
 from cluster_est.closed_loop.screening.directions import CandidatePoint, directions
-from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.settings import LoopSettings, LoopStage
+from cluster_est.closed_loop.workbench import LoopWorkbench
 from workers.effects.definition import define
 from workers.effects.forms import FORMS
 from workers.effects.site import parse_site
@@ -58,7 +62,7 @@ class SimulatedSystem:
         """The same by simulation: central differences, or the whole change of a finite effect."""
         candidate = trial.candidate
         names = [c.name for c in candidate.form.coefficients]
-        space = self.bench.space(self.fitted.start.plus(candidate, trial.values))
+        space = self.bench.fitter.space(self.fitted.start.plus(candidate, trial.values))
         rows = [trial.values]
         if candidate.strengths:
             rows = [
@@ -74,7 +78,7 @@ class SimulatedSystem:
                                for u, n in zip(own, labels, strict=True))]
             for row in rows
         ]  # fmt: skip
-        (seen,) = self.bench.evaluate(LoopStage.PROBE, [(space, np.array(points))])
+        (seen,) = self.bench.fitter.evaluate(LoopStage.PROBE, [(space, np.array(points))])
         assert all(at.ok for at in seen), seen[0].reason
         if not candidate.strengths:
             return (seen[0].residuals - self.fitted.residuals)[:, None]

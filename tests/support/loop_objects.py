@@ -15,18 +15,18 @@ from support.problems.springs import FMU
 
 from cluster_est import Experiment, LoopSettings, Model, Output, Parameter, Problem, Result, Solver
 from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.fitter import FittedModel, SimulationFitter
 from cluster_est.closed_loop.screening.directions import CandidatePoint
-from cluster_est.closed_loop.screening.ranking import CandidateRanking
-from cluster_est.closed_loop.screening.screen import ScreeningResult
-from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
-from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
+from cluster_est.closed_loop.screening.screen import CandidateRanking, ScreeningResult
+from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction
+from cluster_est.closed_loop.selection.refits import ModelCache, RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import (
     RejectionReason,
     RoundStart,
     SelectionResult,
     SelectionRound,
 )
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.methods.method import Ending, Solution
 from cluster_est.problem.search_space import make_space
 from cluster_est.results.output_errors import OutputError
@@ -67,17 +67,20 @@ def made_problem(*lengths: int, **more: Any) -> Problem:
 def made_bench(problem: Problem) -> LoopWorkbench:
     """A workbench on its training experiments, with the settings that a user gets."""
     train = problem.indices("train")
-    return LoopWorkbench(
+    fitter = SimulationFitter(
         runner=Runner(FunctionExecutor(_never)),
         problem=problem,
         description=_description(),
-        settings=LoopSettings(),
         seed=0,
         train=train,
         records=make_records([problem.experiments[e] for e in train]),
         synthetic={},
         everything=problem,
         meter=SimpleNamespace(full=0.0),  # type: ignore[arg-type]
+    )
+    return LoopWorkbench(
+        fitter,
+        LoopSettings(),
         sites=(),
         notes=(),
         sigma_declared=any(o.sigma != 1.0 for e in problem.experiments for o in e.outputs),
@@ -177,7 +180,10 @@ def made_start(
 ) -> RoundStart:
     """A round that begins at the declared model, from which nothing has been grown yet."""
     prediction = LeaveOneOutPrediction(np.array([predicted]))
-    return RoundStart(base, base, prediction, screening, None, floor, numerical=numerical)  # type: ignore[arg-type]
+    return RoundStart(
+        base, base, prediction, screening, ModelCache(1.0), floor, LoopSettings(), False,
+        numerical=numerical,
+    )  # fmt: skip
 
 
 def made_selection(

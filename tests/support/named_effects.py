@@ -59,7 +59,8 @@ def described(
     numbers = values or [1.0] * len(names)
     known = estimates or [estimate(*pair) for pair in zip(names, numbers, strict=True)]
     problem = replace(PROBLEM, units=tuple((given or {}).items()))
-    bench = replace(BENCH, problem=problem, description=_description(units))
+    fitter = replace(BENCH.fitter, problem=problem, description=_description(units))
+    bench = replace(BENCH, fitter=fitter)
     if declared:
         own = tuple(Parameter(f"e.{e.label[2:]}", e.value) for e in known)
         problem = replace(

@@ -1,11 +1,11 @@
-"""Every effect that could be missing: each form of the library at each site, of each variable."""
+"""Every effect that could be missing: each form at each site, of each variable; and finer ones."""
 
 from __future__ import annotations
 
 import itertools
 import re
 from collections.abc import Collection, Container, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,14 +16,19 @@ from cluster_est.closed_loop.candidates.arguments import (
     open_arguments,
     variables_of,
 )
+from cluster_est.closed_loop.candidates.array_forms import shape_of
 from cluster_est.closed_loop.candidates.equation import equation_text
-from cluster_est.closed_loop.candidates.scales import SignalScales
-from cluster_est.closed_loop.candidates.shapes import shape_of
-from cluster_est.closed_loop.candidates.sites import candidate_sites, forms_at, single_sites
-from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
+from cluster_est.closed_loop.candidates.scales import CANDIDATES, SignalScales
+from cluster_est.closed_loop.candidates.trajectory import (
+    CONSTANT_FACTOR,
+    LinearisedTrajectory,
+    integrated_states,
+    pooled,
+)
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
+from cluster_est.problem.process_noise import noise_names
 from cluster_est.results.solver_error.finer_solver import communication_step, fixed_step
 from workers.effects.forms import (
     FORMS,
@@ -32,9 +37,9 @@ from workers.effects.forms import (
     GridScale,
     positive,
 )
-from workers.effects.site import EffectSite, parse_site, unnamed_variables
+from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site, unnamed_variables
 from workers.fmu.description import ModelDescription
-from workers.messages import Effect
+from workers.messages import Effect, FloatArray
 
 
 @dataclass(frozen=True)
@@ -116,14 +121,13 @@ def make_candidates(
     frequencies
         Angular frequencies of peaks in the residuals' spectra, for periodic effects.
     settings
-        Forms and sites to try, and thresholds.
+        Forms and sites to try.
     places
         Where functions of a variable are tried; None for everywhere.
     """
-    thresholds = settings.thresholds.candidates
     exchanged, step = communication_step(problem.model, description), fixed_step(problem.model)
     arguments = open_arguments(problem, description, trajectories)
-    scales = SignalScales(trajectories, frequencies, thresholds, exchanged, step, arguments.units)
+    scales = SignalScales(trajectories, frequencies, exchanged, step, arguments.units)
     known = {_identity(e) for e in problem.effects if e.form and not e.is_noise}
     taken = {effect.name for effect in problem.effects}
     leading = None if places is None else _by_site(places)
@@ -231,11 +235,211 @@ def _bounds(
         return float(2.0 * v.min() - v.max()), float(2.0 * v.max() - v.min())
     if coefficient.scale is GridScale.EXPONENT:
         return 0.125, 8.0
-    thresholds = scales.thresholds
     if coefficient.positive:
-        low = min(values) / thresholds.narrowest
+        low = min(values) / CANDIDATES.narrowest
         if coefficient.scale is GridScale.STEP and not free:
-            low = max(low, thresholds.shortest * scales.resolution)
-        return low, max(values) * thresholds.widest
+            low = max(low, CANDIDATES.shortest * scales.resolution)
+        return low, max(values) * CANDIDATES.widest
     width = 10.0 * max(abs(v) for v in values) + 1e-12
     return -width, width
+
+
+def candidate_sites(
+    problem: Problem,
+    description: ModelDescription,
+    trajectories: Sequence[LinearisedTrajectory],
+    settings: LoopSettings,
+) -> list[EffectSite]:
+    """Return all sites, those of a user's choice if there is one."""
+    pairs = pair_sites(problem, description, trajectories, settings)
+    return [*single_sites(problem, description, trajectories, settings), *pairs]
+
+
+def single_sites(
+    problem: Problem,
+    description: ModelDescription,
+    trajectories: Sequence[LinearisedTrajectory],
+    settings: LoopSettings,
+) -> list[EffectSite]:
+    """Return the sites that are no pairs of states."""
+    train = [problem.experiments[e] for e in problem.indices("train")]
+    driven = {given.variable for e in train for given in e.inputs}
+    driven = {name for name in driven if all(trajectory.has(name) for trajectory in trajectories)}
+    measured = {output.variable for e in train for output in e.outputs}
+    estimated = {p.target for p in problem.parameters if not p.fixed}
+    wanted = {
+        "derivative": _moving(description, trajectories),
+        "input": driven,
+        "parameter": estimated - set(description.states),
+        "output": set(),
+    }
+    offered = open_sites(description, problem.model.interface, measured)
+    sites = [site for site in offered if site.target in wanted[site.kind]]
+    if not noise_names(problem):  # beside a filter nothing acts on what is measured
+        sites += [EffectSite("output", name) for name in sorted(measured)]
+    return [site for site in sites if not settings.sites or str(site) in settings.sites]
+
+
+def pair_sites(
+    problem: Problem,
+    description: ModelDescription,
+    trajectories: Sequence[LinearisedTrajectory],
+    settings: LoopSettings,
+) -> list[EffectSite]:
+    """Return the pairs of states between which a force could be missing, in either order."""
+    moving = _moving(description, trajectories)
+    sites: list[EffectSite] = []
+    for site in open_pairs(description, problem.model.interface):
+        if set(site.targets) <= moving:
+            sites += [site, EffectSite("pair", *reversed(site.targets))]
+    return [site for site in sites if not settings.sites or str(site) in settings.sites]
+
+
+def forms_at(
+    site: EffectSite, problem: Problem, description: ModelDescription, settings: LoopSettings
+) -> list[EffectForm]:
+    """Return the forms to try at a site, those of a user's choice if there is one."""
+    exchange = problem.model.interface == "model_exchange"
+    kinks = (exchange or description.variable_steps) and not noise_names(problem)
+    return [
+        form
+        for (kind, name), form in FORMS.items()
+        if kind == site.kind
+        and (name in settings.forms if settings.forms else not form.finer_than)
+        and (kinks or not form.memory)  # between the samples
+    ]
+
+
+def _moving(
+    description: ModelDescription, trajectories: Sequence[LinearisedTrajectory]
+) -> set[str]:
+    """The states in whose derivative something may be missing: where dx/dt = v, nothing can be."""
+    integrated = integrated_states(trajectories)
+    exact = {x for x, (_, factor) in integrated.items() if abs(factor - 1.0) < CONSTANT_FACTOR}
+    return set(description.states) - exact
+
+
+BETWEEN = 4
+"""Steps for each one of the candidate's own grid."""
+BEGINNINGS = np.linspace(0.04, 0.96, 24)
+"""Quantiles of its argument at which an effect may begin."""
+DENSE_GRID = 12
+"""Points of a grid that is dense as it is: of waves."""
+
+
+def denser_grid(
+    candidate: EffectCandidate, trajectories: Sequence[LinearisedTrajectory]
+) -> list[tuple[float, ...]]:
+    """Return a grid with more points in the one coefficient that the candidate's own grid varies.
+
+    Where an effect begins must be nearly right, or it looks like less than one that begins nowhere.
+    A grid in several coefficients stays as it is.
+
+    Parameters
+    ----------
+    candidate
+        Of the library.
+    trajectories
+        Of a model near the data, over which its argument goes.
+    """
+    rows = np.array(candidate.grid)
+    moving = np.flatnonzero(np.ptp(rows, axis=0) > 0.0)
+    if len(moving) != 1 or len(rows) > DENSE_GRID:
+        return list(candidate.grid)
+    values = _dense_values(candidate, int(moving[0]), rows[:, moving[0]], trajectories)
+    dense = np.repeat(rows[:1], len(values), axis=0)
+    dense[:, moving[0]] = values
+    return [tuple(row) for row in dense.tolist()]
+
+
+def _dense_values(
+    candidate: EffectCandidate,
+    position: int,
+    own: FloatArray,
+    trajectories: Sequence[LinearisedTrajectory],
+) -> FloatArray:
+    if candidate.form.coefficients[position].scale is GridScale.QUANTILE_V:
+        return np.asarray(
+            np.quantile(pooled(trajectories, candidate.effect.variables[0]), BEGINNINGS)
+        )
+    known = np.sort(own)
+    at = np.linspace(0.0, len(known) - 1.0, (len(known) - 1) * BETWEEN + 1)
+    if (known > 0.0).all():
+        return np.exp(np.interp(at, np.arange(len(known)), np.log(known)))
+    return np.interp(at, np.arange(len(known)), known)
+
+
+RARE = 0.005
+"""Share of the samples at each end that a curve stays constant for."""
+
+
+def finer_form(coarse: EffectCandidate) -> EffectForm | None:
+    """Return the form of a curve with twice as many steps; None for the finest."""
+    kind, name = coarse.site.kind, coarse.form.name
+    return next((f for (k, _), f in FORMS.items() if (k, f.finer_than) == (kind, name)), None)
+
+
+def in_finer_form(coarse: EffectCandidate, form: EffectForm) -> EffectCandidate:
+    """Return a free curve with more values, over the same range: the new ones are as free."""
+    given = {c.name: i for i, c in enumerate(coarse.form.coefficients)}
+    like = [given.get(c.name, given[coarse.strengths[0]]) for c in form.coefficients]
+    name = coarse.effect.name.replace(coarse.form.name, form.name, 1)
+    return replace(
+        coarse,
+        effect=replace(coarse.effect, name=name, form=form.name),
+        form=form,
+        grid=tuple(tuple(values[i] for i in like) for values in coarse.grid),
+        lowest=tuple(coarse.lowest[i] for i in like),
+        highest=tuple(coarse.highest[i] for i in like),
+    )
+
+
+def refined(
+    coarse: EffectCandidate,
+    values: Sequence[float],
+    trajectories: Sequence[LinearisedTrajectory],
+    form: EffectForm,
+) -> tuple[EffectCandidate, list[float]]:
+    """Return a finer curve that says the same as a fitted one.
+
+    With the effect the motion may go further than it did without. Where all values of a curve are
+    free, the finer one is spread over where its argument goes now.
+
+    Parameters
+    ----------
+    coarse, values
+        The fitted curve, and its coefficients.
+    trajectories
+        Of the fitted model.
+    form
+        The finer form.
+
+    Returns
+    -------
+    EffectCandidate, list of float
+        The finer curve, and its coefficients.
+    """
+    known = dict(zip([c.name for c in coarse.form.coefficients], values, strict=True))
+    ends = known["low"], known["high"]
+    if len(coarse.strengths) == coarse.form.values:
+        v = pooled(trajectories, coarse.effect.variables[-1])
+        ends = float(np.quantile(v, RARE)), float(np.quantile(v, 1.0 - RARE))
+    points = np.linspace(known["low"], known["high"], coarse.form.values)
+    heights = [known.get(f"k{i + 1}", 0.0) for i in range(coarse.form.values)]
+    at = np.linspace(*ends, form.values)
+    known |= {f"k{i + 1}": y for i, y in enumerate(np.interp(at, points, heights).tolist())}
+    known |= {"low": ends[0], "high": ends[1]}
+    finer = in_finer_form(coarse, form)
+    return _held(finer, known), [known[c.name] for c in form.coefficients]
+
+
+def _held(candidate: EffectCandidate, known: dict[str, float]) -> EffectCandidate:
+    """Return a curve whose held coefficients may be what they are."""
+    held = {i: known[c.name] for i, c in enumerate(candidate.form.coefficients) if c.held}
+    low, high = list(candidate.lowest), list(candidate.highest)
+    for i, value in held.items():
+        low[i], high[i] = min(low[i], value), max(high[i], value)
+    grid = tuple(
+        tuple(held.get(i, value) for i, value in enumerate(values)) for values in candidate.grid
+    )
+    return replace(candidate, grid=grid, lowest=tuple(low), highest=tuple(high))

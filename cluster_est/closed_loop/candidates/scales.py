@@ -10,10 +10,35 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
-from cluster_est.closed_loop.thresholds import CandidateThresholds
 from workers.effects.forms import EffectForm, FormCoefficient, FormCondition, GridScale
 from workers.effects.site import EffectSite, split_variable
 from workers.messages import FloatArray
+
+
+@dataclass(frozen=True)
+class CandidateThresholds:
+    """Thresholds of the list of candidates and their grids.
+
+    Attributes
+    ----------
+    both_signs
+        Share of its rms that a signal must reach on both sides of zero to oscillate. Benchmark.
+    narrowest, widest
+        Factors by which a refit may go beyond the grid of a positive coefficient. Benchmark.
+    shortest
+        Share of the interval between measurements, or of a longer communication step, that a time
+        constant has at least, be it a lag's or that of a state which stops itself. Signal: what is
+        shorter is a gain of a slope to the data, or a hard stop, and costs a solver steps in
+        proportion (at a twentieth, 40 times the simulation of two tanks).
+    """
+
+    both_signs: float = 0.15
+    narrowest: float = 20.0
+    widest: float = 50.0
+    shortest: float = 0.1
+
+
+CANDIDATES = CandidateThresholds()
 
 
 @dataclass(frozen=True)
@@ -27,7 +52,6 @@ class SignalScales:
 
     trajectories: Sequence[LinearisedTrajectory]
     frequencies: Sequence[float]
-    thresholds: CandidateThresholds = field(default_factory=CandidateThresholds)
     communication: float = 0.0
     step: float = 0.0
     units: Mapping[str, str] = field(default_factory=dict)
@@ -41,7 +65,7 @@ class SignalScales:
         signals = [pooled(self.trajectories, name) for name in moving]
         if about is not None and not all(_moves(signal) for signal in (about, *signals)):
             return False
-        share = self.thresholds.both_signs
+        share = CANDIDATES.both_signs
         if FormCondition.OSCILLATES in form.when and (
             about is None or not oscillates(about, share)
         ):
@@ -125,7 +149,7 @@ class SignalScales:
         places = [linear.state_names.index(state) for linear in linears]
         pairs = zip(linears, places, strict=True)
         rates = [float(np.abs(linear.A.row(place)[:, place]).max()) for linear, place in pairs]
-        return max(1.0 / self.resolution, *rates, 0.0) / self.thresholds.shortest
+        return max(1.0 / self.resolution, *rates, 0.0) / CANDIDATES.shortest
 
     def _begins(self, name: str) -> bool:
         """Return whether a signal is not zero at the start of some experiment."""
@@ -211,7 +235,7 @@ def _positive(signal: FloatArray) -> bool:
     return bool(signal.min() >= -1e-6 * np.abs(signal).max())
 
 
-def oscillates(signal: FloatArray, share: float = CandidateThresholds.both_signs) -> bool:
+def oscillates(signal: FloatArray, share: float = CANDIDATES.both_signs) -> bool:
     """Return whether a signal takes both signs clearly, by this share of its rms."""
     reach = share * float(np.sqrt(np.mean(signal**2)))
     return bool(signal.min() < -reach and signal.max() > reach)

@@ -1,15 +1,31 @@
-"""Linearised trajectories: signals of simulated experiments, and their linear systems."""
+"""Linearised trajectories: signals of simulated experiments, and the linear systems along them.
+
+    d(dx)/dt = A dx + f,    dy = C dx
+
+f is linear between the times of the grid, and A constant within each step: the mean of its values
+at both ends. With Z = h A, dx' = phi_0(Z) dx + h (phi_1(Z) - phi_2(Z)) f + h phi_2(Z) f', where
+phi_0 is the exponential and phi_k(Z) = Z phi_(k + 1)(Z) + I / k!.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import factorial
+from typing import final
 
 import numpy as np
+import numpy.typing as npt
 
+from workers.core.library import core
 from workers.effects.site import split_variable
 from workers.grid import build_grid, values_at
 from workers.messages import Experiment, FloatArray, IntArray, Linearisation, Outcome
+
+KINEMATIC = 1e-6
+"""Relative gap of der(x) and another state below which they are the same: a little above the error
+of a solver. Signal."""
 
 
 @dataclass(frozen=True)
@@ -108,3 +124,302 @@ def pooled(trajectories: Sequence[LinearisedTrajectory], name: str) -> FloatArra
     return np.concatenate(
         [trajectory.signal(name) for trajectory in trajectories if trajectory.has(name)]
     )
+
+
+CONSTANT_FACTOR = 1e-4
+"""Share of its factor by which a kinematic equation may change along a trajectory."""
+
+
+def integrated_states(
+    trajectories: Sequence[LinearisedTrajectory],
+    tolerance: float = KINEMATIC,
+) -> dict[str, tuple[str, float]]:
+    """Find the states x with dx/dt = c v, where v is another state and c a constant.
+
+    Parameters
+    ----------
+    trajectories
+        The first one with a linear system is looked at: the equations are those of all.
+    tolerance
+        Largest share of the derivative that the equation may leave.
+
+    Returns
+    -------
+    dict
+        v and c by x: its speed and 1 for an angle, that of a wheel and its radius for a way.
+    """
+    found: dict[str, tuple[str, float]] = {}
+    linear = next((each.linear for each in trajectories if each.linear is not None), None)
+    if linear is None:
+        return found
+    names = linear.state_names
+    for i, name in enumerate(names):
+        own = linear.A.row(i)
+        j = int(np.argmax(np.abs(own[0])))
+        factor = float(own[0, j])
+        size = np.abs(linear.derivatives[:, i]).max()
+        gap = np.abs(linear.derivatives[:, i] - factor * linear.states[:, j]).max()
+        if i == j or gap > tolerance * size:
+            continue
+        row = np.abs(own - factor * np.eye(len(names))[j]).max()
+        driven = np.abs(linear.B[:, i]).max(initial=0.0)
+        if max(row, driven) < CONSTANT_FACTOR * abs(factor):
+            found[name] = names[j], factor
+    return found
+
+
+TERMS = 12
+"""Of the Taylor series of phi_2: at a norm of 1/2 the first that is left out is below rounding."""
+
+
+@dataclass(frozen=True)
+class StepMatrices:
+    """A system in discrete time: dx' = keep dx + from_first f + from_last f'.
+
+    Each is (x, x) for one step, and (n - 1, x, x) for all of them.
+    """
+
+    keep: FloatArray
+    from_first: FloatArray
+    from_last: FloatArray
+
+
+def step_matrices(a: FloatArray, h: float | FloatArray) -> StepMatrices:
+    """Matrices of one step, or of many at once, by scaling and squaring of phi_2.
+
+    B. Skaflestad, W. M. Wright, Appl. Numer. Math. 59 (2009) 783-799,
+    doi:10.1016/j.apnum.2008.03.035, with the Taylor series in the place of their rational function:
+    phi_1(2 Z) = (phi_0 phi_1 + phi_1) / 2 and phi_2(2 Z) = (phi_0 phi_2 + phi_1 + phi_2) / 4.
+
+    Parameters
+    ----------
+    a : (x, x)
+        Or (n, x, x), of each step its own.
+    h
+        The step, or (n,) steps.
+    """
+    h = np.asarray(h)[..., None, None]
+    eye: npt.NDArray[np.float64] = np.eye(a.shape[-1])
+    size = float(np.abs(h * a).sum(axis=-1).max(initial=0.0))
+    halvings = max(0, int(np.ceil(np.log2(max(size, 1e-300)))) + 1)
+    z = h * a / 2.0**halvings
+    phi_2 = eye / factorial(TERMS + 2)
+    for k in range(TERMS + 1, 1, -1):
+        phi_2 = z @ phi_2 + eye / factorial(k)
+    phi_1 = z @ phi_2 + eye
+    phi_0 = z @ phi_1 + eye
+    for _ in range(halvings):
+        phi_2 = 0.25 * (phi_0 @ phi_2 + phi_1 + phi_2)
+        phi_1 = 0.5 * (phi_0 @ phi_1 + phi_1)
+        phi_0 = phi_0 @ phi_0
+    return StepMatrices(phi_0, h * (phi_1 - phi_2), h * phi_2)
+
+
+def propagate(steps: StepMatrices, forcing: FloatArray) -> FloatArray:
+    """Integrate d(dx)/dt = A dx + f from dx = 0.
+
+    Parameters
+    ----------
+    steps
+        The system.
+    forcing : (n, x, m)
+        m right-hand sides at every time of the grid, linear in between. The states take their
+        place.
+
+    Returns
+    -------
+    (n, x, m)
+    """
+    return run_recursion("core_run_linear", steps, forcing)
+
+
+def run_recursion(name: str, steps: StepMatrices, values: FloatArray) -> FloatArray:
+    """Run a recursion of the core over (n, x, m) values, which its results take the place of."""
+    values = np.ascontiguousarray(values)
+    matrices = [np.ascontiguousarray(m) for m in (steps.keep, steps.from_first, steps.from_last)]
+    n, x, m = values.shape
+    scratch = np.empty((2, x, m))
+    getattr(core(), name)(*(a.ctypes.data for a in (*matrices, values, scratch)), n, x, m)
+    return values
+
+
+HELD = 1e-3
+"""Largest change of A, over the largest entry of its row, for which the matrices of the last step
+hold for the next one: a fifth of what tells a direction from the declared parameters."""
+
+
+def discretise(linear: Linearisation) -> StepMatrices:
+    """Matrices of all steps at once, exact where A is constant within each step."""
+    a = np.asarray(linear.A)
+    return step_matrices(0.5 * (a[1:] + a[:-1]), np.diff(linear.times))
+
+
+def streamed_steps(linear: Linearisation, *, backwards: bool = False) -> Iterator[StepMatrices]:
+    """Give the matrices of each step in turn, or from the last one on.
+
+    They are made anew where A has changed by more than `HELD`, or the step by more than rounding.
+    The steps where that happens are the same in both directions of time, so that one is the adjoint
+    of the other.
+    """
+    h = np.diff(linear.times)
+    values = 0.5 * (linear.A.values[1:] + linear.A.values[:-1])
+    made = _made_at(linear, h, values)
+    first = -1
+    step: StepMatrices | None = None
+    for k in range(len(h) - 1, -1, -1) if backwards else range(len(h)):
+        if step is None or made[k] != first:
+            first = made[k]
+            a = np.zeros(linear.A.shape[1:])
+            a[linear.A.rows, linear.A.columns] = values[first]
+            step = step_matrices(a, float(h[first]))
+        yield step
+
+
+def _made_at(linear: Linearisation, h: FloatArray, values: FloatArray) -> list[int]:
+    """The step whose matrices hold for each step: itself, or the one where they were made last."""
+    largest = linear.A.largest().max(axis=1)[linear.A.rows]
+    most = HELD * np.maximum(largest, np.finfo(float).tiny)
+    found = [0]
+    for k in range(1, len(h)):
+        last = found[-1]
+        same = abs(h[k] - h[last]) <= 1e-9 * h[last]
+        same = same and bool((np.abs(values[k] - values[last]) <= most).all())
+        found.append(last if same else k)
+    return found
+
+
+LARGE = 24
+"""States from which the matrices of all steps take too much memory, and a library's products of
+matrices are faster than loops."""
+
+FEW_VALUES, MANY_VALUES = 2_000_000, 12_000_000
+"""Values that are kept at once: 16 MB, and 96 MB where few blocks save making the steps again."""
+
+
+@dataclass(frozen=True)
+class Forcing:
+    """Forcings of a linear system, each an amount along a direction among its states.
+
+    Attributes
+    ----------
+    amounts : (n, m)
+        Of m forcings.
+    directions
+        A state, by its index, or a direction that changes with time, (n, x).
+    which : (m,)
+        The direction of each forcing.
+    """
+
+    amounts: FloatArray = field(repr=False)
+    directions: Sequence[int | FloatArray] = field(repr=False)
+    which: IntArray
+
+
+class LinearSystem(ABC):
+    """A linear time-varying system along one experiment."""
+
+    block: int
+    """The most forcings for one call of `respond`."""
+
+    @abstractmethod
+    def respond(self, forcing: Forcing) -> FloatArray:
+        """(n, y, m): the outputs' response to each forcing, from rest."""
+
+    @abstractmethod
+    def weigh(self, source: FloatArray) -> FloatArray:
+        """Integrate the adjoint backwards: what a forcing at any state weighs with.
+
+        Parameters
+        ----------
+        source : (n, x, m)
+            m weightings of the states; it may be overwritten.
+
+        Returns
+        -------
+        (n, x, m)
+        """
+
+
+def linear_system(linear: Linearisation) -> LinearSystem:
+    """Make a linear system ready to be integrated, by the way that suits its size."""
+    if linear.A.shape[1] < LARGE:
+        return SmallSystem(linear)
+    return LargeSystem(linear)
+
+
+@final
+class SmallSystem(LinearSystem):
+    """A system of few states: the matrices of all steps at once, and loops of the core."""
+
+    def __init__(self, linear: Linearisation) -> None:
+        n, outputs, states = linear.C.shape
+        self._linear = linear
+        self._steps = discretise(linear)
+        self.block = max(1, FEW_VALUES // max(1, n * max(outputs, states)))
+
+    def respond(self, forcing: Forcing) -> FloatArray:
+        n, m = forcing.amounts.shape
+        forced = np.zeros((n, self._linear.A.shape[1], m))
+        for k, direction in enumerate(forcing.directions):
+            own = forcing.which == k
+            amounts = forcing.amounts[:, own]
+            if isinstance(direction, np.ndarray):
+                forced[:, :, own] += direction[:, :, None] * amounts[:, None, :]
+            else:
+                forced[:, direction, own] += amounts
+        return np.asarray(np.matmul(self._linear.C, propagate(self._steps, forced)))
+
+    def weigh(self, source: FloatArray) -> FloatArray:
+        return run_recursion("core_run_adjoint", self._steps, source)
+
+
+@final
+class LargeSystem(LinearSystem):
+    """A system of many states: the matrices of one step at a time.
+
+    A forcing along a state needs one column of these, so that the only product of whole matrices
+    is the one with the states.
+    """
+
+    def __init__(self, linear: Linearisation) -> None:
+        n, outputs, _ = linear.C.shape
+        self._linear = linear
+        self.block = max(1, MANY_VALUES // max(1, n * outputs))
+
+    def respond(self, forcing: Forcing) -> FloatArray:
+        n, m = forcing.amounts.shape
+        shown = self._linear.C
+        found = np.zeros((n, shown.shape[1], m))
+        dx = np.zeros((shown.shape[2], m))
+        first, last = np.zeros((2, len(forcing.directions), m))
+        places = forcing.which, np.arange(m)
+        last[places] = forcing.amounts[0]
+        for k, step in enumerate(streamed_steps(self._linear)):
+            first, last = last, first
+            last[places] = forcing.amounts[k + 1]
+            dx = step.keep @ dx
+            dx += _along(step.from_first, forcing.directions, k) @ first
+            dx += _along(step.from_last, forcing.directions, k + 1) @ last
+            found[k + 1] = shown[k + 1] @ dx
+        return found
+
+    def weigh(self, source: FloatArray) -> FloatArray:
+        found = np.zeros_like(source)
+        now = source[-1]
+        last = len(source) - 1
+        for k, step in zip(
+            range(last - 1, -1, -1), streamed_steps(self._linear, backwards=True), strict=True
+        ):
+            found[k] += step.from_first.T @ now
+            found[k + 1] += step.from_last.T @ now
+            now = step.keep.T @ now + source[k]
+        return found
+
+
+def _along(matrix: FloatArray, directions: Sequence[int | FloatArray], time: int) -> FloatArray:
+    """(x, directions): a matrix times each direction at one of the times."""
+    columns = [
+        matrix @ direction[time] if isinstance(direction, np.ndarray) else matrix[:, direction]
+        for direction in directions
+    ]
+    return np.column_stack(columns)

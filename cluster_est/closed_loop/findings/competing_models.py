@@ -11,8 +11,10 @@ import numpy as np
 
 from cluster_est.closed_loop.findings.config_block import effect_block
 from cluster_est.closed_loop.findings.structure_probabilities import DECLARED, TEMPERATURE
+from cluster_est.closed_loop.fitter import FittedModel
+from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import SelectionResult
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from workers.messages import Effect
@@ -84,7 +86,7 @@ def competing_models(
 
     Their weights are probabilities as `with_probabilities` has them, among those that are kept.
     """
-    price = workbench.thresholds.selection.choice_price * np.log(found.steps[0].screening.count)
+    price = SELECTION.choice_price * np.log(found.steps[0].screening.count)
     leading = leading_models(workbench, found, 4 * MOST)
     criteria = np.array(
         [fit.criterion(workbench.records) + price * len(fit.added) for fit in leading]

@@ -7,10 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.kinematics import integrated_states
-from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
+from cluster_est.closed_loop.candidates.trajectory import (
+    LinearisedTrajectory,
+    integrated_states,
+    pooled,
+)
 from cluster_est.closed_loop.findings.free_values import free_values
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.fitter import FittedModel
+from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.errors import ClusterEstError
 from cluster_est.results.fit_tables import EffectCurve
 from cluster_est.results.result import Result

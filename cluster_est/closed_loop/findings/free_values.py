@@ -12,9 +12,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
+from cluster_est.closed_loop.candidates.trajectory import (
+    Forcing,
+    LinearisedTrajectory,
+    linear_system,
+)
 from cluster_est.closed_loop.screening.directions import coupling
-from cluster_est.closed_loop.screening.linear_system import Forcing, linear_system
 from workers.effects.site import EffectSite
 from workers.messages import FloatArray
 

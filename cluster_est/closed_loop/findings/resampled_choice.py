@@ -13,6 +13,7 @@ from cluster_est.closed_loop.findings.structure_probabilities import (
     best_rows,
 )
 from cluster_est.closed_loop.findings.words.numbers import in_a_row, percent
+from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
 from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.statistics.choice_shares import LinearFit, choice_shares
@@ -74,7 +75,7 @@ def resampled_choices(workbench: LoopWorkbench, found: SelectionResult) -> Resam
     leading = leading_models(workbench, found, LEADING)
     if max(len(fit.x) for fit in leading) > MOST_UNKNOWNS:
         return None
-    choice = workbench.thresholds.selection.choice_price * np.log(found.steps[0].screening.count)
+    choice = SELECTION.choice_price * np.log(found.steps[0].screening.count)
     fits = [LinearFit(f.residuals, f.jacobian, choice * len(f.added)) for f in leading]
     whole = len(workbench.train) >= FEWEST
     pieces, outputs = _pieces(workbench, whole=whole)

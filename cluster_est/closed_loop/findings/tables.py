@@ -51,6 +51,7 @@ STRUCTURES = pa.schema(
         ("relative_steps", pa.float64()),
         ("probability", pa.float64()),
         ("chosen", pa.float64()),
+        *((name, pa.string()) for name in ("move", "stopped_by")),
     ]
 )
 BEFORE = ("value", "std_error", "lower95", "upper95")
@@ -111,7 +112,10 @@ def finding_table(findings: Sequence[CandidateEvidence]) -> pa.Table:
 
 def structure_table(path: Sequence[ComparedStructure]) -> pa.Table:
     """Make a row for every set of effects that was refitted."""
-    rows = [dataclasses.asdict(each) | {"effects": list(each.effects)} for each in path]
+    rows = [
+        {name: getattr(each, name) for name in STRUCTURES.names} | {"effects": list(each.effects)}
+        for each in path
+    ]
     return pa.Table.from_pylist(rows, schema=STRUCTURES)
 
 

@@ -20,13 +20,16 @@ from cluster_est.closed_loop.findings.residual.noise_of_sensors import (
     residual_noise,
     suspected_sigma,
 )
+from cluster_est.closed_loop.fitter import FittedModel
+from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import (
+    VERDICT,
     RejectionReason,
     SelectionResult,
     SelectionRound,
 )
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.workbench import LoopWorkbench
 from workers.messages import FloatArray
 
 CLAIMS = (Verdict.FOUND, Verdict.PARTIAL)
@@ -144,7 +147,7 @@ def _judged(
         return _nothing_added(found, now, workbench.settings)
     training, predicted = _closed(workbench, found, now)
     closed = min(training, predicted)
-    thresholds = workbench.thresholds.verdict
+    thresholds = VERDICT
     several = len(found.current.added) > 1
     closes = "the effects close" if several else "the effect closes"
     share = f"{closes} {training:.0%} of the gap between error and noise"
@@ -212,7 +215,7 @@ def _nothing_added(
     if nowhere:
         return ReasonedVerdict(Verdict.NONE, f"the residual looks like noise, but {why}: {NOWHERE}")
     if why == RejectionReason.COLOURED_NOISE:
-        if screening.omnibus.p <= settings.thresholds.verdict.smooth:
+        if screening.omnibus.p <= VERDICT.smooth:
             return ReasonedVerdict(Verdict.COLOURED, _coloured(found, now, settings))
         reason = "no candidate is significant once the residual is whitened"
         return ReasonedVerdict(Verdict.NONE, f"{reason} (family-wise p = {_p(found)})")
@@ -298,7 +301,7 @@ def _residual(
     workbench: LoopWorkbench, found: SelectionResult, fitted: FittedModel, at: SelectionRound
 ) -> _Residual:
     """Look at what a model leaves, with the screening of the round that began at it."""
-    thresholds, settings = workbench.thresholds.verdict, workbench.settings
+    thresholds, settings = VERDICT, workbench.settings
     outputs = residual_noise(workbench, fitted, found.noise)
     excess = _excess(workbench, fitted, found.noise)
     omnibus, whitened = at.screening.omnibus, at.screening.omnibus_white
@@ -334,7 +337,7 @@ def _closed(
     base, last = found.base.sse, found.current.sse
     gap = base - min(floor, last)
     training = (base - last) / gap if gap > 0.0 else 0.0  # of any unit, however small its squares
-    least = workbench.thresholds.selection.least_gap
+    least = SELECTION.least_gap
     before, after = found.base_prediction.total, found.prediction.total
     predicted = (before - after) / max(before - floor, least * floor)
     return float(training), float(predicted)

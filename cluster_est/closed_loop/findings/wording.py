@@ -19,11 +19,12 @@ from cluster_est.closed_loop.findings.residual.unused_columns import varying_col
 from cluster_est.closed_loop.findings.words.naming import EffectName, Namer
 from cluster_est.closed_loop.findings.words.numbers import in_a_row, readable_time
 from cluster_est.closed_loop.findings.words.sentences import sentence_of
+from cluster_est.closed_loop.fitter import FittedModel
 from cluster_est.closed_loop.screening.evidence import CandidateStage
-from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate
+from cluster_est.closed_loop.selection.functions_of_time import period_of, residuals_without
+from cluster_est.closed_loop.selection.refits import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import SelectionResult
-from cluster_est.closed_loop.selection.waves import period_of, residuals_without
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.results.fit_tables import EffectCurve, Estimate
 from cluster_est.results.result import Result
 from cluster_est.results.shapes.effect_shapes import shape_over

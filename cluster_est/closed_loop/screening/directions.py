@@ -5,7 +5,9 @@ In model exchange one linear time-varying system along each experiment answers f
     d(dx)/dt = A dx + B du + P dp + f,    dy = C dx + D du + Q dp
 
 with what a candidate adds as f (state derivative), du (input) or dp (parameter). An effect at an
-output adds to y and needs nothing else.
+output adds to y and needs nothing else. In co-simulation the states are hidden, and with process
+noise a Kalman filter corrects them: what a candidate changes in one prediction is in part gone in
+the next. There each candidate is simulated (`probe`).
 """
 
 from __future__ import annotations
@@ -16,17 +18,26 @@ from itertools import pairwise
 
 import numpy as np
 
+from cluster_est.closed_loop.candidates.array_forms import FormArguments, shape_of
 from cluster_est.closed_loop.candidates.make import EffectCandidate
-from cluster_est.closed_loop.candidates.shapes import FormArguments, shape_of
-from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
-from cluster_est.closed_loop.screening.linear_system import (
+from cluster_est.closed_loop.candidates.trajectory import (
     FEW_VALUES,
     Forcing,
+    LinearisedTrajectory,
     LinearSystem,
     linear_system,
+    pooled,
 )
+from cluster_est.closed_loop.fitter import FittedModel, Fitter
+from cluster_est.closed_loop.settings import LoopStage
+from cluster_est.problem.unknowns import Unknown
 from workers.effects.site import EffectSite
 from workers.messages import FloatArray, IntArray, Linearisation
+
+PROBE_AMOUNT = 0.01
+"""Share of the signal that it changes by which a candidate is switched on in co-simulation. Signal:
+large beside a solver's error, small beside the signal."""
+
 
 Told = Callable[[int, int], None]
 """Hears how many candidates are done, and of how many."""
@@ -233,3 +244,93 @@ def coupling(linear: Linearisation, site: EffectSite) -> tuple[FloatArray, Float
         return linear.B[:, :, j], linear.D[:, :, j]
     j = linear.parameter_names.index(site.target)
     return linear.P[:, :, j], linear.Q[:, :, j]
+
+
+def probe(
+    fitter: Fitter,
+    fitted: FittedModel,
+    trajectories: Sequence[LinearisedTrajectory],
+    trials: Sequence[CandidatePoint],
+) -> list[FloatArray]:
+    """The direction of each trial, (residuals, width), all in one queue.
+
+    A strength is switched on by a little, and the change of the residuals divided by how much; an
+    effect that can only be switched on by a finite amount is, by its whole amount.
+    """
+    asked, amounts = [], []
+    amount = PROBE_AMOUNT
+    for trial in trials:
+        rows, steps = _switched(trial, trajectories, amount)
+        start = fitted.start.plus(trial.candidate, trial.values)
+        space = fitter.space(start)
+        points = np.array([_point(fitted, space.unknowns, trial, row) for row in rows])
+        asked.append((space, points))
+        amounts.append(steps)
+    found = []
+    answers = fitter.evaluate(LoopStage.PROBE, asked)
+    for trial, steps, seen in zip(trials, amounts, answers, strict=True):
+        columns = [
+            (at.residuals - fitted.residuals) / step if at.ok else np.zeros(fitter.size)
+            for at, step in zip(seen, steps, strict=True)
+        ]
+        found.append(np.column_stack(columns).reshape(fitter.size, trial.width))
+    return found
+
+
+def _switched(
+    trial: CandidatePoint, trajectories: Sequence[LinearisedTrajectory], amount: float
+) -> tuple[list[FloatArray], list[float]]:
+    """Coefficients for each column, and what its change is to be divided by."""
+    candidate = trial.candidate
+    values = np.array(trial.values)
+    if not candidate.strengths:
+        return [values], [1.0]
+    rows, steps = [], []
+    for i, coefficient in enumerate(candidate.form.coefficients):
+        if coefficient.name in candidate.strengths:
+            step = amount * _size(trial, trajectories)
+            row = values.copy()
+            row[i] = step
+            rows.append(row)
+            steps.append(step)
+    return rows, steps
+
+
+def _size(trial: CandidatePoint, trajectories: Sequence[LinearisedTrajectory]) -> float:
+    """The strength that changes its signal by as much as the signal itself."""
+    candidate = trial.candidate
+    added = np.concatenate(
+        [added_at(trajectory, trial, _ones(trajectory)) for trajectory in trajectories]
+    )
+    swing = float(np.sqrt(np.mean(added**2))) or 1.0
+    if candidate.site.kind == "parameter":
+        return 1.0 / swing
+    signal = _changed(trajectories, candidate.site)
+    return float(np.sqrt(np.mean(signal**2)) or 1.0) / swing
+
+
+def _ones(trajectory: LinearisedTrajectory) -> FloatArray:
+    """Values of the parameters, each over its own."""
+    return np.ones(0 if trajectory.linear is None else len(trajectory.linear.parameter_names))
+
+
+def _changed(trajectories: Sequence[LinearisedTrajectory], site: EffectSite) -> FloatArray:
+    """The signal that an effect at a site changes, a derivative among them."""
+    if not site.at_rates:
+        return pooled(trajectories, site.target)
+    linear = [trajectory.linear for trajectory in trajectories if trajectory.linear is not None]
+    return np.concatenate(
+        [each.derivatives[:, each.state_names.index(site.target)] for each in linear]
+    )
+
+
+def _point(
+    fitted: FittedModel, unknowns: Sequence[Unknown], trial: CandidatePoint, row: FloatArray
+) -> FloatArray:
+    """The fit's point with the effect's coefficients behind it."""
+    names = [c.name for c in trial.candidate.form.coefficients]
+    own = [
+        u.to_search(float(row[names.index(u.label.rpartition(".")[2])]))
+        for u in unknowns[len(fitted.x) :]
+    ]
+    return np.concatenate([fitted.x, own])

@@ -3,9 +3,10 @@
 Where there are too many candidates to compare each with the residual, those at the leading places
 are. The curve is piecewise linear in the argument, with one set of coefficients for all
 experiments. With D its directions outside the declared parameters, and r the residual, it explains
-b'(D'D)^-1 b, b = D'r. The adjoint gives b at all places from one integration, and D'D from some
-random weightings z more: E[D'z z'D] = D'D (M. F. Hutchinson, Commun. Stat. Simul. Comput. 18 (1989)
-1059-1076, doi:10.1080/03610918908812806).
+b'(D'D)^-1 b, b = D'r. The adjoint gives b at all places from one integration: for a weighting w of
+the residuals w'(D f) = (D'w)'f, and D'w follows at every site at once by integrating backwards. D'D
+follows from some random weightings z more: E[D'z z'D] = D'D (M. F. Hutchinson, Commun. Stat. Simul.
+Comput. 18 (1989) 1059-1076, doi:10.1080/03610918908812806).
 """
 
 from __future__ import annotations
@@ -18,12 +19,46 @@ from typing import Self
 import numpy as np
 
 from cluster_est.closed_loop.candidates.arguments import TIME, CandidatePlace
-from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, pooled
-from cluster_est.closed_loop.screening.adjoint import AdjointSignals, adjoint_signals
-from cluster_est.closed_loop.thresholds import PlaceThresholds
+from cluster_est.closed_loop.candidates.trajectory import (
+    LinearisedTrajectory,
+    linear_system,
+    pooled,
+)
+from cluster_est.closed_loop.screening.directions import coupling
 from cluster_est.statistics.projection import ProjectedResidual
 from workers.effects.site import EffectSite
-from workers.messages import FloatArray
+from workers.messages import FloatArray, Linearisation
+
+
+@dataclass(frozen=True)
+class PlaceThresholds:
+    """Thresholds of the ranking of places, where there are too many candidates to look at each.
+
+    Attributes
+    ----------
+    most_candidates
+        Candidates above which only those at leading places are looked at. Memory: see `most_rows`.
+    leading
+        Places that are looked at. Benchmark.
+    hats
+        Coefficients of the curve that stands for every form. Benchmark.
+    weightings
+        Random weightings that estimate the size of a direction. Theory: the relative error of a
+        squared length is the square root of 2 over their number.
+    price
+        Rise of the statistic that each further coefficient must bring; see `column_penalty`.
+        Benchmark.
+    """
+
+    most_candidates: int = 1500
+    leading: int = 40
+    hats: int = 9
+    weightings: int = 96
+    price: float = 8.0
+
+
+LEADING_PLACES = PlaceThresholds()
+
 
 SITES_AT_ONCE = 16
 """In one product of matrices: all of some hundred states would be a product as large as its sum."""
@@ -219,3 +254,65 @@ def _acting(
         return np.hstack([signals.at(site, state) for state in site.targets])
     acting = signals.at(site)
     return acting * trajectory.signal(site.target)[:, None] if site.kind == "input" else acting
+
+
+@dataclass(frozen=True)
+class AdjointSignals:
+    """Along one experiment, what is added at any site weighs with these in m weighted sums.
+
+    Attributes
+    ----------
+    linear
+        The linear system.
+    names
+        Of the outputs.
+    at_states : (n, x, m)
+        At state derivatives.
+    at_outputs : (n, y, m)
+        At outputs.
+    """
+
+    linear: Linearisation = field(repr=False)
+    names: tuple[str, ...]
+    at_states: FloatArray = field(repr=False)
+    at_outputs: FloatArray = field(repr=False)
+
+    def at(self, site: EffectSite, state: str = "") -> FloatArray:
+        """(n, m): at a site, at a pair at the derivative of one of its states."""
+        linear = self.linear
+        if site.kind in ("derivative", "pair"):
+            return self.at_states[:, linear.state_names.index(state or site.target)]
+        if site.kind == "output":
+            if site.target not in self.names:  # not measured in this experiment
+                return np.zeros((len(linear.times), self.at_outputs.shape[2]))
+            return self.at_outputs[:, self.names.index(site.target)]
+        into, through = coupling(linear, site)
+        weighed = np.einsum("nx,nxm->nm", into, self.at_states)
+        return np.asarray(weighed + np.einsum("ny,nym->nm", through, self.at_outputs))
+
+
+def adjoint_signals(trajectory: LinearisedTrajectory, weights: FloatArray) -> AdjointSignals:
+    """Integrate the adjoint along one experiment.
+
+    Parameters
+    ----------
+    trajectory
+        In model exchange.
+    weights : (k, m)
+        m weightings of the experiment's residuals.
+
+    Raises
+    ------
+    ValueError
+        Without a linearisation, as in co-simulation.
+    """
+    linear = trajectory.linear
+    if linear is None:
+        raise ValueError("the adjoint needs a linearisation")
+    n, outputs = trajectory.outputs.shape
+    at_outputs = np.zeros((n, outputs, weights.shape[1]))
+    places = (trajectory.rows, trajectory.columns)
+    np.add.at(at_outputs, places, -weights / trajectory.sigmas[:, None])
+    at_states = np.matmul(linear.C.transpose(0, 2, 1), at_outputs)
+    weighed = linear_system(linear).weigh(at_states)
+    return AdjointSignals(linear, trajectory.names, weighed, at_outputs)

@@ -1,21 +1,102 @@
-"""Screening: whether any candidate, or any smooth structure, is more than noise."""
+"""Screening: every candidate against the residual to first order, tested against noise."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
 
+from cluster_est.closed_loop.candidates.arguments import (
+    CandidatePlace,
+    count_candidates,
+    count_variables,
+    open_arguments,
+    open_places,
+)
+from cluster_est.closed_loop.candidates.make import (
+    EffectCandidate,
+    candidate_sites,
+    finer_form,
+    forms_at,
+    in_finer_form,
+    make_candidates,
+)
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
+from cluster_est.closed_loop.fitter import FittedModel, Fitter
+from cluster_est.closed_loop.screening.directions import CandidatePoint, directions, probe
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
-from cluster_est.closed_loop.screening.ranking import CandidateRanking, rank
-from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
-from cluster_est.statistics.omnibus import OmnibusTest, omnibus
-from cluster_est.statistics.projection import ProjectedResidual
-from cluster_est.statistics.score import ScoreTests, family_wise
-from workers.messages import FloatArray
+from cluster_est.closed_loop.screening.places import LEADING_PLACES, PlaceThresholds, rank_places
+from cluster_est.closed_loop.settings import LoopPart, LoopSettings, LoopStage
+from cluster_est.statistics.omnibus import (
+    NULL_DISTRIBUTION_DRAWS,
+    OMNIBUS_LENGTHS,
+    OmnibusTest,
+    omnibus,
+)
+from cluster_est.statistics.projection import (
+    OrthogonalProjection,
+    ProjectedResidual,
+)
+from cluster_est.statistics.records import StackedRecords, thinned
+from cluster_est.statistics.score import CONFOUNDED, ScoreTests, family_wise, score
+from cluster_est.statistics.whitening import fit_autoregression, whiten
+from workers.effects.site import EffectSite
+from workers.messages import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class ScreeningThresholds:
+    """Thresholds of the score tests of all candidates.
+
+    Attributes
+    ----------
+    most_rows
+        Residuals that are screened; longer records are thinned. Memory: all directions of some
+        hundred candidates at once.
+    most_values
+        The same times the columns of all candidates. Memory: 128 MB, and some five copies of it.
+    peaks
+        Frequencies of the residual's spectrum that periodic effects begin with. Benchmark.
+    peak_samples
+        Samples that a record needs for a spectrum. Signal.
+    peak_distance
+        Relative distance of two peaks that count as different. Benchmark.
+    column_penalty
+        Rise of the statistic that each further column of a candidate must bring to be ranked as
+        high. Benchmark; its mean is 1 where the column means nothing (theory: chi-squared).
+    curves
+        Places of leading free curves at which finer ones are looked at. Benchmark.
+    probed_curves
+        The same in co-simulation, where each value of a curve takes simulations of its own.
+        Benchmark.
+    confounded
+        Share of a direction outside the declared parameters below which it cannot be told from
+        them. Signal: the linearisations of a simulation are not more exact.
+    autoregression
+        Order of the autoregression that whitens. Benchmark.
+    omnibus_lengths
+        Lengths of smooth structure, in samples, that the omnibus test looks for. Benchmark.
+    omnibus_draws
+        Of its null distribution: a p-value of 0.01 needs some hundred. Theory: Monte Carlo tests.
+    """
+
+    most_rows: int = 20_000
+    most_values: int = 16_000_000
+    peaks: int = 2
+    peak_samples: int = 16
+    peak_distance: float = 0.1
+    column_penalty: float = 8.0
+    curves: int = 12
+    probed_curves: int = 4
+    confounded: float = CONFOUNDED
+    autoregression: int = 2
+    omnibus_lengths: tuple[float, ...] = OMNIBUS_LENGTHS
+    omnibus_draws: int = NULL_DISTRIBUTION_DRAWS
+
+
+SCREENING = ScreeningThresholds()
 
 
 @dataclass(frozen=True)
@@ -53,19 +134,21 @@ class ScreeningResult:
         return replace(self, ranking=replace(self.ranking.without_bases(), columns=()))
 
 
-def screen(workbench: LoopWorkbench, fitted: FittedModel, step: int) -> ScreeningResult:
+def screen(
+    fitter: Fitter, settings: LoopSettings, fitted: FittedModel, step: int
+) -> ScreeningResult:
     """Rank every candidate at a fit, and test the best.
 
     Parameters
     ----------
-    workbench, fitted
-        Where, and what is screened.
+    fitter, settings, fitted
+        Where, with which forms and sites, and what is screened.
     step
         The number of the round: its random generators are its own.
     """
-    ranking = rank(workbench, fitted)
-    streams = [workbench.generator(10 * step + stream) for stream in (2, 3, 4, 5)]
-    thresholds, draws = workbench.thresholds.screening, workbench.settings.draws
+    ranking = rank(fitter, settings, fitted)
+    streams = [fitter.generator(10 * step + stream) for stream in (2, 3, 4, 5)]
+    draws = settings.draws
 
     def smooth(tested: ProjectedResidual, generator: np.random.Generator) -> OmnibusTest:
         return omnibus(
@@ -73,8 +156,8 @@ def screen(workbench: LoopWorkbench, fitted: FittedModel, step: int) -> Screenin
             tested.residuals,
             ranking.records,
             generator,
-            thresholds.omnibus_draws,
-            thresholds.omnibus_lengths,
+            SCREENING.omnibus_draws,
+            SCREENING.omnibus_lengths,
         )
 
     def best(scores: ScoreTests, generator: np.random.Generator) -> float:
@@ -88,7 +171,7 @@ def screen(workbench: LoopWorkbench, fitted: FittedModel, step: int) -> Screenin
     ]
     found = []
     for done, test in enumerate(tests):
-        workbench.runner.display.step(LoopStage.TESTS.value, done, len(tests))
+        fitter.runner.display.step(LoopStage.TESTS.value, done, len(tests))
         found.append(test())
     ranking = replace(ranking, white=ranking.white.without_bases())  # which these tests alone need
     return ScreeningResult(ranking, *found)
@@ -140,3 +223,267 @@ def refreshed(
 ) -> CandidateEvidence:
     """A finding that has come a stage further."""
     return replace(finding, stage=stage, criterion=criterion)
+
+
+PLACES_STREAM = 7
+"""Stream of the random generator of the places; see `Fitter.generator`."""
+
+
+@dataclass(frozen=True)
+class CandidateRanking:
+    """All candidates against the residual of a fit.
+
+    Attributes
+    ----------
+    trials
+        Candidates at the points of their grids.
+    columns
+        The direction of each trial, (kept residuals, width).
+    rows
+        Indices of the residuals that were kept.
+    records
+        Of these.
+    plain, white
+        Scores against the residual as it is, and after both were whitened by an autoregression.
+    residual, residual_white
+        What they were scored against.
+    unseen
+        Candidates that were looked at, if only by their places, for each that was compared itself.
+    column_penalty
+        See `ScreeningThresholds`.
+    """
+
+    trials: tuple[CandidatePoint, ...]
+    columns: tuple[FloatArray, ...] = field(repr=False)
+    rows: IntArray = field(repr=False)
+    records: StackedRecords = field(repr=False)
+    plain: ScoreTests = field(repr=False)
+    white: ScoreTests = field(repr=False)
+    residual: ProjectedResidual = field(repr=False)
+    residual_white: ProjectedResidual = field(repr=False)
+    unseen: float = 1.0
+    column_penalty: float = ScreeningThresholds.column_penalty
+
+    @property
+    def count(self) -> int:
+        """Different candidates that the parameters do not confound, the unseen ones among them."""
+        kept = {t.candidate.effect for t, df in zip(self.trials, self.plain.df, strict=True) if df}
+        return max(1, round(len(kept) * self.unseen))
+
+    def without_bases(self) -> Self:
+        """Return it without the bases of its scores."""
+        return replace(self, plain=self.plain.without_bases(), white=self.white.without_bases())
+
+    def leaders(self, scores: ScoreTests, most: int, *, free: bool = False) -> list[int]:
+        """The best trial of each named candidate, or of each free curve; the best first."""
+        rank = scores.statistics - self.column_penalty * np.maximum(scores.df - 1, 0)
+        best: dict[str, int] = {}
+        for i in np.argsort(-rank, kind="stable").tolist():
+            trial = self.trials[i]
+            if scores.df[i] and trial.candidate.form.free is free:
+                best.setdefault(trial.candidate.effect.name, i)
+        return list(best.values())[:most]
+
+
+def rank(
+    fitter: Fitter,
+    settings: LoopSettings,
+    fitted: FittedModel,
+    chosen: PlaceThresholds = LEADING_PLACES,
+) -> CandidateRanking:
+    """Rank every candidate at a fit.
+
+    Each is compared with the residual by itself, so there may be more candidates than measured
+    values: what the choice among many costs is in the criterion of the selection.
+    """
+    trajectories = fitter.trajectories(fitted)
+    candidates, possible = _candidates(fitter, settings, fitted, trajectories, chosen)
+    trials = tuple(CandidatePoint(c, values) for c in candidates for values in c.grid)
+    width = sum(trial.width for trial in trials)
+    most = min(SCREENING.most_rows, SCREENING.most_values // max(width, 1))
+    records, rows = thinned(fitter.records, most)
+    columns = tuple(candidate_columns(fitter, fitted, trajectories, trials, rows))
+    matrix, residuals = fitted.jacobian[rows], fitted.residuals[rows]
+    plain = ProjectedResidual(OrthogonalProjection(matrix), residuals)
+    cleaned = plain.projection.remove(residuals)
+    order = SCREENING.autoregression
+    coefficients = fit_autoregression(cleaned, records, order, about_mean=True)
+
+    def whitened(values: FloatArray) -> FloatArray:
+        return whiten(values, records, coefficients)
+
+    white = ProjectedResidual(OrthogonalProjection(whitened(matrix)), whitened(residuals))
+    least = SCREENING.confounded
+    return CandidateRanking(
+        trials=trials,
+        columns=columns,
+        rows=rows,
+        records=records,
+        plain=score(plain.projection, plain.residuals, columns, least),
+        white=score(white.projection, white.residuals, columns, least, whitened),
+        residual=plain,
+        residual_white=white,
+        unseen=max(possible / max(len(candidates), 1), 1.0),
+        column_penalty=SCREENING.column_penalty,
+    )
+
+
+def _candidates(
+    fitter: Fitter,
+    settings: LoopSettings,
+    fitted: FittedModel,
+    trajectories: Sequence[LinearisedTrajectory],
+    chosen: PlaceThresholds,
+) -> tuple[list[EffectCandidate], int]:
+    """All candidates, or those at leading places where there are many; how many were looked at."""
+    description = fitter.description
+    frequencies = _peaks(fitter.records, fitted.residuals)
+    given = (fitted.problem, description, trajectories)
+    sites = candidate_sites(*given, settings)
+    arguments = open_arguments(*given)
+    forms = {site: forms_at(site, fitted.problem, description, settings) for site in sites}
+    possible = sum(count_variables(f, site, arguments) for site in sites for f in forms[site])
+    everywhere = LoopPart.PLACES_FIRST in settings.without or not fitter.by_linear_systems
+    if everywhere or possible <= chosen.most_candidates:
+        candidates = make_candidates(*given, frequencies, settings)
+        if everywhere or len(candidates) <= fitter.size:
+            return candidates, len(candidates)
+    places = open_places(sites, arguments, trajectories)
+    leading = _leading(fitter, fitted, trajectories, places, frequencies, chosen)
+    candidates = make_candidates(*given, frequencies, settings, leading)
+    looked_at = count_candidates(places, forms, arguments)
+    return candidates, looked_at + sum(candidate.form.variables > 1 for candidate in candidates)
+
+
+def _leading(
+    fitter: Fitter,
+    fitted: FittedModel,
+    trajectories: Sequence[LinearisedTrajectory],
+    places: Sequence[CandidatePlace],
+    frequencies: Sequence[float],
+    chosen: PlaceThresholds,
+) -> list[CandidatePlace]:
+    """The places at which a free curve explains the most."""
+    residual = ProjectedResidual(OrthogonalProjection(fitted.jacobian), fitted.residuals)
+    generator = fitter.generator(PLACES_STREAM)
+    ranked = rank_places(places, trajectories, residual, frequencies, generator, chosen)
+    return [each.place for each in ranked[: chosen.leading]]
+
+
+def candidate_columns(
+    fitter: Fitter,
+    fitted: FittedModel,
+    trajectories: Sequence[LinearisedTrajectory],
+    trials: Sequence[CandidatePoint],
+    rows: IntArray | None = None,
+) -> list[FloatArray]:
+    """Directions of all trials: from the linear systems, or where there are none by simulation.
+
+    `rows` are the residuals that are kept; None for all of them.
+    """
+    known = fitted.space.physical(fitted.x)
+    targets = [p.target for p in fitted.problem.parameters]
+    values = []
+    for trajectory, row in zip(trajectories, known, strict=True):
+        names = trajectory.linear.parameter_names if trajectory.linear is not None else ()
+        values.append(np.array([row[targets.index(name)] for name in names], float))
+    if fitter.by_linear_systems:
+        return directions(trajectories, trials, values, rows, fitter.compared)
+    outside = [t for t in trials if t.candidate.site.kind == "output"]
+    inside = [t for t in trials if t.candidate.site.kind != "output"]
+    kept = slice(None) if rows is None else rows
+    shown = directions(trajectories, outside, values, rows)
+    found = dict(zip(map(id, outside), shown, strict=True))
+    probed = (column[kept] for column in probe(fitter, fitted, trajectories, inside))
+    found |= dict(zip(map(id, inside), probed, strict=True))
+    return [found[id(trial)] for trial in trials]
+
+
+def _peaks(records: StackedRecords, residuals: FloatArray) -> list[float]:
+    """Angular frequencies at which the residual of some record is strongest."""
+    best: list[tuple[float, float]] = []
+    for record in records.items:
+        part, times = residuals[record.rows], record.times
+        if len(part) < SCREENING.peak_samples:
+            continue
+        step = float(np.median(np.diff(times)))
+        power = np.abs(np.fft.rfft(part - part.mean())) ** 2 / len(part)
+        rates = 2.0 * np.pi * np.fft.rfftfreq(len(part), step)
+        order = np.argsort(-power[2:])[: SCREENING.peaks] + 2
+        best += [(float(power[k]), float(rates[k])) for k in order]
+    found: list[float] = []
+    for _, rate in sorted(best, reverse=True):
+        if all(abs(rate - other) > SCREENING.peak_distance * other for other in found):
+            found.append(rate)
+    return found[: SCREENING.peaks]
+
+
+def rank_curves(
+    fitter: Fitter,
+    fitted: FittedModel,
+    ranking: CandidateRanking,
+    *,
+    variables: int = 1,
+) -> CandidateRanking:
+    """Rank the leading free curves at a fit against finer ones at the same places.
+
+    What changes faster than the values of a curve lie apart looks like little to that curve, and
+    may look like more elsewhere.
+
+    Parameters
+    ----------
+    fitted
+        The model that a curve is added to.
+    ranking
+        Of all candidates at that model.
+    variables
+        1 for curves of one argument, 2 for those of a switch, which follow most of what the switch
+        alone does and would crowd out curves that say less.
+
+    Returns
+    -------
+    CandidateRanking
+        Of these curves alone, against the residual as it is; the coarse ones come first.
+    """
+    leaders = [
+        i
+        for i in ranking.leaders(ranking.plain, len(ranking.trials), free=True)
+        if max(ranking.trials[i].candidate.form.variables, 1) == variables
+    ][: SCREENING.curves]
+    coarse = [ranking.trials[i] for i in leaders]
+    refined = len(coarse) if fitter.by_linear_systems else SCREENING.probed_curves
+    finer = [
+        CandidatePoint(candidate, values)
+        for trial in coarse[:refined]
+        for candidate in _finer_curves(trial.candidate)
+        for values in candidate.grid
+    ]
+    new = candidate_columns(fitter, fitted, fitter.trajectories(fitted), finer, ranking.rows)
+    columns = (*(ranking.columns[i] for i in leaders), *new)
+    residual = ranking.residual
+    scores = score(residual.projection, residual.residuals, columns, SCREENING.confounded)
+    return replace(ranking, trials=(*coarse, *finer), columns=columns, plain=scores)
+
+
+def leading_places(curves: CandidateRanking) -> list[int]:
+    """Return the coarsest curve of each place, in the order of what the best one there explains."""
+    coarsest: dict[tuple[EffectSite, tuple[str, ...]], int] = {}
+    for i, trial in enumerate(curves.trials):
+        coarsest.setdefault(place_of(trial.candidate), i)
+    leaders = curves.leaders(curves.plain, len(curves.trials), free=True)
+    places = dict.fromkeys(place_of(curves.trials[i].candidate) for i in leaders)
+    return [coarsest[place] for place in places]
+
+
+def place_of(candidate: EffectCandidate) -> tuple[EffectSite, tuple[str, ...]]:
+    """Return where a candidate acts, and what it is a function of."""
+    return candidate.site, candidate.effect.variables
+
+
+def _finer_curves(coarse: EffectCandidate) -> list[EffectCandidate]:
+    """Return the finer curves at the same place over the same range."""
+    found, last = [], coarse
+    while (form := finer_form(last)) is not None:
+        last = in_finer_form(last, form)
+        found.append(last)
+    return found

@@ -5,54 +5,74 @@ no named effect is accepted, and at the end of a search in the place of all that
 with it: what it leaves is partly its own error, which named effects would only patch.
 
 A curve also leads to a name: the score of a small effect may be low where a large one acts, but
-along the trajectory that a curve has come to, functions of its argument are easily told apart.
+along the trajectory that a curve has come to, functions of its argument are easily told apart. And
+it leads to one effect in the place of several: the first step of a large effect may point anywhere,
+so that several small ones patch what one large one does. A curve that is refitted from coarse to
+fine finds its way to it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.finer_curves import finer_form, refined
-from cluster_est.closed_loop.screening.curves import leading_places, place_of, rank_curves
-from cluster_est.closed_loop.screening.ranking import CandidateRanking
-from cluster_est.closed_loop.selection.accept import can_be_linearised
-from cluster_est.closed_loop.selection.gates import (
-    claimable_sse,
+from cluster_est.closed_loop.candidates.make import finer_form, refined
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
+from cluster_est.closed_loop.screening.screen import (
+    SCREENING,
+    CandidateRanking,
+    leading_places,
+    place_of,
+    rank_curves,
 )
-from cluster_est.closed_loop.selection.refinement.first_steps import first_steps
-from cluster_est.closed_loop.selection.refinement.refine import (
-    RefittedCandidate,
+from cluster_est.closed_loop.selection.gates import SELECTION, choose, reason_to_stop
+from cluster_est.closed_loop.selection.linear_model import (
+    NO_BOUND,
+    REFINEMENT,
+    PruningBound,
+    can_reach,
+    first_steps,
 )
-from cluster_est.closed_loop.selection.refinement.refits import SHORT, full_refit
-from cluster_est.closed_loop.selection.refinement.same_argument import (
-    refit_same_argument,
+from cluster_est.closed_loop.selection.neighbours import (
+    refit_siblings,
     starts_in_its_place,
 )
-from cluster_est.closed_loop.selection.refinement.useful_fit import (
-    ANY_FIT,
-    UsefulFit,
-    may_become_useful,
+from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction, can_be_linearised
+from cluster_est.closed_loop.selection.refits import (
+    SHORT,
+    RefittedCandidate,
+    Rivals,
+    full_refit,
+    rivals_of,
 )
-from cluster_est.closed_loop.selection.rounds import RoundStart
-from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.closed_loop.selection.rounds import (
+    RoundEnd,
+    RoundStart,
+    can_be_claimed,
+    claimable_sse,
+    leaves_more_than_noise,
+)
+from cluster_est.closed_loop.settings import LoopPart, LoopStage
+from cluster_est.statistics.records import StackedRecords
+from cluster_est.statistics.whitening import deviance, fit_autoregression
 
 
-def refit_curves(workbench: LoopWorkbench, begun: RoundStart) -> list[RefittedCandidate]:
-    """Refit free curves at the leading places, from coarse to fine; the best comes first.
+def free_curve(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[RefittedCandidate]:
+    """Propose free curves, and forms of the library to which the best of them leads.
 
     Those of a switch are among them, because no named effect passes here.
     """
-    curves = [*coarse_curves(workbench, begun), *switched_curves(workbench, begun)]
-    coarse = _ordered(workbench, [curve.fitted for curve in curves])
-    found = [*coarse, *finer_curves(workbench, begun, coarse)]
-    return sorted(found, key=lambda c: c.criterion)
+    del best
+    curves = [*coarse_curves(fitter, begun), *switched_curves(fitter, begun)]
+    coarse = _ordered(fitter.records, [curve.fitted for curve in curves])
+    found = [*coarse, *finer_curves(fitter, begun, coarse)]
+    curves = sorted(found, key=lambda c: c.criterion)
+    return [*curves, *refit_named(fitter, begun, curves)]
 
 
-def coarse_curves(workbench: LoopWorkbench, begun: RoundStart) -> list[RefittedCandidate]:
+def coarse_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate]:
     """Refit curves of few values to convergence; the best comes first.
 
     Those at the leading places, and where the best of them is nearly right, those at other places
@@ -63,13 +83,14 @@ def coarse_curves(workbench: LoopWorkbench, begun: RoundStart) -> list[RefittedC
     begun
         The start of the round that they are tried in.
     """
-    curves = rank_curves(workbench, begun.model, begun.screening.ranking)
-    seen = _leading(workbench, begun, curves, workbench.thresholds.refinement.curves)
-    seen += _finished(workbench, _in_other_places(workbench, begun, curves, seen))
-    return _ordered(workbench, seen)
+    most = REFINEMENT.curves if begun.has(LoopPart.FREE_CURVE) else 0
+    curves = rank_curves(fitter, begun.model, begun.screening.ranking)
+    seen = _leading(fitter, begun, curves, most)
+    seen += _finished(fitter, _in_other_places(fitter, begun, curves, seen))
+    return _ordered(fitter.records, seen)
 
 
-def switched_curves(workbench: LoopWorkbench, begun: RoundStart) -> list[RefittedCandidate]:
+def switched_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate]:
     """Refit the leading curve of a switch, such as a friction whose level depends on the place.
 
     Only where no named effect passes, or nothing that was found may be claimed: it contains what a
@@ -80,27 +101,27 @@ def switched_curves(workbench: LoopWorkbench, begun: RoundStart) -> list[Refitte
     begun
         The start of the round that it is tried in.
     """
-    if not workbench.thresholds.refinement.curves:
+    if not begun.has(LoopPart.FREE_CURVE):
         return []
-    curves = rank_curves(workbench, begun.model, begun.screening.ranking, variables=2)
-    return _ordered(workbench, _leading(workbench, begun, curves, 1))
+    curves = rank_curves(fitter, begun.model, begun.screening.ranking, variables=2)
+    return _ordered(fitter.records, _leading(fitter, begun, curves, 1))
 
 
 def _leading(
-    workbench: LoopWorkbench, begun: RoundStart, curves: CandidateRanking, most: int
+    fitter: Fitter, begun: RoundStart, curves: CandidateRanking, most: int
 ) -> list[FittedModel]:
     """Refit the curves of few values at the leading places to convergence."""
     leaders = leading_places(curves)[:most]
-    starts = [step.start for step in first_steps(workbench, begun.model, curves, leaders)]
-    brief = [f for f in workbench.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
-    return _finished(workbench, brief)
+    starts = [step.start for step in first_steps(fitter, begun.model, curves, leaders)]
+    brief = [f for f in fitter.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
+    return _finished(fitter, brief)
 
 
 def finer_curves(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     begun: RoundStart,
     coarse: Sequence[RefittedCandidate],
-    useful: UsefulFit = ANY_FIT,
+    bound: PruningBound = NO_BOUND,
 ) -> list[RefittedCandidate]:
     """Refit finer curves from those that have been refitted; the best comes first.
 
@@ -114,29 +135,31 @@ def finer_curves(
         The start of the round that they are tried in.
     coarse
         The curves to begin with.
-    useful
+    bound
         What a curve must come down to beside a claim.
     """
-    records, alternative = workbench.records, workbench.thresholds.refinement.alternative
-    claim = claimable_sse(workbench, begun, workbench.settings.max_effects)
-    useful = replace(useful, sse=min(useful.sse, claim))
+    records, alternative = fitter.records, REFINEMENT.alternative
+    prunes = begun.has(LoopPart.PRUNING)
+    claim = claimable_sse(begun, begun.settings.max_effects) if prunes else np.inf
+    bound = replace(bound, sse=min(bound.sse, claim))
     going = [curve.fitted for curve in coarse]
     seen: list[FittedModel] = []
     while going:
-        going = _finer_fits(workbench, begun, going, useful)
+        going = _finer_fits(fitter, begun, going, bound)
         seen += going
         best = min((f.criterion(records) for f in seen), default=np.inf)
         going = [f for f in going if f.criterion(records) <= best + alternative]
-    return _ordered(workbench, seen)
+    return _ordered(fitter.records, seen)
 
 
-def _ordered(workbench: LoopWorkbench, fits: Sequence[FittedModel]) -> list[RefittedCandidate]:
-    made = [RefittedCandidate(f, f.criterion(workbench.records), True) for f in fits]
+def _ordered(records: StackedRecords, fits: Sequence[FittedModel]) -> list[RefittedCandidate]:
+    move = LoopPart.FREE_CURVE
+    made = [RefittedCandidate(f, f.criterion(records), True, move) for f in fits]
     return sorted(made, key=lambda c: c.criterion)
 
 
 def _in_other_places(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     begun: RoundStart,
     curves: CandidateRanking,
     seen: Sequence[FittedModel],
@@ -147,40 +170,37 @@ def _in_other_places(
     """
     if not seen:
         return []
-    thresholds, records = workbench.thresholds.refinement, workbench.records
+    records = fitter.records
     best = min(seen, key=lambda f: f.criterion(records))
     closed = begun.model.sse - best.sse
-    if (
-        closed < thresholds.closes * (begun.model.sse - begun.floor)
-        or not workbench.by_linear_systems
-    ):
+    if closed < REFINEMENT.closes * (begun.model.sse - begun.floor) or not fitter.by_linear_systems:
         return []
     known = {place_of(f.added[-1]) for f in seen}
     trials = [curves.trials[i] for i in leading_places(curves)]
     trials = [trial for trial in trials if place_of(trial.candidate) not in known]
-    if not trials or not can_be_linearised(workbench, best):
+    if not trials or not can_be_linearised(fitter, best):
         return []
     own = RefittedCandidate(best, best.criterion(records), True)
-    starts = starts_in_its_place(workbench, begun.model, own, trials, thresholds.curves)
-    return [f for f in workbench.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
+    starts = starts_in_its_place(fitter, begun.model, own, trials, REFINEMENT.curves)
+    return [f for f in fitter.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
 
 
 def refit_named(
-    workbench: LoopWorkbench, begun: RoundStart, curves: Sequence[RefittedCandidate]
+    fitter: Fitter, begun: RoundStart, curves: Sequence[RefittedCandidate]
 ) -> list[RefittedCandidate]:
     """Refit forms of the library in the place of the best curve, from where it stands."""
-    named = refit_same_argument(workbench, begun.model, begun.screening.ranking, curves[:1])
+    named = refit_siblings(fitter, begun, begun.model, begun.screening.ranking, curves[:1])
     return sorted(named, key=lambda c: c.criterion)
 
 
-def _finished(workbench: LoopWorkbench, fits: Sequence[FittedModel]) -> list[FittedModel]:
+def _finished(fitter: Fitter, fits: Sequence[FittedModel]) -> list[FittedModel]:
     """Refit to convergence; what cannot be stays as it is."""
-    finished = workbench.fit(LoopStage.REFITS, [f.start for f in fits], full_refit(workbench))
+    finished = fitter.fit(LoopStage.REFITS, [f.start for f in fits], full_refit(fitter))
     return [new or old for new, old in zip(finished, fits, strict=True)]
 
 
 def _finer_fits(
-    workbench: LoopWorkbench, begun: RoundStart, fits: Sequence[FittedModel], useful: UsefulFit
+    fitter: Fitter, begun: RoundStart, fits: Sequence[FittedModel], bound: PruningBound
 ) -> list[FittedModel]:
     """Refit each curve with twice as many steps, where it leaves more than noise or is behind.
 
@@ -189,18 +209,18 @@ def _finer_fits(
     rough = [
         f
         for f in fits
-        if f.sse > _largest_noise(workbench, begun.floor)
-        or f.criterion(workbench.records) > useful.criterion
+        if f.sse > _largest_noise(fitter.size, begun.floor)
+        or f.criterion(fitter.records) > bound.criterion
     ]
-    asked = [(f, start) for f in rough if (start := _finer_start(workbench, f)) is not None]
-    brief = workbench.fit(LoopStage.REFITS, [start for _, start in asked], SHORT)
+    asked = [(f, start) for f in rough if (start := _finer_start(fitter, f)) is not None]
+    brief = fitter.fit(LoopStage.REFITS, [start for _, start in asked], SHORT)
     hopeful = [
         (old, new)
         for (old, _), new in zip(asked, brief, strict=True)
-        if new is not None and may_become_useful(workbench, new, _reachable(new, useful))
+        if new is not None and can_reach(fitter.records, new, _reachable(new, bound))
     ]
-    finished = _finished(workbench, [new for _, new in hopeful])
-    records = workbench.records
+    finished = _finished(fitter, [new for _, new in hopeful])
+    records = fitter.records
     return [
         new
         for (old, _), new in zip(hopeful, finished, strict=True)
@@ -208,25 +228,175 @@ def _finer_fits(
     ]
 
 
-def _largest_noise(workbench: LoopWorkbench, floor: float) -> float:
+def _largest_noise(size: int, floor: float) -> float:
     """The sum of squares that noise alone hardly ever exceeds: two standard deviations above it."""
-    return float(floor * (1.0 + 2.0 * np.sqrt(2.0 / max(workbench.size, 1))))
+    return float(floor * (1.0 + 2.0 * np.sqrt(2.0 / max(size, 1))))
 
 
-def _reachable(fitted: FittedModel, useful: UsefulFit) -> UsefulFit:
+def _reachable(fitted: FittedModel, bound: PruningBound) -> PruningBound:
     """What a curve must come down to itself; what its criterion must, the finest may still do."""
     finest = finer_form(fitted.added[-1]) is None
-    return useful if finest else UsefulFit(sse=useful.sse)
+    return bound if finest else PruningBound(sse=bound.sse)
 
 
-def _finer_start(workbench: LoopWorkbench, fitted: FittedModel) -> FitStart | None:
+def _finer_start(fitter: Fitter, fitted: FittedModel) -> FitStart | None:
     """The model with a finer curve that says the same; None where there is none."""
     curve = fitted.added[-1]
     form = finer_form(curve)
-    if form is None or not can_be_linearised(workbench, fitted):
+    if form is None or not can_be_linearised(fitter, fitted):
         return None
     held = {p.name: p.start for p in fitted.problem.parameters if p.fixed}
     known = {**fitted.estimates, **held}
     values = [known[f"{curve.effect.name}.{c.name}"] for c in curve.form.coefficients]
-    finer, heights = refined(curve, values, workbench.trajectories(fitted), form)
+    finer, heights = refined(curve, values, fitter.trajectories(fitted), form)
     return fitted.start.minus(len(fitted.added) - 1).plus(finer, heights)
+
+
+@dataclass(frozen=True)
+class SingleEffects:
+    """Effects that may take the place of all that a search adds, refitted to the declared model.
+
+    Attributes
+    ----------
+    curves, named
+        Free curves, and forms of the library of the argument of the best of them.
+    fine
+        Finer curves have been refitted too, where those led on.
+    """
+
+    curves: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
+    named: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
+    fine: bool = False
+
+
+@dataclass(frozen=True)
+class SingleEffect:
+    """One that takes their place.
+
+    Attributes
+    ----------
+    won, prediction
+        The declared model with it, and its leave-one-out prediction.
+    rivals
+        The effects that the data leave possible in its place.
+    """
+
+    won: RefittedCandidate = field(repr=False)
+    prediction: LeaveOneOutPrediction
+    rivals: Rivals = field(repr=False)
+
+
+def may_be_single(first: RoundStart, current: FittedModel) -> bool:
+    """Return whether another effect may take the place of those that were added.
+
+    They are several, or leave more than noise, and something is missing at all.
+    """
+    patched = len(current.added) > 1 or leaves_more_than_noise(current, first.floor)
+    free = any(candidate.form.free for candidate in current.added)
+    return patched and not free and reason_to_stop(first) is None
+
+
+def single_effects(
+    fitter: Fitter,
+    first: RoundStart,
+    current: FittedModel,
+    known: SingleEffects | None = None,
+    *,
+    whole: bool = False,
+) -> SingleEffects:
+    """Refit the single effects that could fit better than a structure does.
+
+    Curves are made finer only where they may be taken, see `single_instead`, and where there is
+    something to be gained: one or two effects leave more than noise, or three look like patches.
+    The curve of a switch is among them where nothing found may be claimed.
+
+    Parameters
+    ----------
+    first
+        The start of the search's first round.
+    current
+        The model with the effects that were added.
+    known
+        Those that have been refitted already.
+    whole
+        As in `single_instead`.
+    """
+    if known is None:
+        curves = coarse_curves(fitter, first)
+        known = SingleEffects(tuple(curves), tuple(refit_named(fitter, first, curves)))
+    early = whole and len(current.added) < 2
+    gains = len(current.added) > 2 or leaves_more_than_noise(current, first.floor)
+    if known.fine or early or not gains:
+        return known
+    if not whole and not can_be_claimed(first, current):
+        switched = switched_curves(fitter, first)
+        known = replace(known, curves=(*known.curves, *switched))
+    bound = first.bound(criterion=current.criterion(fitter.records))
+    finer = finer_curves(fitter, first, known.curves, bound)
+    curves = sorted((*known.curves, *finer), key=lambda c: c.criterion)
+    return replace(known, curves=tuple(curves), fine=True)
+
+
+def single_instead(
+    fitter: Fitter,
+    first: RoundStart,
+    current: FittedModel,
+    prediction: LeaveOneOutPrediction,
+    singles: SingleEffects,
+    *,
+    whole: bool = False,
+) -> SingleEffect | None:
+    """Return the single effect that takes the place of all that were added; None if they stay.
+
+    It must fit better, also if what is left is noise as coloured as it looks, and predict better. A
+    curve must fit better by the price of a choice among all pairs, and waits for two effects: as a
+    function of one argument, it imitates every sum of two that have this one.
+
+    Parameters
+    ----------
+    first
+        The start of the search's first round.
+    current, prediction
+        The model with the effects that were added, and its leave-one-out prediction.
+    singles
+        See `single_effects`.
+    whole
+        Take only what leaves no more than noise.
+    """
+    price = SELECTION.pair_price * float(np.log(first.screening.count))
+
+    def fits_better(contender: RefittedCandidate, least: float) -> bool:
+        if contender.candidate.form.free and whole and len(current.added) < 2:
+            return False
+        if whole and leaves_more_than_noise(contender.fitted, first.floor):
+            return False
+        return min(_falls(fitter.records, current, contender.fitted)) > least
+
+    for contenders, least in ((singles.named, 0.0), (singles.curves, price)):
+        if not any(fits_better(contender, least) for contender in contenders):
+            continue  # the gates cost simulations
+        end = choose(fitter, first, contenders)
+        if end.won is None or end.prediction is None or not fits_better(end.won, least):
+            continue
+        if end.prediction.total < prediction.total:
+            rivals = rivals_of(end.won, end.seen.contenders)
+            return SingleEffect(end.won, end.prediction, rivals)
+    return None
+
+
+def coloured_criterion(fitted: FittedModel, records: StackedRecords, order: int) -> float:
+    """The criterion where what is left is an autoregression of this order, for each output.
+
+    Of coloured residuals the plain criterion counts samples that say the same as so many pieces of
+    evidence, and many coefficients look as if they paid for themselves.
+    """
+    coefficients = fit_autoregression(fitted.residuals, records, order)
+    likelihood = deviance(fitted.residuals, records, coefficients)
+    return float(likelihood + fitted.space.size * np.log(len(fitted.residuals)))
+
+
+def _falls(records: StackedRecords, before: FittedModel, after: FittedModel) -> tuple[float, float]:
+    """By how much the criterion falls: for white noise, and for noise as coloured as the rest."""
+    order = SCREENING.autoregression
+    coloured = [coloured_criterion(fitted, records, order) for fitted in (before, after)]
+    return before.criterion(records) - after.criterion(records), coloured[0] - coloured[1]

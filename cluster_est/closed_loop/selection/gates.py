@@ -1,142 +1,359 @@
-"""The gates that a larger structure must pass to take the place of the accepted one."""
+"""The gates that a larger structure must pass to take the place of the accepted one.
+
+Each has a name by which a setting leaves it out, a threshold, and an origin of that: "theory" names
+a result, "signal" is a property of measured data or of a simulation, "setting" is a key of
+`[closed_loop]`, and "benchmark" means that no theory gives it: the rates of
+`scripts/closed_loop_benchmark/RESULTS.md` were measured with it. Tune it on the systems there that
+say `split="tune"`, never on the others.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from cluster_est.closed_loop.fitter import FittedModel, Fitter
+from cluster_est.closed_loop.numerical_error import NUMERICAL_ERROR
 from cluster_est.closed_loop.screening.screen import screen
-from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction, is_usable, predict
-from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate, plainest
+from cluster_est.closed_loop.selection.functions_of_time import TIME_FUNCTIONS, admissible
+from cluster_est.closed_loop.selection.prediction import (
+    LeaveOneOutPrediction,
+    can_be_linearised,
+    is_usable,
+    predict,
+)
+from cluster_est.closed_loop.selection.refits import RefittedCandidate, most_parsimonious
 from cluster_est.closed_loop.selection.rounds import (
+    VERDICT,
     RejectionReason,
     RoundEnd,
     RoundStart,
     SelectionRound,
+    leaves_more_than_noise,
 )
-from cluster_est.closed_loop.selection.waves import believable
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.settings import LoopPart
 from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.whitening import deviance, fit_autoregression
 from workers.messages import FloatArray
 
 
-def reason_to_stop(workbench: LoopWorkbench, begun: RoundStart) -> RejectionReason | None:
+@dataclass(frozen=True)
+class SelectionThresholds:
+    """Thresholds that the best contender of a round must pass.
+
+    Attributes
+    ----------
+    choice_price
+        Logarithms of the number of candidates that the gain must pay for. Theory: a Bonferroni
+        correction, twice the logarithm on the scale of the criterion.
+    pair_price
+        The same, of two effects in the place of one. Theory: the pairs are as many as the square.
+    solo_gain
+        Gain of the criterion with which an effect may live in a minority of the experiments.
+        Benchmark.
+    solo_share
+        Ratio of squares below which an experiment fits clearly better. Benchmark.
+    minority
+        Share of the experiments that is one. By definition.
+    hard
+        Share of the gap to the noise that a single effect must close, or two at once are tried.
+        Benchmark.
+    least_gap
+        Share of the noise that a gap counts as at least. Benchmark.
+    mostly_better
+        Share of the parts left out that must be predicted better for the rest to count as noise.
+        Benchmark.
+    least_fall
+        Share of the squares that must be explained for the same. Benchmark.
+    local_minimum
+        Ratio of squares below which the declared model, restarted from the new parameters, was in a
+        local minimum before. Benchmark.
+    autoregression
+        Order of the noise that a gain is compared with. Signal: the noise of a sensor with that of
+        a process on it is no autoregression of low order; the order up to which intervals look.
+    """
+
+    choice_price: float = 2.0
+    pair_price: float = 4.0
+    solo_gain: float = 30.0
+    solo_share: float = 0.98
+    minority: float = 0.5
+    hard: float = 0.7
+    least_gap: float = 0.02
+    mostly_better: float = 0.75
+    least_fall: float = 0.02
+    local_minimum: float = 0.97
+    autoregression: int = 20
+
+
+SELECTION = SelectionThresholds()
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """The best proposal of a round, and what it predicts.
+
+    Attributes
+    ----------
+    begun
+        The round.
+    chosen, after
+        The proposal, and its leave-one-out prediction.
+    gain
+        Of the criterion, less what the choice among the candidates must pay.
+    closed
+        Share of the gap between predictions and noise that it closes.
+    coloured
+        Autocorrelated noise would explain as much.
+    """
+
+    begun: RoundStart = field(repr=False)
+    chosen: RefittedCandidate = field(repr=False)
+    after: LeaveOneOutPrediction
+    gain: float
+    closed: float
+    coloured: bool
+
+    @property
+    def of_few(self) -> bool:
+        """A minority of the experiments fits clearly better, and by much."""
+        current, grown = self.begun.model, self.chosen.fitted
+        few = _improved(current, grown, SELECTION.solo_share) <= SELECTION.minority
+        return self.gain > SELECTION.solo_gain and few
+
+    @property
+    def predicts_better(self) -> bool:
+        return self.after.total < self.begun.prediction.total
+
+
+@dataclass(frozen=True)
+class Stop:
+    """What ends a search before anything is proposed; without a part it cannot be left out."""
+
+    part: LoopPart | None
+    refuses: Callable[[RoundStart], bool]
+    reason: RejectionReason
+    origin: str
+
+
+@dataclass(frozen=True)
+class Filter:
+    """What refuses proposals of a round before the best of them is chosen; see `Gate`.
+
+    Attributes
+    ----------
+    kept
+        Those that pass, the one to be chosen first.
+    """
+
+    part: LoopPart
+    kept: Callable[[Fitter, RoundStart, list[RefittedCandidate]], list[RefittedCandidate]]
+    reason: RejectionReason
+    threshold: float
+    origin: str
+
+
+@dataclass(frozen=True)
+class Gate:
+    """What refuses the best proposal of a round.
+
+    Attributes
+    ----------
+    part
+        Its name.
+    refuses
+        Whether it does; it may simulate.
+    reason
+        What the summary says then.
+    threshold, origin
+        The number that it compares with, where it is one of its own; where it comes from.
+    """
+
+    part: LoopPart
+    refuses: Callable[[Attempt, Fitter], bool]
+    reason: RejectionReason
+    threshold: float
+    origin: str
+
+
+STOPS = (
+    Stop(
+        None,
+        lambda begun: not begun.screening.ranking.trials,
+        RejectionReason.NO_CANDIDATE,
+        "by definition",
+    ),
+    Stop(
+        LoopPart.SIGNIFICANCE,
+        lambda begun: begun.screening.p > begun.settings.significance,
+        RejectionReason.NOT_SIGNIFICANT,
+        "setting: significance",
+    ),
+    Stop(
+        LoopPart.COLOURED_NOISE,
+        lambda begun: begun.screening.p_white > begun.settings.significance,
+        RejectionReason.COLOURED_NOISE,
+        "setting: significance",
+    ),
+    Stop(
+        None,
+        lambda begun: len(begun.model.added) >= begun.settings.max_effects,
+        RejectionReason.LIMIT_OF_EFFECTS,
+        "setting: max_effects",
+    ),
+    Stop(
+        LoopPart.CURVE_ENDS,
+        lambda begun: any(candidate.form.free for candidate in begun.model.added),
+        RejectionReason.FREE_CURVE,
+        "by definition: what a curve leaves is partly its own error",
+    ),
+)
+"""In the order in which they are asked."""
+
+FILTERS = (
+    Filter(
+        LoopPart.CRITERION,
+        lambda fitter, begun, contenders: _improving(fitter.records, begun, contenders),
+        RejectionReason.NO_IMPROVEMENT,
+        0.0,
+        "by definition",
+    ),
+    Filter(
+        LoopPart.WAVES,
+        lambda fitter, begun, contenders: admissible(fitter, begun.model, contenders),
+        RejectionReason.ONLY_WAVES,
+        TIME_FUNCTIONS.periods,
+        "signal: of fewer periods a drift looks the same",
+    ),
+)
+"""In the order in which they are asked. What is left must besides stay bounded (`BOUNDED`), which
+is asked of the best alone, because it takes a simulation."""
+
+GATES = (
+    Gate(
+        LoopPart.CHOICE_PRICE,
+        lambda attempt, _: attempt.gain <= 0.0,
+        RejectionReason.LITTLE_GAIN,
+        SELECTION.choice_price,
+        "theory: a Bonferroni correction for the choice among the candidates",
+    ),
+    Gate(
+        LoopPart.COLOURED_GAIN,
+        lambda attempt, _: attempt.coloured and _may_leave_noise(attempt),
+        RejectionReason.COLOURED_GAIN,
+        SELECTION.autoregression,
+        "signal: the noise of a sensor with that of a process on it",
+    ),
+    Gate(
+        LoopPart.NUMERICAL,
+        lambda attempt, _: _fall(attempt) <= attempt.begun.numerical,
+        RejectionReason.NUMERICAL_ERROR,
+        NUMERICAL_ERROR.known,
+        "theory: the error of a step, which is known up to this factor",
+    ),
+    Gate(
+        LoopPart.PREDICTION,
+        lambda attempt, _: not attempt.predicts_better and not attempt.of_few,
+        RejectionReason.NOT_PREDICTED,
+        SELECTION.solo_gain,
+        "benchmark: the gain with which an effect may live in a minority of the experiments",
+    ),
+    Gate(
+        LoopPart.LEAST_GAIN,
+        lambda attempt, fitter: _explains_little(attempt, fitter),
+        RejectionReason.LITTLE_EXPLAINED,
+        VERDICT.gap,
+        "setting: least_gain; benchmark: the gap from which it is asked for",
+    ),
+)
+"""In the order in which they are asked."""
+
+
+def reason_to_stop(begun: RoundStart) -> RejectionReason | None:
     """Return why nothing need be refitted; None if something may be missing."""
-    settings, screening = workbench.settings, begun.screening
-    if not screening.ranking.trials:
-        return RejectionReason.NO_CANDIDATE
-    if screening.p > settings.significance:
-        return RejectionReason.NOT_SIGNIFICANT
-    if screening.p_white > settings.significance:
-        return RejectionReason.COLOURED_NOISE
-    if len(begun.model.added) >= settings.max_effects:
-        return RejectionReason.LIMIT_OF_EFFECTS
-    if any(candidate.form.free for candidate in begun.model.added):
-        return RejectionReason.FREE_CURVE
-    return None
+    asked = (stop for stop in STOPS if stop.part not in begun.settings.without)
+    return next((stop.reason for stop in asked if stop.refuses(begun)), None)
 
 
-def leaves_more_than_noise(workbench: LoopWorkbench, fitted: FittedModel, floor: float) -> bool:
-    """Return whether the residual of a fit is clearly larger than the noise."""
-    return fitted.sse > workbench.thresholds.selection.gap * floor
+def first_refusal(fitter: Fitter, attempt: Attempt) -> Gate | None:
+    """Return the first gate that a proposal does not pass; None if it passes all."""
+    asked = (gate for gate in GATES if gate.part not in attempt.begun.settings.without)
+    return next((gate for gate in asked if gate.refuses(attempt, fitter)), None)
 
 
-def useful_sse(workbench: LoopWorkbench, begun: RoundStart, added: int) -> float:
-    """Return the sum of squares that structures of a round must come down to, to be of any use.
-
-    With the last effect that is allowed a structure must close the least share of the gap, and as
-    much of it as a claim needs. What may be the noise of sensors for its size has to close nothing,
-    and a smaller structure neither: a further effect may show what it is good for.
+def choose(fitter: Fitter, begun: RoundStart, proposals: Sequence[RefittedCandidate]) -> RoundEnd:
+    """Return the best proposal that stays bounded, if it passes the gates.
 
     Parameters
     ----------
-    added
-        Number of effects of the structures.
+    begun
+        The round.
+    proposals
+        Structures larger than the accepted one, refitted.
     """
-    settings, floor = workbench.settings, begun.floor
-    if added < settings.max_effects:
-        return np.inf
-    gate = begun.model.sse - settings.least_gain * (begun.model.sse - floor)
-    claim = _claim_sse(workbench, begun.base, floor)
-    return max(min(gate, claim), _near_noise_sse(workbench, floor))
-
-
-def claimable_sse(workbench: LoopWorkbench, begun: RoundStart, added: int) -> float:
-    """Return the sum of squares above which a structure of so many effects comes to nothing.
-
-    Where nothing can be added to it, it must close as much of the gap as a claim needs, or be the
-    noise of sensors for its size.
-    """
-    if added < workbench.settings.max_effects:
-        return np.inf
-    return _least_claim_sse(workbench, begun)
-
-
-def can_be_claimed(workbench: LoopWorkbench, begun: RoundStart, fitted: FittedModel) -> bool:
-    """Return whether a structure closes as much as a claim needs, or leaves sensors' noise."""
-    return fitted.sse <= _least_claim_sse(workbench, begun)
-
-
-def _least_claim_sse(workbench: LoopWorkbench, begun: RoundStart) -> float:
-    claim = _claim_sse(workbench, begun.base, begun.floor)
-    return max(claim, _near_noise_sse(workbench, begun.floor))
-
-
-def _claim_sse(workbench: LoopWorkbench, base: FittedModel, floor: float) -> float:
-    return base.sse - workbench.thresholds.verdict.most * (base.sse - floor)
-
-
-def _near_noise_sse(workbench: LoopWorkbench, floor: float) -> float:
-    settings, thresholds = workbench.settings, workbench.thresholds.verdict
-    near = settings.near_noise if workbench.sigma_declared else thresholds.coloured
-    return float(near**2 * floor)
-
-
-def best_that_passes(
-    workbench: LoopWorkbench, begun: RoundStart, contenders: Sequence[RefittedCandidate]
-) -> RoundEnd:
-    """The best contender that stays bounded, if it passes the gates."""
     current = begun.model
-    if not contenders:
+    if not proposals:
         return RoundEnd(SelectionRound(begun.screening, (), RejectionReason.LITTLE_PROMISED))
-    better = [c for c in contenders if c.criterion < current.criterion(workbench.records)]
-    left = believable(workbench, current, better)
-    why = RejectionReason.ONLY_WAVES if better and not left else RejectionReason.NO_IMPROVEMENT
+    left = ranked = sorted(proposals, key=lambda c: c.criterion)
+    stopped: dict[frozenset[str], LoopPart] = {}
+    why = RejectionReason.NO_IMPROVEMENT
+    for filter_ in (each for each in FILTERS if begun.has(each.part) and left):
+        kept = filter_.kept(fitter, begun, left)
+        known = {id(contender) for contender in kept}
+        stopped |= {c.fitted.structure: filter_.part for c in left if id(c) not in known}
+        left, why = kept, why if kept else filter_.reason
     while left:
-        chosen = plainest(left, workbench.thresholds.refinement)
-        if is_usable(workbench, chosen.fitted, current):
+        chosen = most_parsimonious(left)
+        if may_go_on(fitter, begun, chosen.fitted, current):
             break
+        stopped[chosen.fitted.structure] = LoopPart.BOUNDED
         left = [c for c in left if c is not chosen]
     if not left:
-        return RoundEnd(SelectionRound(begun.screening, tuple(contenders), why))
-    after = predict(workbench, chosen.fitted)
-    gain, closed = _gain(workbench, begun, chosen), _closed(workbench, begun, after)
-    coloured = coloured_noise_explains(workbench, begun, chosen)
-    failed = failed_gate(workbench, begun, chosen.fitted, after, gain, closed, coloured=coloured)
-    seen = SelectionRound(begun.screening, tuple(left), failed, gain, closed, coloured)
-    return RoundEnd(seen) if failed is not None else RoundEnd(seen, chosen, after)
+        return RoundEnd(SelectionRound(begun.screening, tuple(ranked), why), stopped=stopped)
+    after = predict(fitter, chosen.fitted)
+    gain, closed = _gain(fitter.records, begun, chosen), _closed(begun, after)
+    coloured = coloured_noise_explains(fitter.records, begun, chosen)
+    failed = first_refusal(fitter, Attempt(begun, chosen, after, gain, closed, coloured))
+    if failed is None:
+        seen = SelectionRound(begun.screening, tuple(left), None, gain, closed, coloured)
+        return RoundEnd(seen, chosen, after, stopped=stopped)
+    stopped[chosen.fitted.structure] = failed.part
+    seen = SelectionRound(begun.screening, tuple(left), failed.reason, gain, closed, coloured)
+    return RoundEnd(seen, stopped=stopped)
 
 
-def _gain(workbench: LoopWorkbench, begun: RoundStart, chosen: RefittedCandidate) -> float:
+def may_go_on(fitter: Fitter, begun: RoundStart, fitted: FittedModel, trusted: FittedModel) -> bool:
+    """Return whether a grown model stays bounded, and the search can go on from it in any case."""
+    if begun.has(LoopPart.BOUNDED):
+        return is_usable(fitter, fitted, trusted)
+    return can_be_linearised(fitter, fitted)
+
+
+def _improving(
+    records: StackedRecords, begun: RoundStart, contenders: Sequence[RefittedCandidate]
+) -> list[RefittedCandidate]:
+    """The contenders whose criterion is better than that of the accepted structure."""
+    most = begun.model.criterion(records)
+    return [c for c in contenders if c.criterion < most]
+
+
+def _gain(records: StackedRecords, begun: RoundStart, chosen: RefittedCandidate) -> float:
     """Gain of the criterion, less what the choice among the candidates must pay."""
-    penalty = _choice_penalty(workbench, begun, chosen)
-    return float(begun.model.criterion(workbench.records) - chosen.criterion - penalty)
+    penalty = _choice_penalty(begun, chosen)
+    return float(begun.model.criterion(records) - chosen.criterion - penalty)
 
 
-def _choice_penalty(
-    workbench: LoopWorkbench, begun: RoundStart, chosen: RefittedCandidate
-) -> float:
+def _choice_penalty(begun: RoundStart, chosen: RefittedCandidate) -> float:
     known = len(begun.model.added)
     added = len(chosen.fitted.added) - known
-    price = workbench.thresholds.selection.choice_price
     # each further effect must earn more: what the ones before leave is partly their own error
-    return float(price * added * (1 + known) * np.log(begun.screening.count))
+    return float(SELECTION.choice_price * added * (1 + known) * np.log(begun.screening.count))
 
 
 def coloured_noise_explains(
-    workbench: LoopWorkbench, begun: RoundStart, chosen: RefittedCandidate
+    records: StackedRecords, begun: RoundStart, chosen: RefittedCandidate
 ) -> bool:
     """Return whether autocorrelated noise would explain as much as an effect does.
 
@@ -145,13 +362,12 @@ def coloured_noise_explains(
     models are compared once more with an autoregression for the noise of each output: the one of
     what the effect leaves.
     """
-    thresholds, records = workbench.thresholds, workbench.records
     before, after = begun.model, chosen.fitted
     longest = max((len(item.times) for item in records.items), default=0)
-    order = min(thresholds.selection.autoregression, longest // 10)
+    order = min(SELECTION.autoregression, longest // 10)
     gain = _coloured_gain(before.residuals, after.residuals, records, order)
     unknowns = (after.space.size - before.space.size) * np.log(len(after.residuals))
-    return bool(gain <= unknowns + _choice_penalty(workbench, begun, chosen))
+    return bool(gain <= unknowns + _choice_penalty(begun, chosen))
 
 
 def _coloured_gain(
@@ -170,43 +386,29 @@ def _coloured_gain(
     return deviance(before, records) - deviance(after, records)
 
 
-def _closed(workbench: LoopWorkbench, begun: RoundStart, after: LeaveOneOutPrediction) -> float:
+def _closed(begun: RoundStart, after: LeaveOneOutPrediction) -> float:
     """Share of the gap between predictions and noise that is closed."""
     before, floor = begun.prediction, begun.floor
-    least = workbench.thresholds.selection.least_gap * floor
-    return (before.total - after.total) / max(before.total - floor, least)
+    return (before.total - after.total) / max(before.total - floor, SELECTION.least_gap * floor)
 
 
-def failed_gate(
-    workbench: LoopWorkbench,
-    begun: RoundStart,
-    grown: FittedModel,
-    after: LeaveOneOutPrediction,
-    gain: float,
-    closed: float,
-    *,
-    coloured: bool,
-) -> RejectionReason | None:
-    """The first gate that a grown model does not pass; None if it passes all."""
-    thresholds, current = workbench.thresholds.selection, begun.model
-    if gain <= 0.0:
-        return RejectionReason.LITTLE_GAIN
-    noise_may_remain = grown.sse <= workbench.thresholds.verdict.coloured**2 * begun.floor
-    if noise_may_remain and coloured:
-        return RejectionReason.COLOURED_GAIN
-    if current.sse - grown.sse <= begun.numerical:
-        return RejectionReason.NUMERICAL_ERROR
-    solo = False
-    if after.total >= begun.prediction.total:
-        few = _improved(current, grown, thresholds.solo_share) <= thresholds.minority
-        solo = gain > thresholds.solo_gain and few
-        if not solo:
-            return RejectionReason.NOT_PREDICTED
-    open_gap = leaves_more_than_noise(workbench, current, begun.floor)
-    little = open_gap and not solo and closed < workbench.settings.least_gain
-    if little and not _rest_is_coloured(workbench, begun, grown, after):
-        return RejectionReason.LITTLE_EXPLAINED
-    return None
+def _may_leave_noise(attempt: Attempt) -> bool:
+    """Return whether what is left may be the noise of sensors for its size."""
+    return attempt.chosen.fitted.sse <= VERDICT.coloured**2 * attempt.begun.floor
+
+
+def _fall(attempt: Attempt) -> float:
+    return attempt.begun.model.sse - attempt.chosen.fitted.sse
+
+
+def _explains_little(attempt: Attempt, fitter: Fitter) -> bool:
+    """Return whether a proposal closes too little of a gap, and more than noise is left of it."""
+    begun = attempt.begun
+    if not leaves_more_than_noise(begun.model, begun.floor):
+        return False
+    if not attempt.predicts_better and attempt.of_few:
+        return False
+    return attempt.closed < begun.settings.least_gain and not _rest_is_coloured(attempt, fitter)
 
 
 def _improved(current: FittedModel, grown: FittedModel, share: float) -> float:
@@ -218,16 +420,12 @@ def _improved(current: FittedModel, grown: FittedModel, share: float) -> float:
     return float(np.mean(better))
 
 
-def _rest_is_coloured(
-    workbench: LoopWorkbench,
-    begun: RoundStart,
-    grown: FittedModel,
-    after: LeaveOneOutPrediction,
-) -> bool:
+def _rest_is_coloured(attempt: Attempt, fitter: Fitter) -> bool:
     """Return whether an effect leaves only coloured noise, so that it did all it could."""
-    thresholds, current = workbench.thresholds.selection, begun.model
-    better = np.mean(after.squares < begun.prediction.squares)
-    fall = current.sse - grown.sse
-    if better < thresholds.mostly_better or fall < thresholds.least_fall * current.sse:
+    begun = attempt.begun
+    better = np.mean(attempt.after.squares < begun.prediction.squares)
+    least = SELECTION.least_fall * begun.model.sse
+    if better < SELECTION.mostly_better or _fall(attempt) < least:
         return False
-    return screen(workbench, grown, 90).p_white > workbench.settings.significance
+    p_white = screen(fitter, begun.settings, attempt.chosen.fitted, 90).p_white
+    return p_white > begun.settings.significance

@@ -1,19 +1,71 @@
-"""The rounds of a beam search, and its result."""
+"""The rounds of a search, what they have compared, and the result."""
 
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.measured_noise import noise_of
-from cluster_est.closed_loop.screening.evidence import CandidateEvidence
-from cluster_est.closed_loop.screening.screen import ScreeningResult
-from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
-from cluster_est.closed_loop.selection.refinement.refine import RefittedCandidate, Rivals
-from cluster_est.closed_loop.selection.refinement.visited_models import VisitedModels
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.fitter import FittedModel, Fitter
+from cluster_est.closed_loop.output_noise import noise_of
+from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
+from cluster_est.closed_loop.screening.screen import ScreeningResult, findings, refreshed
+from cluster_est.closed_loop.selection.linear_model import UNPRUNED, PruningBound
+from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction
+from cluster_est.closed_loop.selection.refits import ModelCache, RefittedCandidate, Rivals
+from cluster_est.closed_loop.settings import LoopPart, LoopSettings
+from cluster_est.statistics.records import StackedRecords
+
+
+@dataclass(frozen=True)
+class VerdictThresholds:
+    """Thresholds of a claim and of the verdict.
+
+    Attributes
+    ----------
+    gap
+        Residual over noise, in squares, above which an effect must close a part of it. Benchmark.
+    structure
+        Standardised omnibus statistic above which structure counts as left. Benchmark.
+    excess
+        Residual over noise, in squares, less 1, below which nothing can be left. Benchmark.
+    coloured
+        Residual over the estimated noise above which what is left is no noise of a sensor, where
+        no sigma is declared. Theory: a fourth difference of first-order noise with a correlation
+        of 0.93 is five times too small.
+    partial
+        Partial autocorrelation beyond lag 1 up to which noise counts as of first order. Benchmark.
+    nearly_all
+        Share of the gap to the noise, in squares, that effects must close for "found". Benchmark.
+    most
+        The same for "partial": the error is at least halved, on training and on held-out data.
+        By definition: what explains less is a hint, and no model.
+    most_by_curve
+        The same for "partial" with a free curve, which takes any shape: what it leaves says that
+        the effect is another one. Benchmark.
+    mostly_better
+        Share of the parts left out that must be predicted better for the rest to count as noise.
+        Benchmark.
+    smooth
+        p-value of the omnibus test above which a residual is not called autocorrelated. Benchmark.
+    """
+
+    gap: float = 1.15
+    structure: float = 5.0
+    excess: float = 0.05
+    coloured: float = 5.0
+    partial: float = 0.1
+    nearly_all: float = 0.98
+    most: float = 0.75
+    most_by_curve: float = 0.9
+    mostly_better: float = 0.75
+    smooth: float = 0.1
+
+
+VERDICT = VerdictThresholds()
 
 
 class RejectionReason(enum.StrEnum):
@@ -70,10 +122,14 @@ class RoundStart:
         The accepted structure, fitted, and its leave-one-out prediction.
     screening
         Of all candidates at that model.
-    visited
+    cache
         The models that the search has added effects to.
     floor
         Sum of squares that the noise alone would leave.
+    settings
+        Of the loop; what they leave out is left out.
+    sigma_declared
+        The user has given a sigma.
     beside
         The structures that it was compared with in the round before.
     numerical
@@ -84,10 +140,20 @@ class RoundStart:
     model: FittedModel = field(repr=False)
     prediction: LeaveOneOutPrediction = field(repr=False)
     screening: ScreeningResult = field(repr=False)
-    visited: VisitedModels = field(repr=False)
+    cache: ModelCache = field(repr=False)
     floor: float
+    settings: LoopSettings
+    sigma_declared: bool
     beside: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
     numerical: float = 0.0
+
+    def has(self, part: LoopPart) -> bool:
+        """Return whether a part of the search is not left out."""
+        return part not in self.settings.without
+
+    def bound(self, criterion: float = np.inf, sse: float = np.inf) -> PruningBound:
+        """Return what a refit must come down to, to be of any use."""
+        return PruningBound(criterion, sse) if self.has(LoopPart.PRUNING) else UNPRUNED
 
 
 @dataclass(frozen=True)
@@ -102,12 +168,15 @@ class RoundEnd:
         The structure that passed, and its prediction; None where nothing was added.
     compared
         All structures that were refitted.
+    stopped
+        By structure, the gate that stopped it.
     """
 
     seen: SelectionRound
     won: RefittedCandidate | None = None
     prediction: LeaveOneOutPrediction | None = None
     compared: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
+    stopped: Mapping[frozenset[str], LoopPart] = field(default_factory=dict, repr=False)
 
 
 @dataclass(frozen=True)
@@ -135,6 +204,10 @@ class ComparedStructure:
         Of the set among all that were compared; NaN where that is not known.
     chosen
         Share of the draws of the experiments in which the set is the best one; NaN likewise.
+    move
+        The part of the search that proposed it, by its name in `closed_loop.without`.
+    stopped_by
+        The gate that it did not pass, by the same; empty where it was not the best of its round.
     """
 
     step: int
@@ -146,6 +219,8 @@ class ComparedStructure:
     relative_steps: float = np.nan
     probability: float = np.nan
     chosen: float = np.nan
+    move: str = ""
+    stopped_by: str = ""
 
 
 @dataclass(frozen=True)
@@ -183,8 +258,166 @@ class SelectionResult:
         return self.steps[-1]
 
 
-def without_search(workbench: LoopWorkbench, base: FittedModel) -> SelectionResult:
+def leaves_more_than_noise(fitted: FittedModel, floor: float) -> bool:
+    """Return whether the residual of a fit is clearly larger than the noise."""
+    return fitted.sse > VERDICT.gap * floor
+
+
+def useful_sse(begun: RoundStart, added: int) -> float:
+    """Return the sum of squares that structures of a round must come down to, to be of any use.
+
+    With the last effect that is allowed a structure must close the least share of the gap, and as
+    much of it as a claim needs. What may be the noise of sensors for its size has to close nothing,
+    and a smaller structure neither: a further effect may show what it is good for.
+
+    Parameters
+    ----------
+    added
+        Number of effects of the structures.
+    """
+    settings, floor = begun.settings, begun.floor
+    if added < settings.max_effects:
+        return np.inf
+    gate = begun.model.sse - settings.least_gain * (begun.model.sse - floor)
+    return max(min(gate, _claim_sse(begun)), _near_noise_sse(begun))
+
+
+def claimable_sse(begun: RoundStart, added: int) -> float:
+    """Return the sum of squares above which a structure of so many effects comes to nothing.
+
+    Where nothing can be added to it, it must close as much of the gap as a claim needs, or be the
+    noise of sensors for its size.
+    """
+    return np.inf if added < begun.settings.max_effects else _least_claim_sse(begun)
+
+
+def can_be_claimed(begun: RoundStart, fitted: FittedModel) -> bool:
+    """Return whether a structure closes as much as a claim needs, or leaves sensors' noise."""
+    return fitted.sse <= _least_claim_sse(begun)
+
+
+def _least_claim_sse(begun: RoundStart) -> float:
+    return max(_claim_sse(begun), _near_noise_sse(begun))
+
+
+def _claim_sse(begun: RoundStart) -> float:
+    return begun.base.sse - VERDICT.most * (begun.base.sse - begun.floor)
+
+
+def _near_noise_sse(begun: RoundStart) -> float:
+    near = begun.settings.near_noise if begun.sigma_declared else VERDICT.coloured
+    return float(near**2 * begun.floor)
+
+
+def without_search(fitter: Fitter, base: FittedModel) -> SelectionResult:
     """The declared model alone, where no effect was looked for."""
     nothing = LeaveOneOutPrediction(np.zeros(0))
-    noise = noise_of(workbench, base.residuals)
+    noise = noise_of(fitter, base.residuals)
     return SelectionResult(base, base, nothing, nothing, {}, (), (), noise)
+
+
+def evidence_of_round(
+    records: StackedRecords, current: FittedModel, end: RoundEnd, number: int
+) -> list[CandidateEvidence]:
+    """Return the candidates of a round, with how far each came."""
+    found = findings(end.seen.screening.ranking, current, number)
+    base = current.criterion(records)
+    reached = [
+        (c, CandidateStage.REFITTED)
+        for c in end.compared
+        if c.fitted.structure - {c.candidate.effect.name} == current.structure
+    ]
+    if end.won is not None:
+        reached.append((end.won, CandidateStage.ACCEPTED))
+    for contender, stage in reached:
+        for candidate in contender.fitted.added:
+            name = candidate.effect.name
+            known = found.get(name) or _as_finer(found.values(), candidate)
+            if known is not None:
+                found[name] = refreshed(known, stage, contender.criterion - base)
+    return list(found.values())
+
+
+def with_single(
+    seen: Sequence[CandidateEvidence], won: RefittedCandidate, criterion: float
+) -> list[CandidateEvidence]:
+    """Return the candidates, with the one that took the place of all effects as accepted."""
+    first = [each for each in seen if each.step == 1]
+    own = won.candidate
+    known = next((each for each in first if _is_of(each, own)), None) or _as_finer(first, own)
+    if known is None:
+        return list(seen)
+    accepted = refreshed(known, CandidateStage.ACCEPTED, criterion)
+    return [accepted, *(each for each in seen if each.step != 1 or not _is_of(each, own))]
+
+
+def _is_of(evidence: CandidateEvidence, candidate: EffectCandidate) -> bool:
+    place = (str(candidate.site), candidate.form.name, candidate.effect.variables)
+    return (evidence.site, evidence.form, evidence.variables) == place
+
+
+def _as_finer(
+    found: Iterable[CandidateEvidence], candidate: EffectCandidate
+) -> CandidateEvidence | None:
+    """Return the evidence of a finer curve: that of the one with which its place was screened."""
+    if not candidate.form.finer_than:
+        return None
+    place = (str(candidate.site), candidate.form.family, candidate.effect.variables)
+    return next(
+        (
+            replace(each, form=candidate.form.name)
+            for each in found
+            if (each.site, each.family, each.variables) == place
+        ),
+        None,
+    )
+
+
+def compared_structures(
+    records: StackedRecords, base: FittedModel, end: RoundEnd, floor: float, step: int
+) -> list[ComparedStructure]:
+    """The structures of a round, the best first.
+
+    Parameters
+    ----------
+    base
+        The declared model, fitted.
+    end
+        Of the round.
+    floor
+        Sum of squares that the noise alone would leave.
+    step
+        The number of the round.
+    """
+    return [
+        replace(
+            compared_structure(records, base, contender.fitted, floor, step),
+            converged=contender.full,
+            accepted=contender is end.won,
+            move=contender.move or "",
+            stopped_by=end.stopped.get(contender.fitted.structure, ""),
+        )
+        for contender in sorted(end.compared, key=lambda c: c.criterion)
+    ]
+
+
+def compared_structure(
+    records: StackedRecords,
+    base: FittedModel,
+    fitted: FittedModel,
+    floor: float,
+    step: int,
+    move: str = "",
+) -> ComparedStructure:
+    """A structure that was accepted, as a row; see `compared_structures`."""
+    gap = base.sse - floor
+    return ComparedStructure(
+        step=step,
+        effects=tuple(candidate.label for candidate in fitted.added),
+        criterion=fitted.criterion(records) - base.criterion(records),
+        closed=(base.sse - fitted.sse) / gap if gap > 0.0 else np.nan,
+        converged=True,
+        accepted=True,
+        relative_steps=fitted.steps / base.steps if base.steps and fitted.steps else np.nan,
+        move=move,
+    )

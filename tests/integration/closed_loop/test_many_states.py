@@ -10,9 +10,9 @@ from support.truth.systems_with_missing_effects import opened
 
 import cluster_est as ce
 from cluster_est.closed_loop.findings.effects import Verdict
-from cluster_est.closed_loop.screening.ranking import rank
-from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.workbench import FitStart
+from cluster_est.closed_loop.fitter import FitStart
+from cluster_est.closed_loop.screening.screen import rank
+from cluster_est.closed_loop.settings import LoopStage
 
 NODES, LEAKING, MEASURED = 12, 8, (2, 5, 8, 11)
 TRUE = {"conduction": 0.3, "loss": 0.005}
@@ -82,8 +82,8 @@ def ranked(problem):
     """All candidates at the declared model, fitted."""
     with opened(problem) as bench:
         start = FitStart(bench.problem, {})
-        (fitted,) = bench.fit(LoopStage.DECLARED_MODEL, [start], ce.LeastSquares())
-        return rank(bench, fitted)
+        (fitted,) = bench.fitter.fit(LoopStage.DECLARED_MODEL, [start], ce.LeastSquares())
+        return rank(bench.fitter, bench.settings, fitted)
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from support.truth.systems_with_missing_effects import (
 import cluster_est as ce
 from cluster_est import Resources, Solver
 from cluster_est.closed_loop.findings.effects import Verdict
-from cluster_est.closed_loop.numerical_error.measure import (
+from cluster_est.closed_loop.numerical_error import (
     error_with_effects,
     measure_numerical_error,
 )
@@ -66,7 +66,7 @@ def error_and_truth(problem, exact):
         truth = unfitted(bench).residuals
     with opened(problem) as bench:
         fitted = unfitted(bench)
-        found = measure_numerical_error(bench, fitted, np.ones(1), Resources())
+        found = measure_numerical_error(bench.fitter, fitted, np.ones(1), Resources())
     return found, float(np.sqrt(np.mean((fitted.residuals - truth) ** 2)))
 
 
@@ -131,11 +131,11 @@ def with_error_of_effects(problem):
     """The errors of the declared model, and with an effect."""
     with opened(problem) as bench:
         declared = unfitted(bench)
-        small = measure_numerical_error(bench, declared, np.ones(1), Resources())
-        assert error_with_effects(bench, declared, small, np.ones(1), Resources()) is small
+        small = measure_numerical_error(bench.fitter, declared, np.ones(1), Resources())
+        assert error_with_effects(bench.fitter, declared, small, np.ones(1), Resources()) is small
     with opened(clipped(problem, limit_of(problem))) as bench:
         grown = replace(unfitted(bench), added=(ADDED,))
-        return small, error_with_effects(bench, grown, small, np.ones(1), Resources())
+        return small, error_with_effects(bench.fitter, grown, small, np.ones(1), Resources())
 
 
 def test_a_limit_that_is_reached_between_two_communication_points_has_an_error():

@@ -8,10 +8,9 @@ import numpy as np
 from support.problems.springs import ROOT
 
 from cluster_est import Experiment, Input, Model, Output, Parameter, Problem, Solver
-from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
-from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.closed_loop.fitter import FitStart, FittedModel
+from cluster_est.closed_loop.settings import LoopSettings, LoopStage
+from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, open_workbench
 from workers.messages import FloatArray
 
 
@@ -122,8 +121,8 @@ def opened(problem: Problem, settings: LoopSettings | None = None) -> Iterator[L
 
 def unfitted(bench: LoopWorkbench, start: FitStart | None = None) -> FittedModel:
     """The model where it starts, as if it had been fitted; its Jacobian is zero."""
-    space = bench.space(start or FitStart(bench.problem, {}))
-    ((at,),) = bench.evaluate(LoopStage.TRIALS, [(space, space.start[None, :])])
+    space = bench.fitter.space(start or FitStart(bench.problem, {}))
+    ((at,),) = bench.fitter.evaluate(LoopStage.TRIALS, [(space, space.start[None, :])])
     assert at.ok, at.reason
     return FittedModel(space, space.start, at.residuals, np.zeros((bench.size, space.size)))
 

@@ -155,7 +155,11 @@ REFUSED = [
     (ce.LoopSettings, {"significance": 0}, "significance: must be greater than 0.*0"),
     (ce.LoopSettings, {"draws": 99}, "draws: must be at least 100.*99"),
     (ce.LoopSettings, {"pairs": "no"}, "pairs: must be true or false.*'no'"),
-    (ce.LoopSettings, {"thresholds": 3}, "thresholds: must be a LoopThresholds.*3"),
+    (
+        ce.LoopSettings,
+        {"without": ("restart",)},
+        "without: there is no part 'restart'; did you mean 'restarts'",
+    ),
 ]
 WHERE = {ce.UncertaintySettings: "uncertainty.", ce.LoopSettings: "closed_loop."}
 BELOW = Formula("k - 3", ("k",))

@@ -12,7 +12,7 @@ from closed_loop_benchmark.oracle import ask, translate, true_values, with_effec
 from closed_loop_benchmark.scenarios import all_scenarios
 from closed_loop_benchmark.scoring import Score, blank, coverage, score
 from closed_loop_benchmark.systems import SYSTEMS
-from closed_loop_benchmark.tables import compare_runs, holds, page
+from closed_loop_benchmark.tables import compare_runs, holds, page, paired
 from support.thinning import thinned
 
 import cluster_est as ce
@@ -181,6 +181,20 @@ def test_two_runs_are_compared_case_by_case_in_what_both_have():
     assert [line[:4] for line in text.splitlines()[:2]] == ["was ", "is  "]
     assert text.endswith("2 cases in both: right 2 -> 1, no longer right 1, now right 0")
     assert compare_runs({"a": wrong[0]}, {"a": right})[0].startswith("now right: a\n")
+
+
+def test_parts_that_were_left_out_are_compared_on_the_cases_that_came_to_an_end():
+    right = judged(Effect("load", "der(v)", "constant"))
+    wrong = replace(right, alias=[False], numerical=False, after=1.5 * right.after, simulations=1.0)
+    runs = {
+        "as it is": {"a": replace(right, simulations=4.0), "b": replace(wrong, simulations=9.0)},
+        "restarts": {"a": wrong, "b": right, "c": right},
+        "merge": {"a": replace(right, error="Traceback"), "b": wrong},
+    }
+    _, _, whole, restarts, merge = paired(runs).splitlines()
+    assert whole == "| as it is | 2 | 1 | 0 | 0 | 1 | x 1.000 | x 1.000 |"
+    assert restarts.startswith("| restarts | 2 | 1 | 1 | 1 | 1 | x 1.000 | x ")
+    assert merge == "| merge | 1 | 0 | 0 | 0 | 1 | x 1.000 | x 0.111 |"
 
 
 def test_bound_of_a_probability():

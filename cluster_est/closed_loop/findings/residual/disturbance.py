@@ -9,7 +9,8 @@ import numpy as np
 from scipy.signal import welch
 
 from cluster_est.closed_loop.findings.words.numbers import readable_time
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.fitter import FittedModel
+from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.statistics.records import OutputRecord
 from workers.messages import FloatArray
 

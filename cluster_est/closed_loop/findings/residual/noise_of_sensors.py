@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri, ndtr
 
-from cluster_est.closed_loop.measured_noise import is_given, is_told
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.fitter import FittedModel
+from cluster_est.closed_loop.output_noise import is_given, is_told
+from cluster_est.closed_loop.selection.rounds import VERDICT
+from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.statistics.noise.estimate import SHORTEST_NOISE_RECORD, estimate_noise
 from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.whitening import partial_autocorrelations
@@ -183,7 +185,7 @@ def _of_output(
     white = noise if noise > 0.0 else 0.0
     unit = 1.0 if declared else white
     partial = partial_autocorrelations(fitted.residuals, records, number, ORDER)
-    most = max(workbench.thresholds.verdict.partial, 3.3 / np.sqrt(len(part)))
+    most = max(VERDICT.partial, 3.3 / np.sqrt(len(part)))
     return OutputNoise(
         output=records.outputs[number],
         samples=len(part),
@@ -199,7 +201,7 @@ def _of_output(
         declared=declared,
         loud=_loud(workbench, fitted, number) if declared else (),
         told=is_told(records, number),
-        given=is_given(workbench, number),
+        given=is_given(workbench.fitter, number),
         filtered=workbench.filtered,
     )
 

@@ -12,8 +12,8 @@ from support.truth.systems_with_missing_effects import (
 
 from cluster_est import Experiment, LeastSquares, LoopSettings, Output, close_loop
 from cluster_est.closed_loop.candidates.make import make_candidates
-from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.workbench import FitStart
+from cluster_est.closed_loop.fitter import FitStart
+from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.errors import ProblemError
 
 SETTINGS = LoopSettings(forms=("coulomb", "constant"), sites=("der(v)",))
@@ -69,18 +69,20 @@ def test_each_output_has_a_variance_of_its_own():
 
 def shortened(bench):
     """The kind of copies that are cut, the shortest of them."""
-    return min((kind for kind in bench.synthetic if hasattr(kind, "share")), key=lambda k: k.share)
+    return min(
+        (kind for kind in bench.fitter.synthetic if hasattr(kind, "share")), key=lambda k: k.share
+    )
 
 
 def enlarged(bench):
-    (kind,) = (kind for kind in bench.synthetic if hasattr(kind, "factor"))
+    (kind,) = (kind for kind in bench.fitter.synthetic if hasattr(kind, "factor"))
     return kind
 
 
 def test_synthetic_experiments_start_from_the_values_of_their_experiments(bench):
     start = FitStart(bench.problem, {"m": 1.3, "c[e0]": 0.7, "c[e1]": 0.9})
     kind = shortened(bench)
-    space = bench.space(start, kind)
+    space = bench.fitter.space(start, kind)
     labels = [u.label for u in space.unknowns]
     part = f"first {kind.share:.0%}"
     assert labels == ["m", "k", f"c[e0 ({part})]", f"c[e1 ({part})]"]
@@ -90,8 +92,8 @@ def test_synthetic_experiments_start_from_the_values_of_their_experiments(bench)
 
 
 def copies(bench, kind):
-    runs = bench.everything.experiments
-    pairs = zip(bench.train, bench.synthetic[kind], strict=True)
+    runs = bench.fitter.everything.experiments
+    pairs = zip(bench.train, bench.fitter.synthetic[kind], strict=True)
     return [(runs[own], runs[copy]) for own, copy in pairs]
 
 
@@ -133,7 +135,7 @@ def test_a_fit_that_cannot_be_simulated_is_none(bench):
     broken = replace(bench.problem, parameters=(light, *others))
     good = FitStart(bench.problem, {})
     method = LeastSquares(max_iterations=2)
-    fits = bench.fit(LoopStage.REFITS, [good, FitStart(broken, {}), good], method)
+    fits = bench.fitter.fit(LoopStage.REFITS, [good, FitStart(broken, {}), good], method)
     assert [fit is None for fit in fits] == [False, True, False]
     assert fits[0].x.tobytes() == fits[2].x.tobytes()
 
@@ -141,9 +143,9 @@ def test_a_fit_that_cannot_be_simulated_is_none(bench):
 @pytest.mark.parametrize("parts", [0, 1])
 def test_a_meter_counts_parts_of_experiments(bench, parts):
     kind = shortened(bench) if parts else None
-    space = bench.space(FitStart(bench.problem, {}), kind)
+    space = bench.fitter.space(FitStart(bench.problem, {}), kind)
     before = bench.meter.full
-    bench.evaluate(LoopStage.TRIALS, [(space, space.start[None, :] + 1e-3)])
+    bench.fitter.evaluate(LoopStage.TRIALS, [(space, space.start[None, :] + 1e-3)])
     share = kind.share if kind is not None else 1.0
     assert bench.meter.full - before == pytest.approx(2.0 * share, rel=1e-6)
 

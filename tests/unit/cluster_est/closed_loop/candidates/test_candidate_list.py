@@ -8,8 +8,13 @@ from support.problems.seen_springs import with_outputs
 from support.truth.systems_with_missing_effects import missing_effect_problem, opened, unfitted
 
 from cluster_est import Effect, Input, LoopSettings, Output, Parameter, Solver
-from cluster_est.closed_loop.candidates.finer_curves import finer_form, in_finer_form, refined
-from cluster_est.closed_loop.candidates.make import EffectCandidate, make_candidates
+from cluster_est.closed_loop.candidates.make import (
+    EffectCandidate,
+    finer_form,
+    in_finer_form,
+    make_candidates,
+    refined,
+)
 from cluster_est.closed_loop.candidates.trajectory import pooled
 from workers.effects.forms import FORMS
 from workers.effects.site import parse_site

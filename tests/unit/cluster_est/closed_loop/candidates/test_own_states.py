@@ -3,7 +3,7 @@ import pytest
 import sympy as sp
 from scipy.integrate import solve_ivp
 
-from cluster_est.closed_loop.candidates.own_states import own_states_of
+from cluster_est.closed_loop.candidates.array_forms import own_states_of
 from workers.effects.expression import parse
 from workers.effects.forms import FORMS
 

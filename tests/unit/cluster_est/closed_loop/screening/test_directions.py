@@ -15,9 +15,9 @@ from support.truth.systems_with_missing_effects import (
 
 from cluster_est import LoopSettings
 from cluster_est.closed_loop.candidates.make import make_candidates
-from cluster_est.closed_loop.screening.adjoint import adjoint_signals
 from cluster_est.closed_loop.screening.directions import CandidatePoint, added_at, directions
-from cluster_est.closed_loop.screening.ranking import rank
+from cluster_est.closed_loop.screening.places import adjoint_signals
+from cluster_est.closed_loop.screening.screen import rank
 
 
 class Screened:
@@ -122,7 +122,7 @@ def probed():
     problem = missing_effect_problem("battery", interface="co_simulation", signals=())
     sites, forms = zip(*CHANGES, strict=True)
     with opened(problem, LoopSettings(forms=forms, sites=tuple(dict.fromkeys(sites)))) as bench:
-        ranking = rank(bench, unfitted(bench))
+        ranking = rank(bench.fitter, bench.settings, unfitted(bench))
     found = {}
     for trial, column in zip(ranking.trials, ranking.columns, strict=True):
         key = str(trial.candidate.site), trial.candidate.form.name

@@ -3,7 +3,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from cluster_est.closed_loop.screening.linear_system import (
+from cluster_est.closed_loop.candidates.trajectory import (
     LARGE,
     Forcing,
     LargeSystem,

@@ -5,22 +5,20 @@ import numpy as np
 import pytest
 from support.truth.systems_with_missing_effects import missing_effect_problem, opened, unfitted
 
-from cluster_est import LoopSettings
-from cluster_est.closed_loop.screening.curves import leading_places, rank_curves
-from cluster_est.closed_loop.screening.ranking import rank
+from cluster_est.closed_loop.screening.places import PlaceThresholds
+from cluster_est.closed_loop.screening.screen import leading_places, rank, rank_curves
 
 LEADING = 12
+FEW = PlaceThresholds(most_candidates=1, leading=LEADING)
 
 
 class Drive:
     """Two masses on a shaft, with the directions of all candidates, and a way to look at few."""
 
     def __init__(self, bench):
-        places = replace(bench.thresholds.places, most_candidates=1, leading=LEADING)
-        thresholds = replace(bench.thresholds, places=places)
-        self._few = replace(bench, settings=LoopSettings(thresholds=thresholds))
+        self._bench = bench
         self._fitted = unfitted(bench)
-        self.whole = rank(bench, self._fitted)
+        self.whole = rank(bench.fitter, bench.settings, self._fitted)
         self.size = bench.size
 
     def planted(self, form, site, *variables):
@@ -35,7 +33,8 @@ class Drive:
 
     def ranked(self, residuals):
         """Few candidates against these residuals."""
-        return rank(self._few, replace(self._fitted, residuals=residuals))
+        bench, fitted = self._bench, replace(self._fitted, residuals=residuals)
+        return rank(bench.fitter, bench.settings, fitted, FEW)
 
 
 def key(candidate):
@@ -101,8 +100,8 @@ def test_scales_do_not_matter(drive, few):
 def ranked():
     with opened(missing_effect_problem("mass_spring_damper")) as bench:
         fitted = unfitted(bench)
-        ranking = rank(bench, fitted)
-        yield {n: rank_curves(bench, fitted, ranking, variables=n) for n in (1, 2)}
+        ranking = rank(bench.fitter, bench.settings, fitted)
+        yield {n: rank_curves(bench.fitter, fitted, ranking, variables=n) for n in (1, 2)}
 
 
 def forms(ranking):

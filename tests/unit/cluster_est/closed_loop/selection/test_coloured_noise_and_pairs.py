@@ -13,12 +13,11 @@ from support.loop_objects import (
     made_start,
 )
 
-from cluster_est import LoopSettings
-from cluster_est.closed_loop.selection.accept import LeaveOneOutPrediction
-from cluster_est.closed_loop.selection.gates import coloured_noise_explains, failed_gate
-from cluster_est.closed_loop.selection.refinement.pairs import best_pairs
+from cluster_est.closed_loop.selection.free_curves import coloured_criterion
+from cluster_est.closed_loop.selection.gates import Attempt, coloured_noise_explains, first_refusal
+from cluster_est.closed_loop.selection.pairs import PAIRS, best_pairs
+from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.rounds import RejectionReason
-from cluster_est.closed_loop.selection.single_effect import coloured_criterion
 
 
 def slow_noise(count: int, seed: int) -> np.ndarray:
@@ -53,12 +52,19 @@ def begun_and_grown(noise, shape, size):
     start = made_start(base, screening, predicted=2.0, floor=float(len(noise)))
     refit = made_refit(grown, grown.criterion(bench.records))
     assert refit.criterion < base.criterion(bench.records)  # for white noise it is better
-    return bench, start, refit
+    return bench.fitter, start, refit
+
+
+def refusal(fitter, begun, contender, after, *, coloured):
+    """Why a proposal of a large gain, which closes all, is refused; None if it is not."""
+    gate = first_refusal(fitter, Attempt(begun, contender, after, 10.0, 1.0, coloured))
+    return gate and gate.reason
 
 
 def explained(noise, shape, size):
     """Whether such noise explains as much as the effect does."""
-    return coloured_noise_explains(*begun_and_grown(noise, shape, size))
+    fitter, start, refit = begun_and_grown(noise, shape, size)
+    return coloured_noise_explains(fitter.records, start, refit)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -95,10 +101,10 @@ def test_a_residual_without_noise_is_no_noise():
 def test_only_what_may_be_noise_is_refused_for_it(size, why):
     """What is far above the noise of a sensor is something else, of which an effect is a part."""
     noise = size * slow_noise(1200, 1)
-    bench, start, grown = begun_and_grown(noise, best_wave(noise), 0.0)
-    assert coloured_noise_explains(bench, start, grown)
+    fitter, start, grown = begun_and_grown(noise, best_wave(noise), 0.0)
+    assert coloured_noise_explains(fitter.records, start, grown)
     after = LeaveOneOutPrediction(np.full(1, 1.0))
-    assert failed_gate(bench, start, grown.fitted, after, 10.0, 1.0, coloured=True) is why
+    assert refusal(fitter, start, grown, after, coloured=True) is why
 
 
 @pytest.mark.parametrize(("after", "refused"), [(700.0, True), (500.0, False)])
@@ -110,7 +116,8 @@ def test_an_effect_must_explain_more_than_the_numerical_error_could(after, refus
     begun = made_start(base, screening, predicted=1000.0, floor=1000.0, numerical=400.0)
     grown = fit_with_squares(problem, after)
     predicted = LeaveOneOutPrediction(np.array([after]))
-    why = failed_gate(bench, begun, grown, predicted, 10.0, 1.0, coloured=False)
+    contender = made_refit(grown, grown.criterion(bench.records))
+    why = refusal(bench.fitter, begun, contender, predicted, coloured=False)
     assert why is (RejectionReason.NUMERICAL_ERROR if refused else None)
 
 
@@ -142,7 +149,7 @@ def test_a_criterion_for_coloured_noise_is_not_taken_in_by_it(pole, signal, seen
     assert shares[1] == seen_by[1]
 
 
-FITTED = LoopSettings().thresholds.pairs.fitted
+FITTED = PAIRS.fitted
 
 GENERATOR = np.random.default_rng(5)
 N, COUNT = 400, 60

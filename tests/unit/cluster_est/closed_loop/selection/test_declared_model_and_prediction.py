@@ -14,9 +14,9 @@ from support.truth.systems_with_missing_effects import (
 
 from cluster_est import LeastSquares, LoopSettings, close_loop, detect, fit
 from cluster_est.closed_loop.candidates.make import make_candidates
-from cluster_est.closed_loop.selection.accept import predict, stays_bounded
-from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.workbench import FitStart
+from cluster_est.closed_loop.fitter import FitStart
+from cluster_est.closed_loop.selection.prediction import predict, stays_bounded
+from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.errors import ProblemError
 from cluster_est.methods.method import GivenPoints
 from cluster_est.problem.search_space import make_space
@@ -28,7 +28,7 @@ NAME = "mass_spring_damper"
 
 def fitted_to(problem, bench):
     method = LeastSquares(differences="central")
-    (fitted,) = bench.fit(LoopStage.DECLARED_MODEL, [FitStart(problem, {})], method)
+    (fitted,) = bench.fitter.fit(LoopStage.DECLARED_MODEL, [FitStart(problem, {})], method)
     return fitted
 
 
@@ -55,7 +55,7 @@ def by_refits(problem, bench):
 def test_a_left_out_experiment_is_predicted_as_by_a_real_refit(noise):
     problem = measured(missing_effect_problem(NAME, experiments=4), noise)
     with opened(problem) as bench:
-        found = predict(bench, fitted_to(problem, bench))
+        found = predict(bench.fitter, fitted_to(problem, bench))
         np.testing.assert_allclose(found.squares, by_refits(problem, bench), rtol=0.01)
 
 
@@ -69,7 +69,7 @@ def test_a_left_out_experiment_of_a_wrong_model_too():
     problem = replace(problem, experiments=runs)
     with opened(problem) as bench:
         fitted = fitted_to(problem, bench)
-        found = predict(bench, fitted)
+        found = predict(bench.fitter, fitted)
         truth = by_refits(problem, bench)
     own = [np.sum(fitted.residuals[rows] ** 2) for rows in fitted.space.rows]
     assert np.max(truth / own) > 1.2
@@ -82,7 +82,7 @@ def test_with_one_experiment_quarters_of_its_record_are_left_out():
     (output,) = run.outputs
     truth = []
     with opened(problem) as bench:
-        found = predict(bench, fitted_to(problem, bench))
+        found = predict(bench.fitter, fitted_to(problem, bench))
     for quarter in range(4):
         left = np.digitize(output.times, [1.5, 3.0, 4.5]) == quarter
         kept = replace(output, times=output.times[~left], values=output.values[~left])
@@ -95,7 +95,7 @@ def test_with_one_experiment_quarters_of_its_record_are_left_out():
 
 def test_of_two_experiments_quarters_of_both_records_are_left_out():
     with opened(measured(missing_effect_problem(NAME), 0.03)) as bench:
-        assert len(predict(bench, fitted_to(bench.problem, bench)).squares) == 8
+        assert len(predict(bench.fitter, fitted_to(bench.problem, bench)).squares) == 8
 
 
 def test_what_belongs_to_the_left_out_experiment_follows_the_rest():
@@ -103,7 +103,7 @@ def test_what_belongs_to_the_left_out_experiment_follows_the_rest():
     problem = measured(missing_effect_problem(NAME, experiments=3, local=("c",)), 0.03)
     truth = []
     with opened(problem) as bench:
-        found = predict(bench, fitted_to(problem, bench))
+        found = predict(bench.fitter, fitted_to(problem, bench))
         for e in range(3):
             others = make_space(problem, tuple(i for i in range(3) if i != e))
             known = others.estimates(refitted(bench, others).x)
@@ -130,7 +130,7 @@ def test_a_step_of_a_logarithm_is_bounded_by_itself_not_by_the_value():
     residuals = np.random.default_rng(0).normal(size=60)
     fitted = replace(made_fit(problem, residuals), jacobian=0.01 * residuals[:, None])
     with FunctionExecutor(simulated) as executor:
-        predict(replace(made_bench(problem), runner=Runner(executor)), fitted)
+        predict(replace(made_bench(problem).fitter, runner=Runner(executor)), fitted)
     assert min(asked) == pytest.approx(1e-6 * np.exp(-0.5))
     assert max(asked) < 1e-6
 
@@ -145,8 +145,8 @@ def test_a_negative_damping_that_runs_away_is_refused(strength, bounded):
         given = problem, bench.description, bench.trajectories(trusted)
         (linear,) = [c for c in make_candidates(*given, [], settings) if c.own]
         grown = unfitted(bench, trusted.start.plus(linear, (strength,)))
-        assert stays_bounded(bench, grown, trusted) is bounded
-        assert stays_bounded(bench, grown, grown)
+        assert stays_bounded(bench.fitter, grown, trusted) is bounded
+        assert stays_bounded(bench.fitter, grown, grown)
 
 
 NOISE = 0.01

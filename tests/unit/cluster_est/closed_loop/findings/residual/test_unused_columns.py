@@ -68,7 +68,8 @@ def test_a_copy_of_what_is_used_is_not_named(tmp_path):
         replace(run, outputs=(replace(run.outputs[0], values=own),))
         for run, own in zip(made.problem.experiments, outputs, strict=True)
     )
-    made = replace(made, problem=replace(made.problem, experiments=runs))
+    problem = replace(made.problem, experiments=runs)
+    made = replace(made, fitter=replace(made.fitter, problem=problem))
     assert varying_columns(made, np.concatenate(outputs)) == ()
 
 

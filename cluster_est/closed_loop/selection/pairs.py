@@ -7,55 +7,71 @@ g = b'c and the residual's shares x = b'r, y = c'r, both together carry
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from cluster_est.closed_loop.screening.ranking import CandidateRanking
-from cluster_est.closed_loop.selection.refinement.first_steps import (
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
+from cluster_est.closed_loop.screening.screen import CandidateRanking
+from cluster_est.closed_loop.selection.linear_model import (
+    PruningBound,
+    can_reach_with,
     is_proportional,
     joint_step,
+    shares_left,
     values_at,
 )
-from cluster_est.closed_loop.selection.refinement.refine import (
+from cluster_est.closed_loop.selection.refits import (
     RefittedCandidate,
+    proposed_by,
     refit_briefly,
     successive_halving,
 )
-from cluster_est.closed_loop.selection.refinement.useful_fit import (
-    UsefulFit,
-    may_start_useful,
-    shares_left,
-)
-from cluster_est.closed_loop.thresholds import PairThresholds
-from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.closed_loop.selection.rounds import RoundStart
+from cluster_est.closed_loop.settings import LoopPart
 
 
-def refit_pairs(
-    workbench: LoopWorkbench,
-    current: FittedModel,
-    ranking: CandidateRanking,
-    floor: float,
-    useful: UsefulFit,
-) -> list[RefittedCandidate]:
+@dataclass(frozen=True)
+class PairThresholds:
+    """Thresholds of the search for two effects at once.
+
+    Attributes
+    ----------
+    leaders
+        Directions that are paired. Benchmark; the work grows with its square.
+    alike
+        Cosine above which two directions are no pair. Benchmark.
+    fitted
+        Pairs that are refitted. Benchmark.
+    """
+
+    leaders: int = 90
+    alike: float = 0.98
+    fitted: int = 8
+
+
+PAIRS = PairThresholds()
+
+
+def refit_pairs(fitter: Fitter, begun: RoundStart, bound: PruningBound) -> list[RefittedCandidate]:
     """Refit the best pairs; the best first. A contender's last two effects are the pair.
 
     Those that the linear model does not let hope to be useful are left out.
     """
-    found = best_pairs(ranking, workbench.thresholds.pairs)
-    asked = [_start(workbench, current, ranking, pair, useful) for pair in found]
-    fits = refit_briefly(workbench, [start for start in asked if start is not None])
-    return successive_halving(workbench, current, floor, fits, useful)
+    current, ranking = begun.model, begun.screening.ranking
+    asked = [_start_of_pair(fitter, current, ranking, p, bound) for p in best_pairs(ranking)]
+    fits = refit_briefly(fitter, [start for start in asked if start is not None])
+    found = successive_halving(fitter, current, begun.floor, fits, bound)
+    return proposed_by(LoopPart.ADD_TWO, found)
 
 
-def best_pairs(
-    ranking: CandidateRanking, thresholds: PairThresholds | None = None
-) -> list[tuple[int, int]]:
+def best_pairs(ranking: CandidateRanking, most: int = PAIRS.fitted) -> list[tuple[int, int]]:
     """Pairs of trials of different candidates by the share of the residual that they carry."""
-    thresholds = thresholds or PairThresholds()
     scores = ranking.plain
     usable = [
         i for i in np.argsort(-scores.statistics, kind="stable").tolist()
         if scores.df[i] == 1 and not ranking.trials[i].candidate.form.free
-    ][: thresholds.leaders]  # fmt: skip
+    ][: PAIRS.leaders]  # fmt: skip
     if len(usable) < 2:
         return []
     first = scores.offsets[usable]
@@ -65,7 +81,7 @@ def best_pairs(
     g = gram[a, b]
     with np.errstate(divide="ignore", invalid="ignore"):
         carried = (shares[a] ** 2 + shares[b] ** 2 - 2.0 * g * shares[a] * shares[b]) / (1 - g**2)
-    carried[np.abs(g) > thresholds.alike] = 0.0
+    carried[np.abs(g) > PAIRS.alike] = 0.0
     found: list[tuple[int, int]] = []
     seen: set[frozenset[str]] = set()
     for k in np.argsort(-carried, kind="stable").tolist():
@@ -75,28 +91,27 @@ def best_pairs(
             continue
         seen.add(names)
         found.append((i, j))
-        if len(found) >= thresholds.fitted:
+        if len(found) >= most:
             break
     return found
 
 
-def _start(
-    workbench: LoopWorkbench,
+def _start_of_pair(
+    fitter: Fitter,
     current: FittedModel,
     ranking: CandidateRanking,
     pair: tuple[int, int],
-    useful: UsefulFit,
+    bound: PruningBound,
 ) -> FitStart | None:
     """Both effects, with the strengths of the joint linear step; None if of no use."""
     _, strengths, after = joint_step(current, ranking, pair)
     start = current.start
     for m, own in zip(pair, strengths, strict=True):
         trial = ranking.trials[m]
-        values = values_at(trial, own, workbench.thresholds.refinement)
-        start = start.plus(trial.candidate, values)
+        start = start.plus(trial.candidate, values_at(trial, own))
     if all(is_proportional(ranking.trials[m]) for m in pair):
-        added = workbench.space(start).size - len(current.x)
+        added = fitter.space(start).size - len(current.x)
         left = shares_left(ranking.records, current.residuals[ranking.rows], after)
-        if not may_start_useful(workbench, current, left, added, useful):
+        if not can_reach_with(fitter.records, current, left, added, bound):
             return None
     return start

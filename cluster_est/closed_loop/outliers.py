@@ -11,14 +11,17 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import bdtrc
 
-from cluster_est.closed_loop.growing_noise import GrowingNoise, growing_noise, with_own_sigmas
-from cluster_est.closed_loop.measured_noise import measured_values, noise_of
-from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
-from cluster_est.closed_loop.selection.declared_model import THOROUGH
-from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.synthetic_experiments import with_outputs
-from cluster_est.closed_loop.thresholds import PreparationThresholds
-from cluster_est.closed_loop.workbench import FitStart, FittedModel, LoopWorkbench
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter, with_outputs
+from cluster_est.closed_loop.output_noise import (
+    GrowingNoise,
+    growing_noise,
+    measured_values,
+    noise_of,
+    with_own_sigmas,
+)
+from cluster_est.closed_loop.selection.starts import THOROUGH
+from cluster_est.closed_loop.settings import LoopStage
+from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, open_workbench
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
 from cluster_est.problem.tables.jumps import after_jumps
@@ -28,6 +31,15 @@ from cluster_est.statistics.noise.estimate import estimate_noise
 from cluster_est.statistics.noise.outliers import PROVEN, IsolatedOutliers, isolated_outliers
 from cluster_est.statistics.records import OutputRecord, StackedRecords
 from workers.messages import FloatArray, Output
+
+MOST_OUTLIERS = 0.05
+"""Share of an output's samples that are set aside as outliers at most. Signal: a sensor that is
+wrong more often than once in 20 samples is no sensor."""
+
+EXACT = 1e-5
+"""Share of an output's range that its noise counts as at least where outliers are looked for.
+Signal: a simulation is hardly more exact, and what it gets wrong is no sensor's fault."""
+
 
 Place = tuple[int, str]
 """An experiment's index and the name of an output."""
@@ -64,17 +76,19 @@ class OutliersOfOutput:
     def samples(self) -> int:
         return sum(len(each.mask) for each in self.found.values())
 
-    def few(self, thresholds: PreparationThresholds) -> bool:
+    @property
+    def few(self) -> bool:
         """They may be faults of a sensor; more of them are how this signal is."""
-        return self.count <= thresholds.outliers * self.samples
+        return self.count <= MOST_OUTLIERS * self.samples
 
-    def sentence(self, thresholds: PreparationThresholds) -> str:
+    @property
+    def sentence(self) -> str:
         """Return how many there are, how large, and what becomes of them."""
         counted = f"{self.count:,} of {self.samples:,}"
         largest = max(each.largest for each in self.found.values())
         held = "held out: " if self.held_out else ""
         of = f"{held}{100.0 * self.count / self.samples:.2g} %"
-        if not self.few(thresholds):
+        if not self.few:
             return (
                 f"{of} of the samples of {self.output} stand alone, far from their neighbours: "
                 f"{counted}, up to {largest:.0f} times the noise; that is too many to be a "
@@ -97,16 +111,17 @@ def open_checked_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
     that grows with the signal each sample is given its own, see `growing_noise`.
     """
     with open_workbench(request) as workbench:
-        (fitted,) = workbench.fit(
-            LoopStage.DECLARED_MODEL, [FitStart(workbench.problem, {})], THOROUGH
-        )
-        outliers = [] if fitted is None else _outliers(workbench, fitted)
-        thresholds = workbench.thresholds.preparation
-        notes = [each.sentence(thresholds) for each in outliers]
-        few = [each for each in outliers if each.few(thresholds)]
+        fitter = workbench.fitter
+        start = FitStart(workbench.problem, {})
+        (fitted,) = fitter.fit(LoopStage.DECLARED_MODEL, [start], THOROUGH)
+        outliers = [] if fitted is None else _outliers(fitter, fitted)
+        notes = [each.sentence for each in outliers]
+        few = [each for each in outliers if each.few]
         growing: tuple[GrowingNoise, ...] = ()
         if fitted is not None:
-            growing = growing_noise(workbench, fitted, _kept(workbench, few))
+            growing = growing_noise(
+                fitter, fitted, _kept(fitter, few), declared=workbench.sigma_declared
+            )
         notes += [each.sentence for each in growing]
         if not few and not any(each.weighted for each in growing):
             yield replace(workbench, notes=(*workbench.notes, *notes), first_fit=fitted)
@@ -130,9 +145,7 @@ def without(problem: Problem, outliers: Sequence[OutliersOfOutput]) -> Problem:
     return with_outputs(problem, change)
 
 
-def outliers_of_long_records(
-    problem: Problem, thresholds: PreparationThresholds, most: int
-) -> list[OutliersOfOutput]:
+def outliers_of_long_records(problem: Problem, most: int) -> list[OutliersOfOutput]:
     """Return outliers in records that are about to be thinned, which a filter would spread.
 
     What is sampled that fast is smooth between its samples whatever the model is, so that the
@@ -151,9 +164,9 @@ def outliers_of_long_records(
             if not signals:
                 continue
             jumps = {e: after_jumps(problem.experiments[e], name) for e in signals}
-            noise = _noise_of_signals(list(signals.values()), thresholds.exact)
+            noise = _noise_of_signals(list(signals.values()), EXACT)
             outliers = OutliersOfOutput(name, held_out, _of_sensor(signals, jumps, noise))
-            if outliers.count and outliers.few(thresholds):
+            if outliers.count and outliers.few:
                 found.append(outliers)
     return found
 
@@ -174,43 +187,43 @@ def _masks(outliers: Sequence[OutliersOfOutput]) -> dict[Place, Mask]:
     return {(e, o.output): found.mask for o in outliers for e, found in o.found.items()}
 
 
-def _kept(workbench: LoopWorkbench, outliers: Sequence[OutliersOfOutput]) -> Mask:
+def _kept(fitter: Fitter, outliers: Sequence[OutliersOfOutput]) -> Mask:
     """The residuals that are no outliers."""
-    masks, records = _masks(outliers), workbench.records
-    kept = np.ones(workbench.size, bool)
+    masks, records = _masks(outliers), fitter.records
+    kept = np.ones(fitter.size, bool)
     for item in records.items:
-        mask = masks.get((workbench.train[item.experiment], records.outputs[item.output]))
+        mask = masks.get((fitter.train[item.experiment], records.outputs[item.output]))
         if mask is not None:
             kept[item.rows] = ~mask
     return kept
 
 
-def _outliers(workbench: LoopWorkbench, fitted: FittedModel) -> list[OutliersOfOutput]:
+def _outliers(fitter: Fitter, fitted: FittedModel) -> list[OutliersOfOutput]:
     """The outliers of each output that has some, in training and in held-out experiments."""
-    names = workbench.records.outputs
-    noise = _noise(workbench, fitted)
+    names = fitter.records.outputs
+    noise = _noise(fitter, fitted)
     training = {
-        (workbench.train[record.experiment], names[record.output]): fitted.residuals[record.rows]
-        for record in workbench.records.items
+        (fitter.train[record.experiment], names[record.output]): fitted.residuals[record.rows]
+        for record in fitter.records.items
     }
     found = []
-    for held_out, signals in ((False, training), (True, _held_out(workbench, fitted))):
+    for held_out, signals in ((False, training), (True, _held_out(fitter, fitted))):
         for name in dict.fromkeys(output for _, output in signals):
             own = {e: signal for (e, output), signal in signals.items() if output == name}
-            jumps = {e: after_jumps(workbench.problem.experiments[e], name) for e in own}
+            jumps = {e: after_jumps(fitter.problem.experiments[e], name) for e in own}
             outliers = _in_records(own, jumps, noise.get(name, 0.0))
             found.append(OutliersOfOutput(name, held_out, outliers))
     return [each for each in found if each.count]
 
 
-def _noise(workbench: LoopWorkbench, fitted: FittedModel) -> dict[str, float]:
+def _noise(fitter: Fitter, fitted: FittedModel) -> dict[str, float]:
     """The noise of each output, no less than what a simulation may get wrong."""
-    runs = [workbench.problem.experiments[e] for e in workbench.train]
-    measured, records = measured_values(runs), workbench.records
+    runs = [fitter.problem.experiments[e] for e in fitter.train]
+    measured, records = measured_values(runs), fitter.records
     signals = [measured[records.of_output(output)] for output in range(len(records.outputs))]
     ranges = np.array([np.ptp(signal) if len(signal) else 0.0 for signal in signals])
-    exact = workbench.thresholds.preparation.exact * ranges
-    noise = np.fmax(noise_of(workbench, fitted.residuals), exact)
+    exact = EXACT * ranges
+    noise = np.fmax(noise_of(fitter, fitted.residuals), exact)
     return dict(zip(records.outputs, noise.tolist(), strict=True))
 
 
@@ -247,11 +260,11 @@ def _of_sensor(
     return found if few else outliers(proven=True)
 
 
-def _held_out(workbench: LoopWorkbench, fitted: FittedModel) -> dict[Place, FloatArray]:
+def _held_out(fitter: Fitter, fitted: FittedModel) -> dict[Place, FloatArray]:
     """Residuals of the held-out experiments, with what they alone have at its start."""
-    tests = workbench.problem.indices("test")
+    tests = fitter.problem.indices("test")
     space = make_space(fitted.problem, tests, fitted.estimates)
-    outcomes = workbench.runner.simulate(
+    outcomes = fitter.runner.simulate(
         space.physical(space.start),
         tests,
         "trajectory",
@@ -260,7 +273,7 @@ def _held_out(workbench: LoopWorkbench, fitted: FittedModel) -> dict[Place, Floa
     )
     found = {}
     for test, outcome in zip(tests, outcomes, strict=True):
-        for output in workbench.problem.experiments[test].outputs:
+        for output in fitter.problem.experiments[test].outputs:
             residuals = output_residuals(output, outcome) if outcome.ok else None
             if residuals is not None:
                 found[test, output.variable] = residuals

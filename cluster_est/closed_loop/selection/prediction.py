@@ -6,13 +6,44 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cluster_est.closed_loop.selection.refinement.linear_step import longest_step
-from cluster_est.closed_loop.stages import LoopStage
-from cluster_est.closed_loop.synthetic_experiments import enlarged_kind
-from cluster_est.closed_loop.thresholds import AcceptanceThresholds
-from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.closed_loop.fitter import FittedModel, Fitter, enlarged_kind
+from cluster_est.closed_loop.selection.linear_model import longest_step
+from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.errors import ProblemError
 from workers.messages import FloatArray, IntArray, Output
+
+
+@dataclass(frozen=True)
+class AcceptanceThresholds:
+    """Thresholds of the leave-one-out prediction and of the check for stability.
+
+    Attributes
+    ----------
+    step_lengths
+        Parts of the Gauss-Newton step to the fit without a part. Benchmark.
+    largest_step
+        Of a parameter: in logarithms, or as a share of its value. Benchmark.
+    few
+        Up to so many experiments, parts of their records are left out instead: without one there
+        would be one left, or none. By definition.
+    parts
+        Of a record that is left out in parts. Benchmark.
+    unpredicted
+        Factor on its own squares where no prediction can be simulated. Benchmark.
+    reach
+        Times its measured half range that an output may reach with enlarged inputs. Benchmark.
+    """
+
+    step_lengths: tuple[float, ...] = (1.0, 0.4)
+    largest_step: float = 0.5
+    few: int = 2
+    parts: int = 4
+    unpredicted: float = 4.0
+    reach: float = 6.0
+
+
+ACCEPTANCE = AcceptanceThresholds()
+
 
 GUARD = 1.0001
 """Of a comparison of sums of squares: above rounding."""
@@ -29,7 +60,7 @@ class LeaveOneOutPrediction:
         return float(self.squares.sum())
 
 
-def predict(workbench: LoopWorkbench, fitted: FittedModel) -> LeaveOneOutPrediction:
+def predict(fitter: Fitter, fitted: FittedModel) -> LeaveOneOutPrediction:
     """Predict each training experiment from the others.
 
     The fit to the others is one Gauss-Newton step away, since all but one experiment were in it
@@ -37,15 +68,14 @@ def predict(workbench: LoopWorkbench, fitted: FittedModel) -> LeaveOneOutPredict
     simulation. What acts on the left-out part alone, as its initial state, follows by the linear
     model. With one or two experiments, quarters of their records take the experiments' place.
     """
-    parts = _parts(workbench)
-    thresholds = workbench.thresholds.acceptance
-    lengths = len(thresholds.step_lengths)
-    points = [_left_out(fitted, part, thresholds) for part in parts]
-    (seen,) = workbench.evaluate(LoopStage.LEAVE_ONE_OUT, [(fitted.space, np.vstack(points))])
+    parts = _parts(fitter)
+    lengths = len(ACCEPTANCE.step_lengths)
+    points = [_left_out(fitted, part) for part in parts]
+    (seen,) = fitter.evaluate(LoopStage.LEAVE_ONE_OUT, [(fitted.space, np.vstack(points))])
     squares = np.empty(len(parts))
     for number, part in enumerate(parts):
         own = float(np.sum(fitted.residuals[part] ** 2))
-        squares[number] = thresholds.unpredicted * own
+        squares[number] = ACCEPTANCE.unpredicted * own
         for at in seen[lengths * number : lengths * (number + 1)]:
             if not at.ok:
                 continue
@@ -57,50 +87,47 @@ def predict(workbench: LoopWorkbench, fitted: FittedModel) -> LeaveOneOutPredict
     return LeaveOneOutPrediction(squares)
 
 
-def _parts(workbench: LoopWorkbench) -> list[IntArray]:
+def _parts(fitter: Fitter) -> list[IntArray]:
     """The residuals that are left out together."""
-    records = workbench.records
-    count = len(workbench.train)
-    thresholds = workbench.thresholds.acceptance
-    if count > thresholds.few:
+    records = fitter.records
+    count = len(fitter.train)
+    if count > ACCEPTANCE.few:
         return [records.of_experiment(e) for e in range(count)]
     parts: list[IntArray] = []
     for e in range(count):
         own = [r for r in records.items if r.experiment == e]
         first = min(float(r.times[0]) for r in own if len(r.times))
         last = max(float(r.times[-1]) for r in own if len(r.times))
-        edges = np.linspace(first, last, thresholds.parts + 1)[1:-1]
+        edges = np.linspace(first, last, ACCEPTANCE.parts + 1)[1:-1]
         owner = np.concatenate([np.searchsorted(edges, r.times, side="right") for r in own])
         rows = np.concatenate([np.arange(r.rows.start, r.rows.stop) for r in own])
-        parts += [rows[owner == q] for q in range(thresholds.parts) if np.any(owner == q)]
+        parts += [rows[owner == q] for q in range(ACCEPTANCE.parts) if np.any(owner == q)]
     return parts
 
 
-def is_usable(workbench: LoopWorkbench, fitted: FittedModel, trusted: FittedModel) -> bool:
+def is_usable(fitter: Fitter, fitted: FittedModel, trusted: FittedModel) -> bool:
     """Return whether a grown model stays bounded, and can be linearised to go on from."""
-    return stays_bounded(workbench, fitted, trusted) and can_be_linearised(workbench, fitted)
+    return stays_bounded(fitter, fitted, trusted) and can_be_linearised(fitter, fitted)
 
 
-def stays_bounded(workbench: LoopWorkbench, fitted: FittedModel, trusted: FittedModel) -> bool:
+def stays_bounded(fitter: Fitter, fitted: FittedModel, trusted: FittedModel) -> bool:
     """Return whether no output runs away when the training inputs swing further.
 
     It may go as far as several times what was measured, or what the trusted model makes of the
     same inputs: a loop that starts at rest answers a displaced reference with a large transient.
     """
-    kind = enlarged_kind(workbench.thresholds.preparation)
-    spaces = [workbench.space(f.start, kind) for f in (fitted, trusted)]
-    (at,), (usual,) = workbench.evaluate(
+    kind = enlarged_kind()
+    spaces = [fitter.space(f.start, kind) for f in (fitted, trusted)]
+    (at,), (usual,) = fitter.evaluate(
         LoopStage.ENLARGED_INPUTS, [(s, s.start[None, :]) for s in spaces]
     )
     if not usual.ok:
         return True  # such inputs are beyond the model itself
     if not at.ok:
         return False
-    most = workbench.thresholds.acceptance.reach
-    for experiment, outcome, known in zip(
-        workbench.train, at.outcomes, usual.outcomes, strict=True
-    ):
-        run = workbench.problem.experiments[experiment]
+    most = ACCEPTANCE.reach
+    for experiment, outcome, known in zip(fitter.train, at.outcomes, usual.outcomes, strict=True):
+        run = fitter.problem.experiments[experiment]
         first = 0
         for output in run.outputs:
             part = slice(first, first + len(output.times))
@@ -116,14 +143,14 @@ def stays_bounded(workbench: LoopWorkbench, fitted: FittedModel, trusted: Fitted
     return True
 
 
-def can_be_linearised(workbench: LoopWorkbench, fitted: FittedModel) -> bool:
+def can_be_linearised(fitter: Fitter, fitted: FittedModel) -> bool:
     """Return whether every training experiment has a linear model along its trajectory.
 
     An effect may lead the model to the edge of where it has an answer: it can be simulated there,
     and a step to the side cannot. Nothing can be screened at such a fit.
     """
     try:
-        workbench.trajectories(fitted)
+        fitter.trajectories(fitted)
     except ProblemError:
         return False
     return True
@@ -134,7 +161,7 @@ def _reach(output: Output, residuals: FloatArray, mean: float) -> float:
     return float(np.abs(output.values - output.sigmas * residuals - mean).max())
 
 
-def _left_out(fitted: FittedModel, part: IntArray, thresholds: AcceptanceThresholds) -> FloatArray:
+def _left_out(fitted: FittedModel, part: IntArray) -> FloatArray:
     """Points towards the fit without some residuals, longest step first."""
     others = np.ones(len(fitted.residuals), bool)
     others[part] = False
@@ -149,7 +176,7 @@ def _left_out(fitted: FittedModel, part: IntArray, thresholds: AcceptanceThresho
     alone = ~usable & (np.linalg.norm(own, axis=0) > 0.0)
     if alone.any():
         step[alone] = np.linalg.lstsq(own[:, alone], -own @ step, rcond=1e-6)[0]
-    most = longest_step(fitted.space, fitted.x, thresholds.largest_step)
+    most = longest_step(fitted.space, fitted.x, ACCEPTANCE.largest_step)
     step = np.clip(step, -most, most)
-    points = [fitted.x + length * step for length in thresholds.step_lengths]
+    points = [fitted.x + length * step for length in ACCEPTANCE.step_lengths]
     return np.clip(np.array(points), fitted.space.lower, fitted.space.upper)

@@ -1,0 +1,458 @@
+"""What fits models in a closed loop: to the experiments, and to synthetic ones made of them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, final
+
+import numpy as np
+from typing_extensions import override
+
+from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory, make_trajectory
+from cluster_est.closed_loop.settings import LoopStage
+from cluster_est.errors import ProblemError
+from cluster_est.methods.method import Ending, Evaluation, GivenPoints, Method
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.process_noise import without_noise
+from cluster_est.problem.search_space import SearchSpace, make_space
+from cluster_est.running.multistart import with_best_sensors
+from cluster_est.running.resources import Record, TaskOrigin
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
+from cluster_est.statistics.records import StackedRecords
+from cluster_est.statistics.whitening import deviance
+from workers.fmu.description import ModelDescription
+from workers.messages import Experiment, FloatArray, Outcome, Output, Want
+
+HORIZONS = (0.15, 0.4)
+"""Shares of each record that a start grows through. Benchmark."""
+
+SHORTEST_COPY = 12
+"""Samples of each output that a shortened experiment keeps at least. Benchmark."""
+
+ENLARGEMENT = 1.25
+"""Factor by which inputs swing further in the check for stability. Benchmark."""
+
+
+@dataclass(frozen=True)
+class ShortenedCopy:
+    """The first part of an experiment.
+
+    Attributes
+    ----------
+    share
+        Of its record.
+    samples
+        Of each output that it keeps at least.
+    """
+
+    share: float
+    samples: int = SHORTEST_COPY
+
+    def of(self, experiment: Experiment) -> Experiment:
+        """Shorten an experiment."""
+        stop = experiment.start + self.share * (experiment.stop - experiment.start)
+        for output in experiment.outputs:
+            if len(output.times):
+                stop = max(stop, float(output.times[min(self.samples, len(output.times)) - 1]))
+        outputs = [output.only(output.times <= stop) for output in experiment.outputs]
+        name = f"{experiment.id} (first {self.share:.0%})"
+        return replace(experiment, id=name, stop=stop, outputs=tuple(outputs))
+
+
+@dataclass(frozen=True)
+class EnlargedCopy:
+    """An experiment whose inputs swing further about their means.
+
+    Attributes
+    ----------
+    factor
+        By how much.
+    """
+
+    factor: float
+
+    def of(self, experiment: Experiment) -> Experiment:
+        """Enlarge the inputs of an experiment."""
+        inputs = tuple(
+            replace(given, values=_swung(given.values, self.factor)) for given in experiment.inputs
+        )
+        name = f"{experiment.id} (inputs x {self.factor:g})"
+        return replace(experiment, id=name, inputs=inputs)
+
+
+SyntheticKind = ShortenedCopy | EnlargedCopy
+
+
+def shortened_kinds() -> tuple[ShortenedCopy, ...]:
+    """Return the shortened experiments that a start grows through, the shortest first."""
+    return tuple(ShortenedCopy(share, SHORTEST_COPY) for share in HORIZONS)
+
+
+def enlarged_kind() -> EnlargedCopy:
+    """Return the enlarged experiments in which a model must stay bounded."""
+    return EnlargedCopy(ENLARGEMENT)
+
+
+def with_outputs(problem: Problem, change: Callable[[int, Output], Output]) -> Problem:
+    """Return the problem with each output as a function of it and its experiment's index."""
+    experiments = [
+        replace(experiment, outputs=tuple(change(e, output) for output in experiment.outputs))
+        for e, experiment in enumerate(problem.experiments)
+    ]
+    return replace(problem, experiments=tuple(experiments))
+
+
+def _swung(values: FloatArray, factor: float) -> FloatArray:
+    mean = values.mean()
+    return np.asarray(mean + factor * (values - mean))
+
+
+class SimulationMeter:
+    """Counts simulations in units of a whole experiment, and hands them on to a record.
+
+    Parameters
+    ----------
+    experiments
+        Those that are installed; what has been shortened counts for its part.
+    record
+        Called for each simulation; may be None.
+    """
+
+    def __init__(self, experiments: Sequence[Experiment], record: Record | None) -> None:
+        longest = max(e.stop - e.start for e in experiments)
+        self._parts = [(e.stop - e.start) / longest for e in experiments]
+        self._record = record
+        self.full = 0.0
+
+    def __call__(self, origin: TaskOrigin, outcome: Outcome) -> None:
+        self.full += self._parts[origin.task.experiment]
+        if self._record is not None:
+            self._record(origin, outcome)
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """A model with effects, fitted to the training experiments.
+
+    Attributes
+    ----------
+    space, x
+        The unknowns and where they stand, in search coordinates.
+    residuals : (N,)
+    jacobian : (N, unknowns)
+        Of the residuals, in search coordinates.
+    added
+        The effects that the loop has added, in order.
+    converged
+        The fit has ended by its tolerances.
+    steps
+        Steps of the solver in one simulation of every training experiment; 0 where they are not
+        counted.
+    """
+
+    space: SearchSpace = field(repr=False)
+    x: FloatArray
+    residuals: FloatArray = field(repr=False)
+    jacobian: FloatArray = field(repr=False)
+    added: tuple[EffectCandidate, ...] = ()
+    converged: bool = False
+    steps: int = 0
+
+    @property
+    def problem(self) -> Problem:
+        return self.space.problem
+
+    @property
+    def structure(self) -> frozenset[str]:
+        """Names of the effects that were added, whatever their order."""
+        return frozenset(candidate.effect.name for candidate in self.added)
+
+    @property
+    def start(self) -> FitStart:
+        """The same model, to be fitted again from here."""
+        return FitStart(self.problem, self.estimates, self.added)
+
+    def moved(self, position: int) -> FittedModel:
+        """The same model, with its last effect counted at another position."""
+        kept, last = self.added[:-1], self.added[-1]
+        return replace(self, added=(*kept[:position], last, *kept[position:]))
+
+    @property
+    def sse(self) -> float:
+        return float(np.add.reduce(self.residuals**2))
+
+    @property
+    def estimates(self) -> dict[str, float]:
+        """Physical values by label."""
+        return self.space.estimates(self.x)
+
+    def likelihood(self, records: StackedRecords) -> float:
+        """-2 log likelihood, with the variance of each output's noise estimated along."""
+        return deviance(self.residuals, records)
+
+    def criterion(self, records: StackedRecords) -> float:
+        """Bayesian information criterion (G. Schwarz, Ann. Stat. 6 (1978) 461-464)."""
+        return float(self.likelihood(records) + self.space.size * np.log(len(self.residuals)))
+
+
+@dataclass(frozen=True)
+class FitStart:
+    """A model to be fitted, and from where."""
+
+    problem: Problem
+    values: Mapping[str, float]
+    added: tuple[EffectCandidate, ...] = ()
+
+    def plus(self, candidate: EffectCandidate, values: Sequence[float]) -> FitStart:
+        """With one more effect, whose coefficients start from these values."""
+        problem = replace(
+            self.problem,
+            effects=(*self.problem.effects, candidate.effect),
+            parameters=(*self.problem.parameters, *candidate.parameters(values)),
+        )
+        return FitStart(problem, self.values, (*self.added, candidate))
+
+    def minus(self, position: int) -> FitStart:
+        """Without one of the effects that were added."""
+        gone = self.added[position].effect.name
+        problem = replace(
+            self.problem,
+            effects=tuple(e for e in self.problem.effects if e.name != gone),
+            parameters=tuple(
+                p for p in self.problem.parameters if not p.name.startswith(f"{gone}.")
+            ),
+        )
+        kept = tuple(c for i, c in enumerate(self.added) if i != position)
+        return FitStart(problem, self.values, kept)
+
+
+@dataclass(frozen=True)
+class Fitter(ABC):
+    """Fits models to the training experiments: the queue of simulations, and what they are of.
+
+    Attributes
+    ----------
+    runner
+        Its executor has the problem's experiments, then the synthetic ones.
+    problem
+        The declared model.
+    description
+        Of its FMU.
+    seed
+        Of the loop.
+    train
+        Indices of the training experiments.
+    records
+        Of their residuals, stacked.
+    synthetic
+        For each kind, the index of each training experiment's copy.
+    everything
+        The problem with all experiments that are installed.
+    meter
+        Counts what was simulated.
+    noise_of_samples
+        By output, where records are thinned: of the samples that rows were made from, in its unit.
+    """
+
+    runner: Runner
+    problem: Problem
+    description: ModelDescription
+    seed: int
+    train: tuple[int, ...]
+    records: StackedRecords
+    synthetic: Mapping[SyntheticKind, tuple[int, ...]]
+    everything: Problem
+    meter: SimulationMeter
+    noise_of_samples: Mapping[str, float]
+
+    predicts: ClassVar[bool]
+    """Residuals are errors of predictions from one sample to the next, and not of simulations."""
+
+    @property
+    @abstractmethod
+    def by_linear_systems(self) -> bool:
+        """The directions of candidates follow from linear systems; else each is simulated."""
+
+    @abstractmethod
+    def enlarged(self, problem: Problem) -> Problem:
+        """Return a problem as it is simulated where inputs swing further."""
+
+    @property
+    def size(self) -> int:
+        return self.records.size
+
+    @property
+    def exchange(self) -> bool:
+        return self.problem.model.interface == "model_exchange"
+
+    def enter(self, phase: str) -> None:
+        """Tell who watches the run what it is about from now on."""
+        self.runner.display.phase = phase
+
+    def compared(self, done: int, of: int) -> None:
+        """Tell who watches the run how many candidates were compared with the residual."""
+        self.runner.display.step(LoopStage.TRAJECTORIES.value, done, of)
+
+    def noise_floor(self, noise: FloatArray) -> float:
+        """The sum of squares that the noise alone would leave; never 0."""
+        sizes = [len(self.records.of_output(o)) for o in range(len(self.records.outputs))]
+        return max(float(np.nansum(noise**2 * np.array(sizes))), 1e-300)
+
+    def noise_in_units(self, noise: FloatArray) -> dict[str, float]:
+        """The noise of each output in its own unit, from that in units of its residual.
+
+        Of sigmas that differ between experiments it is the root mean square over the samples.
+        """
+        sigmas, found = self.sigmas, {}
+        for number, name in enumerate(self.records.outputs):
+            own = sigmas[self.records.of_output(number)]
+            equal = not len(own) or bool(np.all(own == own[0]))
+            sigma = (own[0] if len(own) else 1.0) if equal else np.sqrt(np.mean(own**2))
+            found[name] = float(noise[number] * sigma)
+        return found
+
+    @property
+    def sigmas(self) -> FloatArray:
+        """The sigma of each residual, (N,)."""
+        outputs = [o for e in self.train for o in self.problem.experiments[e].outputs]
+        return np.concatenate([o.sigmas for o in outputs])
+
+    def generator(self, stream: int) -> np.random.Generator:
+        """A generator of its own for each use, so that no use moves another."""
+        return np.random.default_rng([self.seed, stream])
+
+    def space(self, start: FitStart, kind: SyntheticKind | None = None) -> SearchSpace:
+        """Make the unknowns of a model on the training experiments, or on synthetic ones."""
+        if kind is None:
+            return make_space(start.problem, self.train, starts=start.values)
+        experiments = self.synthetic[kind]
+        problem = replace(start.problem, experiments=self.everything.experiments)
+        if isinstance(kind, EnlargedCopy):
+            problem = self.enlarged(problem)
+        values = dict(start.values)
+        names = {p.name for p in problem.parameters}
+        for own, copy in zip(self.train, experiments, strict=True):
+            ids = [self.everything.experiments[i].id for i in (own, copy)]
+            for label, value in start.values.items():
+                if label not in names and label.endswith(f"[{ids[0]}]"):
+                    values[f"{label.removesuffix(f'[{ids[0]}]')}[{ids[1]}]"] = value
+        return make_space(problem, experiments, starts=values)
+
+    def measured_estimates(self, fitted: FittedModel, kind: SyntheticKind) -> dict[str, float]:
+        """Relabel estimates on synthetic experiments as those of the measured ones; see `space`."""
+        experiments = self.everything.experiments
+        names = {
+            experiments[copy].id: experiments[own].id
+            for own, copy in zip(self.train, self.synthetic[kind], strict=True)
+        }
+        values = {}
+        for unknown in fitted.space.unknowns:
+            name, scope = unknown.parameter.name, unknown.scope
+            label = f"{name}[{names.get(scope, scope)}]" if scope else name
+            values[label] = fitted.estimates[unknown.label]
+        return values
+
+    def fit(
+        self,
+        stage: LoopStage,
+        starts: Sequence[FitStart],
+        method: Method,
+        kind: SyntheticKind | None = None,
+    ) -> list[FittedModel | None]:
+        """Fit models, all in one queue. None where one cannot be simulated."""
+        spaces = [self._begun(self.space(start, kind)) for start in starts]
+        requests = [SearchRequest(stage.value, method, space, self.seed) for space in spaces]
+        fitted: list[FittedModel | None] = []
+        for start, space, found in zip(starts, spaces, self.runner.run(requests), strict=True):
+            if found.at is None or found.jacobian is None or not found.at.ok:
+                fitted.append(None)
+                continue
+            fitted.append(
+                FittedModel(
+                    space,
+                    found.x,
+                    found.at.residuals,
+                    found.jacobian,
+                    start.added,
+                    found.ending is Ending.CONVERGED,
+                    found.at.steps,
+                )
+            )
+        return fitted
+
+    def _begun(self, space: SearchSpace) -> SearchSpace:
+        """A space with the best scales and offsets of sensors that are not known yet."""
+        return space.starting_at(with_best_sensors(self.runner, space, space.start[None])[0])
+
+    def evaluate(
+        self, stage: LoopStage, points: Sequence[tuple[SearchSpace, FloatArray]]
+    ) -> list[tuple[Evaluation, ...]]:
+        """Evaluate points of several spaces, all in one queue."""
+        requests = [
+            SearchRequest(stage.value, GivenPoints(x, stage.value), space) for space, x in points
+        ]
+        return [solution.evaluations for solution in self.runner.run(requests)]
+
+    def trajectories(self, fitted: FittedModel) -> list[LinearisedTrajectory]:
+        """Simulate and linearise the training experiments at a fit."""
+        want: Want = "linearisation" if self.exchange else "trajectory"
+        outcomes = self.runner.simulate(
+            fitted.space.physical(fitted.x),
+            self.train,
+            want,
+            LoopStage.TRAJECTORIES.value,
+            fitted.problem.effects,
+        )
+        for outcome in outcomes:
+            if not outcome.ok:
+                raise ProblemError(
+                    f"closed loop: the fitted model cannot be simulated again "
+                    f"({outcome.status}: {outcome.message})"
+                )
+        runs = [self.problem.experiments[e] for e in self.train]
+        return [
+            make_trajectory(run, outcome, self.description.states)
+            for run, outcome in zip(runs, outcomes, strict=True)
+        ]
+
+
+@final
+@dataclass(frozen=True)
+class SimulationFitter(Fitter):
+    """Compares simulations that go their own way with what was measured."""
+
+    predicts: ClassVar[bool] = False
+
+    @property
+    @override
+    def by_linear_systems(self) -> bool:
+        return self.exchange  # in co-simulation the states are hidden
+
+    @override
+    def enlarged(self, problem: Problem) -> Problem:
+        return problem
+
+
+@final
+@dataclass(frozen=True)
+class PredictionFitter(Fitter):
+    """Compares predictions of a Kalman filter with what was measured, under process noise.
+
+    Residuals are innovations over their standard deviations. The filter corrects the states, so
+    that no linear system without it says what a candidate changes.
+    """
+
+    predicts: ClassVar[bool] = True
+
+    @property
+    @override
+    def by_linear_systems(self) -> bool:
+        return False
+
+    @override
+    def enlarged(self, problem: Problem) -> Problem:
+        return without_noise(problem)  # nothing was measured there that a filter could follow

@@ -1,1 +1,0 @@
-"""Numerical error: what the solver and its steps add to a residual, which no effect may explain."""

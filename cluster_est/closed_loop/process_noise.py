@@ -1,0 +1,441 @@
+"""The closed loop where noise acts on the states: passes of the search, each under held noise.
+
+1. Fit the declared model by prediction errors, with its noise.
+2. Hold that noise and search: the residuals are innovations over their standard deviations. They
+   are white and of variance 1 where that model is right: the residuals that all tests of the loop
+   are made for. What a missing effect leaves in them the noise has partly taken up; as the noise is
+   held too large then, a test sees less of it, but not what is not there.
+3. Fit the noise again with what was found, hold it, and search again from the declared model, until
+   the search finds the same.
+4. Compare both models with noise of their own, and report.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+
+from cluster_est.closed_loop.account import LastFits, account, final_fit
+from cluster_est.closed_loop.findings.effects import ErrorChange, NoiseChange, Verdict
+from cluster_est.closed_loop.findings.result import LoopResult
+from cluster_est.closed_loop.findings.simulation_cost import dear_structures
+from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
+from cluster_est.closed_loop.search import SearchedModel, search_for_effects
+from cluster_est.closed_loop.selection.gates import SELECTION
+from cluster_est.closed_loop.selection.rounds import SelectionResult
+from cluster_est.closed_loop.settings import LoopStage
+from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, open_workbench
+from cluster_est.errors import ProblemError
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.process_noise import noise_names, noise_parameters, without_noise
+from cluster_est.problem.search_space import make_space
+from cluster_est.results.output_errors import output_residuals
+from cluster_est.results.result import Result
+from cluster_est.toml import dotted
+from workers.messages import Role
+
+MOST_PASSES = 4
+NOT_LOOKED_FOR = (
+    "process noise: outliers and noise that grows with the signal were not looked for, nor effects "
+    "at outputs, delays, backlash and rate limits"
+)
+NOT_AGAIN = (
+    "{} would take the place of a part of the process noise, but is not found any more under the "
+    "noise that it leaves"
+)
+
+
+def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
+    """Find what a model with process noise lacks.
+
+    Parameters
+    ----------
+    request
+        Its problem has process noise.
+    begin
+        A reading of the monotonic clock.
+
+    Raises
+    ------
+    ClusterEstError
+        If model, experiments and machine do not fit together, or the data cannot carry a search.
+    """
+    check_noise_parameters(request.problem)
+    with open_workbench(request) as workbench:
+        workbench.enter("the process noise")
+        held = hold_noise(workbench.fitter, request.problem, FitStart(request.problem, {}), {})
+        spent = [SpentSimulations.at(workbench.fitter)]
+    passed: list[frozenset[str]] = []
+    while True:
+        used = sum(each.evaluations for each in spent)
+        left = request.environment.left(used, time.monotonic() - begin)
+        with open_workbench(replace(request, problem=held.problem, environment=left)) as workbench:
+            searched = search_for_effects(workbench, held.start, request.environment.resources)
+            structure = searched.found.current.structure
+            passed.append(structure)
+            if not structure or structure in passed[:-1] or len(passed) == MOST_PASSES:
+                result = _accounted(workbench, request, searched, passed, begin)
+                return with_all(result, spent)
+            workbench.enter("the process noise that is left")
+            start = released(searched.found.current.start, request.problem)
+            held = hold_noise(workbench.fitter, request.problem, start, held.values)
+            spent.append(SpentSimulations.at(workbench.fitter))
+
+
+@dataclass(frozen=True)
+class SpentSimulations:
+    """What a fitter has simulated; see `LoopResult`."""
+
+    simulations: float
+    simulated: int
+    evaluations: int
+    failures: int
+
+    @classmethod
+    def at(cls, fitter: Fitter) -> Self:
+        runner = fitter.runner
+        return cls(fitter.meter.full, runner.simulations, runner.evaluations, runner.failures)
+
+
+def with_all(result: LoopResult, spent: Sequence[SpentSimulations]) -> LoopResult:
+    """Add what was simulated at the workbenches before the last one."""
+    return replace(
+        result,
+        simulations=result.simulations + sum(each.simulations for each in spent),
+        simulated=result.simulated + sum(each.simulated for each in spent),
+        evaluations=result.evaluations + sum(each.evaluations for each in spent),
+        failures=result.failures + sum(each.failures for each in spent),
+    )
+
+
+def _accounted(
+    workbench: LoopWorkbench,
+    request: LoopRequest,
+    searched: SearchedModel,
+    passed: list[frozenset[str]],
+    begin: float,
+) -> LoopResult:
+    """Compare both models with noise of their own, and put it into words."""
+    workbench.enter("before and after")
+    found, judged = searched.found, searched.judged
+    fits = last_fits_with_noise(workbench.fitter, request.problem, found, begin)
+    if judged.verdict in CLAIMS:
+        against = why_not_likely(workbench.size, found, fits)
+        if against:
+            why = f"the best candidate was not accepted: {against}"
+            judged = replace(judged, verdict=Verdict.NONE, reason=why)
+    elif len(passed) > 1 and not found.current.added:
+        judged = ReasonedVerdict(Verdict.NONE, NOT_AGAIN.format(" and ".join(sorted(passed[-2]))))
+    result = account(workbench, found, judged, fits)
+    kept = bool(result.effects)
+    said = [noise_sentence(each, kept=kept) for each in fits.noise]
+    free = simulation_sentence(workbench.fitter, result.before, result.after) if kept else ""
+    return replace(
+        result,
+        summary="; ".join([result.summary, *said]),
+        notes=tuple(
+            filter(
+                None,
+                (
+                    *searched.error.notes,
+                    *result.notes,
+                    free,
+                    NOT_LOOKED_FOR,
+                    _unsettled(passed),
+                    *dear_structures(found.path),
+                ),
+            )
+        ),
+        seconds=time.monotonic() - begin,
+        failures_in_search=searched.failures,
+    )
+
+
+def _unsettled(passed: list[frozenset[str]]) -> str:
+    """Say that the passes have not come to an end, where that is so."""
+    if not passed[-1] or passed[-1] in passed[:-1]:
+        return ""
+    return (
+        f"after {len(passed)} passes the search still found other effects than in the pass before: "
+        "their names are uncertain"
+    )
+
+
+def noise_sentence(change: NoiseChange, *, kept: bool) -> str:
+    """Say how strong process noise is, and was."""
+    unit = f" {change.unit}" if change.unit not in ("", "1") else ""
+    kind = "standard deviation" if change.coloured else "strength"
+    lasting = f", lasting {change.time_before:.3g} s" if change.coloured else ""
+    if not kept:
+        return f"process noise {change.name}: {kind} {change.before:.3g}{unit}{lasting}"
+    if change.coloured:
+        lasting = f", lasting {change.time_before:.3g} s before and {change.time_after:.3g} s now"
+    left = change.variance_left
+    return (
+        f"process noise {change.name}: {kind} {change.before:.3g} before and {change.after:.3g}"
+        f"{unit} now, {left:.0%} of its variance{lasting}"
+    )
+
+
+WITH_NOISE = LeastSquares(trials=2, max_iterations=40, ftol=1e-8, xtol=1e-8)
+
+
+@dataclass(frozen=True)
+class HeldNoise:
+    """A problem whose process noise is held where a fit found it.
+
+    Attributes
+    ----------
+    problem
+        The declared model, its noise fixed, and in each experiment the `log_spread` of that fit.
+    values
+        Of its unknowns, to start from.
+    """
+
+    problem: Problem = field(repr=False)
+    values: Mapping[str, float]
+
+    @property
+    def start(self) -> FitStart:
+        return FitStart(self.problem, self.values)
+
+
+def check_noise_parameters(problem: Problem) -> None:
+    """Refuse noise whose strength is not one number of its own.
+
+    Raises
+    ------
+    ProblemError
+        With what to change.
+    """
+    for parameter in noise_parameters(problem):
+        for key, given in (("per", parameter.per), ("expression", parameter.expression)):
+            if given:
+                raise ProblemError(
+                    f"close-loop: {dotted('parameters', parameter.name)}.{key}: must be left out, "
+                    "because a "
+                    f"search holds process noise by one number, but is {given!r}; remove it"
+                )
+
+
+def released(start: FitStart, declared: Problem) -> FitStart:
+    """Return a model with the noise parameters of the declared one, from where they were held."""
+    own = {p.name: p for p in noise_parameters(declared)}
+    held = {p.name: p.start for p in start.problem.parameters if p.name in own}
+    parameters = tuple(
+        replace(own[p.name], start=p.start) if p.name in own else p
+        for p in start.problem.parameters
+    )
+    problem = replace(start.problem, parameters=parameters)
+    return FitStart(problem, {**held, **start.values}, start.added)
+
+
+def hold_noise(
+    fitter: Fitter, declared: Problem, start: FitStart, known: Mapping[str, float]
+) -> HeldNoise:
+    """Fit a model with its noise, and hold the noise of that fit in the declared one.
+
+    Parameters
+    ----------
+    fitter
+        Its experiments are those of the declared model, with any `log_spread`.
+    declared
+        As the user has given it.
+    start
+        The model, with noise that is free.
+    known
+        Values of the declared unknowns to start from; those of the fit where they are not given.
+
+    Raises
+    ------
+    ProblemError
+        If the model cannot be simulated.
+    """
+    (fitted,) = fitter.fit(LoopStage.PROCESS_NOISE, [start], WITH_NOISE)
+    if fitted is None:
+        raise ProblemError(
+            "close-loop: the model cannot be simulated with its process noise from its start "
+            "values; try cluster-est check, and other start values"
+        )
+    estimates = fitted.estimates
+    spreads = _log_spreads(fitter, fitted)
+    own = {p.name for p in noise_parameters(declared)}
+    parameters = tuple(
+        replace(p, start=float(estimates.get(p.name, p.start)), fixed=True) if p.name in own else p
+        for p in declared.parameters
+    )
+    experiments = tuple(
+        replace(each, log_spread=spread)
+        for each, spread in zip(declared.experiments, spreads, strict=True)
+    )
+    problem = replace(declared, parameters=parameters, experiments=experiments)
+    added = {p.name for p in fitted.problem.parameters} - {p.name for p in declared.parameters}
+    values = {k: v for k, v in estimates.items() if k not in own and k not in added}
+    return HeldNoise(problem, {**values, **known})
+
+
+def _log_spreads(fitter: Fitter, fitted: FittedModel) -> list[float]:
+    """Return the `log_spread` of every experiment at a fit; 0 where it cannot be simulated."""
+    problem = fitted.problem
+    everything = tuple(range(len(problem.experiments)))
+    space = make_space(problem, everything, fitted.estimates)
+    outcomes = fitter.runner.simulate(
+        space.physical(space.start),
+        everything,
+        "linearisation",
+        LoopStage.PROCESS_NOISE.value,
+        problem.effects,
+    )
+    found = [outcome.linearisation for outcome in outcomes]
+    return [0.0 if linear is None else linear.log_spread for linear in found]
+
+
+def last_fits_with_noise(
+    fitter: Fitter, declared: Problem, found: SelectionResult, begin: float
+) -> LastFits:
+    """Fit both models with noise of their own, and compare their innovations under one noise.
+
+    Errors in the output's unit are those of predictions, each by a filter with its model's own
+    noise. Normalised ones are innovations over their standard deviations, those of both models
+    under the noise that is left with the effects: 1 is what that noise explains.
+
+    Parameters
+    ----------
+    fitter
+        With the noise that the search was done under.
+    declared
+        As the user has given it.
+    found
+        By the search.
+    begin
+        As for `complete`.
+    """
+    held = [final_fit(fitter, found.base.start, begin)]
+    free = [final_fit(fitter, released(found.base.start, declared), begin)]
+    if found.current.added:
+        held.append(final_fit(fitter, found.current.start, begin))
+        free.append(final_fit(fitter, released(found.current.start, declared), begin))
+    return LastFits(
+        before=free[0],
+        after=free[-1],
+        errors=_error_changes((free[0], free[-1]), (held[0], held[-1])),
+        unchanged=_error_changes((free[0], free[0]), (held[0], held[0])),
+        noise=_noise_changes(free[0], free[-1]),
+    )
+
+
+def why_not_likely(size: int, found: SelectionResult, fits: LastFits) -> str:
+    """Say what speaks against the effects once both models have noise of their own; "" if nothing.
+
+    The fall of -2 log likelihood must pay for the unknowns, as in the criterion of G. Schwarz, and
+    for the choice among the candidates, and held-out experiments must be as likely as before. That
+    the noise is smaller then is in the likelihood: its strength by itself is known less well.
+    """
+    unknowns = len(fits.after.solution.x) - len(fits.before.solution.x)
+    count = found.steps[0].screening.count
+    price = SELECTION.choice_price * len(found.current.added) * np.log(count)
+    needed = unknowns * np.log(size) + price
+    fall = _deviance(fits.before, "train") - _deviance(fits.after, "train")
+    if not fall > needed:
+        return (
+            f"-2 log likelihood falls by {fall:.1f} with noise that is estimated along, and must "
+            f"by {needed:.1f} for a choice among {count} candidates"
+        )
+    worse = _deviance(fits.after, "test") - _deviance(fits.before, "test")
+    if worse > 0.0:
+        return f"-2 log likelihood of the held-out experiments would grow by {worse:.1f}"
+    return ""
+
+
+def simulation_sentence(fitter: Fitter, before: Result, after: Result) -> str:
+    """Say how far simulations that go their own way are from what was measured; "" if unknown."""
+    roles: tuple[tuple[Role, str], ...] = (("train", "training"), ("test", "held-out"))
+    said = []
+    for role, name in roles:
+        old, new = (_simulation_error(fitter, each, role) for each in (before, after))
+        if np.isfinite(old) and np.isfinite(new):
+            said.append(f"from {old:.3g} to {new:.3g} times sigma on {name} data")
+    if not said:
+        return ""
+    return (
+        "simulated from start to end without process noise, the root mean square error goes "
+        + " and ".join(said)
+    )
+
+
+def _simulation_error(fitter: Fitter, result: Result, role: Role) -> float:
+    """Root mean square over sigma of simulations without noise; NaN if there are none."""
+    known = {e.label: e.value for e in result.estimates}
+    problem = without_noise(result.problem)
+    chosen = problem.indices(role)
+    if not chosen:
+        return np.nan
+    space = make_space(problem, chosen, known)
+    values = space.physical(space.start)
+    outcomes = fitter.runner.simulate(values, chosen, "trajectory", "free", problem.effects)
+    parts = [
+        output_residuals(output, outcome)
+        for e, outcome in zip(chosen, outcomes, strict=True)
+        for output in problem.experiments[e].outputs
+    ]
+    seen = [part for part in parts if part is not None]
+    if len(seen) < len(parts) or not seen:
+        return np.nan
+    return float(np.sqrt(np.mean(np.concatenate(seen) ** 2)))
+
+
+def _deviance(result: Result, role: Role) -> float:
+    """-2 log likelihood up to a constant, of the experiments of a role."""
+    chosen = set(result.problem.indices(role))
+    parts = [s.outcome.residuals for s in result.simulations if s.experiment in chosen]
+    return float(sum(np.inf if part is None else part @ part for part in parts))
+
+
+def _noise_changes(before: Result, after: Result) -> tuple[NoiseChange, ...]:
+    """Strength and time of each noise, before and after."""
+    names = set(noise_names(before.problem))
+    units = {e.label: e.unit for e in before.estimates}
+    old, new = ({e.label: e.value for e in each.estimates} for each in (before, after))
+    found = []
+    for effect in before.problem.effects:
+        if effect.name not in names:
+            continue
+        q, tau = f"{effect.name}.q", f"{effect.name}.tau"
+        coloured = tau in old
+        sizes = [float(v[q] * (np.sqrt(0.5 * v[tau]) if coloured else 1.0)) for v in (old, new)]
+        times = [float(v.get(tau, np.nan)) for v in (old, new)]
+        unit = units[q].removesuffix(" s^-0.5").removesuffix("/s^0.5") if coloured else units[q]
+        found.append(NoiseChange(effect.name, effect.site, unit, *sizes, *times))
+    return tuple(found)
+
+
+def _error_changes(
+    free: tuple[Result, Result], held: tuple[Result, Result]
+) -> tuple[ErrorChange, ...]:
+    """Errors of predictions in units, and innovations over what the noise explains."""
+    sizes = [dict(_innovation_sizes(result)) for result in held]
+    changes = []
+    for old, new in zip(free[0].errors, free[1].errors, strict=True):
+        key = old.experiment, old.output
+        normalised = sizes[0].get(key, np.nan), sizes[1].get(key, np.nan)
+        changes.append(ErrorChange.between(old, new, normalised))
+    return tuple(changes)
+
+
+def _innovation_sizes(result: Result) -> Iterator[tuple[tuple[str, str], float]]:
+    """Root mean square of the residuals of each output of each experiment."""
+    for simulation in result.simulations:
+        run = result.problem.experiments[simulation.experiment]
+        residuals = simulation.outcome.residuals
+        if residuals is None:
+            continue
+        parts = np.split(residuals, np.cumsum(run.counts)[:-1])
+        for output, part in zip(run.outputs, parts, strict=True):
+            if len(part):
+                yield (run.id, output.variable), float(np.sqrt(np.mean(part**2)))

@@ -1,0 +1,423 @@
+"""What the linear model of the residuals promises: steps, first steps of candidates, and bounds.
+
+A refit costs many simulations and what it could reach is known beforehand, roughly: on the
+benchmark the fall of the sum of squares is 1.1 times what the linear model promises as a median,
+and 2.5 times in one of a hundred cases. What cannot come to be of any use is pruned by that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
+from cluster_est.closed_loop.screening.directions import CandidatePoint
+from cluster_est.closed_loop.screening.screen import CandidateRanking
+from cluster_est.closed_loop.settings import LoopStage
+from cluster_est.problem.search_space import SearchSpace
+from cluster_est.statistics.records import StackedRecords
+from workers.messages import FloatArray
+
+
+@dataclass(frozen=True)
+class RefinementThresholds:
+    """Thresholds of the simulations and refits of leading candidates.
+
+    Attributes
+    ----------
+    step_lengths
+        Parts of the linear model's step that are tried. Benchmark.
+    largest_step
+        Of a parameter: in logarithms, or as a share of its value. Benchmark.
+    weakest, strongest
+        Factors between which a finite amount of the grid is scaled. Benchmark.
+    points_of_grid
+        Points of a candidate's grid that are tried, the best by score. Benchmark.
+    white_leaders
+        Leaders of the whitened scores that are tried besides. Benchmark.
+    closes
+        Share of the gap to the noise that a single effect must close, or more are tried.
+        Benchmark.
+    actual_reduction
+        Share of the predicted reduction that a step must bring, or a shorter one is
+        tried. Theory: half of it is a good step, J. J. More, doi:10.1007/BFb0067700.
+    behind
+        Share of what the best candidate does, where that closes the gap, that another must do to
+        be refitted further. Benchmark.
+    claim_promise, rival_promise
+        Times the fall of the squares that the linear model promises for an effect that is not yet
+        there, that it may bring: where a claim hangs on it, and where it must come near what was
+        found already. Benchmark: 1.1 times as a median, 1.5 times in one of twenty.
+    linear_promise
+        Times the fall of the criterion that the linear model promises after some iterations that
+        the rest of a fit may bring. Benchmark.
+    finalists
+        Candidates that are refitted to convergence. Benchmark.
+    promising
+        Candidates that go on although they are behind, because of what the linear model promises.
+        Benchmark.
+    curves
+        Free curves that are refitted. Benchmark.
+    same_argument
+        Other functions of the best candidate's argument that are refitted. Benchmark.
+    explains
+        Share of what that candidate does that they must be able to do. Benchmark.
+    settled
+        Fall of the criterion that ends a refit to convergence. Theory: a tenth of `equal`.
+    equal
+        Difference of criteria that does not tell two candidates apart. Theory: below 2 "not worth
+        more than a bare mention", R. E. Kass, A. E. Raftery, J. Am. Stat. Assoc. 90 (1995) 773-795.
+    alternative
+        Difference of criteria that leaves a candidate possible. Theory: above 10 the evidence is
+        "very strong", ibid.
+    """
+
+    step_lengths: tuple[float, ...] = (1.0, 0.3)
+    largest_step: float = 0.8
+    weakest: float = 0.06
+    strongest: float = 3.0
+    points_of_grid: int = 2
+    white_leaders: int = 8
+    closes: float = 0.9
+    actual_reduction: float = 0.5
+    behind: float = 0.25
+    claim_promise: float = 2.0
+    rival_promise: float = 1.5
+    linear_promise: float = 3.0
+    finalists: int = 3
+    promising: int = 2
+    curves: int = 2
+    same_argument: int = 3
+    explains: float = 0.8
+    settled: float = 0.2
+    equal: float = 2.0
+    alternative: float = 10.0
+
+
+REFINEMENT = RefinementThresholds()
+
+
+def gauss_newton_step(jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
+    """Return the step that minimises the linear model of the residuals, whatever the units.
+
+    Parameters
+    ----------
+    jacobian : (N, unknowns)
+    residuals : (N,)
+
+    Returns
+    -------
+    (unknowns,)
+        Zero for an unknown without effect.
+    """
+    sizes = np.linalg.norm(jacobian, axis=0)
+    sizes[~(sizes > 0.0)] = 1.0
+    step: FloatArray = np.linalg.lstsq(jacobian / sizes, -residuals, rcond=1e-6)[0] / sizes
+    return step
+
+
+def longest_step(space: SearchSpace, x: FloatArray, largest: float) -> FloatArray:
+    """Return how far each unknown may be moved from a point at once, in search coordinates.
+
+    Parameters
+    ----------
+    space, x
+        The unknowns, and where they stand: (unknowns,).
+    largest
+        Of a parameter: in logarithms, or as a share of its value.
+    """
+    log = space.logarithmic
+    return largest * np.where(log, 1.0, np.maximum(np.abs(x), space.typical))
+
+
+@dataclass(frozen=True)
+class PruningBound:
+    """What a refit must come down to.
+
+    Attributes
+    ----------
+    criterion, sse
+        Its criterion and its sum of squares at most.
+    pruned
+        What falls behind the best of its fellows is refitted no further either.
+    """
+
+    criterion: float = np.inf
+    sse: float = np.inf
+    pruned: bool = True
+
+
+NO_BOUND = PruningBound()
+UNPRUNED = PruningBound(pruned=False)
+
+
+def predicted_criterion(records: StackedRecords, fitted: FittedModel) -> float:
+    """Return the criterion that the linear model promises after one more step without bounds."""
+    return _ahead(fitted).criterion(records)
+
+
+def can_reach(records: StackedRecords, fitted: FittedModel, bound: PruningBound) -> bool:
+    """Return whether more iterations could bring a fit down to what it must reach.
+
+    The linear model says how far one more step would lead, if there were no bounds. After some
+    iterations the rest of a fit brings little more than that, so some times as much is allowed.
+    """
+    times, ahead = REFINEMENT.linear_promise, _ahead(fitted)
+    criteria = [each.criterion(records) for each in (fitted, ahead)]
+    criterion = criteria[0] - times * (criteria[0] - criteria[1])
+    sse = fitted.sse - times * (fitted.sse - ahead.sse)
+    return bool(criterion <= bound.criterion and sse <= bound.sse)
+
+
+def can_reach_with(
+    records: StackedRecords,
+    current: FittedModel,
+    shares: FloatArray,
+    added: int,
+    bound: PruningBound,
+) -> bool:
+    """Return whether a model with new unknowns could come down to what it must reach.
+
+    Parameters
+    ----------
+    current
+        The model without them.
+    shares : (outputs,)
+        Of its squares that the linear model leaves after a step of all unknowns.
+    added
+        Number of new unknowns.
+    """
+    total, likelihood = 0.0, 0.0
+    for output, share in enumerate(shares.tolist()):
+        part = current.residuals[records.of_output(output)]
+        if len(part):
+            squares = float(np.add.reduce(part**2))
+            total += squares * max(1.0 - REFINEMENT.claim_promise * (1.0 - share), 0.0)
+            rest = squares * max(1.0 - REFINEMENT.rival_promise * (1.0 - share), 0.0)
+            likelihood += len(part) * np.log(max(rest / len(part), 1e-300))
+    price = (current.space.size + added) * np.log(len(current.residuals))
+    return bool(total <= bound.sse and likelihood + price <= bound.criterion)
+
+
+def shares_left(records: StackedRecords, before: FloatArray, after: FloatArray) -> FloatArray:
+    """Return the share (outputs,) of each output's squares that is left.
+
+    Parameters
+    ----------
+    records
+        Of the residuals.
+    before, after : (N,)
+        The residuals, and those of the linear model.
+    """
+    rows = [records.of_output(output) for output in range(len(records.outputs))]
+    squares = [(np.add.reduce(after[r] ** 2), np.add.reduce(before[r] ** 2)) for r in rows]
+    return np.array([a / b if b > 0.0 else 1.0 for a, b in squares])
+
+
+def _ahead(fitted: FittedModel) -> FittedModel:
+    step = gauss_newton_step(fitted.jacobian, fitted.residuals)
+    return replace(fitted, residuals=fitted.residuals + fitted.jacobian @ step)
+
+
+@dataclass(frozen=True)
+class AskedStep:
+    """A candidate at a point of its grid with the step that the linear model asks for.
+
+    `left` is the share of each output's squares that the linear model leaves, `predicted` their
+    sum.
+    """
+
+    owner: int
+    trial: CandidatePoint
+    step: FloatArray = field(repr=False)
+    predicted: float
+    left: FloatArray = field(repr=False)
+    start: FitStart = field(repr=False)
+    space: SearchSpace = field(repr=False)
+
+    def can_reach(self, records: StackedRecords, current: FittedModel, bound: PruningBound) -> bool:
+        """Return whether it may; of what is no small change, the linear model knows nothing."""
+        if not is_proportional(self.trial):
+            return True
+        added = len(self.space.unknowns) - len(current.x)
+        return can_reach_with(records, current, self.left, added, bound)
+
+    def point(self, current: FittedModel, length: float) -> FloatArray:
+        """The point that a part of the step leads to, in the extended space."""
+        known, space = len(current.x), self.space
+        most = longest_step(current.space, current.x, REFINEMENT.largest_step)
+        moved = current.x + np.clip(length * self.step, -most, most)
+        point = np.concatenate([moved, space.start[known:]])
+        for i, unknown in enumerate(space.unknowns[known:], known):
+            if unknown.label.rpartition(".")[2] in self.trial.candidate.strengths:
+                point[i] = length * space.start[i]
+        return np.asarray(np.clip(point, space.lower, space.upper))
+
+
+@dataclass(frozen=True)
+class FirstStep:
+    """A candidate, switched on by the step that the linear model asks for.
+
+    Attributes
+    ----------
+    sse
+        Sum of squares at the best point that was simulated.
+    asked
+        The whole step of the linear model.
+    start
+        From that point.
+    """
+
+    sse: float
+    asked: AskedStep = field(repr=False)
+    start: FitStart
+
+
+def first_steps(
+    fitter: Fitter,
+    current: FittedModel,
+    ranking: CandidateRanking,
+    leaders: Sequence[int],
+    bound: PruningBound = NO_BOUND,
+) -> list[FirstStep]:
+    """Simulate the first step of each leader; shorter ones where it does less than predicted.
+
+    Leaders that cannot be simulated are left out, and those that the linear model does not let hope
+    to be useful. One whose steps all make it worse starts from
+    nothing instead: with one effect more no model need fit worse.
+    """
+    asked = [
+        _asked_step(fitter, current, ranking, owner, i)
+        for owner, leader in enumerate(leaders)
+        for i in _grid_points(ranking, leader)[: REFINEMENT.points_of_grid]
+    ]
+    hopeful = {each.owner for each in asked if each.can_reach(fitter.records, current, bound)}
+    asked = [each for each in asked if each.owner in hopeful]
+    best: dict[int, FirstStep] = {}
+    for length in REFINEMENT.step_lengths:
+        asked = [each for each in asked if not _does_enough(each, best, current)]
+        points = [(each.space, each.point(current, length)[None]) for each in asked]
+        answers = fitter.evaluate(LoopStage.TRIALS, points)
+        for each, (_, (point,)), (at,) in zip(asked, points, answers, strict=True):
+            if not at.ok:
+                continue
+            sse = float(np.add.reduce(at.residuals**2))
+            if each.owner not in best or sse < best[each.owner].sse:
+                values = each.space.estimates(point)
+                start = FitStart(each.start.problem, values, each.start.added)
+                best[each.owner] = FirstStep(sse, each, start)
+    for owner, step in best.items():
+        if step.sse > current.sse and (off := _from_nothing(current, ranking, leaders[owner])):
+            best[owner] = FirstStep(current.sse, step.asked, off)
+    return [best[owner] for owner in range(len(leaders)) if owner in best]
+
+
+def _from_nothing(current: FittedModel, ranking: CandidateRanking, leader: int) -> FitStart | None:
+    """A leader switched off, where it can be switched on little by little; else None."""
+    trial = ranking.trials[leader]
+    strengths = trial.candidate.strengths
+    if not strengths:
+        return None
+    names = [c.name for c in trial.candidate.form.coefficients]
+    off = [0.0 if n in strengths else v for n, v in zip(names, trial.values, strict=True)]
+    return current.start.plus(trial.candidate, off)
+
+
+def _asked_step(
+    fitter: Fitter,
+    current: FittedModel,
+    ranking: CandidateRanking,
+    owner: int,
+    index: int,
+) -> AskedStep:
+    trial = ranking.trials[index]
+    step, (strengths,), after = joint_step(current, ranking, [index])
+    values = values_at(trial, strengths)
+    start = current.start.plus(trial.candidate, values)
+    left = shares_left(ranking.records, current.residuals[ranking.rows], after)
+    sizes = [current.residuals[fitter.records.of_output(o)] for o in range(len(left))]
+    predicted = float(
+        sum(share * np.add.reduce(r**2) for share, r in zip(left, sizes, strict=True))
+    )
+    return AskedStep(owner, trial, step, predicted, left, start, fitter.space(start))
+
+
+def _does_enough(
+    asked: AskedStep,
+    best: Mapping[int, FirstStep],
+    current: FittedModel,
+) -> bool:
+    """Return whether its candidate's first step has brought enough of the predicted reduction.
+
+    A longer one was simulated before, or there is nothing to judge by.
+    """
+    if asked.owner not in best:
+        return False
+    gained = current.sse - best[asked.owner].sse
+    return gained >= REFINEMENT.actual_reduction * (current.sse - asked.predicted)
+
+
+def _grid_points(ranking: CandidateRanking, leader: int) -> list[int]:
+    """The points of a leader's grid, the best score first."""
+    name = ranking.trials[leader].candidate.effect.name
+    own = [i for i, t in enumerate(ranking.trials) if t.candidate.effect.name == name]
+    own.sort(key=lambda i: -ranking.plain.statistics[i])
+    return own
+
+
+def joint_step(
+    current: FittedModel, ranking: CandidateRanking, trials: Sequence[int]
+) -> tuple[FloatArray, list[FloatArray], FloatArray]:
+    """Gauss-Newton step of all unknowns, and how strong each trial is to be, on the screened rows.
+
+    A limit cannot be made stronger or weaker in proportion: it is switched on as it is, the other
+    unknowns make room for it, and it has no strengths.
+
+    Returns
+    -------
+    step
+        Of the unknowns.
+    strengths
+        Of each trial.
+    after
+        The residuals that the linear model leaves.
+    """
+    matrix = current.jacobian[ranking.rows]
+    residuals = current.residuals[ranking.rows]
+    columns = [ranking.columns[i] for i in trials]
+    scaled = [is_proportional(ranking.trials[i]) for i in trials]
+    for column, free in zip(columns, scaled, strict=True):
+        if not free:
+            residuals = residuals + column[:, 0]
+    own = [column if free else column[:, :0] for column, free in zip(columns, scaled, strict=True)]
+    joined = np.hstack([matrix, *own])
+    solved = gauss_newton_step(joined, residuals)
+    after = residuals + joined @ solved
+    ends = np.cumsum([matrix.shape[1], *(part.shape[1] for part in own)])
+    return solved[: ends[0]], [solved[a:b] for a, b in pairwise(ends)], after
+
+
+def is_proportional(trial: CandidatePoint) -> bool:
+    """Return whether its effect grows with a coefficient from nothing."""
+    return any(c.neutral == 0.0 for c in trial.candidate.form.coefficients)
+
+
+def values_at(trial: CandidatePoint, strengths: FloatArray) -> list[float]:
+    """The trial's coefficients, as strong as the linear model asks for.
+
+    Where an effect is switched on by a finite amount, that amount is scaled, within limits.
+    """
+    asked = iter(strengths.tolist())
+    values = []
+    for c, value in zip(trial.candidate.form.coefficients, trial.values, strict=True):
+        if c.name in trial.candidate.strengths:
+            values.append(next(asked))
+        elif c.neutral == 0.0 and strengths.size:
+            factor = min(max(next(asked), REFINEMENT.weakest), REFINEMENT.strongest)
+            values.append(value * factor)
+        else:
+            values.append(value)
+    return values

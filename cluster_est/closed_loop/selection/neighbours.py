@@ -1,0 +1,354 @@
+"""Neighbours of a refitted candidate: other functions of its argument, and other switch widths.
+
+The screening sees a small step from a model that lacks the effect. Where the effect is large the
+motion with it is another one, on which two functions differ that looked alike before, and the
+shortlist may have held the wrong one. So once a candidate has been refitted, the other functions of
+its argument (sibling forms) are compared with it along the trajectory that it has led to, by linear
+algebra, and those that could do the same are refitted from there.
+
+A dry friction is a switch; a simulation needs it to have a width. How wide matters little where the
+friction is small against the noise, so a search holds it. Where the friction is large the width is
+seen, and what a wrong one leaves would be patched with further effects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cluster_est.closed_loop.candidates.make import EffectCandidate, denser_grid
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
+from cluster_est.closed_loop.screening.directions import CandidatePoint
+from cluster_est.closed_loop.screening.screen import CandidateRanking, candidate_columns
+from cluster_est.closed_loop.selection.linear_model import (
+    REFINEMENT,
+    PruningBound,
+    can_reach_with,
+    gauss_newton_step,
+    is_proportional,
+    shares_left,
+    values_at,
+)
+from cluster_est.closed_loop.selection.prediction import can_be_linearised
+from cluster_est.closed_loop.selection.refits import SHORT, RefittedCandidate, full_refit
+from cluster_est.closed_loop.selection.rounds import RoundStart
+from cluster_est.closed_loop.settings import LoopPart, LoopStage
+from cluster_est.methods.method import Evaluation
+from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.search_space import SearchSpace
+from cluster_est.statistics.projection import OrthogonalProjection
+from workers.effects.kinds import GridScale
+from workers.messages import FloatArray
+
+
+def refit_siblings(
+    fitter: Fitter,
+    begun: RoundStart,
+    current: FittedModel,
+    ranking: CandidateRanking,
+    contenders: Sequence[RefittedCandidate],
+) -> list[RefittedCandidate]:
+    """Refit other functions of the argument of the best contender, from where that one stands.
+
+    In co-simulation, where nothing is known along the way, nothing is compared.
+
+    Parameters
+    ----------
+    begun
+        The round.
+    current
+        The model that candidates are added to.
+    ranking
+        Of all candidates at that model.
+    contenders
+        Refitted candidates, the best first. Those that converged are not refitted again.
+
+    Returns
+    -------
+    list of RefittedCandidate
+        Those that were refitted, in no order.
+    """
+    if not begun.has(LoopPart.SIBLINGS) or not fitter.by_linear_systems:
+        return []
+    if not contenders or not contenders[0].full:
+        return []
+    best = contenders[0]
+    done = {c.candidate.effect.name for c in contenders if c.full}
+    named = {t.candidate.effect.name: t.candidate for t in ranking.trials}
+    rivals = [candidate for candidate in named.values() if _is_rival(candidate, best, done)]
+    if not rivals or not can_be_linearised(fitter, best.fitted):
+        return []
+    trajectories = fitter.trajectories(best.fitted)
+    trials = [
+        CandidatePoint(candidate, values)
+        for candidate in rivals
+        for values in denser_grid(candidate, trajectories)
+    ]
+    count = REFINEMENT.same_argument
+    starts = starts_in_its_place(fitter, current, best, trials, count)
+    brief = [f for f in fitter.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
+    most = best.criterion + REFINEMENT.alternative
+    criteria = [fitted.criterion(fitter.records) for fitted in brief]
+    near = [f for f, criterion in zip(brief, criteria, strict=True) if criterion < most]
+    finished = fitter.fit(LoopStage.REFITS, [f.start for f in near], full_refit(fitter))
+    full = [new or old for new, old in zip(finished, near, strict=True)]
+    far = [
+        RefittedCandidate(f, criterion, False, LoopPart.SIBLINGS)
+        for f, criterion in zip(brief, criteria, strict=True)
+        if criterion >= most
+    ]
+    made = [(f, f.criterion(fitter.records)) for f in full]
+    return [RefittedCandidate(f, value, True, LoopPart.SIBLINGS) for f, value in made] + far
+
+
+def _is_rival(candidate: EffectCandidate, best: RefittedCandidate, done: Collection[str]) -> bool:
+    """Return whether it is a function of the same argument; without one, at the same site."""
+    own = best.candidate
+    if candidate.form.free or candidate.effect.name in done:
+        return False
+    same = candidate.effect.variables == own.effect.variables
+    return same and bool(own.effect.variables or candidate.site == own.site)
+
+
+def starts_in_its_place(
+    fitter: Fitter,
+    current: FittedModel,
+    best: RefittedCandidate,
+    trials: Sequence[CandidatePoint],
+    most: int,
+) -> list[FitStart]:
+    """Return the best candidate's model with the likeliest others in its place.
+
+    Along its trajectory, what they should do is what it does and what it leaves.
+
+    Parameters
+    ----------
+    current
+        The model that it was added to.
+    best
+        The candidate, refitted.
+    trials
+        The others, at points of their grids.
+    most
+        Number of different ones that are wanted; those that could not do as much are left out.
+    """
+    fitted = best.fitted
+    name = best.candidate.effect.name
+    values = tuple(_value(fitted, c.name, best) for c in best.candidate.form.coefficients)
+    own = CandidatePoint(best.candidate, values)
+    columns = candidate_columns(fitter, fitted, _before(fitter, current, best), [own, *trials])
+    strengths = [v for c, v in zip(own.candidate.form.coefficients, values, strict=True)
+                 if c.name in own.candidate.strengths]  # fmt: skip
+    target = columns[0] @ np.array(strengths or [1.0]) - fitted.residuals
+    labels = [unknown.label for unknown in fitted.space.unknowns]
+    others = [i for i, label in enumerate(labels) if not label.startswith(f"{name}.")]
+    projection = OrthogonalProjection(fitted.jacobian[:, others])
+    target = projection.remove(target)
+    without = fitted.start.minus(len(fitted.added) - 1)
+    found: dict[str, tuple[float, FitStart]] = {}
+    for trial, column in zip(trials, columns[1:], strict=True):
+        share, sizes = explained_share(
+            target, projection.remove(column), free=is_proportional(trial)
+        )
+        rival = trial.candidate
+        if share > found.get(rival.effect.name, (REFINEMENT.explains,))[0]:
+            start = without.plus(rival, values_at(trial, sizes))
+            found[rival.effect.name] = share, start
+    ranked = sorted(found.values(), key=lambda each: -each[0])
+    return [start for _, start in ranked[:most]]
+
+
+def explained_share(
+    target: FloatArray, columns: FloatArray, *, free: bool
+) -> tuple[float, FloatArray]:
+    """Return the share of a target's squares that columns explain, and the strength of each.
+
+    Parameters
+    ----------
+    target : (n,)
+    columns : (n, width)
+    free
+        They are scaled to fit; without, they count as they are and have no strengths.
+    """
+    lengths = np.linalg.norm(columns, axis=0)
+    whole = float(np.add.reduce(target**2))
+    if not whole > 0.0 or not (lengths > 0.0).all():
+        return 0.0, np.zeros(columns.shape[1] if free else 0)
+    if not free:
+        return 1.0 - float(np.add.reduce((target - columns[:, 0]) ** 2)) / whole, np.zeros(0)
+    sizes = np.linalg.lstsq(columns / lengths, target, rcond=1e-6)[0] / lengths
+    return 1.0 - float(np.add.reduce((target - columns @ sizes) ** 2)) / whole, sizes
+
+
+def _value(fitted: FittedModel, coefficient: str, best: RefittedCandidate) -> float:
+    """The value of a coefficient of the best candidate, estimated or held."""
+    label = f"{best.candidate.effect.name}.{coefficient}"
+    held = {p.name: p.start for p in fitted.problem.parameters}
+    return float(fitted.estimates.get(label, held[label]))
+
+
+def _before(
+    fitter: Fitter, current: FittedModel, best: RefittedCandidate
+) -> list[LinearisedTrajectory]:
+    """Trajectories with the best candidate; an input at which it acts is as it was before it."""
+    trajectories = fitter.trajectories(best.fitted)
+    site = best.candidate.site
+    if site.kind != "input":
+        return trajectories
+    return [
+        replace(
+            new,
+            signals={
+                **new.signals,
+                site.target: np.interp(new.times, old.times, old.signals[site.target]),
+            },
+        )
+        for new, old in zip(trajectories, fitter.trajectories(current), strict=True)
+    ]
+
+
+WIDTH = GridScale.RMS_V
+"""Of a width that is held: a small part of how much its variable moves."""
+
+
+TRIED = (0.3, 2.5, 8.0, 25.0)
+"""Widths that are tried, over the held one: a switch may be wider than a search holds it."""
+
+
+def refit_switch_widths(
+    fitter: Fitter,
+    begun: RoundStart,
+    contenders: Sequence[RefittedCandidate],
+    most: float = np.inf,
+) -> list[RefittedCandidate]:
+    """Refit the best contenders with the widths of their switches as unknowns.
+
+    Only those that may come near the best by it, whether they converged or not; a width stays an
+    unknown where that pays.
+
+    Parameters
+    ----------
+    begun
+        The round.
+    contenders
+        Refitted candidates, in any order.
+    most
+        Criterion above which a structure is of no use.
+
+    Returns
+    -------
+    list of RefittedCandidate
+        The same structures, each once, the best first.
+    """
+    best: dict[frozenset[str], RefittedCandidate] = {}
+    for contender in sorted(contenders, key=lambda c: c.criterion):
+        best.setdefault(contender.fitted.structure, contender)
+    ranked = list(best.values())
+    asked = [i for i, c in enumerate(ranked) if _held_widths(c)][: REFINEMENT.finalists]
+    asked = asked if begun.has(LoopPart.SWITCH_WIDTHS) else []
+    near = min([most, *(c.criterion + REFINEMENT.alternative for c in ranked[:1])])
+    hopeful = _starts_that_may_pay(fitter, [ranked[i] for i in asked], near)
+    asked = [i for i, start in zip(asked, hopeful, strict=True) if start is not None]
+    starts = [start for start in hopeful if start is not None]
+    fits = fitter.fit(LoopStage.REFITS, starts, full_refit(fitter))
+    for i, fitted in zip(asked, fits, strict=True):
+        if fitted is None:
+            continue
+        criterion = fitted.criterion(fitter.records)
+        if criterion < ranked[i].criterion:
+            ranked[i] = RefittedCandidate(fitted, criterion, True, LoopPart.SWITCH_WIDTHS)
+    return sorted(ranked, key=lambda c: c.criterion)
+
+
+def _starts_that_may_pay(
+    fitter: Fitter, contenders: Sequence[RefittedCandidate], most: float
+) -> list[FitStart | None]:
+    """Where to refit each from, with its widths unknown; None where no width would be of use.
+
+    Each is simulated with other widths, and the linear model says how the other unknowns follow.
+    Where a refit was broken off the linear model says too little: it is refitted in any case.
+    """
+    starts: list[FitStart | None] = [_with_free_widths(contender) for contender in contenders]
+    asked = [i for i, contender in enumerate(contenders) if contender.full]
+    spaces = [fitter.space(_with_free_widths(contenders[i])) for i in asked]
+    points = [
+        (space, _other_widths(contenders[i], space)) for i, space in zip(asked, spaces, strict=True)
+    ]
+    answers = fitter.evaluate(LoopStage.TRIALS, points)
+    for i, (space, widths), seen in zip(asked, points, answers, strict=True):
+        starts[i] = _best_width(fitter, contenders[i], space, widths, seen, most)
+    return starts
+
+
+def _best_width(
+    fitter: Fitter,
+    contender: RefittedCandidate,
+    space: SearchSpace,
+    points: FloatArray,
+    answers: Sequence[Evaluation],
+    most: float,
+) -> FitStart | None:
+    """The best of some widths, if it may lower the criterion enough to be of any use."""
+    fitted, found = contender.fitted, []
+    for point, at in zip(points, answers, strict=True):
+        if at.ok:
+            step = gauss_newton_step(fitted.jacobian, at.residuals)
+            after = at.residuals + fitted.jacobian @ step
+            found.append((float(np.add.reduce(after**2)), after, point))
+    if not found:
+        return None
+    _, after, point = min(found, key=lambda each: each[0])
+    left = shares_left(fitter.records, fitted.residuals, after)
+    bound = PruningBound(criterion=min(contender.criterion, most))
+    if not can_reach_with(fitter.records, fitted, left, space.size - fitted.space.size, bound):
+        return None
+    start = _with_free_widths(contender)
+    return FitStart(start.problem, {**start.values, **space.estimates(point)}, start.added)
+
+
+def _other_widths(contender: RefittedCandidate, space: SearchSpace) -> FloatArray:
+    """Points (widths, unknowns) with other widths than those that are held."""
+    held = {p.name: p.start for p in contender.fitted.problem.parameters if p.fixed}
+    points = np.tile(space.start, (len(TRIED), 1))
+    for i, unknown in enumerate(space.unknowns):
+        if unknown.label in held:  # in logarithms
+            points[:, i] = np.log(held[unknown.label]) + np.log(TRIED)
+    return np.asarray(np.clip(points, space.lower, space.upper))
+
+
+def _held_widths(contender: RefittedCandidate) -> dict[str, tuple[float, float]]:
+    """The parameters that hold widths, with the narrowest and the widest of a search."""
+    ranges = {k: v for c in contender.fitted.added for k, v in _widths(c).items()}
+    held = {p.name for p in contender.fitted.problem.parameters if p.fixed}
+    return {name: ends for name, ends in ranges.items() if name in held}
+
+
+def _widths(candidate: EffectCandidate) -> dict[str, tuple[float, float]]:
+    """The ranges of its widths. What a power law refers to is no width, and held for good."""
+    columns = zip(candidate.form.coefficients, zip(*candidate.grid, strict=True), strict=True)
+    return {
+        f"{candidate.effect.name}.{c.name}": (min(values), max(values))
+        for c, values in columns
+        if c.held and c.scale is WIDTH
+    }
+
+
+def _with_free_widths(contender: RefittedCandidate) -> FitStart:
+    """A start from the contender's estimates, with its widths among the unknowns.
+
+    They start from the widest, unless a better one is known: what is too narrow to be seen gives a
+    fit no direction.
+    """
+    start, ranges = contender.fitted.start, _held_widths(contender)
+
+    def released(parameter: Parameter) -> Parameter:
+        if parameter.name not in ranges:
+            return parameter
+        narrowest, widest = ranges[parameter.name]
+        return replace(parameter, start=widest, fixed=False, lower=narrowest, scale="log")
+
+    parameters = tuple(released(p) for p in start.problem.parameters)
+    return FitStart(replace(start.problem, parameters=parameters), start.values, start.added)

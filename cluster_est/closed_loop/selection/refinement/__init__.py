@@ -1,1 +1,0 @@
-"""Leading candidates simulated, and refitted with all parameters."""

@@ -1,0 +1,420 @@
+"""Refits of the leading candidates, which all moves share, and the models that were refitted.
+
+A score sees only a first small step. Each leading candidate is therefore switched on together with
+the step of all parameters that the linear model asks for, simulated, and the best are refitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
+from cluster_est.closed_loop.screening.screen import CandidateRanking, rank
+from cluster_est.closed_loop.selection.linear_model import (
+    NO_BOUND,
+    REFINEMENT,
+    FirstStep,
+    PruningBound,
+    can_reach,
+    first_steps,
+    predicted_criterion,
+)
+from cluster_est.closed_loop.settings import LoopPart, LoopSettings, LoopStage
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
+from cluster_est.statistics.records import StackedRecords
+from cluster_est.statistics.score import ScoreTests
+
+BRIEFLY = 1e-4
+"""Relative fall of the sum of squares that ends a refit at most: of two decimals one is enough to
+see who is ahead."""
+
+FIRST = LeastSquares(trials=1, max_iterations=1, ftol=BRIEFLY, xtol=1e-5, differences="forward")
+SHORT = LeastSquares(trials=1, max_iterations=2, ftol=BRIEFLY, xtol=1e-5, differences="forward")
+
+
+def full_refit(fitter: Fitter) -> LeastSquares:
+    """Return the refit to convergence.
+
+    The criterion of n residuals of one output falls by n times the relative fall of their squares,
+    so it ends where that is a part of the smallest difference that tells two candidates apart. An
+    output with a small part of all squares may move the criterion by more.
+    """
+    settled = REFINEMENT.settled / max(fitter.size, 1)
+    ftol = min(BRIEFLY, settled)
+    return LeastSquares(trials=1, max_iterations=15, ftol=ftol, xtol=1e-5, differences="forward")
+
+
+@dataclass(frozen=True)
+class RefittedCandidate:
+    """A model with one effect more, refitted: the proposal of a move.
+
+    Attributes
+    ----------
+    fitted, criterion
+        The model, and its criterion.
+    full
+        It was refitted to convergence.
+    move
+        The part of the search that proposed it; None while that is not said.
+    """
+
+    fitted: FittedModel = field(repr=False)
+    criterion: float
+    full: bool
+    move: LoopPart | None = None
+
+    @property
+    def candidate(self) -> EffectCandidate:
+        return self.fitted.added[-1]
+
+
+Rivals = Mapping[str, tuple[RefittedCandidate, list[RefittedCandidate]]]
+"""For each effect, by name, the model that brought it in and those that it won against."""
+
+
+def proposed_by(move: LoopPart, contenders: Sequence[RefittedCandidate]) -> list[RefittedCandidate]:
+    """Return contenders that name the move which proposed them."""
+    return [replace(contender, move=move) for contender in contenders]
+
+
+def refit(
+    fitter: Fitter,
+    current: FittedModel,
+    ranking: CandidateRanking,
+    floor: float,
+    settings: LoopSettings,
+    *,
+    wide: bool = True,
+    further: bool = True,
+    known: Collection[frozenset[str]] = (),
+    done: Collection[frozenset[str]] = (),
+    bound: PruningBound = NO_BOUND,
+) -> list[RefittedCandidate]:
+    """Refit the leading candidates; the best first.
+
+    Parameters
+    ----------
+    current
+        The model that they are added to.
+    ranking
+        Of all candidates at that model.
+    floor
+        Sum of squares that the noise alone would leave.
+    settings
+        How many are tried and refitted.
+    wide
+        Try all that the settings ask for; without, half as many.
+    further
+        Go on to candidates further back where the first do not close the gap to it: the larger an
+        effect, the less the score of a small one says.
+    known
+        Structures that need no refit, because they were reached from another one: the next in the
+        ranking take their places.
+    done
+        Structures that were refitted from this model before: they keep their places.
+    bound
+        What a structure must come down to. What cannot is refitted no further.
+    """
+    count, trials = settings.refits, settings.trials
+    if not wide:
+        count, trials = (count + 1) // 2, (trials + 1) // 2
+    own = current.structure
+
+    def leading(scores: ScoreTests, most: int) -> list[int]:
+        ranked = ranking.leaders(scores, most + len(known))
+        names = [ranking.trials[i].candidate.effect.name for i in ranked]
+        new = [i for i, name in zip(ranked, names, strict=True) if own | {name} not in known]
+        return new[:most]
+
+    def is_done(i: int) -> bool:
+        return own | {ranking.trials[i].candidate.effect.name} in done
+
+    leaders = leading(ranking.plain, 2 * trials)
+    white = leading(ranking.white, REFINEMENT.white_leaders)
+    places = list(dict.fromkeys([*leaders[:trials], *white]))
+    first = [i for i in places if not is_done(i)]
+    count = max(count - (len(places) - len(first)), 0)
+    chosen, left = _mixed(first_steps(fitter, current, ranking, first, bound), count)
+    reached = [step.sse for step in chosen]
+    possible = [min(step.sse, step.asked.predicted) for step in chosen]
+    near = _near_the_best(reached, possible, current, floor)
+    contenders = _refit_steps(fitter, current, floor, [chosen[i] for i in near], bound)
+    best = min((c.fitted.sse for c in contenders), default=current.sse)
+    if not further or _closes(current, best, floor, REFINEMENT.closes):
+        return contenders
+    later = [i for i in leaders[trials:] if i not in places and not is_done(i)]
+    left += first_steps(fitter, current, ranking, later, bound)
+    left.sort(key=lambda step: step.sse)
+    contenders += _refit_steps(fitter, current, floor, left[:count], bound)
+    return sorted(contenders, key=lambda c: c.criterion)
+
+
+def _refit_steps(
+    fitter: Fitter,
+    current: FittedModel,
+    floor: float,
+    steps: Sequence[FirstStep],
+    bound: PruningBound,
+) -> list[RefittedCandidate]:
+    """Refit from first steps; the latter half only what may come near the best of the first."""
+    ordered = sorted(steps, key=lambda step: step.sse)
+    half = (len(ordered) + 1) // 2
+    fits = refit_briefly(fitter, [step.start for step in ordered[:half]])
+    rival = _rival_of_the_best(fitter.records, current, floor, fits, bound)
+    near = [s.start for s in ordered[half:] if s.asked.can_reach(fitter.records, current, rival)]
+    fits += refit_briefly(fitter, near)
+    return successive_halving(fitter, current, floor, fits, bound)
+
+
+def refit_briefly(fitter: Fitter, starts: Sequence[FitStart]) -> list[FittedModel]:
+    """Refit by one iteration; without those that cannot be simulated."""
+    return [f for f in fitter.fit(LoopStage.REFITS, starts, FIRST) if f is not None]
+
+
+def successive_halving(
+    fitter: Fitter,
+    current: FittedModel,
+    floor: float,
+    fits: Sequence[FittedModel],
+    bound: PruningBound = NO_BOUND,
+) -> list[RefittedCandidate]:
+    """Refit the better half of brief refits more, and the best to convergence; the best first.
+
+    What has converged waits for the last round. What is far behind where one candidate does it all
+    is refitted no further, nor what can neither come near the best so far nor down to what it must
+    reach.
+    Some candidates have further to go than others, as where a parameter must make room for them:
+    those that the linear model promises to become the best go on too.
+    """
+    lost: list[FittedModel] = []
+    for last in (False, True):
+        fits = sorted(fits, key=lambda f: f.criterion(fitter.records))
+        sums = [f.sse for f in fits]
+        near = _near_the_best(sums, sums, current, floor)
+        rival = _rival_of_the_best(fitter.records, current, floor, fits, bound)
+        near = [i for i in near if can_reach(fitter.records, fits[i], rival)]
+        kept = near[: max(REFINEMENT.finalists, len(fits) // 2)]
+        kept += _promising(fitter.records, fits, near, kept)
+        lost += [f for i, f in enumerate(fits) if i not in kept]
+        fits = [fits[i] for i in kept]
+        if not last:
+            going = [f for f in fits if not f.converged]
+            further = iter(fitter.fit(LoopStage.REFITS, [f.start for f in going], SHORT))
+            fits = [f if f.converged else next(further) or f for f in fits]
+    order = list(range(len(fits)))
+    first = order[: REFINEMENT.finalists]
+    first += _promising(fitter.records, fits, order, first)
+    best, rest = [fits[i] for i in first], [fits[i] for i in order if i not in first]
+    finished = fitter.fit(LoopStage.REFITS, [f.start for f in best], full_refit(fitter))
+    found = [(f, False) for f in (*lost, *rest)]
+    found += [(new or old, True) for new, old in zip(finished, best, strict=True)]
+    made = [RefittedCandidate(f, f.criterion(fitter.records), full) for f, full in found]
+    return sorted(made, key=lambda c: c.criterion)
+
+
+def _near_the_best(
+    reached: Sequence[float],
+    possible: Sequence[float],
+    current: FittedModel,
+    floor: float,
+) -> list[int]:
+    """Positions of what does, or could do, a part of what the best does, where that does it all.
+
+    Parameters
+    ----------
+    reached, possible
+        Sums of squares of each, as simulated, and at best.
+    """
+    best = min(reached, default=current.sse)
+    enough = _closes(current, best, floor, REFINEMENT.closes)
+    least = REFINEMENT.behind * (current.sse - best) if enough else -np.inf
+    return [i for i, sse in enumerate(possible) if current.sse - sse >= least]
+
+
+def _rival_of_the_best(
+    records: StackedRecords,
+    current: FittedModel,
+    floor: float,
+    fits: Sequence[FittedModel],
+    bound: PruningBound,
+) -> PruningBound:
+    """What a fit must come down to, to be the best or its rival, where that closes the gap.
+
+    Else none is far behind: what is a part of the truth may do less than what imitates all of it.
+    """
+    if not bound.pruned:
+        return bound
+    best = min(fits, key=lambda f: f.criterion(records), default=current)
+    if not _closes(current, best.sse, floor, REFINEMENT.closes):
+        return bound
+    rival = best.criterion(records) + REFINEMENT.alternative
+    return replace(bound, criterion=min(bound.criterion, rival))
+
+
+def _promising(
+    records: StackedRecords,
+    fits: Sequence[FittedModel],
+    near: Sequence[int],
+    kept: Sequence[int],
+) -> list[int]:
+    """Positions of some that are not kept, though their next step promises more than the best's."""
+    if not kept:
+        return []
+    best = min(predicted_criterion(records, fits[i]) for i in kept)
+    others = [(predicted_criterion(records, fits[i]), i) for i in near if i not in kept]
+    better = sorted(each for each in others if each[0] < best)
+    return [i for _, i in better[: REFINEMENT.promising]]
+
+
+def _closes(current: FittedModel, best: float, floor: float, share: float) -> bool:
+    """Return whether a sum of squares closes this share of the gap to the noise."""
+    return current.sse - best >= share * (current.sse - floor)
+
+
+def most_parsimonious(contenders: Sequence[RefittedCandidate]) -> RefittedCandidate:
+    """The best contender; among equals the plainest name, then the one with fewest unknowns.
+
+    Then the one with fewest states of its own.
+    """
+    best = contenders[0].criterion
+    equal = [c for c in contenders if c.full and c.criterion - best < REFINEMENT.equal]
+    equal = equal or list(contenders[:1])
+
+    def complexity(c: RefittedCandidate) -> tuple[float, int, int, float]:
+        form = c.candidate.form
+        return form.order, c.fitted.space.size, len(form.states), c.criterion
+
+    return min(equal, key=complexity)
+
+
+def rivals_of(
+    won: RefittedCandidate,
+    contenders: Sequence[RefittedCandidate],
+) -> Rivals:
+    """For each effect of a structure, those that the data leave possible in its place."""
+    best = min((c.criterion for c in contenders), default=won.criterion)
+    possible = [c for c in contenders if c.criterion - best <= REFINEMENT.alternative]
+    found: dict[str, tuple[RefittedCandidate, list[RefittedCandidate]]] = {}
+    for effect in won.fitted.added:
+        others = won.fitted.structure - {effect.effect.name}
+        own: dict[str, RefittedCandidate] = {}
+        for contender in possible:
+            instead = sorted(contender.fitted.structure - others)
+            if len(instead) == 1 and others < contender.fitted.structure:
+                own.setdefault(instead[0], ending_with(contender, instead[0]))
+        own.pop(effect.effect.name, None)
+        found[effect.effect.name] = (won, list(own.values()))
+    return found
+
+
+def ending_with(contender: RefittedCandidate, name: str) -> RefittedCandidate:
+    """The same structure, with one of its effects counted last."""
+    added = contender.fitted.added
+    if added[-1].effect.name == name:
+        return contender
+    ordered = sorted(added, key=lambda candidate: candidate.effect.name == name)
+    return replace(contender, fitted=replace(contender.fitted, added=tuple(ordered)))
+
+
+def _mixed(steps: Sequence[FirstStep], count: int) -> tuple[list[FirstStep], list[FirstStep]]:
+    """Two thirds by their rank in the screening, one by the cost of their first step; the rest."""
+    ranked = 2 * count // 3
+    rest = sorted(steps[ranked:], key=lambda step: step.sse)
+    return [*steps[:ranked], *rest[: count - ranked]], rest[count - ranked :]
+
+
+SAME = 0.1
+"""Distance of two residuals, in standard deviations of one sample's noise, up to which they are
+those of one model: a statistic of 100 then changes by 2 at most."""
+
+
+@dataclass
+class CachedModel:
+    """A model that effects were added to.
+
+    Attributes
+    ----------
+    fitted
+        The model.
+    ranking
+        Of the candidates at it; None where it was not kept.
+    grown
+        What was refitted to convergence with one effect more, by its structure.
+    """
+
+    fitted: FittedModel = field(repr=False)
+    ranking: CandidateRanking | None = field(default=None, repr=False)
+    grown: dict[frozenset[str], RefittedCandidate] = field(default_factory=dict, repr=False)
+
+
+@dataclass
+class ModelCache:
+    """The models that a search has added effects to, by their structures.
+
+    A revision takes effects out again, and so comes back to models that were ranked and grown
+    before. The rankings are kept where each takes a simulation for every candidate, as in
+    co-simulation and with process noise; where linear systems answer for all, one takes none and is
+    made again. Free curves are not kept: they are made anew for each model.
+
+    Attributes
+    ----------
+    noise
+        Variance of the residuals that the noise alone would leave.
+    remembers
+        Without, everything is done again.
+    """
+
+    noise: float
+    remembers: bool = True
+    _models: dict[frozenset[str], CachedModel] = field(default_factory=dict, repr=False)
+
+    def ranking(
+        self, fitter: Fitter, settings: LoopSettings, fitted: FittedModel
+    ) -> CandidateRanking:
+        """The ranking of the candidates at a model."""
+        known = self._at(fitted).ranking
+        if known is not None:
+            return known
+        return self.keep(fitter, fitted, rank(fitter, settings, fitted))
+
+    def keep(
+        self, fitter: Fitter, fitted: FittedModel, ranking: CandidateRanking
+    ) -> CandidateRanking:
+        """Keep the ranking of a model."""
+        kept = self.remembers and not fitter.by_linear_systems
+        self._at(fitted).ranking = ranking if kept else None
+        return ranking
+
+    def grown_from(self, fitted: FittedModel) -> list[RefittedCandidate]:
+        """What was refitted with one effect more than a model, which is counted last."""
+        return [
+            ending_with(contender, min(structure - fitted.structure))
+            for structure, contender in self._at(fitted).grown.items()
+        ]
+
+    def add(self, fitted: FittedModel, contenders: Collection[RefittedCandidate]) -> None:
+        """Add what was grown from a model; of one structure, the better one stays."""
+        if not self.remembers:
+            return
+        grown = self._at(fitted).grown
+        for contender in contenders:
+            known = grown.get(contender.fitted.structure, contender)
+            if contender.full and not contender.candidate.form.free:
+                best = min(known, contender, key=lambda c: c.criterion)
+                grown[contender.fitted.structure] = best
+
+    def _at(self, fitted: FittedModel) -> CachedModel:
+        """The model, if it still is where it was; else a new one in its place."""
+        known = self._models.get(fitted.structure)
+        if known is None or _distance(fitted, known.fitted) > SAME**2 * self.noise:
+            known = self._models[fitted.structure] = CachedModel(fitted)
+        return known
+
+
+def _distance(one: FittedModel, other: FittedModel) -> float:
+    """Return the sum of squares between the residuals of two fits."""
+    return float(np.add.reduce((one.residuals - other.residuals) ** 2))
