@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cluster_est.closed_loop.findings.effects import AgreeingEquation
-from cluster_est.closed_loop.findings.words.laws import Law
 from cluster_est.results.fit_tables import EffectCurve
+from workers.effects.laws import Law
 from workers.effects.site import bracketed
 from workers.messages import FloatArray
 

@@ -9,8 +9,6 @@ import numpy as np
 import sympy as sp
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
-from cluster_est.closed_loop.findings.words.laws import Law, law_of
-from cluster_est.closed_loop.findings.words.mathematics import mathematics_of
 from cluster_est.closed_loop.findings.words.physics import PlacedLaw, physics_of
 from cluster_est.closed_loop.findings.words.units import (
     ACCELERATION,
@@ -34,7 +32,8 @@ from cluster_est.closed_loop.findings.words.units import (
 )
 from cluster_est.results.fit_tables import EffectCurve
 from workers.effects.expression import parse
-from workers.effects.site import bracketed, difference, is_difference, own_variable
+from workers.effects.laws import Law
+from workers.effects.site import EffectSite, bracketed, difference, is_difference, own_variable
 from workers.fmu.description import ModelDescription
 
 MOVING = (SPEED, TURNING, ACCELERATION, TURNING_FASTER, FORCE, TORQUE)
@@ -88,7 +87,7 @@ class Namer:
         curve
             What it adds over its variable; None, or without points, where that is not known.
         """
-        law, site = law_of(candidate.form), candidate.site
+        law, site = candidate.form.law, candidate.site
         variables = variables_of_effect(candidate)
         known: list[Dimension | None] = [self.units.of(name) for name in variables]
         targets = {self.units.of(target) for target in site.targets}
@@ -109,7 +108,7 @@ class Namer:
             level=self._level,
         )
         physics = physics_of(placed).format(w=bracketed(variables[-1]) if variables else "")
-        words = physics or mathematics_of(law, candidate.form, site, variables)
+        words = physics or _in_mathematics(law, site, variables)
         return EffectName(words, placed, bool(physics))
 
     def may_be_negative(self, variable: str) -> bool:
@@ -121,6 +120,13 @@ class Namer:
             return False
         amounts = (MASS, AMOUNT, VOLUME, CONCENTRATION, DENSITY)
         return not known.same_as(*amounts, *((LENGTH,) if self._level else ()))
+
+
+def _in_mathematics(law: Law, site: EffectSite, variables: tuple[str, ...]) -> str:
+    """The law over the FMU's names of its variables, a difference as "(a - b)"."""
+    first, *others = map(bracketed, variables or (site.target,))
+    said = law.value.format(v=first, w=others[-1] if others else first, s=site.target)
+    return said.replace("a term", "a variation", 1) if site.kind == "parameter" else said
 
 
 def variables_of_effect(candidate: EffectCandidate) -> tuple[str, ...]:
@@ -176,7 +182,7 @@ def _own_position(candidate: EffectCandidate, curve: EffectCurve | None) -> bool
     if curve is None or not curve.integral_of:
         return False
     if candidate.site.kind == "input":  # the search tried only what the input pushes
-        return law_of(candidate.form) is Law.PERIODIC
+        return candidate.form.law is Law.PERIODIC
     return candidate.site.at_rates and curve.integral_of == own_variable(candidate.site)
 
 

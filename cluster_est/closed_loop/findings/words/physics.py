@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cluster_est.closed_loop.findings.words.laws import Law
 from cluster_est.closed_loop.findings.words.units import (
     AMOUNT,
     ANGLE,
@@ -32,6 +31,7 @@ from cluster_est.closed_loop.findings.words.units import (
     Dimension,
 )
 from workers.effects.kinds import SiteKind
+from workers.effects.laws import Law
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,8 @@ def physics_of(placed: PlacedLaw) -> str:
 
 def _load(placed: PlacedLaw) -> str:
     """A force that is always there."""
-    pushes = _pushes(placed)
-    return "constant load" if pushes is not None and placed.law is Law.CONSTANT else ""
+    always = placed.law in (Law.CONSTANT, Law.OFFSET)
+    return "constant load" if always and _pushes(placed) is not None else ""
 
 
 def _pushes(placed: PlacedLaw) -> Dimension | None:
@@ -156,8 +156,6 @@ def _heat(placed: PlacedLaw) -> str:
         return goes if placed.law is Law.LINEAR else ""
     if placed.law is Law.FOURTH_DIFFERENCE:
         return "thermal radiation"
-    if placed.law is Law.FOURTH and placed.argument == TEMPERATURE:
-        return "thermal radiation"  # of an absolute temperature
     if placed.law is Law.SQUARE and placed.gain and placed.argument.same_as(CURRENT):
         return "Joule heating"
     if placed.law is Law.LINEAR and placed.gain and placed.argument.same_as(POWER, HEAT_FLUX):
@@ -226,9 +224,7 @@ def _kinetics(placed: PlacedLaw) -> str:
         return ""
     if placed.law in (Law.SATURATING, Law.HILL, Law.INVERSE) and placed.kind == "parameter":
         return "inhibition" if placed.loss else ""
-    if placed.law is Law.SATURATING:
-        return "saturation (as of Michaelis and Menten)"
-    return "inhibition" if placed.law is Law.INHIBITED else ""
+    return "saturation (as of Michaelis and Menten)" if placed.law is Law.SATURATING else ""
 
 
 def _circuit(placed: PlacedLaw) -> str:
