@@ -16,8 +16,8 @@ from dataclasses import dataclass, field, replace
 from typing_extensions import override
 
 from cluster_est.closed_loop.account import account, last_fits
+from cluster_est.closed_loop.findings.competing_models import dear_structures
 from cluster_est.closed_loop.findings.result import LoopResult
-from cluster_est.closed_loop.findings.simulation_cost import dear_structures
 from cluster_est.closed_loop.first_pass import open_checked_workbench
 from cluster_est.closed_loop.long_records import (
     CONFIRMED_ON_ALL,

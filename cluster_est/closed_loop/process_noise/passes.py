@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 from cluster_est.closed_loop.account import account
+from cluster_est.closed_loop.findings.competing_models import dear_structures
 from cluster_est.closed_loop.findings.effects import NoiseChange, Verdict
 from cluster_est.closed_loop.findings.result import LoopResult
-from cluster_est.closed_loop.findings.simulation_cost import dear_structures
 from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict
 from cluster_est.closed_loop.prepare import LoopRequest, open_workbench
 from cluster_est.closed_loop.process_noise.change import (

@@ -16,10 +16,9 @@ from support.loop_objects import (
 
 from cluster_est import LoopSettings
 from cluster_est.closed_loop.account import LastFits, account
-from cluster_est.closed_loop.findings.confirmation import confirmed
+from cluster_est.closed_loop.findings.competing_models import dear_structures
 from cluster_est.closed_loop.findings.effects import ErrorChange, Verdict
-from cluster_est.closed_loop.findings.simulation_cost import dear_structures
-from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
+from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, confirmed, judge
 from cluster_est.closed_loop.selection.rounds import (
     ComparedStructure,
     RejectionReason,
