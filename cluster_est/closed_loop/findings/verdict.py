@@ -222,7 +222,7 @@ def _nothing_added(
     if nowhere:
         return ReasonedVerdict(Verdict.NONE, f"the residual looks like noise, but {why}: {NOWHERE}")
     if why == RejectionReason.COLOURED_NOISE:
-        if screening.omnibus.p <= settings.thresholds.verdict.smooth:
+        if screening.structure.p <= settings.thresholds.verdict.structure:
             return ReasonedVerdict(Verdict.COLOURED, _coloured(found, now, settings))
         reason = "no candidate is significant once the residual is whitened"
         return ReasonedVerdict(Verdict.NONE, f"{reason} (family-wise p = {_p(found)})")
@@ -311,15 +311,15 @@ def _residual(
     thresholds, settings = workbench.thresholds.verdict, workbench.settings
     outputs = residual_noise(workbench, fitted, found.noise)
     excess = _excess(workbench, fitted, found.noise)
-    omnibus, whitened = at.screening.omnibus, at.screening.omnibus_white
-    smooth = omnibus.p <= settings.significance and omnibus.z > thresholds.structure
+    screening, level = at.screening, thresholds.structure
     of_sensors = is_noise_of_sensors(
         outputs,
         near=settings.near_noise,
         largest=thresholds.coloured,
-        whitened=whitened.p > settings.significance,
+        whitened=screening.structure_white.p > level,
     )
-    return _Residual(outputs, excess, smooth and excess > thresholds.excess, of_sensors)
+    structured = screening.structure.p <= level and excess > thresholds.excess
+    return _Residual(outputs, excess, structured, of_sensors)
 
 
 def _excess(workbench: LoopWorkbench, fitted: FittedModel, noise: FloatArray) -> float:

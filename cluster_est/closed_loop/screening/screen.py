@@ -12,9 +12,9 @@ from cluster_est.closed_loop.screening.evidence import CandidateEvidence, Candid
 from cluster_est.closed_loop.screening.ranking import CandidateRanking, rank
 from cluster_est.closed_loop.stages import LoopStage
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
-from cluster_est.statistics.omnibus import OmnibusTest, omnibus
-from cluster_est.statistics.projection import ProjectedResidual
+from cluster_est.statistics.residual_tests import structure
 from cluster_est.statistics.score import ScoreTests, family_wise
+from cluster_est.statistics.whiteness import SmoothnessTest
 from workers.messages import FloatArray
 
 
@@ -26,7 +26,7 @@ class ScreeningResult:
     ----------
     ranking
         Of the candidates.
-    omnibus, omnibus_white
+    structure, structure_white
         Tests for any smooth structure, before and after whitening.
     p, p_white
         Family-wise p-values; where not all candidates were looked at, by Bonferroni's inequality
@@ -34,8 +34,8 @@ class ScreeningResult:
     """
 
     ranking: CandidateRanking = field(repr=False)
-    omnibus: OmnibusTest
-    omnibus_white: OmnibusTest
+    structure: SmoothnessTest
+    structure_white: SmoothnessTest
     p: float
     p_white: float
 
@@ -56,27 +56,17 @@ def screen(workbench: LoopWorkbench, fitted: FittedModel, step: int) -> Screenin
         The number of the round: its random generators are its own.
     """
     ranking = rank(workbench, fitted)
-    streams = [workbench.generator(10 * step + stream) for stream in (2, 3, 4, 5)]
-    thresholds, draws = workbench.thresholds.screening, workbench.settings.draws
-
-    def smooth(tested: ProjectedResidual, generator: np.random.Generator) -> OmnibusTest:
-        return omnibus(
-            tested.projection,
-            tested.residuals,
-            ranking.records,
-            generator,
-            thresholds.omnibus_draws,
-            thresholds.omnibus_lengths,
-        )
+    streams = [workbench.generator(10 * step + stream) for stream in (3, 4)]
+    draws = workbench.settings.draws
 
     def best(scores: ScoreTests, generator: np.random.Generator) -> float:
         return min(ranking.unseen * family_wise(scores, generator, draws).p, 1.0)
 
     tests: list[Callable[[], Any]] = [
-        lambda: smooth(ranking.residual, streams[0]),
-        lambda: smooth(ranking.residual_white, streams[3]),
-        lambda: best(ranking.plain, streams[1]),
-        lambda: best(ranking.white, streams[2]),
+        lambda: structure(ranking.residual, ranking.records),
+        lambda: structure(ranking.residual_white, ranking.records),
+        lambda: best(ranking.plain, streams[0]),
+        lambda: best(ranking.white, streams[1]),
     ]
     found = []
     for done, test in enumerate(tests):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from cluster_est.statistics.residual_tests import FAMILY_WISE_LEVEL
+
 
 @dataclass(frozen=True)
 class SelectionThresholds:
@@ -113,7 +115,8 @@ class VerdictThresholds:
     Attributes
     ----------
     structure
-        Standardised omnibus statistic above which structure counts as left. Benchmark.
+        p-value of the test for smooth structure up to which structure counts as left, as for a
+        fit. Theory: its size.
     excess
         Residual over noise, in squares, less 1, below which nothing can be left. Benchmark.
     coloured
@@ -133,11 +136,9 @@ class VerdictThresholds:
     mostly_better
         Share of the parts left out that must be predicted better for the rest to count as noise.
         Benchmark.
-    smooth
-        p-value of the omnibus test above which a residual is not called autocorrelated. Benchmark.
     """
 
-    structure: float = 5.0
+    structure: float = FAMILY_WISE_LEVEL
     excess: float = 0.05
     coloured: float = 5.0
     partial: float = 0.1
@@ -145,4 +146,3 @@ class VerdictThresholds:
     most: float = 0.75
     most_by_curve: float = 0.9
     mostly_better: float = 0.75
-    smooth: float = 0.1

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cluster_est.statistics.omnibus import NULL_DISTRIBUTION_DRAWS, OMNIBUS_LENGTHS
 from cluster_est.statistics.score import CONFOUNDED
 
 
@@ -65,10 +64,6 @@ class ScreeningThresholds:
         them. Signal: the linearisations of a simulation are not more exact.
     autoregression
         Order of the autoregression that whitens. Benchmark.
-    omnibus_lengths
-        Lengths of smooth structure, in samples, that the omnibus test looks for. Benchmark.
-    omnibus_draws
-        Of its null distribution: a p-value of 0.01 needs some hundred. Theory: Monte Carlo tests.
     probe_amount
         Share of the signal that it changes by which a candidate is switched on in co-simulation.
         Signal: large beside a solver's error, small beside the signal.
@@ -84,8 +79,6 @@ class ScreeningThresholds:
     probed_curves: int = 4
     confounded: float = CONFOUNDED
     autoregression: int = 2
-    omnibus_lengths: tuple[float, ...] = OMNIBUS_LENGTHS
-    omnibus_draws: int = NULL_DISTRIBUTION_DRAWS
     probe_amount: float = 0.01
 
 
