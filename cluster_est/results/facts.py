@@ -19,6 +19,9 @@ from cluster_est.statistics.residual_findings import (
     ResidualDiagnostics,
     ResidualStructure,
     SigmaDoubt,
+    autocorrelated,
+    large_sigma,
+    small_sigma,
 )
 
 if TYPE_CHECKING:
@@ -68,9 +71,6 @@ def prior_sentences(problem: Problem, estimates: Sequence[Estimate]) -> tuple[st
 
 MOST_NAMED_OUTPUTS = 4
 """Outputs in a sentence; of more, those with the largest error are named."""
-
-LEAST_NEIGHBOUR_CORRELATION = 0.1
-"""Correlation of neighbours below which it is better said over how many samples they are alike."""
 
 ADVICE = "to look for it: cluster-est close-loop CONFIG --out FOLDER, in Python close_loop(problem)"
 
@@ -140,18 +140,13 @@ def _times_noise(output: OutputDiagnostics) -> str:
 
 
 def _related(output: OutputDiagnostics) -> str:
-    if output.lag1 >= LEAST_NEIGHBOUR_CORRELATION:
-        return f"autocorrelated at lag 1 with {output.lag1:.2g}"
-    return f"autocorrelated over about {output.length:.0f} samples (lag 1: {output.lag1:.2g})"
+    return autocorrelated(output.lag1, output.length)
 
 
 def _of_sigma(output: OutputDiagnostics) -> str:
     times = output.rms_over_sigma
     if output.sigma is SigmaDoubt.TOO_LARGE:
-        return (
-            f"{output.output}: error is {times:.2g} x sigma: the declared sigma is probably "
-            f"{1.0 / times:.2g} times too large; correct it, or errors over sigma say nothing"
-        )
+        return large_sigma(output.output, [times])
     if output.sigma is SigmaDoubt.OUTLIERS:
         return (
             f"{output.output}: residuals are white, but the largest is "
@@ -164,11 +159,7 @@ def _of_sigma(output: OutputDiagnostics) -> str:
             f"{output.output}: error is {times:.2g} x sigma but white: nothing points to something "
             f"missing, the declared sigma is probably {times:.2g} times too small; correct it"
         )
-    noise = output.noise_over_sigma
-    return (
-        f"{output.output}: its noise from sample to sample alone is {noise:.2g} x sigma: the "
-        f"declared sigma is probably {noise:.2g} times too small; correct it"
-    )
+    return small_sigma(output.output, [output.noise_over_sigma])
 
 
 HELD_OUT = 2.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,41 @@ class SigmaDoubt(enum.StrEnum):
     TOO_SMALL = "sigma too small"
     TOO_LARGE = "sigma too large"
     OUTLIERS = "outliers"
+
+
+LEAST_NEIGHBOUR_CORRELATION = 0.1
+"""Correlation of neighbours below which it is better said over how many samples they are alike."""
+
+
+def autocorrelated(lag1: float, length: float = np.nan) -> str:
+    """Say how a residual is autocorrelated; `length` is that of its structure, in samples."""
+    if lag1 >= LEAST_NEIGHBOUR_CORRELATION or not np.isfinite(length):
+        return f"autocorrelated at lag 1 with {lag1:.2g}"
+    return f"autocorrelated over about {length:.0f} samples (lag 1: {lag1:.2g})"
+
+
+def small_sigma(named: str, noise: Collection[float]) -> str:
+    """Say of some outputs that their noise over sigma is far above 1."""
+    return (
+        f"{named}: the noise from sample to sample alone is {from_to(noise)} x sigma: the declared "
+        f"sigma is probably {from_to(noise)} times too small; correct it"
+    )
+
+
+def large_sigma(named: str, errors: Collection[float]) -> str:
+    """Say of some outputs that their errors over sigma are far below 1."""
+    return (
+        f"{named}: error is {from_to(errors)} x sigma: the declared sigma is probably "
+        f"{from_to([1.0 / error for error in errors])} times too large; correct it, or errors over "
+        "sigma say nothing"
+    )
+
+
+def from_to(factors: Collection[float]) -> str:
+    """Write the range of some factors: "2 to 10", or one of them where all are the same."""
+    ends = (min(factors), max(factors))
+    least, most = (f"{end:.2g}" if end < 99.5 else f"{end:.0f}" for end in ends)
+    return least if least == most else f"{least} to {most}"
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from cluster_est.closed_loop.measured_noise import is_given, is_told
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.statistics.noise.estimate import SHORTEST_NOISE_RECORD, estimate_noise
 from cluster_est.statistics.records import StackedRecords
+from cluster_est.statistics.residual_findings import from_to, large_sigma, small_sigma
 from cluster_est.statistics.whitening import partial_autocorrelations
 from workers.messages import FloatArray
 
@@ -255,33 +256,21 @@ def suspected_sigma(outputs: Sequence[OutputNoise]) -> str:
     large = {o.named: o.level for o in outputs if o.sigma_too_large}
     short = {o.named: o.level for o in outputs if o.declared and not o.told and o.level > TOO_SMALL}
     said = [
-        f"the declared sigma of {o.named} in {', '.join(map(repr, o.loud))} is likely the error: "
-        f"over all experiments the noise alone is {o.white:.2g} times as large"
+        f"over all experiments, {small_sigma(o.named, [o.white])} in {', '.join(map(repr, o.loud))}"
         for o in outputs
         if o.sigma_too_small and o.loud and o.told
     ]
     if short:
         said.append(
-            f"what is left of {' and '.join(short)} is {_times(short.values())} the declared "
-            f"sigma, and with records of fewer than {SHORTEST_NOISE_RECORD} samples nobody can say "
-            "whether sigma is the error or something is missing"
+            f"what is left of {' and '.join(short)} is {from_to(short.values())} times the "
+            f"declared sigma, and with records of fewer than {SHORTEST_NOISE_RECORD} samples "
+            "nobody can say whether sigma is the error or something is missing"
         )
     if small:
-        said.append(
-            f"the declared sigma of {' and '.join(small)} is likely the error: the noise alone, "
-            f"from one sample to the next, is {_times(small.values())} as large"
-        )
+        said.append(small_sigma(" and ".join(small), small.values()))
     if large:
-        said.append(
-            f"the declared sigma of {' and '.join(large)} is likely the error: all that is left is "
-            f"{_times(large.values())} as large"
-        )
+        said.append(large_sigma(" and ".join(large), large.values()))
     return "; ".join(said)
-
-
-def _times(factors: Collection[float]) -> str:
-    least, most = (f"{factor:.2g}" for factor in (min(factors), max(factors)))
-    return f"{least} times" if least == most else f"{least} to {most} times"
 
 
 def _loud(workbench: LoopWorkbench, fitted: FittedModel, number: int) -> tuple[str, ...]:

@@ -37,6 +37,7 @@ from cluster_est.closed_loop.selection.rounds import (
 )
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
+from cluster_est.statistics.residual_findings import autocorrelated
 from workers.messages import FloatArray
 
 CLAIMS = (Verdict.FOUND, Verdict.PARTIAL)
@@ -299,8 +300,8 @@ def _autocorrelated(residual: _Residual) -> str:
             "be distinguished from such noise"
         )
     return (
-        f"the residual{named} is autocorrelated ({worst.correlation:.2g} from one sample to the "
-        f"next) and no larger than a sensor's noise may be ({size})"
+        f"the residual{named} is {autocorrelated(worst.correlation)} and no larger than a sensor's "
+        f"noise may be ({size})"
     )
 
 
