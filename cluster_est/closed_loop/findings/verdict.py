@@ -381,7 +381,7 @@ def confirmed(
     if verdict is Verdict.FOUND and (without_noise(errors) or not_simulated(errors)):
         verdict = Verdict.PARTIAL
         said += ", so it is not known whether all was found"
-    return replace(judged, verdict=verdict, reason="; ".join(filter(None, (judged.reason, said))))
+    return replace(judged, verdict=verdict, reason="; ".join(filter(None, (said, judged.reason))))
 
 
 def _veto(judged: ReasonedVerdict, errors: Sequence[ErrorChange], near: float) -> str:
