@@ -8,7 +8,6 @@ to measure to tell.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -35,65 +34,29 @@ MOST = 3
 NORMAL95 = 1.959963984540054
 
 
-@dataclass(frozen=True)
-class _Other:
-    """A law of one strength: its text, and how it depends on its variable."""
-
-    text: str
-    shape: Shape
-
-    def equation(self, strength: float, variable: str) -> str:
-        """Return what it adds to a variable's site: "-0.35 * v^2"."""
-        return f"{strength:.4g} * {self.text.format(v=bracketed(variable))}".removesuffix(" * 1")
-
-
-@dataclass(frozen=True)
-class _Scaled:
-    """A shape with a strength."""
-
-    shape: Shape
-    strength: float
-
-    def __call__(self, x: FloatArray) -> FloatArray:
-        return self.strength * self.shape(x)
-
-
-LAWS = {
-    Law.CONSTANT: _Other("1", np.ones_like),
-    Law.LINEAR: _Other("{v}", lambda x: x),
-    Law.SQUARE: _Other("{v}^2", np.square),
-    Law.ODD_SQUARE: _Other("{v} * abs({v})", lambda x: x * np.abs(x)),
-    Law.CUBE: _Other("{v}^3", lambda x: x**3),
-    Law.ABSOLUTE: _Other("abs({v})", np.abs),
-    Law.SWITCH: _Other("sign({v})", np.sign),
-    Law.ROOT: _Other("sqrt(max({v}, 0))", lambda x: np.sqrt(np.maximum(x, 0.0))),
-    Law.ODD_ROOT: _Other(
-        "sign({v}) * sqrt(abs({v}))", lambda x: np.sign(x) * np.sqrt(np.abs(x))
-    ),
-}  # fmt: skip
+LAWS: dict[Law, tuple[str, Shape]] = {
+    Law.CONSTANT: ("1", np.ones_like),
+    Law.LINEAR: ("{v}", lambda x: x),
+    Law.SQUARE: ("{v}^2", np.square),
+    Law.ODD_SQUARE: ("{v} * abs({v})", lambda x: x * np.abs(x)),
+    Law.CUBE: ("{v}^3", lambda x: x**3),
+    Law.ABSOLUTE: ("abs({v})", np.abs),
+    Law.SWITCH: ("sign({v})", np.sign),
+    Law.ROOT: ("sqrt(max({v}, 0))", lambda x: np.sqrt(np.maximum(x, 0.0))),
+    Law.ODD_ROOT: ("sign({v}) * sqrt(abs({v}))", lambda x: np.sign(x) * np.sqrt(np.abs(x))),
+}
 """Laws with a strength alone: one more coefficient could imitate anything."""
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """A law that agrees with a finding on the range of the data.
-
-    Attributes
-    ----------
-    law
-        Of the other equation.
-    found
-        That equation, how well it agrees, and where the two differ.
-    """
-
-    law: Law
-    found: AgreeingEquation
-
-
 def agreements(
-    curve: EffectCurve, shape: Shape, own: Law, *, negative: bool = True
-) -> tuple[Agreement, ...]:
-    """Return the laws that agree with a found effect wherever the data were; the closest first.
+    curve: EffectCurve,
+    shape: Shape,
+    own: Law,
+    named: Callable[[Law], str],
+    *,
+    negative: bool = True,
+) -> tuple[AgreeingEquation, ...]:
+    """Return equations that agree with a found effect wherever the data were; the closest first.
 
     Each is fitted to the curve of the effect over the samples. It agrees if what is left is smaller
     than the effect's own standard error, both as root mean squares over the samples, and nowhere
@@ -106,8 +69,8 @@ def agreements(
         Of the effect, with its band.
     shape
         The same curve as a function, also outside the range of the data.
-    own
-        The law of the effect.
+    own, named
+        The law of the effect, and what physics calls another one at its place.
     negative
         The variable can be negative at all.
     """
@@ -118,8 +81,8 @@ def agreements(
         return ()
     error = max(_standard_error(curve, x, weights), 1e-9 * size)
     found = []
-    for law, other in LAWS.items():
-        column = other.shape(x)
+    for law, (text, other) in LAWS.items():
+        column = other(x)
         square = float(np.sum(weights * column**2))
         if law is own or not square > 0.0:
             continue
@@ -128,13 +91,13 @@ def agreements(
         apart = float(np.sqrt(np.average(off**2, weights=weights)))
         if apart > error or off.max() > CLOSE * size:
             continue
-        told = _told_apart(curve, shape, _Scaled(other.shape, strength), size, negative=negative)
+        told = _told_apart(curve, shape, other, strength, size, negative=negative)
         if told is not None:
             largest = float(off.max())
-            text = other.equation(strength, curve.variable)
-            equation = AgreeingEquation(text, "", largest, largest / size, *told)
-            found.append((apart, Agreement(law, equation)))
-    return tuple(a for _, a in sorted(found, key=lambda pair: pair[0])[:MOST])
+            equation = f"{strength:.4g} * {text.format(v=bracketed(curve.variable))}"
+            known = (equation.removesuffix(" * 1"), named(law), largest, largest / size)
+            found.append((apart, AgreeingEquation(*known, *told)))
+    return tuple(each for _, each in sorted(found, key=lambda pair: pair[0])[:MOST])
 
 
 def _visited(curve: EffectCurve) -> tuple[FloatArray, FloatArray]:
@@ -153,13 +116,13 @@ def _standard_error(curve: EffectCurve, x: FloatArray, weights: FloatArray) -> f
 
 
 def _told_apart(
-    curve: EffectCurve, one: Shape, other: Shape, size: float, *, negative: bool
+    curve: EffectCurve, one: Shape, other: Shape, strength: float, size: float, *, negative: bool
 ) -> tuple[float, float] | None:
     """The value nearest to the data at which two laws clearly differ, and by how much."""
     low, high = float(curve.edges[0]), float(curve.edges[-1])
     far = BEYOND * max(abs(low), abs(high))
     x = np.linspace(-far if negative else 0.0, far, 1201)
-    apart = np.abs(one(x) - other(x))
+    apart = np.abs(one(x) - strength * other(x))
     clear = np.isfinite(apart) & (apart >= APART * size)
     if not clear.any():
         return None

@@ -162,9 +162,8 @@ def _agreeing(
     shape = None if curve is None else shape_over(curve, result, workbench.description)
     if curve is None or shape is None:
         return ()
-    law = named.placed.law
-    found = agreements(curve, shape, law, negative=namer.may_be_negative(curve.variable))
-    return tuple(replace(a.found, words=named.of_law(a.law)) for a in found)
+    negative = namer.may_be_negative(curve.variable)
+    return agreements(curve, shape, named.placed.law, named.of_law, negative=negative)
 
 
 def _coefficients(name: str, result: Result) -> tuple[Estimate, ...]:
