@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from cluster_est.problem.problem import Problem
@@ -17,11 +17,7 @@ from cluster_est.results.solver_error.measure import solver_facts
 from cluster_est.statistics.residual_findings import (
     OutputDiagnostics,
     ResidualDiagnostics,
-    ResidualStructure,
-    SigmaDoubt,
-    autocorrelated,
-    large_sigma,
-    small_sigma,
+    residual_sentences,
 )
 
 if TYPE_CHECKING:
@@ -69,12 +65,6 @@ def prior_sentences(problem: Problem, estimates: Sequence[Estimate]) -> tuple[st
     return tuple(said)
 
 
-MOST_NAMED_OUTPUTS = 4
-"""Outputs in a sentence; of more, those with the largest error are named."""
-
-ADVICE = "to look for it: cluster-est close-loop CONFIG --out FOLDER, in Python close_loop(problem)"
-
-
 def residual_facts(diagnostics: ResidualDiagnostics) -> dict[str, Any]:
     """Return what run.json says of the residuals."""
     together = diagnostics.together
@@ -84,82 +74,6 @@ def residual_facts(diagnostics: ResidualDiagnostics) -> dict[str, Any]:
         "together": None if together is None else dataclasses.asdict(together),
         "sentences": list(residual_sentences(diagnostics)),
     }
-
-
-def residual_sentences(diagnostics: ResidualDiagnostics) -> tuple[str, ...]:
-    """Sentences on what is wrong with model, sigma and intervals; none where nothing is."""
-    found = diagnostics.findings
-    reason = "" if diagnostics.converged else "the search did not converge, or "
-    missing = [o for o in found if o.structure is ResidualStructure.MISSING]
-    related = [o for o in found if o.structure is ResidualStructure.AUTOCORRELATED]
-    sized = [o for o in related if not o.too_narrow]
-    others = [o for o in related if o.too_narrow]
-    sentences = []
-    if missing:
-        sentences.append(
-            f"{_each(missing, _over_sigma)}: these intervals are too narrow, {reason}something is "
-            f"missing from the model, which they do not allow for; {ADVICE}"
-        )
-    if sized:
-        sentences.append(
-            f"{_each(sized, _no_larger)}: {reason}the sensor's noise is coloured, which the "
-            f"intervals allow for, or something small is missing, which they do not; {ADVICE}"
-        )
-    if others:
-        sentences.append(
-            f"{_each(others, _times_noise)}: {reason}something is missing from the model, and "
-            "these intervals are too narrow, or the sensor's noise is coloured, which they "
-            f"allow for; {ADVICE}"
-        )
-    return (*sentences, *(_of_sigma(output) for output in found if output.sigma))
-
-
-def _each(outputs: Iterable[OutputDiagnostics], say: Callable[[OutputDiagnostics], str]) -> str:
-    ordered = sorted(outputs, key=lambda o: -o.rms_over_sigma)
-    said = [f"{o.output}: {say(o)}" for o in ordered[:MOST_NAMED_OUTPUTS]]
-    more = len(ordered) - len(said)
-    return "; ".join(said) + (f"; and {more} more outputs" if more > 0 else "")
-
-
-def _over_sigma(output: OutputDiagnostics) -> str:
-    return f"error is {output.rms_over_sigma:.2g} x sigma and {_related(output)}"
-
-
-def _no_larger(output: OutputDiagnostics) -> str:
-    return (
-        f"residuals are {_related(output)} though hardly larger than sigma "
-        f"({output.rms_over_sigma:.2g} x)"
-    )
-
-
-def _times_noise(output: OutputDiagnostics) -> str:
-    noise = "its noise from sample to sample"
-    if not output.declared:
-        noise += f" ({output.noise_over_sigma:.2g}; no sigma is declared)"
-    return f"error is {output.rms_over_noise:.2g} x {noise} and {_related(output)}"
-
-
-def _related(output: OutputDiagnostics) -> str:
-    return autocorrelated(output.lag1, output.length)
-
-
-def _of_sigma(output: OutputDiagnostics) -> str:
-    times = output.rms_over_sigma
-    if output.sigma is SigmaDoubt.TOO_LARGE:
-        return large_sigma(output.output, [times])
-    if output.sigma is SigmaDoubt.OUTLIERS:
-        return (
-            f"{output.output}: residuals are white, but the largest is "
-            f"{output.largest_over_rms:.2g} times their root mean square: a few samples are "
-            "outliers, or show something sudden that the model lacks; look at them, or take the "
-            'cost "huber"'
-        )
-    if output.structure is ResidualStructure.WHITE:
-        return (
-            f"{output.output}: error is {times:.2g} x sigma but white: nothing points to something "
-            f"missing, the declared sigma is probably {times:.2g} times too small; correct it"
-        )
-    return small_sigma(output.output, [output.noise_over_sigma])
 
 
 HELD_OUT = 2.0

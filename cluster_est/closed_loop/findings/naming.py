@@ -319,7 +319,7 @@ def _pushes(placed: PlacedLaw) -> Dimension | None:
 
 FRICTION = {
     Law.LINEAR: "viscous friction",
-    Law.ODD_SQUARE: "drag",
+    Law.ODD_SQUARE: "quadratic drag",
     Law.CUBE: "damping that grows with the cube of the speed",
     Law.POWER: "drag that goes with a power of the speed",
     Law.SWITCH: "Coulomb friction",

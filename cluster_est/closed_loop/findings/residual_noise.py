@@ -13,6 +13,7 @@ from cluster_est.closed_loop.workbench import FittedModel, LoopWorkbench
 from cluster_est.statistics.noise.estimate import SHORTEST_NOISE_RECORD, estimate_noise
 from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.residual_findings import from_to, large_sigma, small_sigma
+from cluster_est.statistics.residual_tests import NOISY, SMALL_RMS_OVER_SIGMA
 from cluster_est.statistics.whitening import partial_autocorrelations
 from workers.messages import FloatArray
 
@@ -29,9 +30,6 @@ left beside it is then something else."""
 LONGEST = 0.95
 """Correlation from one sample to the next above which a residual is a drift or an offset, and no
 noise of a sensor, which forgets within some twenty samples."""
-
-TOO_SMALL = 2.0
-"""Times the declared sigma that the white part may reach before the sigma counts as wrong."""
 
 CHANCE = float(ndtr(-2.0))
 """Probability that noise of the declared sigma is larger than what still counts as within it: that
@@ -107,12 +105,12 @@ class OutputNoise:
     @property
     def sigma_too_small(self) -> bool:
         """The white part alone is more than twice the sigma that is declared."""
-        return self.declared and self.white > TOO_SMALL
+        return self.declared and self.white > NOISY
 
     @property
     def sigma_too_large(self) -> bool:
         """Everything that is left is less than half the sigma that is declared."""
-        return self.declared and self.level < 0.5
+        return self.declared and self.level < SMALL_RMS_OVER_SIGMA
 
     @property
     def within(self) -> bool:
@@ -254,7 +252,7 @@ def suspected_sigma(outputs: Sequence[OutputNoise]) -> str:
     """Say which declared sigmas the data contradict; "" if none."""
     small = {o.named: o.white for o in outputs if o.sigma_too_small and not o.loud and o.told}
     large = {o.named: o.level for o in outputs if o.sigma_too_large}
-    short = {o.named: o.level for o in outputs if o.declared and not o.told and o.level > TOO_SMALL}
+    short = {o.named: o.level for o in outputs if o.declared and not o.told and o.level > NOISY}
     said = [
         f"over all experiments, {small_sigma(o.named, [o.white])} in {', '.join(map(repr, o.loud))}"
         for o in outputs
@@ -282,7 +280,7 @@ def _loud(workbench: LoopWorkbench, fitted: FittedModel, number: int) -> tuple[s
     loud = []
     for record in own:
         alone = StackedRecords(records.outputs, (record,))
-        if estimate_noise(fitted.residuals, alone)[number] > TOO_SMALL:
+        if estimate_noise(fitted.residuals, alone)[number] > NOISY:
             loud.append(workbench.problem.experiments[workbench.train[record.experiment]].id)
     return tuple(loud) if len(loud) < len(own) else ()
 

@@ -23,7 +23,7 @@ AT_ITSELF = [
     ("m/s", "viscous", "viscous friction"),
     ("rad/s", "viscous", "viscous friction"),
     ("rpm", "viscous", "viscous friction"),
-    ("m/s", "quadratic", "drag"),
+    ("m/s", "quadratic", "quadratic drag"),
     ("m/s", "power", "drag that goes with a power of the speed"),
     ("degC", "power", "heat loss by a power law (as of natural convection)"),
     ("bar", "power", "outflow by a power law (as through an orifice or over a weir)"),
@@ -108,7 +108,7 @@ WHERE = {
         ({"w": "m/s", **SPEED}, "der(v)", "linear w", LESS, "a term linear in w"),
     ],
     "a square is drag only where the speed keeps its sign and is slowed": [
-        (SPEED, "der(v)", "square v", LESS | FALLS, "drag"),
+        (SPEED, "der(v)", "square v", LESS | FALLS, "quadratic drag"),
         (SPEED, "der(v)", "square v", RISES, "a term quadratic in v"),
         (SPEED, "der(v)", "square v", HILL, "a term quadratic in v"),
         (SPEED, "der(v)", "square v", LESS, "a term quadratic in v"),
@@ -296,14 +296,14 @@ def test_a_square_of_a_speed_that_keeps_its_sign_is_also_a_drag():
         "der(v)", "square", "v", values=[K], curve=visited(0.3, 2.1, square), declared=True
     )
     (other,) = effect.also
-    assert effect.words == other.words == "drag"
+    assert effect.words == other.words == "quadratic drag"
     assert other.equation == "-0.352 * v * abs(v)"
     assert other.share < 1e-12
     assert other.told_at < 0.0
     assert other.told_by == pytest.approx(-2.0 * K * other.told_at**2)
     assert effect.sentence.endswith(
-        f"On that range it is also {other.equation} (drag): at v = {other.told_at:.3g} m/s the two "
-        f"would differ by {other.told_by:.2g} m/s2, so measure there to tell them apart."
+        f"On that range it is also {other.equation} (quadratic drag): at v = {other.told_at:.3g} "
+        f"m/s the two would differ by {other.told_by:.2g} m/s2, so measure there to tell them apart."
     )
 
 
