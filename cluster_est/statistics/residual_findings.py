@@ -180,9 +180,9 @@ def _related(output: OutputDiagnostics) -> str:
 
 
 def _of_sigma(output: OutputDiagnostics) -> str:
-    times = output.rms_over_sigma
+    times = from_to([output.rms_over_sigma])
     if output.sigma is SigmaDoubt.TOO_LARGE:
-        return large_sigma(output.output, [times])
+        return large_sigma(output.output, [output.rms_over_sigma])
     if output.sigma is SigmaDoubt.OUTLIERS:
         return (
             f"{output.output}: residuals are white, but the largest is "
@@ -192,9 +192,8 @@ def _of_sigma(output: OutputDiagnostics) -> str:
         )
     if output.structure is ResidualStructure.WHITE:
         return (
-            f"{output.output}: error is {from_to([times])} x sigma but white: nothing points to "
-            f"something missing, the declared sigma is probably {from_to([times])} times too small; "
-            "correct it"
+            f"{output.output}: error is {times} x sigma but white: nothing points to something "
+            f"missing, the declared sigma is probably {times} times too small; correct it"
         )
     return small_sigma(output.output, [output.noise_over_sigma])
 

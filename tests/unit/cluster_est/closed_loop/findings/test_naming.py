@@ -303,7 +303,8 @@ def test_a_square_of_a_speed_that_keeps_its_sign_is_also_a_drag():
     assert other.told_by == pytest.approx(-2.0 * K * other.told_at**2)
     assert effect.sentence.endswith(
         f"On that range it is also {other.equation} (quadratic drag): at v = {other.told_at:.3g} "
-        f"m/s the two would differ by {other.told_by:.2g} m/s2, so measure there to tell them apart."
+        f"m/s the two would differ by {other.told_by:.2g} m/s2, so measure there to tell them "
+        "apart."
     )
 
 
