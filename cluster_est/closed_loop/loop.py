@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from typing_extensions import override
 
 from cluster_est.closed_loop.account import account, last_fits
-from cluster_est.closed_loop.findings.competing_models import dear_structures
+from cluster_est.closed_loop.findings.competing_models import expensive_structures
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.first_pass import open_checked_workbench
 from cluster_est.closed_loop.long_records import (
@@ -159,7 +159,7 @@ def run_loop(request: LoopRequest) -> LoopResult:
     seconds, error = time.monotonic() - begin, searched.error
     known = last if result.effects else error
     said = (*error.notes, *(known.notes_with_effects if known is not error else ()))
-    notes = (*said, *result.notes, *dear_structures(searched.found.path))
+    notes = (*said, *result.notes, *expensive_structures(searched.found.path))
     return replace(result, notes=notes, seconds=seconds, failures_in_search=searched.failures)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from cluster_est.closed_loop.findings.effects import AgreeingEquation
 from cluster_est.results.fit_tables import EffectCurve
+from cluster_est.results.shapes.effect_shapes import BAND_QUANTILE
 from workers.effects.laws import Law
 from workers.effects.site import bracketed
 from workers.messages import FloatArray
@@ -22,16 +23,14 @@ Shape = Callable[[FloatArray], FloatArray]
 CLOSE = 0.1
 """Share of an effect's largest size that another equation may be off anywhere in the data."""
 
-APART = 0.25
+CLEARLY_DIFFERENT = 0.25
 """Share of that size by which two equations must differ somewhere, to be told apart there."""
 
 BEYOND = 1.5
 """Times the largest absolute value in the data up to which it is looked where two differ."""
 
-MOST = 3
+MOST_AGREEING = 3
 """Equations that are named beside the one that was found."""
-
-NORMAL95 = 1.959963984540054
 
 
 LAWS: dict[Law, tuple[str, Shape]] = {
@@ -97,7 +96,7 @@ def agreements(
             equation = f"{strength:.4g} * {text.format(v=bracketed(curve.variable))}"
             known = (equation.removesuffix(" * 1"), named(law), largest, largest / size)
             found.append((apart, AgreeingEquation(*known, *told)))
-    return tuple(each for _, each in sorted(found, key=lambda pair: pair[0])[:MOST])
+    return tuple(each for _, each in sorted(found, key=lambda pair: pair[0])[:MOST_AGREEING])
 
 
 def _visited(curve: EffectCurve) -> tuple[FloatArray, FloatArray]:
@@ -108,7 +107,7 @@ def _visited(curve: EffectCurve) -> tuple[FloatArray, FloatArray]:
 
 def _standard_error(curve: EffectCurve, x: FloatArray, weights: FloatArray) -> float:
     """Of the effect, as a root mean square over the samples; 0 where the band is not known."""
-    half = 0.5 * (curve.upper - curve.lower) / NORMAL95
+    half = 0.5 * (curve.upper - curve.lower) / BAND_QUANTILE
     if not np.isfinite(half).all():
         return 0.0
     there = np.interp(x, curve.x, half)
@@ -123,7 +122,7 @@ def _told_apart(
     far = BEYOND * max(abs(low), abs(high))
     x = np.linspace(-far if negative else 0.0, far, 1201)
     apart = np.abs(one(x) - strength * other(x))
-    clear = np.isfinite(apart) & (apart >= APART * size)
+    clear = np.isfinite(apart) & (apart >= CLEARLY_DIFFERENT * size)
     if not clear.any():
         return None
     distance = np.maximum(np.maximum(low - x, x - high), 0.0)

@@ -109,7 +109,7 @@ def likely_sentence(path: Sequence[ComparedStructure]) -> str:
     )
 
 
-MOST = 6
+MOST_COMPETING = 6
 """Models that are kept."""
 FAR = 50.0
 """Difference of the criterion beyond which a model is no rival: some 1 to 20 after all that the
@@ -177,13 +177,13 @@ def competing_models(
     Their weights are probabilities as `with_probabilities` has them, among those that are kept.
     """
     price = workbench.thresholds.selection.choice_price * np.log(found.steps[0].screening.count)
-    leading = leading_models(workbench, found, 4 * MOST)
+    leading = leading_models(workbench, found, 4 * MOST_COMPETING)
     criteria = np.array(
         [fit.criterion(workbench.records) + price * len(fit.added) for fit in leading]
     )
     criteria -= criteria[0]
     order = sorted(range(1, len(leading)), key=lambda i: criteria[i])
-    kept = [0, *(i for i in order if criteria[i] < FAR)][:MOST]
+    kept = [0, *(i for i in order if criteria[i] < FAR)][:MOST_COMPETING]
     weights = np.exp(-0.5 * (criteria[kept] - criteria[kept].min()) / TEMPERATURE)
     weights /= np.add.reduce(weights)
     return tuple(
@@ -297,12 +297,12 @@ def _pieces(workbench: LoopWorkbench, *, whole: bool) -> tuple[IntArray, IntArra
     return np.unique(pieces, return_inverse=True)[1], np.unique(outputs, return_inverse=True)[1]
 
 
-DEAR = 5.0
-"""Times the solver steps of the declared model from which a structure is said to be dear."""
+EXPENSIVE = 5.0
+"""Times the solver steps of the declared model from which a structure is said to be expensive."""
 
 
-def dear_structures(path: Sequence[ComparedStructure]) -> tuple[str, ...]:
-    """Say which structures make simulations dear; nothing where none does.
+def expensive_structures(path: Sequence[ComparedStructure]) -> tuple[str, ...]:
+    """Say which structures make simulations expensive; nothing where none does.
 
     A solver that adapts its steps makes more of them where an effect is fast: a lag of a
     millisecond in a record of an hour. The steps are counted, so that the sentence is the same on
@@ -313,18 +313,18 @@ def dear_structures(path: Sequence[ComparedStructure]) -> tuple[str, ...]:
     path
         The structures that were compared.
     """
-    dear = [each for each in path if each.relative_steps > DEAR]
-    if not dear:
+    expensive = [each for each in path if each.relative_steps > EXPENSIVE]
+    if not expensive:
         return ()
-    worst = max(dear, key=lambda each: each.relative_steps)
-    tried = "1 structure" if len(dear) == 1 else f"{len(dear)} structures"
+    worst = max(expensive, key=lambda each: each.relative_steps)
+    tried = "1 structure" if len(expensive) == 1 else f"{len(expensive)} structures"
     said = (
-        f"{tried} of the {len(path)} that were tried needed more than {DEAR:g} times as many steps "
-        f"of the solver as the declared model, most of all {' + '.join(worst.effects)} "
+        f"{tried} of the {len(path)} that were tried needed more than {EXPENSIVE:g} times as many "
+        f"steps of the solver as the declared model, most of all {' + '.join(worst.effects)} "
         f"({worst.relative_steps:.3g} times); structures.parquet has the figure of each "
         "(relative_steps)"
     )
-    kept = [each for each in dear if each.accepted]
+    kept = [each for each in expensive if each.accepted]
     if kept:
         most = kept[-1].relative_steps
         said += f"; with what was added a simulation takes {most:.3g} times the steps"

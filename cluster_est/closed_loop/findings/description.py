@@ -29,7 +29,7 @@ from cluster_est.results.result import Result
 from cluster_est.results.shapes.effect_shapes import shape_over
 from workers.messages import FloatArray
 
-APART = 10.0
+LARGEST_DIFFERENCE = 10.0
 """Times the noise by which the predictions of an alternative may differ at any sample: beyond that
 the data tell the two apart, however the criterion of all samples may look."""
 
@@ -193,7 +193,7 @@ def _alternatives(
         for rival in rivals
         if rival.candidate.effect.name not in others
     ]
-    return tuple(a for a in made if a.difference <= APART)
+    return tuple(a for a in made if a.difference <= LARGEST_DIFFERENCE)
 
 
 def _strengths(rival: RefittedCandidate) -> list[float]:

@@ -16,13 +16,13 @@ from cluster_est.statistics.dependence import Dependence, dependence, periodic_s
 from cluster_est.statistics.records import OutputRecord
 from workers.messages import Experiment, FloatArray
 
-SHORTEST = 16
+SHORTEST_SPECTRUM = 16
 """Samples that a record needs for a spectrum."""
 
-MOST = 0.9
+SHARE_OF_POWER = 0.9
 """Share of the power that lies below the frequency that is named."""
 
-GAPS = 2.0
+MOST_EVEN_STEPS = 2.0
 """Times its samples that a record may have even steps: of one with long gaps, or sampled far more
 slowly than others, a spectrum would be that of straight lines."""
 
@@ -120,11 +120,15 @@ def _periods(
 
     The power is that of Welch's method, doi:10.1109/TAU.1967.1161901, less that of white noise.
     """
-    long = [item for item in records if len(item.times) >= SHORTEST]
+    long = [item for item in records if len(item.times) >= SHORTEST_SPECTRUM]
     if not long:
         return np.nan, np.nan
     step = float(np.median(np.concatenate([np.diff(item.times) for item in long])))
-    long = [r for r in long if SHORTEST <= _even_count(r, step) <= GAPS * len(r.times)]
+    long = [
+        r
+        for r in long
+        if SHORTEST_SPECTRUM <= _even_count(r, step) <= MOST_EVEN_STEPS * len(r.times)
+    ]
     if not long:
         return np.nan, np.nan
     length = min(_even_count(item, step) for item in long)
@@ -138,7 +142,9 @@ def _periods(
     if not power.sum() > 0.0:
         return np.nan, np.nan
     shares = power / power.sum()
-    fast = frequencies[min(int(np.searchsorted(np.cumsum(shares), MOST)), len(shares) - 1)]
+    fast = frequencies[
+        min(int(np.searchsorted(np.cumsum(shares), SHARE_OF_POWER)), len(shares) - 1)
+    ]
     peak = int(np.argmax(shares))
     around = shares[max(peak - 1, 0) : peak + 2].sum()
     narrow = peak >= 3 and around >= NARROW  # three periods in a record, or it is no period

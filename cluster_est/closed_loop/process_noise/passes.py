@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 from cluster_est.closed_loop.account import account
-from cluster_est.closed_loop.findings.competing_models import dear_structures
+from cluster_est.closed_loop.findings.competing_models import expensive_structures
 from cluster_est.closed_loop.findings.effects import NoiseChange, Verdict
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict
@@ -141,7 +141,7 @@ def _accounted(
                     free,
                     NOT_LOOKED_FOR,
                     _unsettled(passed),
-                    *dear_structures(found.path),
+                    *expensive_structures(found.path),
                 ),
             )
         ),

@@ -16,7 +16,7 @@ from support.loop_objects import (
 
 from cluster_est import LoopSettings
 from cluster_est.closed_loop.account import LastFits, account
-from cluster_est.closed_loop.findings.competing_models import dear_structures
+from cluster_est.closed_loop.findings.competing_models import expensive_structures
 from cluster_est.closed_loop.findings.effects import ErrorChange, Verdict
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, confirmed, judge
 from cluster_est.closed_loop.selection.rounds import (
@@ -401,14 +401,17 @@ def structure(name: str, times: float, *, accepted: bool = False) -> ComparedStr
 
 
 def test_nothing_is_said_where_all_cost_about_the_same():
-    assert dear_structures([structure("a", 1.2), structure("b", 5.0), structure("c", np.nan)]) == ()
+    assert (
+        expensive_structures([structure("a", 1.2), structure("b", 5.0), structure("c", np.nan)])
+        == ()
+    )
 
 
 def test_the_dearest_is_named_with_its_figure_and_so_is_what_was_added():
     others = [structure("b", 31.4), structure("c", 7.0)]
-    (said,) = dear_structures([structure("a", 1.2), *others])
+    (said,) = expensive_structures([structure("a", 1.2), *others])
     assert said.startswith("2 structures of the 3 that were tried")
     assert "most of all b at der(v) (31.4 times)" in said
     assert "what was added" not in said
-    (said,) = dear_structures([structure("a", 9.0, accepted=True), *others])
+    (said,) = expensive_structures([structure("a", 9.0, accepted=True), *others])
     assert said.endswith("with what was added a simulation takes 9 times the steps")
