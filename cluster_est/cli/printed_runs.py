@@ -22,8 +22,8 @@ from cluster_est.cli.printing import (
     say,
     tell,
 )
-from cluster_est.closed_loop.findings.words.numbers import NO_ALTERNATIVE, percent
 from cluster_est.experiment_design.design_sentences import times
+from cluster_est.problem.display import NO_ALTERNATIVE, percent
 from cluster_est.run_folder.run_files import Rows, StoredRun, read_stored_run
 
 

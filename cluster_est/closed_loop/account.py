@@ -7,29 +7,32 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.competing_models import CompetingModel, competing_models
-from cluster_est.closed_loop.findings.confirmation import confirmed
-from cluster_est.closed_loop.findings.effect_curves import effect_curves
-from cluster_est.closed_loop.findings.effects import ErrorChange, NoiseChange, Verdict
-from cluster_est.closed_loop.findings.resampled_choice import resampled_choices, with_choices
-from cluster_est.closed_loop.findings.residual.disturbance import (
-    UnexplainedResidual,
-    unexplained_residuals,
+from cluster_est.closed_loop.findings.competing_models import (
+    CompetingModel,
+    competing_models,
+    resampled_choices,
+    with_choices,
+    with_probabilities,
 )
-from cluster_est.closed_loop.findings.residual.noise_of_sensors import (
-    believed_noise,
-    residual_noise,
-)
-from cluster_est.closed_loop.findings.residual.unused_columns import varying_columns
-from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
-from cluster_est.closed_loop.findings.structure_probabilities import with_probabilities
-from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict
-from cluster_est.closed_loop.findings.wording import (
+from cluster_est.closed_loop.findings.description import (
     describe_effects,
     error_changes,
     shared_arguments,
     where_left,
 )
+from cluster_est.closed_loop.findings.effect_curves import effect_curves
+from cluster_est.closed_loop.findings.effects import ErrorChange, NoiseChange, Verdict
+from cluster_est.closed_loop.findings.residual_noise import (
+    believed_noise,
+    residual_noise,
+)
+from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
+from cluster_est.closed_loop.findings.unexplained import (
+    UnexplainedResidual,
+    unexplained_residuals,
+    varying_columns,
+)
+from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict, confirmed
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult

@@ -30,6 +30,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import refuse_process_noise
 from cluster_est.running.arguments import check_problem
 from cluster_est.running.resources import Resources
+from cluster_est.statistics.residual_tests import FAMILY_WISE_LEVEL
 from workers.effects.forms import FormCoefficient
 from workers.effects.forms import form as find_form
 from workers.effects.site import check_site, parse_site, unnamed_variables
@@ -84,7 +85,7 @@ class DetectionResult:
         if self.missing:
             count = f"{self.candidates} candidate{'' if self.candidates == 1 else 's'}"
             return f"something is missing ({_p(self.p)} among {count})"
-        smooth = self.p_structure <= self.significance
+        smooth = self.p_structure <= FAMILY_WISE_LEVEL
         if not self.candidates:
             found = "has smooth structure" if smooth else "looks like noise"
             return f"the residual {found} ({_p(self.p_structure)}), but no candidate was compared"
@@ -127,7 +128,7 @@ def detect(
         return DetectionResult(
             p=screening.p,
             p_white=screening.p_white,
-            p_structure=screening.omnibus.p,
+            p_structure=screening.structure.p,
             candidates=screening.count,
             noise=workbench.noise_in_units(noise_of(workbench.fitter, fitted.residuals)),
             rms=workbench.noise_in_units(rms),

@@ -22,8 +22,8 @@ from cluster_est.closed_loop.account import (
     last_fits,
     last_fits_to_all_rows,
 )
+from cluster_est.closed_loop.findings.competing_models import expensive_structures
 from cluster_est.closed_loop.findings.result import LoopResult
-from cluster_est.closed_loop.findings.simulation_cost import dear_structures
 from cluster_est.closed_loop.fitter import FitStart
 from cluster_est.closed_loop.long_records import (
     CONFIRMED_ON_ALL,
@@ -178,7 +178,7 @@ def run_loop(request: LoopRequest) -> LoopResult:
     seconds, error = time.monotonic() - begin, searched.error
     known = last if result.effects else error
     said = (*error.notes, *(known.notes_with_effects if known is not error else ()))
-    notes = (*said, *result.notes, *dear_structures(searched.found.path))
+    notes = (*said, *result.notes, *expensive_structures(searched.found.path))
     result = replace(result, notes=notes, seconds=seconds, failures_in_search=searched.failures)
     return _with_interpolation(result, other or searched.interpolation)
 

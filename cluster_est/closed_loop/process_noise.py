@@ -20,9 +20,9 @@ from typing import Self
 import numpy as np
 
 from cluster_est.closed_loop.account import LastFits, account, final_fit
+from cluster_est.closed_loop.findings.competing_models import expensive_structures
 from cluster_est.closed_loop.findings.effects import ErrorChange, NoiseChange, Verdict
 from cluster_est.closed_loop.findings.result import LoopResult
-from cluster_est.closed_loop.findings.simulation_cost import dear_structures
 from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.search import SearchedModel, search_for_effects
@@ -148,7 +148,7 @@ def _accounted(
                     free,
                     NOT_LOOKED_FOR,
                     _unsettled(passed),
-                    *dear_structures(found.path),
+                    *expensive_structures(found.path),
                 ),
             )
         ),

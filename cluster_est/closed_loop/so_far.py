@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from cluster_est.closed_loop.account import FINAL, LastFits, account
+from cluster_est.closed_loop.findings.description import error_changes
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.findings.verdict import judge
-from cluster_est.closed_loop.findings.wording import error_changes
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.workbench import LoopWorkbench

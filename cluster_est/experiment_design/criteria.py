@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 from typing_extensions import override
 
-from cluster_est.closed_loop.findings.structure_probabilities import TEMPERATURE
+from cluster_est.closed_loop.findings.competing_models import TEMPERATURE
 from cluster_est.experiment_design.models import FittedCandidate
 from cluster_est.experiment_design.predicted_outputs import PredictedExperiment
 from cluster_est.plug_in import check_class_attributes

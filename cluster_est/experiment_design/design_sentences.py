@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from cluster_est.closed_loop.findings.words.numbers import in_a_row, percent
+from cluster_est.problem.display import in_a_row, percent
 from cluster_est.toml import inline
 from workers.messages import Experiment, Input
 

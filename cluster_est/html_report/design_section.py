@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.words.numbers import percent
 from cluster_est.experiment_design.design_sentences import times
 from cluster_est.html_report.charts import Band, Chart, Line, Mark, Plot, Scale
 from cluster_est.html_report.number_text import digits
@@ -19,6 +18,7 @@ from cluster_est.html_report.page_blocks import (
     table,
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row
+from cluster_est.problem.display import percent
 from workers.messages import FloatArray
 
 MOST_MODELS = 5

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.words.numbers import NO_ALTERNATIVE, percent
 from cluster_est.closed_loop.screening.evidence import CandidateStage
 from cluster_est.html_report.charts import (
     Band,
@@ -36,6 +35,7 @@ from cluster_est.html_report.page_blocks import (
     with_unit,
 )
 from cluster_est.html_report.reported_run import ReportedRun, Row
+from cluster_est.problem.display import NO_ALTERNATIVE, percent
 from workers.messages import FloatArray
 
 BAND_MARGIN = 1.5

@@ -15,7 +15,7 @@ from cluster_est.results.output_errors import Simulation, output_residuals
 from cluster_est.statistics.projection import OrthogonalProjection
 from cluster_est.statistics.records import StackedRecords, make_records
 from cluster_est.statistics.residual_findings import ResidualDiagnostics
-from cluster_est.statistics.residual_tests import ResidualTests
+from cluster_est.statistics.residual_tests import MOST_TRANSFORMED_ENTRIES, ResidualTests
 from cluster_est.uncertainty.covariance.normal_equations import (
     active_bounds,
     has_jacobian,
@@ -26,10 +26,6 @@ from workers.messages import FloatArray
 EXACT_FIT_RESIDUAL = 1e-5
 """Residuals over the spread of the signal up to which they are numerical errors: no sensor is so
 good, and what is simulated data without noise has no sigma."""
-
-MOST_TRANSFORMED_ENTRIES = 1_000_000
-"""Entries of a Jacobian that is taken into account, for about a second of transforms. Without it
-the test expects more smoothness of noise than a fit has left, and may only see a little less."""
 
 
 def diagnose_residuals(

@@ -1,8 +1,9 @@
-"""What tests of a fit's residuals have found, for each output and for all together."""
+"""What tests of residuals have found, for each output and for all together, and its sentences."""
 
 from __future__ import annotations
 
 import enum
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,3 +114,120 @@ class ResidualDiagnostics:
 
 def _structured(output: OutputDiagnostics) -> bool:
     return output.structure in (ResidualStructure.AUTOCORRELATED, ResidualStructure.MISSING)
+
+
+MOST_NAMED_OUTPUTS = 4
+"""Outputs in a sentence; of more, those with the largest error are named."""
+
+ADVICE = "to look for it: cluster-est close-loop CONFIG --out FOLDER, in Python close_loop(problem)"
+
+
+def residual_sentences(diagnostics: ResidualDiagnostics) -> tuple[str, ...]:
+    """Sentences on what is wrong with model, sigma and intervals; none where nothing is."""
+    found = diagnostics.findings
+    reason = "" if diagnostics.converged else "the search did not converge, or "
+    missing = [o for o in found if o.structure is ResidualStructure.MISSING]
+    related = [o for o in found if o.structure is ResidualStructure.AUTOCORRELATED]
+    sized = [o for o in related if not o.too_narrow]
+    others = [o for o in related if o.too_narrow]
+    sentences = []
+    if missing:
+        sentences.append(
+            f"{_each(missing, _over_sigma)}: these intervals are too narrow, {reason}something is "
+            f"missing from the model, which they do not allow for; {ADVICE}"
+        )
+    if sized:
+        sentences.append(
+            f"{_each(sized, _no_larger)}: {reason}the sensor's noise is coloured, which the "
+            f"intervals allow for, or something small is missing, which they do not; {ADVICE}"
+        )
+    if others:
+        sentences.append(
+            f"{_each(others, _times_noise)}: {reason}something is missing from the model, and "
+            "these intervals are too narrow, or the sensor's noise is coloured, which they "
+            f"allow for; {ADVICE}"
+        )
+    return (*sentences, *(_of_sigma(output) for output in found if output.sigma))
+
+
+def _each(outputs: Iterable[OutputDiagnostics], say: Callable[[OutputDiagnostics], str]) -> str:
+    ordered = sorted(outputs, key=lambda o: -o.rms_over_sigma)
+    said = [f"{o.output}: {say(o)}" for o in ordered[:MOST_NAMED_OUTPUTS]]
+    more = len(ordered) - len(said)
+    return "; ".join(said) + (f"; and {more} more outputs" if more > 0 else "")
+
+
+def _over_sigma(output: OutputDiagnostics) -> str:
+    return f"error is {output.rms_over_sigma:.2g} x sigma and {_related(output)}"
+
+
+def _no_larger(output: OutputDiagnostics) -> str:
+    return (
+        f"residuals are {_related(output)} though hardly larger than sigma "
+        f"({output.rms_over_sigma:.2g} x)"
+    )
+
+
+def _times_noise(output: OutputDiagnostics) -> str:
+    noise = "its noise from sample to sample"
+    if not output.declared:
+        noise += f" ({output.noise_over_sigma:.2g}; no sigma is declared)"
+    return f"error is {output.rms_over_noise:.2g} x {noise} and {_related(output)}"
+
+
+def _related(output: OutputDiagnostics) -> str:
+    return autocorrelated(output.lag1, output.length)
+
+
+def _of_sigma(output: OutputDiagnostics) -> str:
+    times = from_to([output.rms_over_sigma])
+    if output.sigma is SigmaDoubt.TOO_LARGE:
+        return large_sigma(output.output, [output.rms_over_sigma])
+    if output.sigma is SigmaDoubt.OUTLIERS:
+        return (
+            f"{output.output}: residuals are white, but the largest is "
+            f"{output.largest_over_rms:.2g} times their root mean square: a few samples are "
+            "outliers, or show something sudden that the model lacks; look at them, or take the "
+            'cost "huber"'
+        )
+    if output.structure is ResidualStructure.WHITE:
+        return (
+            f"{output.output}: error is {times} x sigma but white: nothing points to something "
+            f"missing, the declared sigma is probably {times} times too small; correct it"
+        )
+    return small_sigma(output.output, [output.noise_over_sigma])
+
+
+LEAST_NEIGHBOUR_CORRELATION = 0.1
+"""Correlation of neighbours below which it is better said over how many samples they are alike."""
+
+
+def autocorrelated(lag1: float, length: float = np.nan) -> str:
+    """Say how a residual is autocorrelated; `length` is that of its structure, in samples."""
+    if lag1 >= LEAST_NEIGHBOUR_CORRELATION or not np.isfinite(length):
+        return f"autocorrelated at lag 1 with {lag1:.2g}"
+    return f"autocorrelated over about {length:.0f} samples (lag 1: {lag1:.2g})"
+
+
+def small_sigma(named: str, noise: Collection[float]) -> str:
+    """Say of some outputs that their noise over sigma is far above 1."""
+    return (
+        f"{named}: the noise from sample to sample alone is {from_to(noise)} x sigma: the declared "
+        f"sigma is probably {from_to(noise)} times too small; correct it"
+    )
+
+
+def large_sigma(named: str, errors: Collection[float]) -> str:
+    """Say of some outputs that their errors over sigma are far below 1."""
+    return (
+        f"{named}: error is {from_to(errors)} x sigma: the declared sigma is probably "
+        f"{from_to([1.0 / error for error in errors])} times too large; correct it, or errors over "
+        "sigma say nothing"
+    )
+
+
+def from_to(factors: Collection[float]) -> str:
+    """Write the range of some factors: "2 to 10", or one of them where all are the same."""
+    ends = (min(factors), max(factors))
+    least, most = (f"{end:.2g}" if end < 99.5 else f"{end:.0f}" for end in ends)
+    return least if least == most else f"{least} to {most}"

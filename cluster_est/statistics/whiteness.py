@@ -120,8 +120,7 @@ def smoothness(
     (Biometrika 37 (1950) 409-428, doi:10.1093/biomet/37.3-4.409) does for one lag. The smallest
     over the kernels is multiplied with their number (Bonferroni).
 
-    Use it, rather than `omnibus`, where small p-values must be told apart or no random numbers are
-    wanted. Below 20 degrees of freedom p-values are rough.
+    Below 20 degrees of freedom p-values are rough.
 
     Parameters
     ----------

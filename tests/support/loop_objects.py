@@ -31,10 +31,10 @@ from cluster_est.methods.method import Ending, Solution
 from cluster_est.problem.search_space import make_space
 from cluster_est.results.output_errors import OutputError
 from cluster_est.running.runner import Runner
-from cluster_est.statistics.omnibus import OmnibusTest
 from cluster_est.statistics.projection import OrthogonalProjection, ProjectedResidual
 from cluster_est.statistics.records import make_records
 from cluster_est.statistics.score import score
+from cluster_est.statistics.whiteness import SmoothnessTest
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite
 from workers.fmu.description import ModelDescription, describe_model
@@ -42,7 +42,7 @@ from workers.messages import Effect, FloatArray, Role
 
 FORM_OF_FAMILY = {"friction": "coulomb", "table": "table", "load": "drift"}
 """A form of the library for a family, at a state derivative."""
-NO_STRUCTURE = OmnibusTest(0.5, 0.1)
+NO_STRUCTURE = SmoothnessTest(0.5, 6.0)
 
 
 def made_experiments(
@@ -77,6 +77,7 @@ def made_bench(problem: Problem) -> LoopWorkbench:
         synthetic={},
         everything=problem,
         meter=SimpleNamespace(full=0.0),  # type: ignore[arg-type]
+        noise_of_samples={},
     )
     return LoopWorkbench(
         fitter,
@@ -145,16 +146,16 @@ def made_screening(
     columns: Sequence[FloatArray],
     candidates: Sequence[EffectCandidate],
     *,
-    omnibus: OmnibusTest = NO_STRUCTURE,
-    omnibus_white: OmnibusTest | None = None,
+    structure: SmoothnessTest = NO_STRUCTURE,
+    structure_white: SmoothnessTest | None = None,
     p: float = 0.2,
     p_white: float = 0.3,
 ) -> ScreeningResult:
     """A ranking, and what the tests of it said."""
     return ScreeningResult(
         made_ranking(matrix, residuals, columns, candidates),
-        omnibus=omnibus,
-        omnibus_white=omnibus_white or omnibus,
+        structure=structure,
+        structure_white=structure_white or structure,
         p=p,
         p_white=p_white,
     )

@@ -14,6 +14,7 @@ from workers.core.assemble import TIME_SYMBOL
 from workers.effects.expression import parse
 from workers.effects.forms import form
 from workers.effects.kinds import EffectForm, FormCoefficient, positive
+from workers.effects.laws import Law
 from workers.effects.site import (
     EffectSite,
     check_site,
@@ -293,7 +294,13 @@ def _chosen(effect: Effect, site: EffectSite, where: str) -> EffectForm:
 def _own_form(effect: Effect, site: EffectSite) -> EffectForm:
     own = tuple(FormCoefficient(name, is_neutral) for name, is_neutral in effect.coefficients)
     return EffectForm(
-        "expression", "own", (site.kind,), effect.equation, own, reaction=effect.reaction
+        "expression",
+        "own",
+        Law.OTHER,
+        (site.kind,),
+        effect.equation,
+        own,
+        reaction=effect.reaction,
     )
 
 

@@ -7,6 +7,8 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
+from workers.effects.laws import Law
+
 SiteKind = Literal["derivative", "pair", "input", "output", "parameter"]
 
 
@@ -156,6 +158,8 @@ class EffectForm:
     ----------
     name, family
         "coulomb", "friction".
+    law
+        How it depends on its variable: from this, with the units of the site, it has its name.
     kinds
         Sites at which it makes sense.
     equation
@@ -183,6 +187,7 @@ class EffectForm:
 
     name: str
     family: str
+    law: Law
     kinds: tuple[SiteKind, ...]
     equation: str
     coefficients: tuple[FormCoefficient, ...]

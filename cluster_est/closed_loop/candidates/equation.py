@@ -12,8 +12,9 @@ from workers.messages import Effect
 def equation_text(effect: Effect, form: EffectForm, site: EffectSite) -> str:
     """Return what an effect adds to its site, or makes of the signal there.
 
-    "der(v) += -k * tanh(v / width)", "F -> F + k * F^2", "u -> delay(u, tau)". A coefficient that
-    has the name of a variable in the equation carries the effect's name before it.
+    "der(v) += -k * tanh(v / width)", "F -> F + k * F^2", "u -> delay(u, tau)". A coefficient
+    or a state of its own that has the name of a variable in the equation carries the effect's name
+    before it.
     """
     names = dict(zip(("v", "w"), effect.variables, strict=False))
     if form.variables and not effect.variables:
@@ -23,7 +24,8 @@ def equation_text(effect: Effect, form: EffectForm, site: EffectSite) -> str:
         names["s"] = site.target
     coefficients = [c.name for c in form.coefficients]
     taken = {part for name in names.values() for part in parts_of(name)}
-    names |= {c: f"{effect.name}.{c}" for c in coefficients if c in taken}
+    own_names = [*coefficients, *(z.name for z in form.states)]
+    names |= {name: f"{effect.name}.{name}" for name in own_names if name in taken}
 
     def named(text: str) -> str:
         return re.sub(r"[A-Za-z_]\w*(?!\w*\()", lambda m: _bracketed(names, m.group()), text)
@@ -47,7 +49,7 @@ def equation_text(effect: Effect, form: EffectForm, site: EffectSite) -> str:
     if site.kind == "pair":
         first, second = site.targets
         return f"der({first}) += {text}, der({second}) += {named(form.reaction)}"
-    own = "".join(f", {z.name}' = {named(z.derivative)}" for z in form.states)
+    own = "".join(f", {named(z.name)}' = {named(z.derivative)}" for z in form.states)
     return f"{site} += {text}{own}" if at_rates else f"{site.target} -> {text}{own}"
 
 

@@ -17,6 +17,7 @@ from typing import final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import expm
 
 from workers.core.library import core
 from workers.effects.site import split_variable
@@ -249,9 +250,24 @@ hold for the next one: a fifth of what tells a direction from the declared param
 
 
 def discretise(linear: Linearisation) -> StepMatrices:
-    """Matrices of all steps at once, exact where A is constant within each step."""
+    """Matrices of all steps at once, exact where A is constant within each step.
+
+    C. F. Van Loan, IEEE Trans. Automatic Control 23 (1978) 395-404, doi:10.1109/TAC.1978.1101743.
+    `step_matrices` agrees to 1e-11, but on measured records near-equal candidates change places by
+    less, and with this way the figures of the benchmark and of the league were made.
+    """
     a = np.asarray(linear.A)
-    return step_matrices(0.5 * (a[1:] + a[:-1]), np.diff(linear.times))
+    h = np.diff(linear.times)
+    x = a.shape[1]
+    joined = np.zeros((len(h), 3 * x, 3 * x))
+    eye: npt.NDArray[np.float64] = np.eye(x)
+    joined[:, :x, :x] = (0.5 * (a[1:] + a[:-1])) * h[:, None, None]
+    joined[:, :x, x : 2 * x] = eye * h[:, None, None]
+    joined[:, x : 2 * x, 2 * x :] = eye
+    powers = expm(joined)
+    last = powers[:, :x, 2 * x :]
+    parts = powers[:, :x, :x], powers[:, :x, x : 2 * x] - last, last
+    return StepMatrices(*(np.ascontiguousarray(part) for part in parts))
 
 
 def streamed_steps(linear: Linearisation, *, backwards: bool = False) -> Iterator[StepMatrices]:

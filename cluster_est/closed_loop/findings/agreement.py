@@ -8,13 +8,13 @@ to measure to tell.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from cluster_est.closed_loop.findings.effects import AgreeingEquation
-from cluster_est.closed_loop.findings.words.laws import Law
 from cluster_est.results.fit_tables import EffectCurve
+from cluster_est.results.shapes.effect_shapes import BAND_QUANTILE
+from workers.effects.laws import Law
 from workers.effects.site import bracketed
 from workers.messages import FloatArray
 
@@ -23,77 +23,39 @@ Shape = Callable[[FloatArray], FloatArray]
 CLOSE = 0.1
 """Share of an effect's largest size that another equation may be off anywhere in the data."""
 
-APART = 0.25
+CLEARLY_DIFFERENT = 0.25
 """Share of that size by which two equations must differ somewhere, to be told apart there."""
 
 BEYOND = 1.5
 """Times the largest absolute value in the data up to which it is looked where two differ."""
 
-MOST = 3
+MOST_AGREEING = 3
 """Equations that are named beside the one that was found."""
 
-NORMAL95 = 1.959963984540054
 
-
-@dataclass(frozen=True)
-class _Other:
-    """A law of one strength: its text, and how it depends on its variable."""
-
-    text: str
-    shape: Shape
-
-    def equation(self, strength: float, variable: str) -> str:
-        """Return what it adds to a variable's site: "-0.35 * v^2"."""
-        return f"{strength:.4g} * {self.text.format(v=bracketed(variable))}".removesuffix(" * 1")
-
-
-@dataclass(frozen=True)
-class _Scaled:
-    """A shape with a strength."""
-
-    shape: Shape
-    strength: float
-
-    def __call__(self, x: FloatArray) -> FloatArray:
-        return self.strength * self.shape(x)
-
-
-LAWS = {
-    Law.CONSTANT: _Other("1", np.ones_like),
-    Law.LINEAR: _Other("{v}", lambda x: x),
-    Law.SQUARE: _Other("{v}^2", np.square),
-    Law.ODD_SQUARE: _Other("{v} * abs({v})", lambda x: x * np.abs(x)),
-    Law.CUBE: _Other("{v}^3", lambda x: x**3),
-    Law.ABSOLUTE: _Other("abs({v})", np.abs),
-    Law.SWITCH: _Other("sign({v})", np.sign),
-    Law.ROOT: _Other("sqrt(max({v}, 0))", lambda x: np.sqrt(np.maximum(x, 0.0))),
-    Law.ODD_ROOT: _Other(
-        "sign({v}) * sqrt(abs({v}))", lambda x: np.sign(x) * np.sqrt(np.abs(x))
-    ),
-}  # fmt: skip
+LAWS: dict[Law, tuple[str, Shape]] = {
+    Law.CONSTANT: ("1", np.ones_like),
+    Law.LINEAR: ("{v}", lambda x: x),
+    Law.SQUARE: ("{v}^2", np.square),
+    Law.ODD_SQUARE: ("{v} * abs({v})", lambda x: x * np.abs(x)),
+    Law.CUBE: ("{v}^3", lambda x: x**3),
+    Law.ABSOLUTE: ("abs({v})", np.abs),
+    Law.SWITCH: ("sign({v})", np.sign),
+    Law.ROOT: ("sqrt(max({v}, 0))", lambda x: np.sqrt(np.maximum(x, 0.0))),
+    Law.ODD_ROOT: ("sign({v}) * sqrt(abs({v}))", lambda x: np.sign(x) * np.sqrt(np.abs(x))),
+}
 """Laws with a strength alone: one more coefficient could imitate anything."""
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """A law that agrees with a finding on the range of the data.
-
-    Attributes
-    ----------
-    law
-        Of the other equation.
-    found
-        That equation, how well it agrees, and where the two differ.
-    """
-
-    law: Law
-    found: AgreeingEquation
-
-
 def agreements(
-    curve: EffectCurve, shape: Shape, own: Law, *, negative: bool = True
-) -> tuple[Agreement, ...]:
-    """Return the laws that agree with a found effect wherever the data were; the closest first.
+    curve: EffectCurve,
+    shape: Shape,
+    own: Law,
+    named: Callable[[Law], str],
+    *,
+    negative: bool = True,
+) -> tuple[AgreeingEquation, ...]:
+    """Return equations that agree with a found effect wherever the data were; the closest first.
 
     Each is fitted to the curve of the effect over the samples. It agrees if what is left is smaller
     than the effect's own standard error, both as root mean squares over the samples, and nowhere
@@ -106,8 +68,8 @@ def agreements(
         Of the effect, with its band.
     shape
         The same curve as a function, also outside the range of the data.
-    own
-        The law of the effect.
+    own, named
+        The law of the effect, and what physics calls another one at its place.
     negative
         The variable can be negative at all.
     """
@@ -118,8 +80,8 @@ def agreements(
         return ()
     error = max(_standard_error(curve, x, weights), 1e-9 * size)
     found = []
-    for law, other in LAWS.items():
-        column = other.shape(x)
+    for law, (text, other) in LAWS.items():
+        column = other(x)
         square = float(np.sum(weights * column**2))
         if law is own or not square > 0.0:
             continue
@@ -128,13 +90,13 @@ def agreements(
         apart = float(np.sqrt(np.average(off**2, weights=weights)))
         if apart > error or off.max() > CLOSE * size:
             continue
-        told = _told_apart(curve, shape, _Scaled(other.shape, strength), size, negative=negative)
+        told = _told_apart(curve, shape, other, strength, size, negative=negative)
         if told is not None:
             largest = float(off.max())
-            text = other.equation(strength, curve.variable)
-            equation = AgreeingEquation(text, "", largest, largest / size, *told)
-            found.append((apart, Agreement(law, equation)))
-    return tuple(a for _, a in sorted(found, key=lambda pair: pair[0])[:MOST])
+            equation = f"{strength:.4g} * {text.format(v=bracketed(curve.variable))}"
+            known = (equation.removesuffix(" * 1"), named(law), largest, largest / size)
+            found.append((apart, AgreeingEquation(*known, *told)))
+    return tuple(each for _, each in sorted(found, key=lambda pair: pair[0])[:MOST_AGREEING])
 
 
 def _visited(curve: EffectCurve) -> tuple[FloatArray, FloatArray]:
@@ -145,7 +107,7 @@ def _visited(curve: EffectCurve) -> tuple[FloatArray, FloatArray]:
 
 def _standard_error(curve: EffectCurve, x: FloatArray, weights: FloatArray) -> float:
     """Of the effect, as a root mean square over the samples; 0 where the band is not known."""
-    half = 0.5 * (curve.upper - curve.lower) / NORMAL95
+    half = 0.5 * (curve.upper - curve.lower) / BAND_QUANTILE
     if not np.isfinite(half).all():
         return 0.0
     there = np.interp(x, curve.x, half)
@@ -153,14 +115,14 @@ def _standard_error(curve: EffectCurve, x: FloatArray, weights: FloatArray) -> f
 
 
 def _told_apart(
-    curve: EffectCurve, one: Shape, other: Shape, size: float, *, negative: bool
+    curve: EffectCurve, one: Shape, other: Shape, strength: float, size: float, *, negative: bool
 ) -> tuple[float, float] | None:
     """The value nearest to the data at which two laws clearly differ, and by how much."""
     low, high = float(curve.edges[0]), float(curve.edges[-1])
     far = BEYOND * max(abs(low), abs(high))
     x = np.linspace(-far if negative else 0.0, far, 1201)
-    apart = np.abs(one(x) - other(x))
-    clear = np.isfinite(apart) & (apart >= APART * size)
+    apart = np.abs(one(x) - strength * other(x))
+    clear = np.isfinite(apart) & (apart >= CLEARLY_DIFFERENT * size)
     if not clear.any():
         return None
     distance = np.maximum(np.maximum(low - x, x - high), 0.0)

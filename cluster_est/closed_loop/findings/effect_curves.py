@@ -8,12 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.closed_loop.candidates.trajectory import (
+    Forcing,
     LinearisedTrajectory,
     integrated_states,
+    linear_system,
     pooled,
 )
-from cluster_est.closed_loop.findings.free_values import free_values
 from cluster_est.closed_loop.fitter import FittedModel
+from cluster_est.closed_loop.screening.directions import coupling
 from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.errors import ClusterEstError
 from cluster_est.results.fit_tables import EffectCurve
@@ -90,3 +92,93 @@ def _integral_of(name: str, trajectories: Sequence[LinearisedTrajectory]) -> str
     speeds = {x: v for x, (v, _) in integrated_states(trajectories).items()}
     parts = [speeds[x] for x in split_variable(name, speeds)]
     return difference(*parts) if len(parts) > 1 else "".join(parts)
+
+
+PLACES = 12
+"""Of a free function: more are not told apart by the eye."""
+
+DETERMINED = 1e-8
+"""Share of the largest squared length that the direction of a place needs."""
+
+
+def free_values(
+    site: EffectSite,
+    trajectories: Sequence[LinearisedTrajectory],
+    arguments: Sequence[FloatArray | None],
+    residuals: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Fit a piecewise linear function of an argument to the residuals of a fit.
+
+    Parameters
+    ----------
+    site
+        Where it acts; at pairs of derivatives nothing is fitted.
+    trajectories
+        Of the training experiments at the fit, linearised.
+    arguments : (n,) for each trajectory
+        None where an experiment does not have it.
+    residuals : (N,)
+        Of all training experiments, over sigma.
+
+    Returns
+    -------
+    Places of the argument, values and their standard errors as of white noise, each (places,); None
+    where the site or the interface does not allow it.
+    """
+    if site.kind == "pair" or (site.kind != "output" and trajectories[0].linear is None):
+        return None
+    known = np.concatenate([each for each in arguments if each is not None] or [np.zeros(0)])
+    if not len(known) or not np.ptp(known) > 0.0:
+        return None
+    shares = np.linspace(0.0, 1.0, PLACES)
+    even = known.min() + shares * np.ptp(known)
+    between = 0.5 * (even + np.quantile(known, shares))
+    at = np.unique(np.clip(between, known.min(), known.max()))
+    parts = [
+        _directions(site, each, _hats(at, values, len(each.times)))
+        for each, values in zip(trajectories, arguments, strict=True)
+    ]
+    direction = np.concatenate(parts)
+    sizes = np.einsum("ij,ij->j", direction, direction)
+    kept = sizes > DETERMINED * sizes.max()
+    if not kept.any() or len(residuals) <= kept.sum():
+        return None
+    q, r = np.linalg.qr(direction[:, kept])
+    if not np.all(np.abs(np.diag(r)) > 1e-9 * np.abs(r).max()):
+        return None
+    found = -np.linalg.solve(r, q.T @ residuals)
+    left = residuals + direction[:, kept] @ found
+    variance = float(left @ left) / (len(residuals) - int(kept.sum()))
+    inverse = np.linalg.inv(r)
+    return at[kept], found, np.sqrt(variance * np.einsum("ij,ij->i", inverse, inverse))
+
+
+def _hats(at: FloatArray, values: FloatArray | None, size: int) -> FloatArray:
+    """(n, places): a piecewise linear function with each of its values at 1, all others at 0."""
+    if values is None:
+        return np.zeros((size, len(at)))
+    inside = np.clip(values, at[0], at[-1])
+    return np.column_stack([np.interp(inside, at, height) for height in np.eye(len(at))])
+
+
+def _directions(
+    site: EffectSite, trajectory: LinearisedTrajectory, added: FloatArray
+) -> FloatArray:
+    """(k, places): how the residuals of an experiment change with what is added at a site."""
+    count = added.shape[1]
+    change = np.zeros((*trajectory.outputs.shape, count))
+    if site.kind == "output":
+        if site.target in trajectory.names:
+            change[:, trajectory.names.index(site.target)] += added
+        return trajectory.residual_change(change)
+    linear = trajectory.linear
+    if linear is None:
+        raise ValueError(f"{site} has no direction without a linearisation")
+    into: int | FloatArray
+    if site.kind == "derivative":
+        into = linear.state_names.index(site.target)
+    else:
+        into, through = coupling(linear, site)
+        change += through[:, :, None] * added[:, None, :]
+    forcing = Forcing(added, [into], np.zeros(count, int))
+    return trajectory.residual_change(change + linear_system(linear).respond(forcing))

@@ -11,19 +11,19 @@ from typing import Any, Literal
 import pyarrow as pa
 
 from cluster_est.closed_loop.findings import tables
-from cluster_est.closed_loop.findings.competing_models import CompetingModel
+from cluster_est.closed_loop.findings.competing_models import (
+    CompetingModel,
+    likely_sentence,
+    likely_structures,
+)
 from cluster_est.closed_loop.findings.effects import (
     ErrorChange,
     NamedEffect,
     NoiseChange,
     Verdict,
 )
-from cluster_est.closed_loop.findings.residual.disturbance import UnexplainedResidual
-from cluster_est.closed_loop.findings.residual.remaining_error import comparable, pooled_error
-from cluster_est.closed_loop.findings.structure_probabilities import (
-    likely_sentence,
-    likely_structures,
-)
+from cluster_est.closed_loop.findings.remaining_error import comparable, pooled_error
+from cluster_est.closed_loop.findings.unexplained import UnexplainedResidual
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.selection.rounds import ComparedStructure
 from cluster_est.problem import display

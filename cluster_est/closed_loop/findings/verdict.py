@@ -1,19 +1,29 @@
 """The verdict of a closed loop, with its reason.
 
 It is made in two steps. `judge` looks at the training experiments as the search left them;
-`confirmed` (in `confirmation`) looks at what is left after the final fits, on training and on
-held-out data, and can only take away.
+`confirmed` looks at what is left after the final fits, on training and on held-out data, and can
+only take away.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.effects import Verdict
-from cluster_est.closed_loop.findings.residual.noise_of_sensors import (
+from cluster_est.closed_loop.findings.effects import ErrorChange, Verdict
+from cluster_est.closed_loop.findings.remaining_error import (
+    comparable,
+    largest_error,
+    no_longer_simulated,
+    not_simulated,
+    over_noise,
+    pooled_error,
+    what_is_left,
+    without_noise,
+)
+from cluster_est.closed_loop.findings.residual_noise import (
     OutputNoise,
     believed_noise,
     is_noise_of_sensors,
@@ -30,6 +40,7 @@ from cluster_est.closed_loop.selection.rounds import (
 )
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import LoopWorkbench
+from cluster_est.statistics.residual_findings import autocorrelated
 from workers.messages import FloatArray
 
 CLAIMS = (Verdict.FOUND, Verdict.PARTIAL)
@@ -215,7 +226,7 @@ def _nothing_added(
     if nowhere:
         return ReasonedVerdict(Verdict.NONE, f"the residual looks like noise, but {why}: {NOWHERE}")
     if why == RejectionReason.COLOURED_NOISE:
-        if screening.omnibus.p <= VERDICT.smooth:
+        if screening.structure.p <= VERDICT.structure:
             return ReasonedVerdict(Verdict.COLOURED, _coloured(found, now, settings))
         reason = "no candidate is significant once the residual is whitened"
         return ReasonedVerdict(Verdict.NONE, f"{reason} (family-wise p = {_p(found)})")
@@ -292,8 +303,8 @@ def _autocorrelated(residual: _Residual) -> str:
             "be distinguished from such noise"
         )
     return (
-        f"the residual{named} is autocorrelated ({worst.correlation:.2g} from one sample to the "
-        f"next) and no larger than a sensor's noise may be ({size})"
+        f"the residual{named} is {autocorrelated(worst.correlation)} and no larger than a sensor's "
+        f"noise may be ({size})"
     )
 
 
@@ -304,15 +315,15 @@ def _residual(
     thresholds, settings = VERDICT, workbench.settings
     outputs = residual_noise(workbench, fitted, found.noise)
     excess = _excess(workbench, fitted, found.noise)
-    omnibus, whitened = at.screening.omnibus, at.screening.omnibus_white
-    smooth = omnibus.p <= settings.significance and omnibus.z > thresholds.structure
+    screening, level = at.screening, thresholds.structure
     of_sensors = is_noise_of_sensors(
         outputs,
         near=settings.near_noise,
         largest=thresholds.coloured,
-        whitened=whitened.p > settings.significance,
+        whitened=screening.structure_white.p > level,
     )
-    return _Residual(outputs, excess, smooth and excess > thresholds.excess, of_sensors)
+    structured = screening.structure.p <= level and excess > thresholds.excess
+    return _Residual(outputs, excess, structured, of_sensors)
 
 
 def _excess(workbench: LoopWorkbench, fitted: FittedModel, noise: FloatArray) -> float:
@@ -341,3 +352,55 @@ def _closed(
     before, after = found.base_prediction.total, found.prediction.total
     predicted = (before - after) / max(before - floor, least * floor)
     return float(training), float(predicted)
+
+
+def confirmed(
+    judged: ReasonedVerdict, errors: Sequence[ErrorChange], settings: LoopSettings
+) -> ReasonedVerdict:
+    """Return the verdict after the final fits: what is left on training and on held-out data.
+
+    Parameters
+    ----------
+    judged
+        From the training experiments.
+    errors
+        Of the declared model fitted, and of the one with the effects.
+    settings
+        Of the loop.
+    """
+    if judged.verdict not in CLAIMS:
+        return judged
+    near, errors = settings.near_noise, over_noise(errors, judged.noise)
+    veto = _veto(judged, errors, near)
+    if veto:
+        reason = f"{judged.reason}; but {veto}, so nothing was added"
+        return replace(judged, verdict=Verdict.UNEXPLAINED, reason=reason)
+    left = np.array([largest_error(errors, role) for role in ("train", "test")])
+    verdict, remark = judged.verdict, ""
+    if verdict is Verdict.FOUND and np.any(left > near):
+        verdict = Verdict.PARTIAL
+        remark = f", which is more than the {near:.3g} times up to which all counts as found"
+    said = what_is_left(errors, judged.over, remark)
+    if verdict is Verdict.FOUND and (without_noise(errors) or not_simulated(errors)):
+        verdict = Verdict.PARTIAL
+        said += ", so it is not known whether all was found"
+    return replace(judged, verdict=verdict, reason="; ".join(filter(None, (said, judged.reason))))
+
+
+def _veto(judged: ReasonedVerdict, errors: Sequence[ErrorChange], near: float) -> str:
+    """Return what held-out data have against the effects; "" for nothing."""
+    lost = no_longer_simulated(errors)
+    if lost:
+        return f"with them experiment {', '.join(lost)} cannot be simulated any more"
+    both = comparable(errors)
+    old, new = (pooled_error(both, "test", after=after) for after in (False, True))
+    if new > old and not judged.filtered:  # there likelihoods have been compared
+        return f"the held-out error would grow from {old:.4g} to {new:.4g} times {judged.over}"
+    floor = judged.floor
+    closed = (old**2 - new**2) / (old**2 - floor**2) if old > near * floor else np.nan
+    if closed < judged.least:
+        return (
+            f"on held-out data only {closed:.0%} of the gap would be closed, from {old:.3g} to "
+            f"{new:.3g} times {judged.over}"
+        )
+    return ""

@@ -29,18 +29,14 @@ from cluster_est.closed_loop.screening.directions import CandidatePoint, directi
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
 from cluster_est.closed_loop.screening.places import LEADING_PLACES, PlaceThresholds, rank_places
 from cluster_est.closed_loop.settings import LoopPart, LoopSettings, LoopStage
-from cluster_est.statistics.omnibus import (
-    NULL_DISTRIBUTION_DRAWS,
-    OMNIBUS_LENGTHS,
-    OmnibusTest,
-    omnibus,
-)
 from cluster_est.statistics.projection import (
     OrthogonalProjection,
     ProjectedResidual,
 )
 from cluster_est.statistics.records import StackedRecords, thinned
+from cluster_est.statistics.residual_tests import structure
 from cluster_est.statistics.score import CONFOUNDED, ScoreTests, family_wise, score
+from cluster_est.statistics.whiteness import SmoothnessTest
 from cluster_est.statistics.whitening import fit_autoregression, whiten
 from workers.effects.site import EffectSite
 from workers.messages import FloatArray, IntArray
@@ -76,10 +72,6 @@ class ScreeningThresholds:
         them. Signal: the linearisations of a simulation are not more exact.
     autoregression
         Order of the autoregression that whitens. Benchmark.
-    omnibus_lengths
-        Lengths of smooth structure, in samples, that the omnibus test looks for. Benchmark.
-    omnibus_draws
-        Of its null distribution: a p-value of 0.01 needs some hundred. Theory: Monte Carlo tests.
     """
 
     most_rows: int = 20_000
@@ -92,8 +84,6 @@ class ScreeningThresholds:
     probed_curves: int = 4
     confounded: float = CONFOUNDED
     autoregression: int = 2
-    omnibus_lengths: tuple[float, ...] = OMNIBUS_LENGTHS
-    omnibus_draws: int = NULL_DISTRIBUTION_DRAWS
 
 
 SCREENING = ScreeningThresholds()
@@ -107,7 +97,7 @@ class ScreeningResult:
     ----------
     ranking
         Of the candidates.
-    omnibus, omnibus_white
+    structure, structure_white
         Tests for any smooth structure, before and after whitening.
     p, p_white
         Family-wise p-values; where not all candidates were looked at, by Bonferroni's inequality
@@ -115,8 +105,8 @@ class ScreeningResult:
     """
 
     ranking: CandidateRanking = field(repr=False)
-    omnibus: OmnibusTest
-    omnibus_white: OmnibusTest
+    structure: SmoothnessTest
+    structure_white: SmoothnessTest
     p: float
     p_white: float
 
@@ -147,27 +137,17 @@ def screen(
         The number of the round: its random generators are its own.
     """
     ranking = rank(fitter, settings, fitted)
-    streams = [fitter.generator(10 * step + stream) for stream in (2, 3, 4, 5)]
+    streams = [fitter.generator(10 * step + stream) for stream in (3, 4)]
     draws = settings.draws
-
-    def smooth(tested: ProjectedResidual, generator: np.random.Generator) -> OmnibusTest:
-        return omnibus(
-            tested.projection,
-            tested.residuals,
-            ranking.records,
-            generator,
-            SCREENING.omnibus_draws,
-            SCREENING.omnibus_lengths,
-        )
 
     def best(scores: ScoreTests, generator: np.random.Generator) -> float:
         return min(ranking.unseen * family_wise(scores, generator, draws), 1.0)
 
     tests: list[Callable[[], Any]] = [
-        lambda: smooth(ranking.residual, streams[0]),
-        lambda: smooth(ranking.residual_white, streams[3]),
-        lambda: best(ranking.plain, streams[1]),
-        lambda: best(ranking.white, streams[2]),
+        lambda: structure(ranking.residual, ranking.records),
+        lambda: structure(ranking.residual_white, ranking.records),
+        lambda: best(ranking.plain, streams[0]),
+        lambda: best(ranking.white, streams[1]),
     ]
     found = []
     for done, test in enumerate(tests):

@@ -18,6 +18,7 @@ from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.refits import ModelCache, RefittedCandidate, Rivals
 from cluster_est.closed_loop.settings import LoopPart, LoopSettings
 from cluster_est.statistics.records import StackedRecords
+from cluster_est.statistics.residual_tests import FAMILY_WISE_LEVEL
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,8 @@ class VerdictThresholds:
     gap
         Residual over noise, in squares, above which an effect must close a part of it. Benchmark.
     structure
-        Standardised omnibus statistic above which structure counts as left. Benchmark.
+        p-value of the test for smooth structure up to which structure counts as left, as for a
+        fit. Theory: its size.
     excess
         Residual over noise, in squares, less 1, below which nothing can be left. Benchmark.
     coloured
@@ -49,12 +51,10 @@ class VerdictThresholds:
     mostly_better
         Share of the parts left out that must be predicted better for the rest to count as noise.
         Benchmark.
-    smooth
-        p-value of the omnibus test above which a residual is not called autocorrelated. Benchmark.
     """
 
     gap: float = 1.15
-    structure: float = 5.0
+    structure: float = FAMILY_WISE_LEVEL
     excess: float = 0.05
     coloured: float = 5.0
     partial: float = 0.1
@@ -62,7 +62,6 @@ class VerdictThresholds:
     most: float = 0.75
     most_by_curve: float = 0.9
     mostly_better: float = 0.75
-    smooth: float = 0.1
 
 
 VERDICT = VerdictThresholds()

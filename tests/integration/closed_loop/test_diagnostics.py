@@ -44,13 +44,13 @@ def test_detect_sees_that_something_is_missing(seen):
 @pytest.mark.parametrize(
     ("p", "p_white", "p_structure", "candidates", "said"),
     [
-        (1e-5, 1e-5, 0.0025, 40, "something is missing (p = 1e-05 among 40 candidates)"),
-        (0.0, 0.0, 0.0025, 1, "something is missing (p < 1e-300 among 1 candidate)"),
-        (1e-5, 0.3, 0.0025, 40, "the residual is autocorrelated, tied to no candidate (p = 0.3)"),
-        (0.3, 0.3, 0.0025, 40, "the residual has smooth structure (p = 0.0025)"),
+        (1e-5, 1e-5, 0.001, 40, "something is missing (p = 1e-05 among 40 candidates)"),
+        (0.0, 0.0, 0.001, 1, "something is missing (p < 1e-300 among 1 candidate)"),
+        (1e-5, 0.3, 0.001, 40, "the residual is autocorrelated, tied to no candidate (p = 0.3)"),
+        (0.3, 0.3, 0.001, 40, "the residual has smooth structure (p = 0.001)"),
         (0.3, 0.3, 0.5, 40, "nothing is missing that could be seen (p = 0.3)"),
         (1.0, 1.0, 0.5, 0, "the residual looks like noise (p = 0.5), but no candidate was"),
-        (1.0, 1.0, 0.0025, 0, "has smooth structure (p = 0.0025), but no candidate was compared"),
+        (1.0, 1.0, 0.001, 0, "has smooth structure (p = 0.001), but no candidate was compared"),
     ],
 )
 def test_what_a_detection_says(seen, p, p_white, p_structure, candidates, said):

@@ -10,8 +10,8 @@ from support.run_folders import facts, rows
 from support.truth.springs_with_friction import FRICTION, WIDTH, write_config
 
 from cluster_est.cli import main
-from cluster_est.closed_loop.findings.words.numbers import percent
 from cluster_est.html_report.page import write_report
+from cluster_est.problem.display import percent
 
 
 @pytest.fixture(scope="module")

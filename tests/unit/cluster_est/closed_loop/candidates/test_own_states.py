@@ -4,8 +4,11 @@ import sympy as sp
 from scipy.integrate import solve_ivp
 
 from cluster_est.closed_loop.candidates.array_forms import own_states_of
+from cluster_est.closed_loop.candidates.equation import equation_text
 from workers.effects.expression import parse
 from workers.effects.forms import FORMS
+from workers.effects.site import parse_site
+from workers.messages import Effect
 
 ARGUMENTS = ("t", "s", "v", "w")
 WITH_STATES = [
@@ -13,6 +16,21 @@ WITH_STATES = [
     for (kind, name), form in FORMS.items()
     if form.states and name in ("lag", "mode", "lagged", "heating")
 ]
+
+
+def test_a_state_of_its_own_has_another_letter_than_the_models_state():
+    said = {
+        state: equation_text(
+            Effect("dahl", f"der({state})", "dahl", (state,)),
+            FORMS["derivative", "dahl"],
+            parse_site(f"der({state})", ""),
+        )
+        for state in ("v", "z")
+    }
+    assert said["v"] == "der(v) += -k * z, z' = (v - abs(v) * z) / x0"
+    assert said["z"] == "der(z) += -k * dahl.z, dahl.z' = (z - abs(z) * dahl.z) / x0"
+
+
 EVEN = np.linspace(0.0, 2.0, 401)
 UNEVEN = np.sort(np.random.default_rng(3).uniform(0.0, 2.0, 401))
 

@@ -15,15 +15,13 @@ from support.loop_objects import (
     made_selection,
 )
 
-from cluster_est.closed_loop.findings.resampled_choice import (
-    ResampledChoices,
-    resampled_choices,
-    with_choices,
-)
-from cluster_est.closed_loop.findings.structure_probabilities import (
+from cluster_est.closed_loop.findings.competing_models import (
     TEMPERATURE,
+    ResampledChoices,
     likely_sentence,
     likely_structures,
+    resampled_choices,
+    with_choices,
     with_probabilities,
 )
 from cluster_est.closed_loop.selection.rounds import ComparedStructure

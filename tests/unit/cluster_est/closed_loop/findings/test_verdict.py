@@ -16,21 +16,20 @@ from support.loop_objects import (
 
 from cluster_est import LoopSettings
 from cluster_est.closed_loop.account import LastFits, account
-from cluster_est.closed_loop.findings.confirmation import confirmed
+from cluster_est.closed_loop.findings.competing_models import expensive_structures
 from cluster_est.closed_loop.findings.effects import ErrorChange, Verdict
-from cluster_est.closed_loop.findings.simulation_cost import dear_structures
-from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, judge
+from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, confirmed, judge
 from cluster_est.closed_loop.selection.rounds import (
     ComparedStructure,
     RejectionReason,
     SelectionResult,
 )
 from cluster_est.methods.method import Ending
-from cluster_est.statistics.omnibus import OmnibusTest
+from cluster_est.statistics.whiteness import SmoothnessTest
 
 PROBLEM = made_problem(100, 100, 100, 100)
 FLOOR = 400.0
-QUIET, STRUCTURED = OmnibusTest(0.5, 0.1), OmnibusTest(0.0025, 30.0)
+QUIET, STRUCTURED = SmoothnessTest(0.5, 1.0), SmoothnessTest(1e-9, 6.0)
 
 
 @dataclass(frozen=True)
@@ -44,10 +43,10 @@ class Case:
     base: float
     now: float
     why: RejectionReason
-    omnibus: OmnibusTest = QUIET
+    structure: SmoothnessTest = QUIET
     families: tuple[str, ...] = ("friction",)
     left_out: float = np.nan
-    white: OmnibusTest | None = None
+    white: SmoothnessTest | None = None
     worse: int = 0
     p_white: float = 0.3
 
@@ -62,7 +61,7 @@ class Case:
         current = fit_with_squares(PROBLEM, self.now * FLOOR, added)
         screening = made_screening(
             current.jacobian, current.residuals, [], [],
-            omnibus=self.omnibus, omnibus_white=self.white, p_white=self.p_white,
+            structure=self.structure, structure_white=self.white, p_white=self.p_white,
         )  # fmt: skip
         return made_selection(base, current, made_round(self.why, screening), squares=squares)
 
@@ -85,7 +84,7 @@ CASES = {
     "more than the noise, but no structure": (
         Case(1.5, 1.5, CLEAN, families=()), Verdict.NONE, "no candidate is significant"),
     "structure that is significant but faint": (
-        Case(1.5, 1.5, CLEAN, OmnibusTest(0.0025, 4.0), ()), Verdict.NONE, "no candidate"),
+        Case(1.5, 1.5, CLEAN, SmoothnessTest(0.0025, 6.0), ()), Verdict.NONE, "no candidate"),
     "coloured noise": (
         Case(1.5, 1.5, NOISE, STRUCTURED, (), white=QUIET), Verdict.COLOURED,
         "no effect explains it"),
@@ -171,7 +170,7 @@ def test_a_prediction_near_the_noise_is_measured_by_a_part_of_the_noise():
     """The gap in prediction is 0.01 of the noise, and counts as 0.02 of it."""
     base, current = (fit_with_squares(PROBLEM, f * FLOOR) for f in (9.0, 1.0))
     current = fit_with_squares(PROBLEM, FLOOR, [made_candidate("effect")])
-    screening = made_screening(current.jacobian, current.residuals, [], [], omnibus=STRUCTURED)
+    screening = made_screening(current.jacobian, current.residuals, [], [], structure=STRUCTURED)
     search = made_selection(
         base, current, made_round(LITTLE, screening),
         squares_before=np.full(4, 1.01 * FLOOR / 4), squares=np.full(4, FLOOR / 4),
@@ -357,7 +356,7 @@ def test_what_is_left_of_one_output_does_not_drown_in_the_noise_of_many(excess, 
     residuals[300:400] = np.sqrt(1.0 + excess)
     fit = made_fit(problem, residuals)
     screening = made_screening(
-        np.zeros((1200, 1)), residuals, [], [], omnibus=STRUCTURED, p_white=1e-9
+        np.zeros((1200, 1)), residuals, [], [], structure=STRUCTURED, p_white=1e-9
     )
     search = made_selection(fit, fit, made_round(CLEAN, screening), squares=np.full(1, 1200.0))
     judgement = judge(made_bench(problem), replace(search, noise=np.ones(12)))
@@ -402,14 +401,17 @@ def structure(name: str, times: float, *, accepted: bool = False) -> ComparedStr
 
 
 def test_nothing_is_said_where_all_cost_about_the_same():
-    assert dear_structures([structure("a", 1.2), structure("b", 5.0), structure("c", np.nan)]) == ()
+    assert (
+        expensive_structures([structure("a", 1.2), structure("b", 5.0), structure("c", np.nan)])
+        == ()
+    )
 
 
 def test_the_dearest_is_named_with_its_figure_and_so_is_what_was_added():
     others = [structure("b", 31.4), structure("c", 7.0)]
-    (said,) = dear_structures([structure("a", 1.2), *others])
+    (said,) = expensive_structures([structure("a", 1.2), *others])
     assert said.startswith("2 structures of the 3 that were tried")
     assert "most of all b at der(v) (31.4 times)" in said
     assert "what was added" not in said
-    (said,) = dear_structures([structure("a", 9.0, accepted=True), *others])
+    (said,) = expensive_structures([structure("a", 9.0, accepted=True), *others])
     assert said.endswith("with what was added a simulation takes 9 times the steps")

@@ -18,13 +18,13 @@ from support.loop_objects import (
 from support.problems.springs import spring_problem
 
 from cluster_est import LoopResult, Parameter
-from cluster_est.closed_loop.findings.effects import ErrorChange, Verdict
-from cluster_est.closed_loop.findings.wording import (
+from cluster_est.closed_loop.findings.description import (
     describe_effects,
     error_changes,
     shared_arguments,
     where_left,
 )
+from cluster_est.closed_loop.findings.effects import ErrorChange, Verdict
 from cluster_est.results.output_errors import OutputError
 
 

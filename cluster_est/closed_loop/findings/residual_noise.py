@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,8 @@ from cluster_est.closed_loop.selection.rounds import VERDICT
 from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.statistics.noise.estimate import SHORTEST_NOISE_RECORD, estimate_noise
 from cluster_est.statistics.records import StackedRecords
+from cluster_est.statistics.residual_findings import from_to, large_sigma, small_sigma
+from cluster_est.statistics.residual_tests import NOISY, SMALL_RMS_OVER_SIGMA
 from cluster_est.statistics.whitening import partial_autocorrelations
 from workers.messages import FloatArray
 
@@ -30,9 +32,6 @@ left beside it is then something else."""
 LONGEST = 0.95
 """Correlation from one sample to the next above which a residual is a drift or an offset, and no
 noise of a sensor, which forgets within some twenty samples."""
-
-TOO_SMALL = 2.0
-"""Times the declared sigma that the white part may reach before the sigma counts as wrong."""
 
 CHANCE = float(ndtr(-2.0))
 """Probability that noise of the declared sigma is larger than what still counts as within it: that
@@ -108,12 +107,12 @@ class OutputNoise:
     @property
     def sigma_too_small(self) -> bool:
         """The white part alone is more than twice the sigma that is declared."""
-        return self.declared and self.white > TOO_SMALL
+        return self.declared and self.white > NOISY
 
     @property
     def sigma_too_large(self) -> bool:
         """Everything that is left is less than half the sigma that is declared."""
-        return self.declared and self.level < 0.5
+        return self.declared and self.level < SMALL_RMS_OVER_SIGMA
 
     @property
     def within(self) -> bool:
@@ -255,35 +254,23 @@ def suspected_sigma(outputs: Sequence[OutputNoise]) -> str:
     """Say which declared sigmas the data contradict; "" if none."""
     small = {o.named: o.white for o in outputs if o.sigma_too_small and not o.loud and o.told}
     large = {o.named: o.level for o in outputs if o.sigma_too_large}
-    short = {o.named: o.level for o in outputs if o.declared and not o.told and o.level > TOO_SMALL}
+    short = {o.named: o.level for o in outputs if o.declared and not o.told and o.level > NOISY}
     said = [
-        f"the declared sigma of {o.named} in {', '.join(map(repr, o.loud))} is likely the error: "
-        f"over all experiments the noise alone is {o.white:.2g} times as large"
+        f"over all experiments, {small_sigma(o.named, [o.white])} in {', '.join(map(repr, o.loud))}"
         for o in outputs
         if o.sigma_too_small and o.loud and o.told
     ]
     if short:
         said.append(
-            f"what is left of {' and '.join(short)} is {_times(short.values())} the declared "
-            f"sigma, and with records of fewer than {SHORTEST_NOISE_RECORD} samples nobody can say "
-            "whether sigma is the error or something is missing"
+            f"what is left of {' and '.join(short)} is {from_to(short.values())} times the "
+            f"declared sigma, and with records of fewer than {SHORTEST_NOISE_RECORD} samples "
+            "nobody can say whether sigma is the error or something is missing"
         )
     if small:
-        said.append(
-            f"the declared sigma of {' and '.join(small)} is likely the error: the noise alone, "
-            f"from one sample to the next, is {_times(small.values())} as large"
-        )
+        said.append(small_sigma(" and ".join(small), small.values()))
     if large:
-        said.append(
-            f"the declared sigma of {' and '.join(large)} is likely the error: all that is left is "
-            f"{_times(large.values())} as large"
-        )
+        said.append(large_sigma(" and ".join(large), large.values()))
     return "; ".join(said)
-
-
-def _times(factors: Collection[float]) -> str:
-    least, most = (f"{factor:.2g}" for factor in (min(factors), max(factors)))
-    return f"{least} times" if least == most else f"{least} to {most} times"
 
 
 def _loud(workbench: LoopWorkbench, fitted: FittedModel, number: int) -> tuple[str, ...]:
@@ -295,7 +282,7 @@ def _loud(workbench: LoopWorkbench, fitted: FittedModel, number: int) -> tuple[s
     loud = []
     for record in own:
         alone = StackedRecords(records.outputs, (record,))
-        if estimate_noise(fitted.residuals, alone)[number] > TOO_SMALL:
+        if estimate_noise(fitted.residuals, alone)[number] > NOISY:
             loud.append(workbench.problem.experiments[workbench.train[record.experiment]].id)
     return tuple(loud) if len(loud) < len(own) else ()
 

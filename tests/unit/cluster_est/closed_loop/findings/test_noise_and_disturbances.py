@@ -5,13 +5,13 @@ import pytest
 from scipy.signal import lfilter
 from support.loop_objects import made_bench, made_fit, made_problem
 
-from cluster_est.closed_loop.findings.residual.disturbance import unexplained_residuals
-from cluster_est.closed_loop.findings.residual.noise_of_sensors import (
+from cluster_est.closed_loop.findings.residual_noise import (
     believed_noise,
     is_noise_of_sensors,
     residual_noise,
     suspected_sigma,
 )
+from cluster_est.closed_loop.findings.unexplained import unexplained_residuals
 from cluster_est.statistics.noise.estimate import estimate_noise
 
 LENGTHS = (600, 600, 600, 600)
@@ -103,8 +103,8 @@ def test_an_output_that_is_followed_exactly_has_nothing_to_compare():
     ("declared", "said"),
     [
         (TRUE, ""),
-        (TRUE / 10.0, "the noise alone, from one sample to the next, is 10 times as large"),
-        (TRUE * 10.0, "all that is left is 0.1 times as large"),
+        (TRUE / 10.0, "the declared sigma is probably 10 times too small; correct it"),
+        (TRUE * 10.0, "probably 9.9 times too large; correct it, or errors over sigma say nothing"),
         (None, ""),
     ],
 )
@@ -131,10 +131,10 @@ def with_sigmas(problem, *sigmas: float):
 @pytest.mark.parametrize(
     ("sigmas", "named"),
     [
-        ((TRUE, TRUE, TRUE / 10.0, TRUE), "declared sigma of y0 in 'run 2' is likely the error"),
+        ((TRUE, TRUE, TRUE / 10.0, TRUE), "correct it in 'run 2'"),
         (
             (TRUE / 9.0, TRUE / 9.0, TRUE / 10.0, TRUE / 9.0),
-            "declared sigma of y0 is likely the error",
+            "y0: the noise from sample to sample alone is 9.5 x sigma",
         ),
         ((TRUE, 1.1 * TRUE, 1.2 * TRUE, TRUE), ""),
     ],
@@ -155,7 +155,7 @@ def test_records_too_short_to_tell_their_noise_do_not_make_sigma_the_error(lengt
     line = np.linspace(-1.0, 1.0, length) if not sure else np.resize([1.0, -1.0], length)
     residual = np.tile(10.0 * line / np.sqrt(np.mean(line**2)), 4)
     said = suspected_sigma(looked_at(made_problem(*(length,) * 4, sigma=0.5), residual)[0])
-    assert ("is likely the error" in said) is sure
+    assert ("is probably" in said) is sure
     assert ("y0 is 10 times the declared sigma, and with records of fewer" in said) is not sure
 
 
@@ -167,7 +167,10 @@ def test_a_sigma_that_may_not_have_been_given_is_said_to_be_one():
     outputs = (replace(first, sigma=0.5), second)
     problem = replace(problem, experiments=(replace(run, outputs=outputs),))
     found, _ = looked_at(problem, 0.01 * np.random.default_rng(1).standard_normal(120))
-    assert "sigma of y0 and y1 (1, as where none is given) is likely" in suspected_sigma(found)
+    assert (
+        "y0 and y1 (1, as where none is given): error is 0.0083 to 0.0086 x sigma"
+        in suspected_sigma(found)
+    )
 
 
 def test_scaling_changes_nothing():

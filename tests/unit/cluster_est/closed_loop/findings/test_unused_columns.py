@@ -7,7 +7,7 @@ import pytest
 from support.loop_objects import made_bench, made_problem
 from support.truth.stacked_noise import coloured, late
 
-from cluster_est.closed_loop.findings.residual.unused_columns import varying_columns
+from cluster_est.closed_loop.findings.unexplained import varying_columns
 from cluster_est.problem.tables.measured import TableSource
 
 SAMPLES, RUNS = 600, 2

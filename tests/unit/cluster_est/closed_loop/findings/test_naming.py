@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.named_effects import described, estimate, seen, visited
 
-from cluster_est.closed_loop.findings.words.units import dimension_of
-from workers.effects.forms import FORMS, EffectForm, FormCoefficient
+from cluster_est.closed_loop.findings.dimensions import dimension_of
+from workers.effects.forms import FORMS
 from workers.fmu.xml import UnitDefinition
 
 UP = np.linspace(0.3, 2.1, 50)
@@ -23,7 +23,7 @@ AT_ITSELF = [
     ("m/s", "viscous", "viscous friction"),
     ("rad/s", "viscous", "viscous friction"),
     ("rpm", "viscous", "viscous friction"),
-    ("m/s", "quadratic", "drag"),
+    ("m/s", "quadratic", "quadratic drag"),
     ("m/s", "power", "drag that goes with a power of the speed"),
     ("degC", "power", "heat loss by a power law (as of natural convection)"),
     ("bar", "power", "outflow by a power law (as through an orifice or over a weir)"),
@@ -52,84 +52,34 @@ def test_a_law_of_a_state_at_its_own_rate(unit, form, words):
     assert name({"z": unit}, "der(z)", form, "z") == words
 
 
-LAWS = {
-    ("der(z)", "square"): "a term quadratic in z",
-    ("der(z)", "cubic"): "a term cubic in z",
-    ("der(z)", "exponential"): "a term exponential in z",
-    ("der(z)", "contact"): "a power law in z above a threshold",
-    ("der(z)", "stribeck"): "a term that switches with the sign of z, with a peak near zero",
-    ("der(z)", "asymmetric_coulomb"): (
-        "a term that switches with the sign of z between two levels"
-    ),
-    ("der(z)", "dahl"): "a hysteresis over z",
-    ("der(z)", "signed_root"): "a term in the square root of z that has its sign",
-    ("der(z)", "hinge"): "a term linear in z above a threshold",
-    ("der(z)", "hinge_below"): "a term linear in z below a threshold",
-    ("der(z)", "gap"): "a term linear in z beyond a gap",
-    ("der(z)", "saturating"): "a term that saturates in z",
-    ("der(z)", "periodic"): "a term periodic in z",
-    ("der(z)", "periodic_travel"): "a term periodic in the integral of z",
-    ("der(z)", "lagged"): "a term in the lagged z",
-    ("der(z)", "table"): "a free curve of z",
-    ("der(z)", "constant"): "a constant term",
-    ("der(z)", "drift"): "a drift in time",
-    ("der(z)", "sine"): "a sinusoid in time",
-    ("pair a,b", "joint"): "a term linear in (a - b) up to a limit",
-    ("pair a,b", "power"): "a power law in (a - b)",
-    ("pair a,b", "leak"): "a term in the square root of (a - b) that has its sign",
-    ("input F", "coulomb"): "a term that switches with the sign of z",
-    ("input F", "dead_zone"): "a dead zone",
-    ("input F", "power_characteristic"): "a power law",
-    ("output y", "bias"): "an offset",
-    ("output y", "hum"): "a sinusoid in time",
-    ("parameter p", "linear"): "a variation linear in z",
-    ("parameter p", "inverse"): "a variation inverse in z",
-    ("parameter p", "inverse_square"): "a variation inverse in the square of z",
-    ("parameter p", "exponential"): "a variation exponential in z",
-    ("parameter p", "saturating"): "a variation that saturates in z",
-    ("parameter p", "hill"): "a variation that saturates in the square of z",
-    ("parameter p", "heating"): "a variation in the lagged square of z",
-}
-
-
 def variables_at(site: str, form: str) -> tuple[str, ...]:
     kind = {"der": "derivative"}.get(site[:3], site.partition(" ")[0])
     own = ("a - b",) if kind == "pair" else ("z",)
     return (*own, "w")[: FORMS[kind, form].variables]
 
 
-@pytest.mark.parametrize(("site", "form"), LAWS)
-def test_without_units_mathematics_reads_the_law_from_the_equation(site, form):
-    assert name({}, site, form, *variables_at(site, form)) == LAWS[site, form]
-
-
-@pytest.mark.parametrize(("kind", "form"), FORMS)
-def test_every_form_has_a_name(kind, form):
-    site = {"derivative": "der(z)", "pair": "pair a,b"}.get(kind, f"{kind} p")
-    said = name({}, site, form, *variables_at(site, form))
-    assert said
-    assert "{" not in said
+def test_without_units_a_form_has_the_words_of_its_law():
+    for kind, form in FORMS:
+        site = {"derivative": "der(z)", "pair": "pair a,b"}.get(kind, f"{kind} p")
+        said = name({}, site, form, *variables_at(site, form))
+        law = FORMS[kind, form].law.value.format(
+            v="(a - b)" if kind == "pair" else "z", w="w", s="p"
+        )
+        assert said == (law.replace("a term", "a variation") if kind == "parameter" else law)
 
 
 @pytest.mark.parametrize(
-    ("equation", "words"),
+    ("site", "form", "words"),
     [
-        ("k * (v^4 - at^4)", "a term of the fourth power of z"),
-        ("k * v / (at + v + v^2 / L)", "a term that falls at high z"),
-        ("k / (1 + v / at)", "a term that falls at high z"),
-        ("k * v / (at + v)", "a term that saturates in z"),
-        ("-k * sign(v)", "a term that switches with the sign of z"),
-        ("k * abs(v)", "a term proportional to the magnitude of z"),
-        ("k * v * abs(v) + k * v", "a term in z"),
-        ("k * exp(v / at)", "a term exponential in z"),
-        ("-k * (exp(abs(v) / at) - 1) * tanh(v / L)", "a term in z"),
+        ("pair a,b", "joint", "a term linear in (a - b) up to a limit"),
+        ("der(z)", "sine", "a sinusoid in time"),
+        ("parameter p", "hill", "a variation that saturates in the square of z"),
+        ("input F", "product", "a product of F and z"),
+        ("output y", "characteristic_13", "a curved characteristic"),
     ],
 )
-def test_equations_that_the_library_may_have_one_day(equation, words):
-    names = [n for n in ("k", "at", "L") if n in equation]
-    coefficients = tuple(FormCoefficient(n, None) for n in names)
-    form = EffectForm("new", "new", ("derivative",), equation, coefficients, 1)
-    assert name({}, "der(z)", form, "z") == words
+def test_the_words_of_a_law(site, form, words):
+    assert name({}, site, form, *variables_at(site, form)) == words
 
 
 RISES, FALLS = {"curve": seen(UP, UP**2)}, {"curve": seen(UP, -(UP**2))}
@@ -158,7 +108,7 @@ WHERE = {
         ({"w": "m/s", **SPEED}, "der(v)", "linear w", LESS, "a term linear in w"),
     ],
     "a square is drag only where the speed keeps its sign and is slowed": [
-        (SPEED, "der(v)", "square v", LESS | FALLS, "drag"),
+        (SPEED, "der(v)", "square v", LESS | FALLS, "quadratic drag"),
         (SPEED, "der(v)", "square v", RISES, "a term quadratic in v"),
         (SPEED, "der(v)", "square v", HILL, "a term quadratic in v"),
         (SPEED, "der(v)", "square v", LESS, "a term quadratic in v"),
@@ -346,14 +296,15 @@ def test_a_square_of_a_speed_that_keeps_its_sign_is_also_a_drag():
         "der(v)", "square", "v", values=[K], curve=visited(0.3, 2.1, square), declared=True
     )
     (other,) = effect.also
-    assert effect.words == other.words == "drag"
+    assert effect.words == other.words == "quadratic drag"
     assert other.equation == "-0.352 * v * abs(v)"
     assert other.share < 1e-12
     assert other.told_at < 0.0
     assert other.told_by == pytest.approx(-2.0 * K * other.told_at**2)
     assert effect.sentence.endswith(
-        f"On that range it is also {other.equation} (drag): at v = {other.told_at:.3g} m/s the two "
-        f"would differ by {other.told_by:.2g} m/s2, so measure there to tell them apart."
+        f"On that range it is also {other.equation} (quadratic drag): at v = {other.told_at:.3g} "
+        f"m/s the two would differ by {other.told_by:.2g} m/s2, so measure there to tell them "
+        "apart."
     )
 
 

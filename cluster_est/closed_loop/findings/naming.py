@@ -1,0 +1,459 @@
+"""The name of a found effect: what physics calls its law at its place, else what mathematics does.
+
+Physics names it only where the units of law and place leave no doubt. A wrong name costs more than
+none, so each rule asks for all that makes it true: which rate is changed, by what, in which
+direction, and whether the variable is the one whose rate it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import sympy as sp
+
+from cluster_est.closed_loop.candidates.make import EffectCandidate
+from cluster_est.closed_loop.findings.dimensions import (
+    ACCELERATION,
+    AMOUNT,
+    ANGLE,
+    AREA,
+    CHARGE,
+    CONCENTRATION,
+    CURRENT,
+    DENSITY,
+    FLOW,
+    FORCE,
+    HEAT_FLUX,
+    LENGTH,
+    MASS,
+    MASS_FLOW,
+    POWER,
+    PRESSURE,
+    SPEED,
+    TEMPERATURE,
+    TORQUE,
+    TURNING,
+    TURNING_FASTER,
+    VOLUME,
+    Dimension,
+    KnownUnits,
+)
+from cluster_est.results.fit_tables import EffectCurve
+from workers.effects.expression import parse
+from workers.effects.kinds import SiteKind
+from workers.effects.laws import Law
+from workers.effects.site import EffectSite, bracketed, difference, is_difference, own_variable
+from workers.fmu.description import ModelDescription
+
+MOVING = (SPEED, TURNING, ACCELERATION, TURNING_FASTER, FORCE, TORQUE)
+
+
+@dataclass(frozen=True)
+class EffectName:
+    """The name of an effect.
+
+    Attributes
+    ----------
+    words
+        "viscous friction", or "a term quadratic in v" where the units do not say what it is.
+    placed
+        What it was read from.
+    physical
+        It is one of physics.
+    """
+
+    words: str
+    placed: PlacedLaw
+    physical: bool
+
+    def of_law(self, law: Law) -> str:
+        """Return what physics calls another law at the same place; "" if nothing."""
+        return physics_of(replace(self.placed, law=law))
+
+
+class Namer:
+    """Names effects of one model.
+
+    Parameters
+    ----------
+    description, units
+        Of the FMU, and what a config says of its units.
+    """
+
+    def __init__(self, description: ModelDescription, units: Mapping[str, str]) -> None:
+        self.units = KnownUnits(description, units)
+        self._level = _holds_levels(description, self.units)
+
+    def name(
+        self, candidate: EffectCandidate, values: Sequence[float], curve: EffectCurve | None
+    ) -> EffectName:
+        """Name an effect.
+
+        Parameters
+        ----------
+        candidate, values
+            The effect, and its coefficients.
+        curve
+            What it adds over its variable; None, or without points, where that is not known.
+        """
+        law, site = candidate.form.law, candidate.site
+        variables = variables_of_effect(candidate)
+        known: list[Dimension | None] = [self.units.of(name) for name in variables]
+        targets = {self.units.of(target) for target in site.targets}
+        seen = curve if curve is not None and len(curve.x) else None
+        way = _way(candidate)
+        change = _direction(candidate, law, values, seen) * (way or 1)
+        placed = PlacedLaw(
+            law=law,
+            kind=site.kind,
+            site=targets.pop() if len(targets) == 1 else None,
+            argument=known[0] if known else None,
+            second=known[1] if len(known) > 1 else None,
+            own=_own(candidate, law, variables, way),
+            own_position=_own_position(candidate, seen),
+            loss=change < 0,
+            gain=change > 0,
+            one_sided=seen is not None and (seen.x.min() >= 0.0 or seen.x.max() <= 0.0),
+            level=self._level,
+        )
+        physics = physics_of(placed).format(w=bracketed(variables[-1]) if variables else "")
+        words = physics or _in_mathematics(law, site, variables)
+        return EffectName(words, placed, bool(physics))
+
+    def may_be_negative(self, variable: str) -> bool:
+        """Return whether a variable can be below zero: an amount, for one, cannot."""
+        known = self.units.of(variable)
+        if known is None or is_difference(variable):
+            return True
+        if known == TEMPERATURE:  # an absolute one
+            return False
+        amounts = (MASS, AMOUNT, VOLUME, CONCENTRATION, DENSITY)
+        return not known.same_as(*amounts, *((LENGTH,) if self._level else ()))
+
+
+def _in_mathematics(law: Law, site: EffectSite, variables: tuple[str, ...]) -> str:
+    """The law over the FMU's names of its variables, a difference as "(a - b)"."""
+    first, *others = map(bracketed, variables or (site.target,))
+    said = law.value.format(v=first, w=others[-1] if others else first, s=site.target)
+    return said.replace("a term", "a variation", 1) if site.kind == "parameter" else said
+
+
+def variables_of_effect(candidate: EffectCandidate) -> tuple[str, ...]:
+    """Return the variables of an effect; at rates the state itself, or the pair's difference."""
+    site = candidate.site
+    if candidate.effect.variables or not candidate.form.variables:
+        return candidate.effect.variables
+    return (own_variable(site),) if site.at_rates else ()
+
+
+def _holds_levels(description: ModelDescription, units: KnownUnits) -> bool:
+    """Return whether a model has flows or areas, and nothing that moves."""
+    variables = description.variables.values()
+    known = [units.of(v.name) for v in variables if v.kind == "real" and v.unit]
+    found = [d for d in known if d is not None]
+    return any(d.same_as(FLOW, MASS_FLOW, AREA) for d in found) and not any(
+        d.same_as(*MOVING) for d in found
+    )
+
+
+def _way(candidate: EffectCandidate) -> int:
+    """How an input pushes the variable of an effect there: 1 or -1 where it is known, else 0.
+
+    The bounds of a strength that takes energy out say it.
+    """
+    if candidate.site.kind != "input":
+        return 0
+    ends = {
+        (candidate.lowest[i] >= 0.0, candidate.highest[i] <= 0.0)
+        for i, c in enumerate(candidate.form.coefficients)
+        if c.positive and c.name in candidate.strengths
+    }
+    return {(True, False): 1, (False, True): -1}.get(next(iter(ends)), 0) if len(ends) == 1 else 0
+
+
+def _own(candidate: EffectCandidate, law: Law, variables: tuple[str, ...], way: int) -> bool:
+    site = candidate.site
+    if site.kind == "input":
+        return way != 0
+    if not variables:
+        return False
+    if site.kind == "pair":
+        spill = law is Law.ABOVE and variables[0] == site.target
+        return spill or variables[0] == own_variable(site)
+    over = difference(site.target, "")  # what is around it
+    return site.kind == "derivative" and (
+        variables[0] == site.target or variables[0].startswith(over)
+    )
+
+
+def _own_position(candidate: EffectCandidate, curve: EffectCurve | None) -> bool:
+    """Return whether the variable is the integral of what is changed."""
+    if curve is None or not curve.integral_of:
+        return False
+    if candidate.site.kind == "input":  # the search tried only what the input pushes
+        return candidate.form.law is Law.PERIODIC
+    return candidate.site.at_rates and curve.integral_of == own_variable(candidate.site)
+
+
+def _direction(
+    candidate: EffectCandidate, law: Law, values: Sequence[float], curve: EffectCurve | None
+) -> int:
+    """-1 where an effect is against its variable wherever that is not zero, 1 where along it.
+
+    0 where it is neither. Over the range of the data, or around zero where no range is known. Of
+    what begins at a threshold the distance from there counts.
+    """
+    if curve is None and law is Law.SWITCH_BY_MAGNITUDE:
+        return -1  # its strength is bounded so that it takes energy out
+    if curve is not None:
+        x, y = curve.x, curve.y
+        if candidate.site.kind == "parameter" and len(values):
+            y = y - y[int(np.argmin(np.abs(x)))]
+    else:
+        x = np.array([-2.0, -1.0, 1.0, 2.0])
+        found = _around_zero(candidate, values)
+        y = np.array([found(each) for each in x]) if found is not None else np.zeros(len(x))
+    of_sign = (Law.SWITCH_BY_MAGNITUDE, Law.SWITCH_BY_CURVE)  # their curves are for one direction
+    work = {Law.ABOVE: y, Law.BELOW: -y, **dict.fromkeys(of_sign, y)}.get(law, x * y)
+    if not np.isfinite(work).all() or not work.any():
+        return 0
+    least = 1e-9 * float(np.abs(work).max())
+    if (work <= least).all():
+        return -1
+    return 1 if (work >= -least).all() else 0
+
+
+def _around_zero(
+    candidate: EffectCandidate, values: Sequence[float]
+) -> Callable[[float], float] | None:
+    """What an effect adds, over its variable, or over its one state where it has one."""
+    form = candidate.form
+    if form.memory or form.free or form.variables != 1 or len(values) != len(form.coefficients):
+        return None
+    over = form.states[0].name if form.states else "v"
+    names = ["t", "s", "w", "v", *(z.name for z in form.states)]
+    symbols = {n: sp.Symbol(n, real=True) for n in [*names, *(c.name for c in form.coefficients)]}
+    term = parse(form.equation, symbols, f"form {form.name}")
+    if candidate.site.kind in ("input", "output"):
+        term = sp.expand(term - symbols["s"])
+    arguments = [symbols[over], *(symbols[c.name] for c in form.coefficients)]
+    if term.free_symbols - set(arguments):
+        return None
+    compiled = sp.lambdify(arguments, term, "numpy")
+
+    def added(x: float) -> float:
+        with np.errstate(all="ignore"):
+            return float(compiled(np.float64(x), *map(np.float64, values)))
+
+    return added
+
+
+@dataclass(frozen=True)
+class PlacedLaw:
+    """A law where it acts.
+
+    Attributes
+    ----------
+    law, kind
+        The law, and the kind of its site.
+    site
+        Dimension of the state whose rate it changes, or of the signal.
+    argument, second
+        Dimensions of its variables; None where there is none or its unit is unknown.
+    own
+        Its variable is what it changes: the state of the rate, the difference of the pair, or a
+        state that the input is known to push, and in which direction.
+    own_position
+        Its variable is the integral of what it changes.
+    loss, gain
+        It takes from what it changes where its variable is positive, or beyond a threshold, and
+        gives where that is negative; or the other way round.
+    one_sided
+        Its variable kept one sign in the data.
+    level
+        A length is the level of a fluid: the model has flows or areas, and nothing that moves.
+    """
+
+    law: Law
+    kind: SiteKind
+    site: Dimension | None
+    argument: Dimension | None = None
+    second: Dimension | None = None
+    own: bool = False
+    own_position: bool = False
+    loss: bool = False
+    gain: bool = False
+    one_sided: bool = False
+    level: bool = False
+
+    @property
+    def at_rates(self) -> bool:
+        return self.kind in ("derivative", "pair")
+
+
+def physics_of(placed: PlacedLaw) -> str:
+    """Return what physics calls a law at its place; "" where the units do not say."""
+    if placed.site is None or placed.kind == "output":
+        return ""
+    rules = (_load, _motion, _heat, _flow, _stock, _kinetics, _circuit)
+    return next((word for rule in rules if (word := rule(placed))), "")
+
+
+def _load(placed: PlacedLaw) -> str:
+    """A force that is always there."""
+    always = placed.law in (Law.CONSTANT, Law.OFFSET)
+    return "constant load" if always and _pushes(placed) is not None else ""
+
+
+def _pushes(placed: PlacedLaw) -> Dimension | None:
+    """The speed that is changed by what a law adds; None where it is no speed."""
+    assert placed.site is not None
+    if placed.at_rates:
+        return next((d for d in (SPEED, TURNING) if placed.site.same_as(d)), None)
+    if placed.kind == "input" and placed.site.same_as(FORCE):
+        return SPEED
+    return TURNING if placed.kind == "input" and placed.site.same_as(TORQUE) else None
+
+
+FRICTION = {
+    Law.LINEAR: "viscous friction",
+    Law.ODD_SQUARE: "quadratic drag",
+    Law.CUBE: "damping that grows with the cube of the speed",
+    Law.POWER: "drag that goes with a power of the speed",
+    Law.SWITCH: "Coulomb friction",
+    Law.SWITCH_WITH_PEAK: "Stribeck friction",
+    Law.TWO_SWITCHES: "Coulomb friction, unlike in the two directions",
+    Law.SWITCH_BY_MAGNITUDE: "Coulomb friction proportional to the magnitude of {w}",
+    Law.SWITCH_BY_CURVE: "Coulomb friction that depends on {w}",
+    Law.HYSTERESIS: "friction with presliding (Dahl)",
+}
+"""Of a body against its surroundings, or of two against each other."""
+SPRING = {
+    Law.LINEAR: "stiffness (a spring)",
+    Law.CUBE: "stiffness that grows with the deflection",
+    Law.ABOVE: "end stop",
+    Law.BELOW: "end stop",
+    Law.GAP: "end stops on both sides (play between them)",
+    Law.CLIPPED: "spring that yields",
+}
+
+
+def _motion(placed: PlacedLaw) -> str:
+    speed = _pushes(placed)
+    if speed is None or placed.argument is None:
+        return ""
+    way = LENGTH if speed is SPEED else ANGLE
+    if placed.own and placed.loss and placed.argument.same_as(speed):
+        squared = placed.law is Law.SQUARE and placed.one_sided
+        return FRICTION.get(Law.ODD_SQUARE if squared else placed.law, "")
+    if placed.law is Law.PERIODIC_TRAVEL and placed.own and placed.argument.same_as(speed):
+        return _ripple(way)
+    if not placed.own_position or not placed.argument.same_as(way):
+        return ""
+    if placed.law is Law.PERIODIC:
+        return _ripple(way)
+    return SPRING.get(placed.law, "") if placed.loss else ""
+
+
+def _ripple(way: Dimension) -> str:
+    return "cogging or eccentricity" if way is ANGLE else "ripple along the way"
+
+
+def _heat(placed: PlacedLaw) -> str:
+    assert placed.site is not None
+    if not placed.site.same_as(TEMPERATURE) or not placed.at_rates or placed.argument is None:
+        return ""
+    if placed.argument.same_as(TEMPERATURE) and placed.own and placed.loss:
+        goes = "heat conduction or convection" if placed.kind == "pair" else "heat loss"
+        if placed.law is Law.POWER:
+            return f"{goes} by a power law (as of natural convection)"
+        return goes if placed.law is Law.LINEAR else ""
+    if placed.law is Law.FOURTH_DIFFERENCE:
+        return "thermal radiation"
+    if placed.law is Law.SQUARE and placed.gain and placed.argument.same_as(CURRENT):
+        return "Joule heating"
+    if placed.law is Law.LINEAR and placed.gain and placed.argument.same_as(POWER, HEAT_FLUX):
+        return "heating"
+    if placed.law is Law.PRODUCT and placed.second is not None:
+        pair = (placed.argument, placed.second)
+        carried = any(d.same_as(FLOW, MASS_FLOW, SPEED) for d in pair)
+        warm = any(d.same_as(TEMPERATURE) for d in pair)
+        return "convection (heat that a flow carries)" if carried and warm else ""
+    return ""
+
+
+def _stocks(placed: PlacedLaw) -> tuple[Dimension, ...]:
+    """What drives a fluid, or holds it."""
+    return (PRESSURE, VOLUME, LENGTH) if placed.level else (PRESSURE, VOLUME)
+
+
+def _flow(placed: PlacedLaw) -> str:
+    """A fluid that leaves, or goes from one place to another."""
+    assert placed.site is not None
+    stocks = _stocks(placed)
+    if placed.argument is None or not placed.loss or not placed.argument.same_as(*stocks):
+        return ""
+    drained = placed.at_rates and placed.own and placed.site.same_as(*stocks)
+    fed = placed.kind == "input" and placed.own and placed.site.same_as(FLOW, MASS_FLOW)
+    if not drained and not fed:
+        return ""
+    if placed.law is Law.LINEAR:
+        return "leakage"
+    if placed.law in (Law.ROOT, Law.ODD_ROOT):
+        return "flow through an orifice"
+    if placed.law is Law.POWER:
+        return "outflow by a power law (as through an orifice or over a weir)"
+    if placed.law is not Law.ABOVE:
+        return ""
+    relieved = placed.argument.same_as(PRESSURE)
+    return "outflow above a threshold (as of a relief valve)" if relieved else "overflow"
+
+
+def _stock(placed: PlacedLaw) -> str:
+    """A loss of what else can be stored."""
+    assert placed.site is not None
+    if not placed.loss or not placed.own or not placed.at_rates:
+        return ""
+    if placed.law in (Law.SQUARE, Law.ODD_SQUARE) and placed.kind == "derivative":
+        reacts = placed.site.same_as(CONCENTRATION) and placed.one_sided
+        return "second-order loss (as of a reaction)" if reacts else ""
+    if placed.law is not Law.LINEAR:
+        return ""
+    if placed.site.same_as(CHARGE):
+        return "leakage of charge"
+    if placed.site.same_as(MASS, AMOUNT, CONCENTRATION, DENSITY):
+        pair = placed.kind == "pair"
+        return "exchange between the two" if pair else "first-order loss (leakage or decay)"
+    return ""
+
+
+def _kinetics(placed: PlacedLaw) -> str:
+    """Rates that an amount limits."""
+    known = placed.argument
+    if known is None:
+        return ""
+    if placed.law is Law.EXPONENTIAL and placed.kind == "parameter" and known == TEMPERATURE:
+        return "an exponential rise with temperature (as of Arrhenius)" if placed.gain else ""
+    if not known.same_as(AMOUNT, CONCENTRATION, DENSITY, MASS):
+        return ""
+    if placed.law in (Law.SATURATING, Law.HILL, Law.INVERSE) and placed.kind == "parameter":
+        return "inhibition" if placed.loss else ""
+    return "saturation (as of Michaelis and Menten)" if placed.law is Law.SATURATING else ""
+
+
+def _circuit(placed: PlacedLaw) -> str:
+    assert placed.site is not None
+    known = placed.argument
+    if known is None:
+        return ""
+    if placed.kind == "parameter" and placed.law is Law.LAGGED_SQUARE and known.same_as(CURRENT):
+        return "self-heating by the current"
+    if not placed.at_rates or not placed.site.same_as(CURRENT):
+        return ""
+    if placed.law is not Law.LINEAR or not placed.loss:
+        return ""
+    if placed.own:
+        return "electrical resistance"
+    return "induced voltage (back-EMF)" if known.same_as(SPEED, TURNING) else ""

@@ -1,1 +1,0 @@
-"""What is left of the residual: noise, a disturbance, a column that varies with it."""
