@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from workers.errors import ModelError
+from workers.fmu.archive import prepare_folder
 from workers.fmu.process_environment import READ_AT_START
 from workers.messages import Experiment, Model
 from workers.process.progress_watch import SharedProgress
@@ -323,6 +324,7 @@ class ForkClient:
                 'and macOS can, but this one cannot; there is executor.name = "local", in this '
                 "process"
             )
+        prepare_folder()
         self._installation = installation
         self._shared = SharedProgress()
         self._orders: Connection | None = None

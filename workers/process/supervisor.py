@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
 from workers.errors import ModelError
-from workers.fmu.archive import prepare_folder
 from workers.fmu.process_environment import resident_bytes
 from workers.messages import USUAL, Experiment, Limits, Model, Outcome, Status, Task
 from workers.process.forked import BatchReport, ForkClient
@@ -155,7 +154,6 @@ class SupervisedEvaluator:
         self._base = 0
         self._stopped = False
         self._effects = False
-        prepare_folder()
         self._forks = ForkClient((model, tuple(experiments), name))
         self._child: tuple[int, Connection] | None = None
         try:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.closed_loop.long_records import with_slim_log
-from cluster_est.closed_loop.stages import LoopStage
+from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.running.environment import Monitor, RunEnvironment
 from cluster_est.running.resources import TaskOrigin
 from workers.messages import Outcome, Status, Task
