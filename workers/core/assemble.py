@@ -16,6 +16,7 @@ from itertools import accumulate
 from typing import Any
 
 import sympy as sp
+from sympy.logic.boolalg import Boolean
 
 from workers.errors import EffectError
 
@@ -311,6 +312,8 @@ class _Writer:
             return self._power(value.base, value.exp)
         if isinstance(value, sp.Piecewise):
             return self._choice(value)
+        if isinstance(value, Boolean):  # that several equations have in common
+            return self._condition(value)
         return self._function(value)
 
     def _function(self, value: sp.Expr) -> int:
@@ -371,8 +374,14 @@ class _Writer:
     def _condition(self, condition: Any) -> int:
         if condition in (sp.true, sp.false):
             return self._code.constant(float(condition == sp.true))
+        if condition.is_Symbol:
+            return self._registers[condition]
         if isinstance(condition, sp.Not):
             return self._emit("NOT", self._condition(condition.args[0]))
+        if isinstance(condition, sp.ITE):
+            which, yes, no = (self._condition(each) for each in condition.args)
+            where_not = self._emit("AND", self._emit("NOT", which), no)
+            return self._emit("OR", self._emit("AND", which, yes), where_not)
         if isinstance(condition, sp.And | sp.Or):
             name = "AND" if isinstance(condition, sp.And) else "OR"
             key: Callable[[Any], Any] = sp.default_sort_key

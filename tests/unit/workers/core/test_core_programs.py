@@ -128,6 +128,26 @@ def test_equal_parts_are_computed_once():
     assert twice - once == 4  # bytes of a site
 
 
+def test_equations_may_have_a_condition_in_common(machines):
+    texts = ("where(x < y, x, 2 * y)", "where(x < y, y ^ 2, 3 * x)", "where(x >= y, t, 1)")
+    code = assemble(Registers(2, 0, 0, 0), LOCATIONS, after=[
+        Assignment(EffectArray.DERIVATIVES, i % 2, parse(text, NAMES, "here"), add=True)
+        for i, text in enumerate(texts)
+    ])  # fmt: skip
+    assert machines.evaluated(code, [1.5, 0.5, 2.0], 3).tolist() == [0.5, 4.0, 1.0]
+    assert machines.evaluated(code, [1.5, 2.0, 0.5], 3).tolist() == [1.0, 6.0, 1.5]
+
+
+def test_a_dead_zone_may_follow_a_dead_zone(machines):
+    """Whose condition is itself one of two."""
+    inner = "where(abs(x) > 1, x - sign(x), 0)"
+    text = f"where(abs({inner}) > 0.5, {inner} - 0.5 * sign({inner}), 0)"
+    added = Assignment(EffectArray.DERIVATIVES, 0, parse(text, NAMES, "here"), add=True)
+    code = assemble(Registers(2, 0, 0, 0), LOCATIONS, after=[added])
+    for x, expected in ((3.0, 1.5), (-3.0, -1.5), (1.25, 0.0), (0.5, 0.0), (-1.75, -0.25)):
+        assert machines.evaluated(code, [0.0, x, 0.0], 1).item() == expected
+
+
 def test_what_the_core_does_not_know_is_refused_with_a_sentence():
     unknown = Assignment(EffectArray.DERIVATIVES, 0, sp.gamma(X), add=True)
     with pytest.raises(EffectError, match="gamma"):
