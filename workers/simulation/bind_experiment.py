@@ -102,11 +102,6 @@ class BoundExperiment:
     known_values: FloatArray
     structure: library.Experiment
 
-    @property
-    def integration_grid(self) -> SignalGrid:
-        """The times that the FMU is stepped to, and the inputs there."""
-        return self.grid if self.communication is None else self.communication.grid
-
     def start_alone(self) -> BoundExperiment:
         """Return the same up to its start, which is simulated only as long as this is kept."""
         structure = library.Experiment.from_buffer_copy(self.structure)
