@@ -66,9 +66,11 @@ def run_fuzzer(
 ) -> subprocess.CompletedProcess[str]:
     """Run a fuzzer with so many inputs from a seed; what is new goes to a folder, as what it finds.
 
-    Returns what it said; its exit code is 0 if nothing was found.
+    Returns what it said; its exit code is 0 if nothing was found. A shell starts it: Linux counts
+    the memory of who starts a program as that program's own greatest, which libFuzzer limits.
     """
     command = [
+        "sh", "-c", '"$@"; exit $?', "sh",
         str(binary), f"-runs={runs}", f"-seed={seed}", f"-max_len={FUZZERS[fuzzer]}",
         f"-timeout={SECONDS_OF_ONE}", f"-artifact_prefix={corpus.parent}/{fuzzer}-",
     ]  # fmt: skip

@@ -51,16 +51,16 @@ def result_so_far(
 def _result(
     workbench: LoopWorkbench, found: SelectionResult, begin: float, said: str
 ) -> LoopResult:
-    judged = judge(workbench, found)
+    judged = replace(judge(workbench, found), verdict=Verdict.PARTIAL)
     rounds = f"stopped after round {len(found.steps)} of at most {workbench.settings.max_effects}"
-    judged = replace(judged, verdict=Verdict.PARTIAL, reason=f"{rounds}: {judged.reason}")
     before, after = (
         _fit(workbench.fitter, fitted, begin) for fitted in (found.base, found.current)
     )
     changes = [error_changes(workbench, found, before, each) for each in (after, before)]
     result = account(workbench, found, judged, LastFits(before, after, changes[0], changes[1]))
     notes = filter(None, (NOT_THE_LAST, said, *result.notes))
-    return replace(result, notes=tuple(notes), seconds=after.seconds)
+    summary = f"{rounds}: {result.summary}"
+    return replace(result, summary=summary, notes=tuple(notes), seconds=after.seconds)
 
 
 def _fit(fitter: Fitter, fitted: FittedModel, begin: float) -> Result:
