@@ -76,8 +76,8 @@ class LoopWorkbench:
     first_fit: FittedModel | None = field(default=None, repr=False)
 
     def enter(self, phase: str) -> None:
-        """Tell who watches the run what it is about from now on."""
-        self.runner.display.phase = phase
+        """See `Fitter`."""
+        self.fitter.enter(phase)
 
     @property
     def filtered(self) -> bool:
