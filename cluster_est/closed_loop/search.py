@@ -65,9 +65,9 @@ from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.results.interpolation import (
     FittedExperiments,
     PreferredInterpolation,
+    at_fit,
     compare_interpolations,
 )
-from cluster_est.results.solver_error.measure import simulate_with_solver
 from cluster_est.running.resources import Resources
 from workers.messages import Experiment, FloatArray, Outcome
 
@@ -157,22 +157,14 @@ def _other_interpolation(
     if fitter.predicts:
         return None
     fitter.enter("the interpolation of the inputs")
-    values = base.space.physical(base.x)
+    simulate = at_fit(base.problem, base.space.physical(base.x), resources, fitter.runner)
 
-    def simulate(runs: tuple[Experiment, ...], positions: list[int]) -> list[Outcome]:
+    def counted(runs: tuple[Experiment, ...], positions: list[int]) -> list[Outcome]:
         fitter.meter.full += len(runs)
-        return simulate_with_solver(
-            base.problem,
-            runs,
-            values[positions],
-            base.problem.model.solver,
-            "residuals",
-            resources,
-            beside=fitter.runner,
-        )
+        return simulate(runs, positions)
 
     fitted = FittedExperiments(base.problem, fitter.train, base.residuals, base.jacobian)
-    return compare_interpolations(fitted, simulate)
+    return compare_interpolations(fitted, counted)
 
 
 def grow(

@@ -143,6 +143,11 @@ def preferred_interpolation(
         return None
     fitted = FittedExperiments(problem, space.experiments, residuals, jacobian)
     values = space.physical(solution.x)
+    return compare_interpolations(fitted, at_fit(problem, values, resources, runner))
+
+
+def at_fit(problem: Problem, values: FloatArray, resources: Resources, runner: Runner) -> Simulate:
+    """Return what simulates changed experiments at the values of each, (experiments, names)."""
 
     def simulate(runs: tuple[Experiment, ...], positions: list[int]) -> list[Outcome]:
         return simulate_with_solver(
@@ -150,7 +155,7 @@ def preferred_interpolation(
             beside=runner,
         )  # fmt: skip
 
-    return compare_interpolations(fitted, simulate)
+    return simulate
 
 
 def compare_interpolations(
