@@ -11,12 +11,14 @@ points follows N. R. Kristensen, H. Madsen, S. B. Jorgensen, Comput. Chem. Eng. 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from typing_extensions import override
 
 from cluster_est.closed_loop.account import (
+    LastFits,
     account,
     best_on_few_rows,
     last_fits,
@@ -24,6 +26,7 @@ from cluster_est.closed_loop.account import (
 )
 from cluster_est.closed_loop.findings.competing_models import expensive_structures
 from cluster_est.closed_loop.findings.result import LoopResult
+from cluster_est.closed_loop.findings.verdict import veto
 from cluster_est.closed_loop.fitter import FitStart
 from cluster_est.closed_loop.long_records import (
     CONFIRMED_ON_ALL,
@@ -165,22 +168,60 @@ def run_loop(request: LoopRequest) -> LoopResult:
             thinned=thin.is_thinner,
         )
         workbench.enter("before and after")
-        result, other, starts = None, None, []
+        result, other, starts, ends = None, None, [], searched.ends
         if thin.is_thinner:
-            starts = best_on_few_rows(workbench, searched.found)
+            starts = [best_on_few_rows(workbench, end.found) for end in ends]
         else:
-            fits = last_fits(workbench, searched.found, begin)
+            last_of = [partial(last_fits, workbench, end.found, begin) for end in ends]
+            searched, fits, vetoed = _not_vetoed(ends, last_of, request.settings)
             result = account(workbench, searched.found, searched.judged, fits)
+            result = replace(result, notes=(*vetoed, *result.notes))
         added = searched.found.current.added if result is None else result.effects
         last = searched.error_at(searched.found.current) if added else searched.error
     if result is None:
-        result, other = _confirmed_on_all_rows(request, thin, workbench, searched, starts, begin)
+        result, other = _confirmed_on_all_rows(request, thin, workbench, ends, starts, begin)
     seconds, error = time.monotonic() - begin, searched.error
     known = last if result.effects else error
     said = (*error.notes, *(known.notes_with_effects if known is not error else ()))
     notes = (*said, *result.notes, *expensive_structures(searched.found.path))
     result = replace(result, notes=notes, seconds=seconds, failures_in_search=searched.failures)
     return _with_interpolation(result, other or searched.interpolation)
+
+
+def _not_vetoed(
+    ends: Sequence[SearchedModel],
+    last: Sequence[Callable[[], LastFits]],
+    settings: LoopSettings,
+) -> tuple[SearchedModel, LastFits, list[str]]:
+    """Return the last answer that held-out experiments do not veto, and its last fits.
+
+    Where they veto all, it is the first one, which `account` takes away.
+
+    Parameters
+    ----------
+    ends
+        The search with its answer, and with those that this took the place of.
+    last
+        Do the last fits of each.
+
+    Returns
+    -------
+    SearchedModel
+    LastFits
+    list of str
+        What held-out experiments have against the answers before it.
+    """
+    vetoed: list[tuple[SearchedModel, LastFits]] = []
+    said: list[str] = []
+    for end, fit in zip(ends, last, strict=True):
+        fits = fit()
+        against = veto(end.judged, fits.errors, settings)
+        if not against:
+            return end, fits, said
+        vetoed.append((end, fits))
+        labels = " and ".join(c.label for c in end.found.current.added)
+        said.append(f"{labels}: not added, because {against}")
+    return *vetoed[0], []
 
 
 def _with_interpolation(result: LoopResult, other: PreferredInterpolation | None) -> LoopResult:
@@ -198,15 +239,15 @@ def _confirmed_on_all_rows(
     request: LoopRequest,
     thin: ThinnedProblem,
     searching: LoopWorkbench,
-    searched: SearchedModel,
-    starts: Sequence[FitStart],
+    ends: Sequence[SearchedModel],
+    starts: Sequence[Sequence[FitStart]],
     begin: float,
 ) -> tuple[LoopResult, PreferredInterpolation | None]:
     """Fit both models to convergence on all rows, and put what was found into words.
 
     The interpolation that the measurements prefer is told from all rows, too.
     """
-    found, spent = searched.found, [SpentSimulations.at(searching.fitter)]
+    spent = [SpentSimulations.at(searching.fitter)]
 
     def left() -> LoopRequest:
         used = sum(each.evaluations for each in spent)
@@ -216,7 +257,12 @@ def _confirmed_on_all_rows(
 
     with open_whole_workbench(left(), thin, searching) as whole:
         whole.enter("before and after")
-        fits = last_fits_to_all_rows(whole, found, starts, begin)
+        last_of = [
+            partial(last_fits_to_all_rows, whole, end.found, start, begin)
+            for end, start in zip(ends, starts, strict=True)
+        ]
+        searched, fits, vetoed = _not_vetoed(ends, last_of, request.settings)
+        found = searched.found
         spent.append(SpentSimulations.at(whole.fitter))
         noise = whole.noise_in_units(found.noise)
         other = preferred_interpolation(
@@ -228,5 +274,5 @@ def _confirmed_on_all_rows(
         )
     with reopened(left(), searching) as workbench:
         result = account(workbench, found, searched.judged, fits)
-    notes = (f"{thin.sentence}; {CONFIRMED_ON_ALL}", *result.notes)
+    notes = (f"{thin.sentence}; {CONFIRMED_ON_ALL}", *vetoed, *result.notes)
     return with_all(replace(result, noise=noise, notes=notes), spent), other

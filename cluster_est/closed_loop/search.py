@@ -5,6 +5,7 @@
         for each move: propose structures, choose the best that passes all gates
         if there is none: stop
         model = revise(the best)
+    model = the accepted one that predicts best what is left out of refits
     judge the model
 
 It is a beam search over structures (sets of effects): the best few of each size, grown by one each
@@ -30,6 +31,7 @@ from cluster_est.closed_loop.numerical_error import (
 from cluster_est.closed_loop.output_noise import expected_noise, noise_of
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.screening.screen import screen
+from cluster_est.closed_loop.selection.answer import answers, ending_at
 from cluster_est.closed_loop.selection.free_curves import (
     SingleEffects,
     may_be_single,
@@ -44,8 +46,9 @@ from cluster_est.closed_loop.selection.gates import SELECTION, choose, reason_to
 from cluster_est.closed_loop.selection.linear_model import PruningBound, can_reach
 from cluster_est.closed_loop.selection.moves import MOVES, revise
 from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction, predict
-from cluster_est.closed_loop.selection.refits import FIRST, ModelCache, RefittedCandidate, Rivals
+from cluster_est.closed_loop.selection.refits import FIRST, ModelCache, RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import (
+    AcceptedStructure,
     ComparedStructure,
     RejectionReason,
     RoundEnd,
@@ -59,7 +62,7 @@ from cluster_est.closed_loop.selection.rounds import (
     without_search,
 )
 from cluster_est.closed_loop.selection.starts import fit_declared
-from cluster_est.closed_loop.settings import LoopPart, LoopStage
+from cluster_est.closed_loop.settings import LoopPart, LoopSettings, LoopStage
 from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.results.interpolation import (
@@ -82,6 +85,9 @@ class SearchedModel:
     ----------
     found, judged
         The models, and what the training experiments say of them.
+    earlier
+        The same of the answers that this one took the place of, the last one first: held-out
+        experiments may veto it.
     error
         Of the solver, at the declared model.
     error_at
@@ -98,6 +104,12 @@ class SearchedModel:
     error_at: Callable[[FittedModel], NumericalError] = field(repr=False)
     failures: int = 0
     interpolation: PreferredInterpolation | None = None
+    earlier: tuple[tuple[SelectionResult, ReasonedVerdict], ...] = ()
+
+    @property
+    def ends(self) -> list[SearchedModel]:
+        """This search, and as it would be with the earlier answers."""
+        return [self, *(replace(self, found=f, judged=j, earlier=()) for f, j in self.earlier)]
 
 
 def search_for_effects(
@@ -139,12 +151,19 @@ def search_for_effects(
     before = fitter.runner.failures
     if error.hides_effects:
         found = without_search(fitter, base)
-        judged = ReasonedVerdict(Verdict.UNEXPLAINED, error.refusal)
+        ends = [(found, ReasonedVerdict(Verdict.UNEXPLAINED, error.refusal))]
     else:
-        found = grow(workbench, base, lambda fit: with_effects(fit).explainable, reached)
-        found, judged = _judged(workbench, found)
+        grown = grow(workbench, base, lambda fit: with_effects(fit).explainable, reached)
+        ends = [_judged(workbench, found) for found in _answers(workbench.settings, grown)]
     failed = fitter.runner.failures - before
-    return SearchedModel(found, judged, error, with_effects, failed, other)
+    return SearchedModel(*ends[0], error, with_effects, failed, other, tuple(ends[1:]))
+
+
+def _answers(settings: LoopSettings, grown: SelectionResult) -> list[SelectionResult]:
+    """Return the answer of a search, and those that it took the place of; never none."""
+    if LoopPart.ANSWER in settings.without:
+        return [grown]
+    return answers(grown) or [ending_at(grown, 0)]
 
 
 def _other_interpolation(
@@ -193,13 +212,13 @@ def grow(
     log, merging = SearchLog.begun(fitter, base), Merging()
     remembers = LoopPart.REMEMBERED_FITS not in workbench.settings.without
     cache = ModelCache(log.floor / fitter.size, remembers)
-    now = Accepted(base, log.predicted)
+    now = AcceptedStructure(base, log.predicted)
     passed: set[frozenset[str]] = set()
     while True:
         begun = _screened(workbench, log, now, cache, numerical)
         passed.add(now.model.structure)
         best = propose_and_choose(fitter, begun)
-        log.note(begun, best)
+        log.note(now, begun, best)
         merging.note(begun, best)
         if best.won is None or best.prediction is None:
             merged = merging.instead(fitter, now, log)
@@ -219,7 +238,7 @@ def grow(
             log.accept(grown.model, grown.move)
         if grown.model.structure in passed:
             break
-        now = Accepted(grown.model, prediction, grown.rivals, best.compared)
+        now = AcceptedStructure(grown.model, prediction, grown.rivals, best.compared)
         now = merging.instead(fitter, now, log, whole=True) or now
         reached(log.result(now))
         del begun, best  # the next ones are as large
@@ -259,26 +278,6 @@ def _judged(
     return found, replace(judged, reason=f"{judged.reason}; {said}")
 
 
-@dataclass(frozen=True)
-class Accepted:
-    """A structure that was accepted.
-
-    Attributes
-    ----------
-    model, prediction
-        The structure, fitted, and its leave-one-out prediction.
-    rivals
-        Of its effects.
-    beside
-        The structures that it was compared with.
-    """
-
-    model: FittedModel
-    prediction: LeaveOneOutPrediction
-    rivals: Rivals = field(default_factory=dict)
-    beside: tuple[RefittedCandidate, ...] = ()
-
-
 @dataclass
 class SearchLog:
     """The log of a search: its rounds, how far candidates came, and the structures compared.
@@ -293,6 +292,8 @@ class SearchLog:
         Of each output, and the sum of squares that the noise alone would leave.
     rounds, seen, path
         What each looked at; the candidates; the structures, with moves and gates.
+    accepted
+        The structure that each round began at.
     """
 
     fitter: Fitter
@@ -303,6 +304,7 @@ class SearchLog:
     rounds: list[SelectionRound] = field(default_factory=list)
     seen: list[CandidateEvidence] = field(default_factory=list)
     path: list[ComparedStructure] = field(default_factory=list)
+    accepted: list[AcceptedStructure] = field(default_factory=list)
 
     @classmethod
     def begun(cls, fitter: Fitter, base: FittedModel) -> SearchLog:
@@ -310,8 +312,9 @@ class SearchLog:
         noise = noise_of(fitter, base.residuals)
         return cls(fitter, base, predict(fitter, base), noise, fitter.noise_floor(noise))
 
-    def note(self, begun: RoundStart, end: RoundEnd) -> None:
-        """Note what a round has looked at."""
+    def note(self, now: AcceptedStructure, begun: RoundStart, end: RoundEnd) -> None:
+        """Note what a round has looked at, and where it began."""
+        self.accepted.append(replace(now, beside=()))
         seen = replace(end.seen, screening=end.seen.screening.without_directions())
         self.rounds.append(seen)
         records, number = self.fitter.records, len(self.rounds)
@@ -330,11 +333,11 @@ class SearchLog:
         self.seen = with_single(self.seen, won, fall)
         self.accept(won.fitted, LoopPart.MERGE)
 
-    def result(self, now: Accepted) -> SelectionResult:
+    def result(self, now: AcceptedStructure) -> SelectionResult:
         """Return all that was found so far."""
         return SelectionResult(
             self.base, now.model, self.predicted, now.prediction, now.rivals, tuple(self.rounds),
-            tuple(self.seen), self.noise, tuple(self.path),
+            tuple(self.seen), self.noise, tuple(self.path), tuple(self.accepted),
         )  # fmt: skip
 
 
@@ -363,8 +366,8 @@ class Merging:
             self.singles = SingleEffects(fine=True)
 
     def instead(
-        self, fitter: Fitter, now: Accepted, log: SearchLog, *, whole: bool = False
-    ) -> Accepted | None:
+        self, fitter: Fitter, now: AcceptedStructure, log: SearchLog, *, whole: bool = False
+    ) -> AcceptedStructure | None:
         """Return a single effect in the place of all, if there is a better one."""
         first = self.first
         if self.done or first is None or not first.has(LoopPart.MERGE):
@@ -377,13 +380,13 @@ class Merging:
             return None
         self.done = True
         log.accept_single(single.won)
-        return Accepted(single.won.fitted, single.prediction, single.rivals)
+        return AcceptedStructure(single.won.fitted, single.prediction, single.rivals)
 
 
 def _screened(
     workbench: LoopWorkbench,
     log: SearchLog,
-    now: Accepted,
+    now: AcceptedStructure,
     cache: ModelCache,
     numerical: Callable[[FittedModel], float],
 ) -> RoundStart:

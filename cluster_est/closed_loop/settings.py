@@ -99,6 +99,7 @@ class LoopPart(enum.StrEnum):
     NUMERICAL = "numerical error"
     PREDICTION = "prediction"
     LEAST_GAIN = "least gain"
+    ANSWER = "answer"
 
 
 def _parts(given: tuple[str, ...]) -> tuple[str, ...]:

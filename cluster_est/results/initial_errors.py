@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.results.output_errors import Simulation, output_residuals
@@ -144,12 +145,16 @@ def estimates_start(space: SearchSpace, experiment: int, description: ModelDescr
         Of all experiments.
     """
     for unknown in space.unknowns:
-        parameter = unknown.parameter
-        found = description.variables.get(parameter.target)
-        start = found is not None and found.causality not in ("parameter", "input")
-        if experiment in unknown.experiments and (start or parameter.per):
+        start = is_start_value(unknown.parameter, description)
+        if experiment in unknown.experiments and (start or unknown.parameter.per):
             return True
     return False
+
+
+def is_start_value(parameter: Parameter, description: ModelDescription) -> bool:
+    """Return True if what is estimated is where a variable of the model begins."""
+    found = description.variables.get(parameter.target)
+    return found is not None and found.causality not in ("parameter", "input")
 
 
 def noise_of_samples(values: FloatArray) -> float:

@@ -370,11 +370,11 @@ def confirmed(
     """
     if judged.verdict not in CLAIMS:
         return judged
-    near, errors = settings.near_noise, over_noise(errors, judged.noise)
-    veto = _veto(judged, errors, near)
-    if veto:
-        reason = f"{judged.reason}; but {veto}, so nothing was added"
+    against = veto(judged, errors, settings)
+    if against:
+        reason = f"{judged.reason}; but {against}, so nothing was added"
         return replace(judged, verdict=Verdict.UNEXPLAINED, reason=reason)
+    near, errors = settings.near_noise, over_noise(errors, judged.noise)
     left = np.array([largest_error(errors, role) for role in ("train", "test")])
     verdict, remark = judged.verdict, ""
     if verdict is Verdict.FOUND and np.any(left > near):
@@ -387,8 +387,11 @@ def confirmed(
     return replace(judged, verdict=verdict, reason="; ".join(filter(None, (said, judged.reason))))
 
 
-def _veto(judged: ReasonedVerdict, errors: Sequence[ErrorChange], near: float) -> str:
-    """Return what held-out data have against the effects; "" for nothing."""
+def veto(judged: ReasonedVerdict, errors: Sequence[ErrorChange], settings: LoopSettings) -> str:
+    """Return what held-out data have against the effects that a verdict claims; "" for nothing."""
+    if judged.verdict not in CLAIMS:
+        return ""
+    near, errors = settings.near_noise, over_noise(errors, judged.noise)
     lost = no_longer_simulated(errors)
     if lost:
         return f"with them experiment {', '.join(lost)} cannot be simulated any more"

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import ClassVar, final
 
 import numpy as np
+from typing_extensions import override
 
 from cluster_est.closed_loop.fitter import FittedModel, Fitter, enlarged_kind
 from cluster_est.closed_loop.selection.linear_model import longest_step
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.errors import ProblemError
+from cluster_est.methods.least_squares.iteration import DAMPING_RATIO, NOTICEABLE
+from cluster_est.methods.least_squares.linear_map import StepSolver
+from cluster_est.methods.method import Ending, Method, Points, Search, Solution
+from cluster_est.problem.search_space import SearchSpace
+from cluster_est.results.initial_errors import is_start_value
+from cluster_est.running.search_state import SearchRequest
 from workers.messages import FloatArray, IntArray, Output
+from workers.messages.types import by_content
 
 
 @dataclass(frozen=True)
@@ -19,8 +28,11 @@ class AcceptanceThresholds:
 
     Attributes
     ----------
-    step_lengths
-        Parts of the Gauss-Newton step to the fit without a part. Benchmark.
+    steps
+        Of a refit without a part, which starts close to its end. Benchmark.
+    damping
+        Of its first one: what the other parts do not determine stays. Theory: a hundredth of a
+        thousandth of the squares of the derivatives.
     largest_step
         Of a parameter: in logarithms, or as a share of its value. Benchmark.
     few
@@ -34,7 +46,8 @@ class AcceptanceThresholds:
         Times its measured half range that an output may reach with enlarged inputs. Benchmark.
     """
 
-    step_lengths: tuple[float, ...] = (1.0, 0.4)
+    steps: int = 6
+    damping: float = 1e-5
     largest_step: float = 0.5
     few: int = 2
     parts: int = 4
@@ -43,10 +56,6 @@ class AcceptanceThresholds:
 
 
 ACCEPTANCE = AcceptanceThresholds()
-
-
-GUARD = 1.0001
-"""Of a comparison of sums of squares: above rounding."""
 
 
 @dataclass(frozen=True)
@@ -61,30 +70,106 @@ class LeaveOneOutPrediction:
 
 
 def predict(fitter: Fitter, fitted: FittedModel) -> LeaveOneOutPrediction:
-    """Predict each training experiment from the others.
+    """Predict each training experiment from a fit to the others.
 
-    The fit to the others is one Gauss-Newton step away, since all but one experiment were in it
-    already; its length is chosen so that the others do not get worse, and the prediction is a real
-    simulation. What acts on the left-out part alone, as its initial state, follows by the linear
-    model. With one or two experiments, quarters of their records take the experiments' place.
+    What acts on the left-out part alone, as its initial state, follows by the linear model. With
+    one or two experiments, quarters of their records take the experiments' place; there initial
+    states keep their values, as a record's first quarter is all that says where it began.
     """
     parts = _parts(fitter)
-    lengths = len(ACCEPTANCE.step_lengths)
-    points = [_left_out(fitted, part) for part in parts]
-    (seen,) = fitter.evaluate(LoopStage.LEAVE_ONE_OUT, [(fitted.space, np.vstack(points))])
-    squares = np.empty(len(parts))
-    for number, part in enumerate(parts):
-        own = float(np.sum(fitted.residuals[part] ** 2))
-        squares[number] = ACCEPTANCE.unpredicted * own
-        for at in seen[lengths * number : lengths * (number + 1)]:
-            if not at.ok:
-                continue
-            squares[number] = min(squares[number], own)
-            here = float(np.sum(at.residuals[part] ** 2))
-            if float(np.sum(at.residuals**2)) - here <= GUARD * (fitted.sse - own):
-                squares[number] = here
+    whole = len(parts) == len(fitter.train)
+    held = np.zeros(fitted.space.size, bool)
+    if not whole:
+        unknowns = fitted.space.unknowns
+        held[:] = [is_start_value(u.parameter, fitter.description) for u in unknowns]
+    refits = [RefitWithoutPart(fitted.residuals, fitted.jacobian, part, held) for part in parts]
+    space = fitted.space.starting_at(fitted.x)
+    stage = LoopStage.LEAVE_ONE_OUT.value
+    found = fitter.runner.run([SearchRequest(stage, refit, space, fitter.seed) for refit in refits])
+    return LeaveOneOutPrediction(np.array([end.cost for end in found]))
+
+
+@final
+@by_content
+@dataclass(frozen=True)
+class RefitWithoutPart(Method):
+    """Refit a model to all residuals but some, from its fit to all; the cost is that of the part.
+
+    Levenberg-Marquardt steps whose derivatives begin as those of the fit to all, and are corrected
+    by what each step has shown (C. G. Broyden, Math. Comp. 19 (1965) 577-593,
+    doi:10.1090/S0025-5718-1965-0198670-6), so that an iteration is one simulation.
+
+    Attributes
+    ----------
+    fitted, jacobian : (N,), (N, unknowns)
+        Residuals of the fit to all, and their derivatives.
+    part
+        Rows of what is left out.
+    held : (unknowns,)
+        Unknowns that keep their values.
+    """
+
+    name: ClassVar[str] = "refit without a part"
+    needs_residuals: ClassVar[bool] = True
+
+    fitted: FloatArray = field(repr=False)
+    jacobian: FloatArray = field(repr=False)
+    part: IntArray = field(repr=False)
+    held: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+
+    @override
+    def search(self, space: SearchSpace, generator: np.random.Generator) -> Search:
+        del generator  # nothing is drawn
+        others = np.ones(len(self.fitted), bool)
+        others[self.part] = False
+        x, residuals, matrix = space.start, self.fitted, self.jacobian
+        squares = float(np.sum(residuals[others] ** 2))
+        own = float(np.sum(residuals[self.part] ** 2))
+        damping, simulated, sizes = ACCEPTANCE.damping, False, np.linalg.norm(matrix, axis=0)
+        for number in range(ACCEPTANCE.steps):
+            step, promised = self._step(space, x, residuals, matrix, others, damping)
+            if not step.any() or (number and promised <= NOTICEABLE * squares / others.sum()):
                 break
-    return LeaveOneOutPrediction(squares)
+            (at,) = yield Points((x + step)[None, :], "left out")
+            simulated |= at.ok
+            left = float(np.sum(at.residuals[others] ** 2)) if at.ok else np.inf
+            if not left < squares:
+                damping = max(damping, ACCEPTANCE.damping) * DAMPING_RATIO**2
+                continue
+            missed, direction = at.residuals - residuals - matrix @ step, sizes**2 * step
+            matrix = matrix + np.outer(missed, direction / float(direction @ step))
+            x, residuals, squares, damping = x + step, at.residuals, left, damping / DAMPING_RATIO
+            own = float(np.sum(residuals[self.part] ** 2))
+        failed = number > 0 and not simulated
+        return Solution(x, ACCEPTANCE.unpredicted * own if failed else own, Ending.CONVERGED)
+
+    def _step(
+        self,
+        space: SearchSpace,
+        x: FloatArray,
+        residuals: FloatArray,
+        matrix: FloatArray,
+        others: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
+        damping: float,
+    ) -> tuple[FloatArray, float]:
+        """Return a step, and the fall of the sum of squares that the linear model promises."""
+        seen = matrix[others]
+        known = (np.linalg.norm(seen, axis=0) > 0.0) & ~self.held
+        step = np.zeros(len(x))
+        if not known.any():
+            return step, 0.0
+        most = longest_step(space, x, ACCEPTANCE.largest_step)
+        lower, upper = np.maximum(space.lower - x, -most), np.minimum(space.upper - x, most)
+        scale = np.linalg.norm(matrix[:, known], axis=0)
+        solver = StepSolver(seen[:, known], residuals[others], scale, lower[known], upper[known])
+        step[known] = solver.step(damping)
+        promised = solver.predicted_cost(np.zeros(known.sum())) - solver.predicted_cost(step[known])
+        own = matrix[self.part]
+        alone = ~known & ~self.held & (np.linalg.norm(own, axis=0) > 0.0)
+        if alone.any():
+            wanted = np.linalg.lstsq(own[:, alone], -own @ step, rcond=1e-6)[0]
+            step[alone] = np.clip(wanted, lower[alone], upper[alone])
+        return step, promised
 
 
 def _parts(fitter: Fitter) -> list[IntArray]:
@@ -159,24 +244,3 @@ def can_be_linearised(fitter: Fitter, fitted: FittedModel) -> bool:
 def _reach(output: Output, residuals: FloatArray, mean: float) -> float:
     """Largest distance of a simulated output from a mean."""
     return float(np.abs(output.values - output.sigmas * residuals - mean).max())
-
-
-def _left_out(fitted: FittedModel, part: IntArray) -> FloatArray:
-    """Points towards the fit without some residuals, longest step first."""
-    others = np.ones(len(fitted.residuals), bool)
-    others[part] = False
-    matrix, residuals = fitted.jacobian[others], fitted.residuals[others]
-    sizes = np.linalg.norm(matrix, axis=0)
-    usable = sizes > 0.0
-    step = np.zeros(len(fitted.x))
-    if usable.any():
-        scaled = matrix[:, usable] / sizes[usable]
-        step[usable] = np.linalg.lstsq(scaled, -residuals, rcond=1e-6)[0] / sizes[usable]
-    own = fitted.jacobian[part]
-    alone = ~usable & (np.linalg.norm(own, axis=0) > 0.0)
-    if alone.any():
-        step[alone] = np.linalg.lstsq(own[:, alone], -own @ step, rcond=1e-6)[0]
-    most = longest_step(fitted.space, fitted.x, ACCEPTANCE.largest_step)
-    step = np.clip(step, -most, most)
-    points = [fitted.x + length * step for length in ACCEPTANCE.step_lengths]
-    return np.clip(np.array(points), fitted.space.lower, fitted.space.upper)

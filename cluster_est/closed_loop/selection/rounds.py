@@ -81,6 +81,7 @@ class RejectionReason(enum.StrEnum):
         "the only candidates that help are sinusoids or drifts in time, each seen too briefly, at "
         "a resonance of the model, or different in each experiment"
     )
+    REFITS = "what was added to it predicts parts that were left out of a refit no better"
     FUNCTIONS_OF_TIME = (
         "drifts or waves in time would close a part of the gap, as they do with any slow "
         "disturbance, and leave more than noise"
@@ -223,6 +224,26 @@ class ComparedStructure:
 
 
 @dataclass(frozen=True)
+class AcceptedStructure:
+    """A structure that was accepted.
+
+    Attributes
+    ----------
+    model, prediction
+        The structure, fitted, and its leave-one-out prediction.
+    rivals
+        Of its effects.
+    beside
+        The structures that it was compared with.
+    """
+
+    model: FittedModel = field(repr=False)
+    prediction: LeaveOneOutPrediction
+    rivals: Rivals = field(default_factory=dict, repr=False)
+    beside: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
+
+
+@dataclass(frozen=True)
 class SelectionResult:
     """The end of a beam search.
 
@@ -240,6 +261,8 @@ class SelectionResult:
         Of each output, in units of its residual.
     path
         The structures that were compared, in the order of the rounds, the best of each first.
+    accepted
+        The structure that each round began at, the declared model first.
     """
 
     base: FittedModel = field(repr=False)
@@ -251,6 +274,7 @@ class SelectionResult:
     findings: tuple[CandidateEvidence, ...] = field(repr=False)
     noise: np.ndarray
     path: tuple[ComparedStructure, ...] = field(default=(), repr=False)
+    accepted: tuple[AcceptedStructure, ...] = field(default=(), repr=False)
 
     @property
     def last(self) -> SelectionRound:
