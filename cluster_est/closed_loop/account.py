@@ -183,6 +183,9 @@ def account(
         found.path,
     )
     notes = _notes(workbench, judgement.verdict, kept, before, after)
+    if keep:
+        judgement, held = at_bounds(judgement, kept, after)
+        notes = (*held, *notes)
     failed = dict.fromkeys((*before.failed_steps, *after.failed_steps, *steps.failed))
     return LoopResult(
         verdict=judgement.verdict,
@@ -209,6 +212,30 @@ def account(
         competing=competing,
         process_noise=fits.noise if keep else (),
     )
+
+
+def at_bounds(
+    judged: ReasonedVerdict, fitted: FittedModel, after: Result
+) -> tuple[ReasonedVerdict, tuple[str, ...]]:
+    """Say which declared parameters stand at a bound: an effect may stand in for what is beyond it.
+
+    Then not all was found, whatever is left.
+    """
+    own = tuple(f"{name}." for name in fitted.structure)
+    held = [
+        f"{each.label} at its {each.at_bound} bound, {each.value:.6g} {each.unit}".rstrip()
+        for each in after.estimates
+        if each.at_bound and not each.label.startswith(own)
+    ]
+    if not held:
+        return judged, ()
+    said = (
+        f"with the effects the fit ends with {' and '.join(held)}: an effect may do what the bound "
+        "forbids, so widen it if it is not one of physics"
+    )
+    if judged.verdict is Verdict.FOUND:
+        judged = replace(judged, verdict=Verdict.PARTIAL, reason=f"{judged.reason}; {said}")
+    return judged, (said,)
 
 
 def _scale(workbench: LoopWorkbench) -> ErrorScale:

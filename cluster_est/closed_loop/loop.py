@@ -26,7 +26,7 @@ from cluster_est.closed_loop.account import (
 )
 from cluster_est.closed_loop.findings.competing_models import expensive_structures
 from cluster_est.closed_loop.findings.result import LoopResult
-from cluster_est.closed_loop.findings.verdict import veto
+from cluster_est.closed_loop.findings.verdict import CLAIMS, veto
 from cluster_est.closed_loop.fitter import FitStart
 from cluster_est.closed_loop.long_records import (
     CONFIRMED_ON_ALL,
@@ -43,6 +43,7 @@ from cluster_est.closed_loop.process_noise import (
     with_all,
 )
 from cluster_est.closed_loop.search import SearchedModel, search_for_effects
+from cluster_est.closed_loop.selection.answer import undetermined_sentence
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.so_far import result_so_far
@@ -173,7 +174,7 @@ def run_loop(request: LoopRequest) -> LoopResult:
             starts = [best_on_few_rows(workbench, end.found) for end in ends]
         else:
             last_of = [partial(last_fits, workbench, end.found, begin) for end in ends]
-            searched, fits, vetoed = _not_vetoed(ends, last_of, request.settings)
+            searched, fits, vetoed = _last_answer(ends, last_of, request.settings)
             result = account(workbench, searched.found, searched.judged, fits)
             result = replace(result, notes=(*vetoed, *result.notes))
         added = searched.found.current.added if result is None else result.effects
@@ -188,14 +189,14 @@ def run_loop(request: LoopRequest) -> LoopResult:
     return _with_interpolation(result, other or searched.interpolation)
 
 
-def _not_vetoed(
+def _last_answer(
     ends: Sequence[SearchedModel],
     last: Sequence[Callable[[], LastFits]],
     settings: LoopSettings,
 ) -> tuple[SearchedModel, LastFits, list[str]]:
-    """Return the last answer that held-out experiments do not veto, and its last fits.
+    """Return the last answer that nothing speaks against after the last fits, and those.
 
-    Where they veto all, it is the first one, which `account` takes away.
+    Where something does against each of them, it is the first one, which is then not claimed.
 
     Parameters
     ----------
@@ -209,19 +210,21 @@ def _not_vetoed(
     SearchedModel
     LastFits
     list of str
-        What held-out experiments have against the answers before it.
+        What speaks against the answers before it.
     """
-    vetoed: list[tuple[SearchedModel, LastFits]] = []
+    refused: list[tuple[SearchedModel, LastFits]] = []
     said: list[str] = []
     for end, fit in zip(ends, last, strict=True):
         fits = fit()
         against = veto(end.judged, fits.errors, settings)
+        if not against and end.judged.verdict in CLAIMS:
+            against = undetermined_sentence(end.found.current, fits.after)
         if not against:
             return end, fits, said
-        vetoed.append((end, fits))
+        refused.append((replace(end, judged=end.judged.refused(against)), fits))
         labels = " and ".join(c.label for c in end.found.current.added)
         said.append(f"{labels}: not added, because {against}")
-    return *vetoed[0], []
+    return *refused[0], []
 
 
 def _with_interpolation(result: LoopResult, other: PreferredInterpolation | None) -> LoopResult:
@@ -261,7 +264,7 @@ def _confirmed_on_all_rows(
             partial(last_fits_to_all_rows, whole, end.found, start, begin)
             for end, start in zip(ends, starts, strict=True)
         ]
-        searched, fits, vetoed = _not_vetoed(ends, last_of, request.settings)
+        searched, fits, vetoed = _last_answer(ends, last_of, request.settings)
         found = searched.found
         spent.append(SpentSimulations.at(whole.fitter))
         noise = whole.noise_in_units(found.noise)

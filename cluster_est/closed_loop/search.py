@@ -31,17 +31,19 @@ from cluster_est.closed_loop.numerical_error import (
 from cluster_est.closed_loop.output_noise import expected_noise, noise_of
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.screening.screen import screen
-from cluster_est.closed_loop.selection.answer import answers, ending_at
+from cluster_est.closed_loop.selection.answer import (
+    answers,
+    ending_at,
+    without_effects,
+    without_undetermined,
+)
 from cluster_est.closed_loop.selection.free_curves import (
     SingleEffects,
     may_be_single,
     single_effects,
     single_instead,
 )
-from cluster_est.closed_loop.selection.functions_of_time import (
-    functions_of_time,
-    without_functions_of_time,
-)
+from cluster_est.closed_loop.selection.functions_of_time import functions_of_time
 from cluster_est.closed_loop.selection.gates import SELECTION, choose, reason_to_stop
 from cluster_est.closed_loop.selection.linear_model import PruningBound, can_reach
 from cluster_est.closed_loop.selection.moves import MOVES, revise
@@ -108,7 +110,7 @@ class SearchedModel:
 
     @property
     def ends(self) -> list[SearchedModel]:
-        """This search, and as it would be with the earlier answers."""
+        """The search with its answer, and with each of the earlier ones."""
         return [self, *(replace(self, found=f, judged=j, earlier=()) for f, j in self.earlier)]
 
 
@@ -154,16 +156,22 @@ def search_for_effects(
         ends = [(found, ReasonedVerdict(Verdict.UNEXPLAINED, error.refusal))]
     else:
         grown = grow(workbench, base, lambda fit: with_effects(fit).explainable, reached)
-        ends = [_judged(workbench, found) for found in _answers(workbench.settings, grown)]
+        ends = [_judged(workbench, found) for found in _answers(fitter, workbench.settings, grown)]
     failed = fitter.runner.failures - before
     return SearchedModel(*ends[0], error, with_effects, failed, other, tuple(ends[1:]))
 
 
-def _answers(settings: LoopSettings, grown: SelectionResult) -> list[SelectionResult]:
+def _answers(
+    fitter: Fitter, settings: LoopSettings, grown: SelectionResult
+) -> list[SelectionResult]:
     """Return the answer of a search, and those that it took the place of; never none."""
     if LoopPart.ANSWER in settings.without:
-        return [grown]
-    return answers(grown) or [ending_at(grown, 0)]
+        ends = [grown]
+    else:
+        ends = answers(grown) or [ending_at(grown, 0)]
+    if LoopPart.STRENGTHS in settings.without:
+        return ends
+    return [without_undetermined(fitter, settings, each) for each in ends]
 
 
 def _other_interpolation(
@@ -270,7 +278,8 @@ def _judged(
     kept = LoopPart.FUNCTIONS_OF_TIME in settings.without
     if judged.verdict is not Verdict.PARTIAL or not gone or kept:
         return found, judged
-    found = without_functions_of_time(workbench.fitter, settings, found)
+    places = [i for i, c in enumerate(found.current.added) if c in gone]
+    found = without_effects(workbench.fitter, settings, found, places, LoopPart.FUNCTIONS_OF_TIME)
     judged = judge(workbench, found)
     if not found.current.added:
         return found, judged

@@ -100,6 +100,7 @@ class LoopPart(enum.StrEnum):
     PREDICTION = "prediction"
     LEAST_GAIN = "least gain"
     ANSWER = "answer"
+    STRENGTHS = "strengths"
 
 
 def _parts(given: tuple[str, ...]) -> tuple[str, ...]:

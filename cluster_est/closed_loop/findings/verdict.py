@@ -78,6 +78,11 @@ class ReasonedVerdict:
     floor: float = 1.0
     filtered: bool = False
 
+    def refused(self, against: str) -> ReasonedVerdict:
+        """Return the verdict where something speaks against the effects that it claims."""
+        reason = f"{self.reason}; but {against}, so nothing was added"
+        return replace(self, verdict=Verdict.UNEXPLAINED, reason=reason)
+
     @property
     def over(self) -> str:
         """Return what errors are compared with."""
@@ -372,8 +377,7 @@ def confirmed(
         return judged
     against = veto(judged, errors, settings)
     if against:
-        reason = f"{judged.reason}; but {against}, so nothing was added"
-        return replace(judged, verdict=Verdict.UNEXPLAINED, reason=reason)
+        return judged.refused(against)
     near, errors = settings.near_noise, over_noise(errors, judged.noise)
     left = np.array([largest_error(errors, role) for role in ("train", "test")])
     verdict, remark = judged.verdict, ""

@@ -12,22 +12,16 @@ really there leaves noise. So those that leave more are taken out again at the e
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
-from cluster_est.closed_loop.screening.screen import screen
-from cluster_est.closed_loop.selection.prediction import is_usable, predict
-from cluster_est.closed_loop.selection.refits import RefittedCandidate, full_refit
+from cluster_est.closed_loop.selection.refits import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import (
-    RejectionReason,
     SelectionResult,
-    SelectionRound,
-    compared_structure,
 )
-from cluster_est.closed_loop.settings import LoopPart, LoopSettings, LoopStage
 from workers.messages import FloatArray
 
 
@@ -183,39 +177,3 @@ def _agrees(fitter: Fitter, fitted: FittedModel, candidate: EffectCandidate) -> 
 def functions_of_time(found: SelectionResult) -> tuple[EffectCandidate, ...]:
     """Return the effects that were added and are functions of time alone."""
     return tuple(c for c in found.current.added if c.form.of_time_alone)
-
-
-def without_functions_of_time(
-    fitter: Fitter, settings: LoopSettings, found: SelectionResult
-) -> SelectionResult:
-    """Take the functions of time out of a result, and refit what stays.
-
-    Where the other effects cannot be simulated without them, or run away, nothing stays.
-    """
-    start = found.current.start
-    for position in reversed(range(len(found.current.added))):
-        if found.current.added[position].form.of_time_alone:
-            start = start.minus(position)
-    kept, prediction, screening = found.base, found.base_prediction, found.steps[0].screening
-    gone = {c.label for c in functions_of_time(found)}
-    path = tuple(
-        replace(row, accepted=row.accepted and not gone & {*row.effects}) for row in found.path
-    )
-    if start.added:
-        (refitted,) = fitter.fit(LoopStage.DROP, [start], full_refit(fitter))
-        if refitted is not None and is_usable(fitter, refitted, found.base):
-            number, floor = len(found.steps) + 1, fitter.noise_floor(found.noise)
-            kept, prediction = refitted, predict(fitter, refitted)
-            screening = screen(fitter, settings, refitted, number)
-            move, records = LoopPart.FUNCTIONS_OF_TIME, fitter.records
-            path += (compared_structure(records, found.base, refitted, floor, number, move),)
-    seen = SelectionRound(screening, (), RejectionReason.FUNCTIONS_OF_TIME)
-    rivals = {name: own for name, own in found.rivals.items() if name in kept.structure}
-    return replace(
-        found,
-        current=kept,
-        prediction=prediction,
-        rivals=rivals,
-        steps=(*found.steps, seen),
-        path=path,
-    )

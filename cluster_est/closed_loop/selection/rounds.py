@@ -82,6 +82,7 @@ class RejectionReason(enum.StrEnum):
         "a resonance of the model, or different in each experiment"
     )
     REFITS = "what was added to it predicts parts that were left out of a refit no better"
+    STRENGTHS = "the strengths of what was added may be zero for all that the data say"
     FUNCTIONS_OF_TIME = (
         "drifts or waves in time would close a part of the gap, as they do with any slow "
         "disturbance, and leave more than noise"
