@@ -159,6 +159,7 @@ def account(
     named = describe_effects(workbench, found, grown, curves)
     after = grown if keep else before
     kept = found.current if keep else found.base
+    judgement, held = at_bounds(judgement, kept, after) if keep else (judgement, ())
     unexplained = steps.do(
         "the description of what nothing explains",
         lambda: _unexplained(workbench, judgement.verdict, kept, found),
@@ -183,9 +184,7 @@ def account(
         found.path,
     )
     notes = _notes(workbench, judgement.verdict, kept, before, after)
-    if keep:
-        judgement, held = at_bounds(judgement, kept, after)
-        notes = (*held, *notes)
+    notes = (*held, *notes)
     failed = dict.fromkeys((*before.failed_steps, *after.failed_steps, *steps.failed))
     return LoopResult(
         verdict=judgement.verdict,
