@@ -32,21 +32,23 @@ from cluster_est.closed_loop.findings.unexplained import (
     unexplained_residuals,
     varying_columns,
 )
-from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict, confirmed
+from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict, confirmed, judge
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
 from cluster_est.closed_loop.settings import LoopStage
-from cluster_est.closed_loop.workbench import LoopWorkbench
+from cluster_est.closed_loop.workbench import LoopScope
+from cluster_est.errors import ClusterEstError
 from cluster_est.methods.least_squares.iteration import NOTICEABLE
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
+from cluster_est.methods.method import Ending, Solution
 from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.facts import fitted_to_held_out
 from cluster_est.results.fit_tables import EffectCurve
 from cluster_est.results.guarded import GuardedSteps
 from cluster_est.results.initial_errors import InitialError, initial_errors, initial_notes
 from cluster_est.results.result import Result
-from cluster_est.running.search_state import SearchRequest
+from cluster_est.running.search_state import SearchRequest, assemble_evaluation
 from cluster_est.uncertainty import examine
 
 FINAL = LeastSquares(trials=2, max_iterations=50, differences="central")
@@ -78,49 +80,49 @@ class LastFits:
     noise: tuple[NoiseChange, ...] = ()
 
 
-def last_fits(workbench: LoopWorkbench, found: SelectionResult, begin: float) -> LastFits:
+def last_fits(fitter: Fitter, found: SelectionResult, begin: float) -> LastFits:
     """Fit both models to convergence from where the search ended."""
     starts = [model.start for model in _last_models(found)]
-    return _fitted_from(workbench, found, starts, begin, FINAL)
+    return _fitted_from(fitter, found, starts, begin, FINAL)
 
 
 def last_fits_to_all_rows(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     found: SelectionResult,
     starts: Sequence[FitStart],
     begin: float,
 ) -> LastFits:
-    """Do so on a workbench with all rows, from what is best on fewer; see `best_on_few_rows`."""
-    experiments = workbench.problem.experiments
+    """Do so on a fitter with all rows, from what is best on fewer; see `best_on_few_rows`."""
+    experiments = fitter.problem.experiments
     moved = [
         replace(start, problem=replace(start.problem, experiments=experiments)) for start in starts
     ]
-    near = _straight_fits(workbench, moved)
-    return _fitted_from(workbench, found, near, begin, _of_many_rows(workbench.size))
+    near = _straight_fits(fitter, moved)
+    return _fitted_from(fitter, found, near, begin, _of_many_rows(fitter.size))
 
 
-def best_on_few_rows(workbench: LoopWorkbench, found: SelectionResult) -> list[FitStart]:
+def best_on_few_rows(fitter: Fitter, found: SelectionResult) -> list[FitStart]:
     """Fit both models to convergence on thinned records, for a fit to all rows to start from.
 
     A search does not fit to convergence, and what is left takes iterations each of which costs as
     much more as there are more rows.
     """
-    return _straight_fits(workbench, [model.start for model in _last_models(found)])
+    return _straight_fits(fitter, [model.start for model in _last_models(found)])
 
 
-def _straight_fits(workbench: LoopWorkbench, starts: Sequence[FitStart]) -> list[FitStart]:
+def _straight_fits(fitter: Fitter, starts: Sequence[FitStart]) -> list[FitStart]:
     """Start from fits in the values of the parameters, no logarithms among them.
 
     Two terms that the data hardly tell apart, such as two dampings, keep their sum along the
     valley between them. It is straight in their values, and bent in their logarithms, so that many
     short steps would follow it.
     """
-    method = replace(_of_many_rows(workbench.size), differences="forward", secant_updates=5)
+    method = replace(_of_many_rows(fitter.size), differences="forward", secant_updates=5)
     found = []
     for start in starts:  # one by one: each holds its derivatives by all rows
         linear = tuple(replace(p, scale="linear") for p in start.problem.parameters)
         straight = replace(start, problem=replace(start.problem, parameters=linear))
-        (fit,) = workbench.fitter.fit(LoopStage.FINAL, [straight], method)
+        (fit,) = fitter.fit(LoopStage.FINAL, [straight], method)
         found.append(start if fit is None else replace(start, values=fit.estimates))
     return found
 
@@ -131,38 +133,46 @@ def _last_models(found: SelectionResult) -> list[FittedModel]:
 
 
 def _fitted_from(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     found: SelectionResult,
     starts: Sequence[FitStart],
     begin: float,
     method: LeastSquares,
 ) -> LastFits:
-    fits = [final_fit(workbench.fitter, start, begin, method) for start in starts]
+    fits = [final_fit(fitter, start, begin, method) for start in starts]
+    return _side_by_side(fitter, found, fits)
+
+
+def _side_by_side(fitter: Fitter, found: SelectionResult, fits: Sequence[Result]) -> LastFits:
     before, after = fits[0], fits[-1]
-    changes = [error_changes(workbench, found, before, each) for each in (after, before)]
+    changes = [error_changes(fitter, found, before, each) for each in (after, before)]
     return LastFits(before, after, changes[0], changes[1])
 
 
 def account(
-    workbench: LoopWorkbench, found: SelectionResult, judged: ReasonedVerdict, fits: LastFits
+    fitter: Fitter,
+    found: SelectionResult,
+    judged: ReasonedVerdict,
+    fits: LastFits,
+    scope: LoopScope,
 ) -> LoopResult:
     """Let the held-out experiments veto what was found, and put it into words."""
     before, grown = fits.before, fits.after
-    judgement = confirmed(judged, fits.errors, workbench.settings)
+    judgement = confirmed(judged, fits.errors, found.settings)
     keep = judgement.verdict in CLAIMS
     steps = GuardedSteps()
     curves: tuple[EffectCurve, ...] = ()
     if keep:
         curves = steps.do(
-            "the shapes of the effects", lambda: effect_curves(workbench, found.current, grown), ()
+            "the shapes of the effects", lambda: effect_curves(fitter, found.current, grown), ()
         )
-    named = describe_effects(workbench, found, grown, curves)
+    named = describe_effects(fitter, found, grown, curves)
     after = grown if keep else before
     kept = found.current if keep else found.base
     judgement, held = at_bounds(judgement, kept, after) if keep else (judgement, ())
     unexplained = steps.do(
         "the description of what nothing explains",
-        lambda: _unexplained(workbench, judgement.verdict, kept, found),
+        lambda: _unexplained(fitter, judgement.verdict, kept, found),
         (),
     )
     choices = None
@@ -170,21 +180,18 @@ def account(
     if keep:
         choices = steps.do(
             "how often the choice falls on these effects",
-            lambda: resampled_choices(workbench, found),
+            lambda: resampled_choices(fitter, found),
             None,
         )
-    if keep and not workbench.filtered:
-        competing = steps.do(
-            "the models that compete", lambda: competing_models(workbench, found), ()
-        )
+    if keep and not fitter.predicts:
+        competing = steps.do("the models that compete", lambda: competing_models(fitter, found), ())
     begun = initial_errors(after.problem, after.simulations, fitted=True)
     compared = steps.do(
         "the probabilities of the structures",
         lambda: with_choices(_compared(judgement.verdict, found), choices),
         found.path,
     )
-    notes = _notes(workbench, judgement.verdict, kept, before, after)
-    notes = (*held, *notes)
+    notes = (*held, *scope.notes, *_notes(fitter, judgement.verdict, kept, before, after))
     failed = dict.fromkeys((*before.failed_steps, *after.failed_steps, *steps.failed))
     return LoopResult(
         verdict=judgement.verdict,
@@ -195,16 +202,16 @@ def account(
         errors=fits.errors if keep else fits.unchanged,
         findings=found.findings,
         rejected=() if keep else named,
-        noise={} if workbench.filtered else workbench.noise_in_units(found.noise),
-        sites=workbench.sites,
-        notes=(*failed, *_nothing_tried(workbench, found), *notes),
-        simulations=workbench.meter.full,
-        simulated=workbench.runner.simulations,
-        evaluations=workbench.runner.evaluations,
-        failures=workbench.runner.failures,
+        noise={} if fitter.predicts else fitter.noise_in_units(found.noise),
+        sites=scope.sites,
+        notes=(*failed, *_nothing_tried(found, scope.sites), *notes),
+        simulations=fitter.meter.full,
+        simulated=fitter.runner.simulations,
+        evaluations=fitter.runner.evaluations,
+        failures=fitter.runner.failures,
         seconds=0.0,
         curves=curves,
-        errors_over=_scale(workbench),
+        errors_over=_scale(fitter),
         structures=compared,
         resampled="" if choices is None else choices.sentence,
         unexplained=unexplained,
@@ -237,11 +244,11 @@ def at_bounds(
     return judged, (said,)
 
 
-def _scale(workbench: LoopWorkbench) -> ErrorScale:
+def _scale(fitter: Fitter) -> ErrorScale:
     """What errors are divided by."""
-    if workbench.filtered:
+    if fitter.predicts:
         return ErrorScale.PREDICTED
-    return ErrorScale.SIGMA if workbench.sigma_declared else ErrorScale.ESTIMATED_NOISE
+    return ErrorScale.SIGMA if fitter.sigma_declared else ErrorScale.ESTIMATED_NOISE
 
 
 def _compared(verdict: Verdict, found: SelectionResult) -> tuple[ComparedStructure, ...]:
@@ -253,34 +260,27 @@ def _compared(verdict: Verdict, found: SelectionResult) -> tuple[ComparedStructu
 
 
 def _unexplained(
-    workbench: LoopWorkbench, verdict: Verdict, fitted: FittedModel, found: SelectionResult
+    fitter: Fitter, verdict: Verdict, fitted: FittedModel, found: SelectionResult
 ) -> tuple[UnexplainedResidual, ...]:
     """What nothing explains, where something was looked for and the verdict says that it is."""
     if verdict not in (Verdict.PARTIAL, Verdict.UNEXPLAINED) or not found.steps:
         return ()
-    if workbench.filtered:  # innovations have no size of their own beyond what the noise explains
+    if fitter.predicts:  # innovations have no size of their own beyond what the noise explains
         return ()
-    outputs = residual_noise(workbench, fitted, found.noise)
-    noise = believed_noise(workbench, outputs, found.noise)
-    return _with_columns(workbench, fitted, unexplained_residuals(workbench, fitted, noise))
-
-
-def _with_columns(
-    workbench: LoopWorkbench, fitted: FittedModel, found: tuple[UnexplainedResidual, ...]
-) -> tuple[UnexplainedResidual, ...]:
-    """What nothing explains, with the unused columns that vary with it."""
-    period = found[0].period if found else np.nan
-    columns = varying_columns(workbench, fitted.residuals, period) if found else ()
+    outputs = residual_noise(fitter, fitted, found.noise)
+    noise = believed_noise(fitter, outputs, found.noise)
+    left = unexplained_residuals(fitter, fitted, noise)
+    if not left:
+        return ()
+    significance, period = found.settings.significance, left[0].period
+    columns = varying_columns(fitter, fitted.residuals, significance, period)
     return tuple(
-        replace(
-            each,
-            columns=tuple(
-                c.sentence
-                for c in columns
-                if c.output == each.output or (not c.output and each is found[0])
-            ),
+        replace(each, columns=tuple(c.sentence for c in columns if c.output == each.output))
+        if each is not left[0]
+        else replace(
+            each, columns=tuple(c.sentence for c in columns if c.output in ("", each.output))
         )
-        for each in found
+        for each in left
     )
 
 
@@ -298,31 +298,31 @@ def _disturbance(
     return (said, *dict.fromkeys(c for each in unexplained for c in each.columns))
 
 
-def _nothing_tried(workbench: LoopWorkbench, found: SelectionResult) -> tuple[str, ...]:
+def _nothing_tried(found: SelectionResult, sites: tuple[str, ...]) -> tuple[str, ...]:
     """Say that not one effect could be tried, where that is so."""
     if not found.steps or found.steps[0].screening.ranking.trials:
         return ()
-    settings = workbench.settings
+    settings = found.settings
     forms = f"forms {', '.join(settings.forms)}" if settings.forms else "forms of the library"
     return (
         f"no effect was tried: none of the {forms} makes sense on these data at "
-        f"{', '.join(settings.sites or workbench.sites)} (some act at an output only where an "
+        f"{', '.join(settings.sites or sites)} (some act at an output only where an "
         "input acts on it at once); change closed_loop.effects or closed_loop.sites",
     )
 
 
 def _notes(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     verdict: Verdict,
     fitted: FittedModel,
     before: Result,
     after: Result,
 ) -> tuple[str, ...]:
     """Sentences for the reader."""
-    notes = (*workbench.notes, *_not_converged(before, after), *shared_arguments(fitted.added))
+    notes = (*_not_converged(before, after), *shared_arguments(fitted.added))
     if verdict in (Verdict.PARTIAL, Verdict.UNEXPLAINED):
         begun = initial_notes(after.problem, after.simulations)
-        notes = (*notes, *begun, where_left(workbench, fitted), NOT_ALLOWED_FOR)
+        notes = (*notes, *begun, where_left(fitter, fitted), NOT_ALLOWED_FOR)
     if after.uncertainty is not None:
         notes = (*notes, *after.uncertainty.sentences)
     return (*notes, *fitted_to_held_out(after.estimates))
@@ -372,3 +372,70 @@ def final_fit(
         uncertainty=known,
     )
     return replace(found, failed_steps=tuple(steps.failed))
+
+
+NOT_THE_LAST = (
+    "the fits are those of the search, which are not refined any more, and nothing was looked for "
+    "beyond these effects; --resume goes on"
+)
+
+
+def result_so_far(
+    fitter: Fitter,
+    found: SelectionResult,
+    begin: float,
+    scope: LoopScope,
+    said: str = "",
+) -> LoopResult | None:
+    """Return the best structure that was accepted so far as a result; None where it has none.
+
+    Its simulations are not counted and not logged, so that the run is the same without it.
+
+    Parameters
+    ----------
+    found
+        After a round in which something was added.
+    begin
+        A reading of the monotonic clock.
+    scope
+        As for `account`.
+    said
+        Of the records that the search is on.
+    """
+    try:
+        with fitter.runner.uncounted():
+            judged = replace(judge(fitter, found), verdict=Verdict.PARTIAL)
+            fits = [_as_it_is(fitter, model, begin) for model in (found.base, found.current)]
+            compared = _side_by_side(fitter, found, fits)
+            result = account(fitter, found, judged, compared, scope)
+    except ClusterEstError:
+        return None
+    rounds = f"stopped after round {len(found.steps)} of at most {found.settings.max_effects}"
+    return replace(
+        result,
+        summary=f"{rounds}: {result.summary}",
+        notes=(*filter(None, (NOT_THE_LAST, said)), *result.notes),
+        seconds=fits[-1].seconds,
+    )
+
+
+def _as_it_is(fitter: Fitter, fitted: FittedModel, begin: float) -> Result:
+    """The result of a fit of the search, which is simulated once more."""
+    space, runner = fitted.space, fitter.runner
+    values = space.physical(fitted.x)
+    effects = fitted.problem.effects
+    outcomes = runner.simulate(values, space.experiments, "residuals", "final", effects)
+    at = assemble_evaluation(space, fitted.x, tuple(outcomes), 0)
+    ending = Ending.CONVERGED if fitted.converged else Ending.MAX_ITERATIONS
+    solution = Solution(fitted.x, at.cost, ending, jacobian=fitted.jacobian, at=at)
+    return complete(
+        runner,
+        space,
+        solution,
+        FINAL,
+        simulate_all(runner, fitted.problem, {}),
+        units={n: v.unit for n, v in fitter.description.variables.items()},
+        seed=fitter.seed,
+        begin=begin,
+        steps=GuardedSteps(),
+    )

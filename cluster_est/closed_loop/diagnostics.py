@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cluster_est.closed_loop.candidates.scales import SignalScales
-from cluster_est.closed_loop.fitter import FitStart, FittedModel
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.numerical_error import NumericalError, measure_numerical_error
 from cluster_est.closed_loop.outliers import open_checked_workbench
 from cluster_est.closed_loop.output_noise import expected_noise, noise_of
@@ -19,7 +19,6 @@ from cluster_est.closed_loop.selection.starts import fit_declared
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import (
     LoopRequest,
-    LoopWorkbench,
     checked_request,
     open_workbench,
 )
@@ -120,9 +119,9 @@ def detect(
         As `close_loop`.
     """
     request = checked_request(problem, resources, settings, seed)
-    with _fitted(request) as (workbench, fitted, error):
-        screening = screen(workbench.fitter, request.settings, fitted, 1)
-        records = workbench.records
+    with _fitted(request) as (fitter, fitted, error):
+        screening = screen(fitter, request.settings, fitted, 1)
+        records = fitter.records
         parts = [fitted.residuals[records.of_output(o)] for o in range(len(records.outputs))]
         rms = np.array([np.sqrt(np.mean(part**2)) if len(part) else np.nan for part in parts])
         return DetectionResult(
@@ -130,9 +129,9 @@ def detect(
             p_white=screening.p_white,
             p_structure=screening.structure.p,
             candidates=screening.count,
-            noise=workbench.noise_in_units(noise_of(workbench.fitter, fitted.residuals)),
-            rms=workbench.noise_in_units(rms),
-            significance=workbench.settings.significance,
+            noise=fitter.noise_in_units(noise_of(fitter, fitted.residuals)),
+            rms=fitter.noise_in_units(rms),
+            significance=request.settings.significance,
             numerical_error=error.refusal if error.hides_effects else "",
             notes=error.notes,
         )
@@ -161,12 +160,10 @@ def locate(
         As `close_loop`; also where no effect can be told from the error of the solver or its step.
     """
     request = checked_request(problem, resources, settings, seed)
-    with _fitted(request) as (workbench, fitted, error):
+    with _fitted(request) as (fitter, fitted, error):
         if error.hides_effects:
             raise ProblemError(error.refusal)
-        found = findings(
-            screen(workbench.fitter, request.settings, fitted, 1).ranking, fitted, 1
-        ).values()
+        found = findings(screen(fitter, request.settings, fitted, 1).ranking, fitted, 1).values()
         return tuple(sorted(found, key=lambda f: (f.stage is CandidateStage.SET_ASIDE, f.log_p)))
 
 
@@ -250,15 +247,15 @@ def add_effect(
 @contextmanager
 def _fitted(
     request: LoopRequest,
-) -> Iterator[tuple[LoopWorkbench, FittedModel, NumericalError]]:
+) -> Iterator[tuple[Fitter, FittedModel, NumericalError]]:
     """The declared model fitted, and how exact its simulations are there."""
     refuse_process_noise(request.problem, "detect and locate")
     with open_checked_workbench(request) as workbench:
-        fitter, start = workbench.fitter, FitStart(workbench.problem, {})
+        fitter, start = workbench.fitter, FitStart(workbench.fitter.problem, {})
         fitted = fit_declared(fitter, start, request.settings.starts, workbench.first_fit)
-        noise = expected_noise(fitter, fitted.residuals, declared=workbench.sigma_declared)
+        noise = expected_noise(fitter, fitted.residuals)
         resources = request.environment.resources
-        yield workbench, fitted, measure_numerical_error(fitter, fitted, noise, resources)
+        yield fitter, fitted, measure_numerical_error(fitter, fitted, noise, resources)
 
 
 def _starts(given: Mapping[str, float] | None) -> dict[str, float]:
@@ -298,9 +295,10 @@ def _sized(
     chosen = find_form(place.kind, name, "form")
     about = variables or unnamed_variables(chosen, place)
     with open_workbench(LoopRequest(problem)) as workbench:
-        space = workbench.space(FitStart(workbench.problem, {}))
+        fitter = workbench.fitter
+        space = fitter.space(FitStart(fitter.problem, {}))
         nothing = np.zeros(0)
-        trajectories = workbench.trajectories(FittedModel(space, space.start, nothing, nothing))
+        trajectories = fitter.trajectories(FittedModel(space, space.start, nothing, nothing))
         scales = SignalScales(trajectories, ())
         grids = {c.name: scales.grid(c, place, about) for c in missing}
     return {name: grid[len(grid) // 2] for name, grid in grids.items() if grid}

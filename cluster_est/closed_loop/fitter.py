@@ -256,6 +256,8 @@ class Fitter(ABC):
         Counts what was simulated.
     noise_of_samples
         By output, where records are thinned: of the samples that rows were made from, in its unit.
+    sigma_declared
+        The user has given a sigma, for whatever output.
     """
 
     runner: Runner
@@ -268,6 +270,7 @@ class Fitter(ABC):
     everything: Problem
     meter: SimulationMeter
     noise_of_samples: Mapping[str, float]
+    sigma_declared: bool
 
     predicts: ClassVar[bool]
     """Residuals are errors of predictions from one sample to the next, and not of simulations."""

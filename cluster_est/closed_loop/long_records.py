@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from cluster_est.closed_loop.fitter import with_outputs
+from cluster_est.closed_loop.fitter import Fitter, with_outputs
 from cluster_est.closed_loop.outliers import outliers_of_long_records, without
 from cluster_est.closed_loop.settings import LoopStage
-from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, open_workbench
+from cluster_est.closed_loop.workbench import LoopRequest, open_workbench
 from cluster_est.errors import ClusterEstError
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
@@ -122,16 +122,16 @@ def with_slim_log(
 
 
 @contextmanager
-def open_whole_workbench(
-    request: LoopRequest, thin: ThinnedProblem, workbench: LoopWorkbench
-) -> Iterator[LoopWorkbench]:
-    """Open a workbench with all rows, weighted as those of a search on thinned records.
+def open_on_all_rows(
+    request: LoopRequest, thin: ThinnedProblem, searching: Fitter
+) -> Iterator[Fitter]:
+    """Open a fitter with all rows, weighted as those of a search on thinned records.
 
     Its few simulations would be most of a log.
     """
     weights = {
         (e, o.variable): o
-        for e, experiment in enumerate(workbench.problem.experiments)
+        for e, experiment in enumerate(searching.problem.experiments)
         for o in experiment.outputs
     }
 
@@ -139,15 +139,18 @@ def open_whole_workbench(
         own = weights[e, output.variable]
         return replace(output, sigma=own.sigma, relative_sigma=own.relative_sigma)
 
-    environment = with_slim_log(request.environment)
-    problem = with_outputs(thin.whole, change)
-    with open_workbench(replace(request, problem=problem, environment=environment)) as whole:
-        yield replace(whole, sigma_declared=workbench.sigma_declared)
+    request = replace(
+        request,
+        problem=with_outputs(thin.whole, change),
+        environment=with_slim_log(request.environment),
+        sigma_declared=searching.sigma_declared,
+    )
+    with open_workbench(request) as whole:
+        yield whole.fitter
 
 
 @contextmanager
-def reopened(request: LoopRequest, workbench: LoopWorkbench) -> Iterator[LoopWorkbench]:
-    """Open a workbench of before once more: there are workers of one at a time."""
-    with open_workbench(replace(request, problem=workbench.problem)) as again:
-        runner, meter = again.runner, again.meter
-        yield replace(workbench, fitter=replace(workbench.fitter, runner=runner, meter=meter))
+def reopened(request: LoopRequest, fitter: Fitter) -> Iterator[Fitter]:
+    """Open a fitter of before once more: there are workers of one at a time."""
+    with open_workbench(replace(request, problem=fitter.problem)) as again:
+        yield replace(fitter, runner=again.fitter.runner, meter=again.fitter.meter)

@@ -23,6 +23,7 @@ from cluster_est.closed_loop.account import (
     best_on_few_rows,
     last_fits,
     last_fits_to_all_rows,
+    result_so_far,
 )
 from cluster_est.closed_loop.findings.competing_models import expensive_structures
 from cluster_est.closed_loop.findings.result import LoopResult
@@ -31,7 +32,7 @@ from cluster_est.closed_loop.fitter import FitStart
 from cluster_est.closed_loop.long_records import (
     CONFIRMED_ON_ALL,
     MANY,
-    open_whole_workbench,
+    open_on_all_rows,
     reopened,
     thinned_records,
     with_slim_log,
@@ -46,7 +47,6 @@ from cluster_est.closed_loop.search import SearchedModel, search_for_effects
 from cluster_est.closed_loop.selection.answer import undetermined_sentence
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.so_far import result_so_far
 from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, check_arguments
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
@@ -153,13 +153,16 @@ def run_loop(request: LoopRequest) -> LoopResult:
         slim = with_slim_log(request.environment, MANY)
         request = replace(request, environment=slim)
     with open_checked_workbench(request) as workbench:
-        start = FitStart(workbench.problem, {})
+        fitter, start = workbench.fitter, FitStart(workbench.fitter.problem, {})
+        scope = workbench.scope
 
         def keep_so_far(found: SelectionResult) -> None:
-            kept = request.environment.monitor.reached
-            result = None if kept is None else result_so_far(workbench, found, begin, thin.sentence)
-            if kept is not None and result is not None:
-                kept(result)
+            keep = request.environment.monitor.reached
+            if keep is None:
+                return
+            result = result_so_far(fitter, found, begin, scope, thin.sentence)
+            if result is not None:
+                keep(result)
 
         searched = search_for_effects(
             workbench,
@@ -168,14 +171,14 @@ def run_loop(request: LoopRequest) -> LoopResult:
             keep_so_far,
             thinned=thin.is_thinner,
         )
-        workbench.enter("before and after")
+        fitter.enter("before and after")
         result, other, starts, ends = None, None, [], searched.ends
         if thin.is_thinner:
-            starts = [best_on_few_rows(workbench, end.found) for end in ends]
+            starts = [best_on_few_rows(fitter, end.found) for end in ends]
         else:
-            last_of = [partial(last_fits, workbench, end.found, begin) for end in ends]
+            last_of = [partial(last_fits, fitter, end.found, begin) for end in ends]
             searched, fits, vetoed = _last_answer(ends, last_of, request.settings)
-            result = account(workbench, searched.found, searched.judged, fits)
+            result = account(fitter, searched.found, searched.judged, fits, scope)
             result = replace(result, notes=(*vetoed, *result.notes))
         added = searched.found.current.added if result is None else result.effects
         last = searched.error_at(searched.found.current) if added else searched.error
@@ -258,7 +261,7 @@ def _confirmed_on_all_rows(
             request, environment=request.environment.left(used, time.monotonic() - begin)
         )
 
-    with open_whole_workbench(left(), thin, searching) as whole:
+    with open_on_all_rows(left(), thin, searching.fitter) as whole:
         whole.enter("before and after")
         last_of = [
             partial(last_fits_to_all_rows, whole, end.found, start, begin)
@@ -266,7 +269,7 @@ def _confirmed_on_all_rows(
         ]
         searched, fits, vetoed = _last_answer(ends, last_of, request.settings)
         found = searched.found
-        spent.append(SpentSimulations.at(whole.fitter))
+        spent.append(SpentSimulations.at(whole))
         noise = whole.noise_in_units(found.noise)
         other = preferred_interpolation(
             whole.space(replace(found.base.start, problem=fits.before.problem)),
@@ -275,7 +278,7 @@ def _confirmed_on_all_rows(
             request.environment.resources,
             whole.runner,
         )
-    with reopened(left(), searching) as workbench:
-        result = account(workbench, found, searched.judged, fits)
+    with reopened(left(), searching.fitter) as fitter:
+        result = account(fitter, found, searched.judged, fits, searching.scope)
     notes = (f"{thin.sentence}; {CONFIRMED_ON_ALL}", *vetoed, *result.notes)
     return with_all(replace(result, noise=noise, notes=notes), spent), other

@@ -21,7 +21,7 @@ from cluster_est.closed_loop.output_noise import (
 )
 from cluster_est.closed_loop.selection.starts import THOROUGH
 from cluster_est.closed_loop.settings import LoopStage
-from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, open_workbench
+from cluster_est.closed_loop.workbench import LoopRequest, LoopScope, LoopWorkbench, open_workbench
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
 from cluster_est.problem.tables.jumps import after_jumps
@@ -112,24 +112,26 @@ def open_checked_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
     """
     with open_workbench(request) as workbench:
         fitter = workbench.fitter
-        start = FitStart(workbench.problem, {})
+        start = FitStart(fitter.problem, {})
         (fitted,) = fitter.fit(LoopStage.DECLARED_MODEL, [start], THOROUGH)
         outliers = [] if fitted is None else _outliers(fitter, fitted)
         notes = [each.sentence for each in outliers]
         few = [each for each in outliers if each.few]
         growing: tuple[GrowingNoise, ...] = ()
         if fitted is not None:
-            growing = growing_noise(
-                fitter, fitted, _kept(fitter, few), declared=workbench.sigma_declared
-            )
+            growing = growing_noise(fitter, fitted, _kept(fitter, few))
         notes += [each.sentence for each in growing]
         if not few and not any(each.weighted for each in growing):
-            yield replace(workbench, notes=(*workbench.notes, *notes), first_fit=fitted)
+            yield replace(workbench, scope=_noted(workbench.scope, notes), first_fit=fitted)
             return
-    cleaned = with_own_sigmas(without(workbench.problem, few), growing)
-    with open_workbench(replace(request, problem=cleaned)) as again:
-        notes = [*workbench.notes, *notes]
-        yield replace(again, notes=tuple(notes), sigma_declared=workbench.sigma_declared)
+    cleaned = with_own_sigmas(without(fitter.problem, few), growing)
+    cleaned_request = replace(request, problem=cleaned, sigma_declared=fitter.sigma_declared)
+    with open_workbench(cleaned_request) as again:
+        yield replace(again, scope=_noted(workbench.scope, notes))
+
+
+def _noted(scope: LoopScope, notes: Sequence[str]) -> LoopScope:
+    return replace(scope, notes=(*scope.notes, *notes))
 
 
 def without(problem: Problem, outliers: Sequence[OutliersOfOutput]) -> Problem:

@@ -67,9 +67,9 @@ def _seen_between_samples(fitter: Fitter) -> FloatArray:
     return found
 
 
-def expected_noise(fitter: Fitter, residuals: FloatArray, *, declared: bool) -> FloatArray:
+def expected_noise(fitter: Fitter, residuals: FloatArray) -> FloatArray:
     """Return the noise of each output as it is declared, else as `noise_of` estimates it."""
-    if declared:
+    if fitter.sigma_declared:
         return np.ones(len(fitter.records.outputs))
     return noise_of(fitter, residuals)
 
@@ -135,7 +135,7 @@ class GrowingNoise:
 
 
 def growing_noise(
-    fitter: Fitter, fitted: FittedModel, kept: npt.NDArray[np.bool_], *, declared: bool
+    fitter: Fitter, fitted: FittedModel, kept: npt.NDArray[np.bool_]
 ) -> tuple[GrowingNoise, ...]:
     """Return the outputs whose noise grows with their signal.
 
@@ -145,8 +145,6 @@ def growing_noise(
         Where, and the declared model.
     kept : (residuals,)
         The samples that are no outliers.
-    declared
-        The user has given a sigma.
     """
     runs = [fitter.problem.experiments[e] for e in fitter.train]
     measured = measured_values(runs)
@@ -161,7 +159,7 @@ def growing_noise(
         known = growth.quiet > 0.0 and growth.part > 0.0 and np.ptp(sigmas) == 0.0
         sigma = _rounded(growth.constant * sigmas[0]) if known else np.nan
         relative = _rounded(growth.part) if known else np.nan
-        weighted = known and not declared
+        weighted = known and not fitter.sigma_declared
         found.append(GrowingNoise(name, growth, sigma, relative, weighted))
     return tuple(found)
 

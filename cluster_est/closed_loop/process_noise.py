@@ -29,7 +29,7 @@ from cluster_est.closed_loop.search import SearchedModel, search_for_effects
 from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import LoopStage
-from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, open_workbench
+from cluster_est.closed_loop.workbench import LoopRequest, open_workbench
 from cluster_est.errors import ProblemError
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.problem.problem import Problem
@@ -68,7 +68,7 @@ def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
     """
     check_noise_parameters(request.problem)
     with open_workbench(request) as workbench:
-        workbench.enter("the process noise")
+        workbench.fitter.enter("the process noise")
         held = hold_noise(workbench.fitter, request.problem, FitStart(request.problem, {}), {})
         spent = [SpentSimulations.at(workbench.fitter)]
     passed: list[frozenset[str]] = []
@@ -76,16 +76,21 @@ def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
         used = sum(each.evaluations for each in spent)
         left = request.environment.left(used, time.monotonic() - begin)
         with open_workbench(replace(request, problem=held.problem, environment=left)) as workbench:
+            fitter = workbench.fitter
             searched = search_for_effects(workbench, held.start, request.environment.resources)
             structure = searched.found.current.structure
             passed.append(structure)
             if not structure or structure in passed[:-1] or len(passed) == MOST_PASSES:
-                result = _accounted(workbench, request, searched, passed, begin)
-                return with_all(result, spent)
-            workbench.enter("the process noise that is left")
+                fitter.enter("before and after")
+                fits = last_fits_with_noise(fitter, request.problem, searched.found, begin)
+                judged = _judged(fitter.size, searched, fits, passed)
+                result = account(fitter, searched.found, judged, fits, workbench.scope)
+                result = _with_noise(fitter, result, searched, fits, passed)
+                return replace(with_all(result, spent), seconds=time.monotonic() - begin)
+            fitter.enter("the process noise that is left")
             start = released(searched.found.current.start, request.problem)
-            held = hold_noise(workbench.fitter, request.problem, start, held.values)
-            spent.append(SpentSimulations.at(workbench.fitter))
+            held = hold_noise(fitter, request.problem, start, held.values)
+            spent.append(SpentSimulations.at(fitter))
 
 
 @dataclass(frozen=True)
@@ -114,45 +119,37 @@ def with_all(result: LoopResult, spent: Sequence[SpentSimulations]) -> LoopResul
     )
 
 
-def _accounted(
-    workbench: LoopWorkbench,
-    request: LoopRequest,
-    searched: SearchedModel,
-    passed: list[frozenset[str]],
-    begin: float,
-) -> LoopResult:
-    """Compare both models with noise of their own, and put it into words."""
-    workbench.enter("before and after")
+def _judged(
+    size: int, searched: SearchedModel, fits: LastFits, passed: list[frozenset[str]]
+) -> ReasonedVerdict:
+    """The verdict once both models have noise of their own."""
     found, judged = searched.found, searched.judged
-    fits = last_fits_with_noise(workbench.fitter, request.problem, found, begin)
     if judged.verdict in CLAIMS:
-        against = why_not_likely(workbench.size, found, fits)
+        against = why_not_likely(size, found, fits)
         if against:
             why = f"the best candidate was not accepted: {against}"
-            judged = replace(judged, verdict=Verdict.NONE, reason=why)
+            return replace(judged, verdict=Verdict.NONE, reason=why)
     elif len(passed) > 1 and not found.current.added:
-        judged = ReasonedVerdict(Verdict.NONE, NOT_AGAIN.format(" and ".join(sorted(passed[-2]))))
-    result = account(workbench, found, judged, fits)
+        return ReasonedVerdict(Verdict.NONE, NOT_AGAIN.format(" and ".join(sorted(passed[-2]))))
+    return judged
+
+
+def _with_noise(
+    fitter: Fitter,
+    result: LoopResult,
+    searched: SearchedModel,
+    fits: LastFits,
+    passed: list[frozenset[str]],
+) -> LoopResult:
+    """The result with what is to be said of process noise, and of the passes."""
     kept = bool(result.effects)
     said = [noise_sentence(each, kept=kept) for each in fits.noise]
-    free = simulation_sentence(workbench.fitter, result.before, result.after) if kept else ""
+    free = simulation_sentence(fitter, result.before, result.after) if kept else ""
+    notes = (*searched.error.notes, *result.notes, free, NOT_LOOKED_FOR, _unsettled(passed))
     return replace(
         result,
         summary="; ".join([result.summary, *said]),
-        notes=tuple(
-            filter(
-                None,
-                (
-                    *searched.error.notes,
-                    *result.notes,
-                    free,
-                    NOT_LOOKED_FOR,
-                    _unsettled(passed),
-                    *expensive_structures(found.path),
-                ),
-            )
-        ),
-        seconds=time.monotonic() - begin,
+        notes=(*filter(None, notes), *expensive_structures(searched.found.path)),
         failures_in_search=searched.failures,
     )
 

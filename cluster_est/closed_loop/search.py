@@ -33,9 +33,7 @@ from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.screening.screen import screen
 from cluster_est.closed_loop.selection.answer import (
     answers,
-    ending_at,
     without_effects,
-    without_undetermined,
 )
 from cluster_est.closed_loop.selection.free_curves import (
     SingleEffects,
@@ -140,11 +138,11 @@ def search_for_effects(
     ProblemError
         If the model cannot be simulated at its start.
     """
-    fitter = workbench.fitter
-    workbench.enter("the declared model")
-    base = fit_declared(fitter, start, workbench.settings.starts, workbench.first_fit)
-    noise = expected_noise(fitter, base.residuals, declared=workbench.sigma_declared)
-    workbench.enter("the error of the solver")
+    fitter, settings = workbench.fitter, workbench.settings
+    fitter.enter("the declared model")
+    base = fit_declared(fitter, start, settings.starts, workbench.first_fit)
+    noise = expected_noise(fitter, base.residuals)
+    fitter.enter("the error of the solver")
     error = measure_numerical_error(fitter, base, noise, resources)
     other = None if thinned else _other_interpolation(fitter, base, resources)
     with_effects = partial(
@@ -152,26 +150,13 @@ def search_for_effects(
     )
     before = fitter.runner.failures
     if error.hides_effects:
-        found = without_search(fitter, base)
+        found = without_search(fitter, settings, base)
         ends = [(found, ReasonedVerdict(Verdict.UNEXPLAINED, error.refusal))]
     else:
-        grown = grow(workbench, base, lambda fit: with_effects(fit).explainable, reached)
-        ends = [_judged(workbench, found) for found in _answers(fitter, workbench.settings, grown)]
+        grown = grow(fitter, settings, base, lambda fit: with_effects(fit).explainable, reached)
+        ends = [_judged(fitter, found) for found in answers(fitter, grown)]
     failed = fitter.runner.failures - before
     return SearchedModel(*ends[0], error, with_effects, failed, other, tuple(ends[1:]))
-
-
-def _answers(
-    fitter: Fitter, settings: LoopSettings, grown: SelectionResult
-) -> list[SelectionResult]:
-    """Return the answer of a search, and those that it took the place of; never none."""
-    if LoopPart.ANSWER in settings.without:
-        ends = [grown]
-    else:
-        ends = answers(grown) or [ending_at(grown, 0)]
-    if LoopPart.STRENGTHS in settings.without:
-        return ends
-    return [without_undetermined(fitter, settings, each) for each in ends]
 
 
 def _other_interpolation(
@@ -195,7 +180,8 @@ def _other_interpolation(
 
 
 def grow(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
+    settings: LoopSettings,
     base: FittedModel,
     numerical: Callable[[FittedModel], float],
     reached: Callable[[SelectionResult], None],
@@ -216,14 +202,13 @@ def grow(
     again
         Begin once more where the declared model turns out to have been in a local minimum.
     """
-    fitter = workbench.fitter
-    log, merging = SearchLog.begun(fitter, base), Merging()
-    remembers = LoopPart.REMEMBERED_FITS not in workbench.settings.without
+    log, merging = SearchLog.begun(fitter, settings, base), Merging()
+    remembers = LoopPart.REMEMBERED_FITS not in settings.without
     cache = ModelCache(log.floor / fitter.size, remembers)
     now = AcceptedStructure(base, log.predicted)
     passed: set[frozenset[str]] = set()
     while True:
-        begun = _screened(workbench, log, now, cache, numerical)
+        begun = _screened(log, now, cache, numerical)
         passed.add(now.model.structure)
         best = propose_and_choose(fitter, begun)
         log.note(now, begun, best)
@@ -236,8 +221,8 @@ def grow(
             continue
         if again and not begun.model.added and _was_local(fitter, begun, best.won):
             restart = FitStart(base.problem, _declared_only(best.won), base.added)
-            declared = fit_declared(fitter, restart, begun.settings.starts)
-            return grow(workbench, declared, numerical, reached, again=False)
+            declared = fit_declared(fitter, restart, settings.starts)
+            return grow(fitter, settings, declared, numerical, reached, again=False)
         grown = revise(fitter, begun, best, now.rivals)
         now = replace(now, rivals=grown.rivals)
         unchanged = grown.model is best.won.fitted
@@ -269,18 +254,16 @@ def propose_and_choose(fitter: Fitter, begun: RoundStart) -> RoundEnd:
     return best
 
 
-def _judged(
-    workbench: LoopWorkbench, found: SelectionResult
-) -> tuple[SelectionResult, ReasonedVerdict]:
+def _judged(fitter: Fitter, found: SelectionResult) -> tuple[SelectionResult, ReasonedVerdict]:
     """Judge what was found; a function of time is an effect only where it leaves noise."""
-    settings, gone = workbench.settings, functions_of_time(found)
-    judged = judge(workbench, found)
+    settings, gone = found.settings, functions_of_time(found)
+    judged = judge(fitter, found)
     kept = LoopPart.FUNCTIONS_OF_TIME in settings.without
     if judged.verdict is not Verdict.PARTIAL or not gone or kept:
         return found, judged
     places = [i for i, c in enumerate(found.current.added) if c in gone]
-    found = without_effects(workbench.fitter, settings, found, places, LoopPart.FUNCTIONS_OF_TIME)
-    judged = judge(workbench, found)
+    found = without_effects(fitter, found, places, LoopPart.FUNCTIONS_OF_TIME)
+    judged = judge(fitter, found)
     if not found.current.added:
         return found, judged
     said = f"{' and '.join(c.label for c in gone)} would leave more than noise and was not added"
@@ -293,8 +276,8 @@ class SearchLog:
 
     Attributes
     ----------
-    fitter
-        Of the models.
+    fitter, settings
+        Of the models, and of the search.
     base, predicted
         The declared model, fitted, and its leave-one-out prediction.
     noise, floor
@@ -306,6 +289,7 @@ class SearchLog:
     """
 
     fitter: Fitter
+    settings: LoopSettings
     base: FittedModel
     predicted: LeaveOneOutPrediction
     noise: FloatArray
@@ -316,10 +300,11 @@ class SearchLog:
     accepted: list[AcceptedStructure] = field(default_factory=list)
 
     @classmethod
-    def begun(cls, fitter: Fitter, base: FittedModel) -> SearchLog:
+    def begun(cls, fitter: Fitter, settings: LoopSettings, base: FittedModel) -> SearchLog:
         """Begin at the declared model."""
         noise = noise_of(fitter, base.residuals)
-        return cls(fitter, base, predict(fitter, base), noise, fitter.noise_floor(noise))
+        floor = fitter.noise_floor(noise)
+        return cls(fitter, settings, base, predict(fitter, base), noise, floor)
 
     def note(self, now: AcceptedStructure, begun: RoundStart, end: RoundEnd) -> None:
         """Note what a round has looked at, and where it began."""
@@ -346,7 +331,7 @@ class SearchLog:
         """Return all that was found so far."""
         return SelectionResult(
             self.base, now.model, self.predicted, now.prediction, now.rivals, tuple(self.rounds),
-            tuple(self.seen), self.noise, tuple(self.path), tuple(self.accepted),
+            tuple(self.seen), self.noise, self.settings, tuple(self.path), tuple(self.accepted),
         )  # fmt: skip
 
 
@@ -393,17 +378,16 @@ class Merging:
 
 
 def _screened(
-    workbench: LoopWorkbench,
     log: SearchLog,
     now: AcceptedStructure,
     cache: ModelCache,
     numerical: Callable[[FittedModel], float],
 ) -> RoundStart:
     """Begin a round: compare all candidates with what the accepted structure leaves."""
-    fitter, settings = workbench.fitter, workbench.settings
+    fitter, settings = log.fitter, log.settings
     found, most = len(now.model.added), settings.max_effects
     which = f"effect {found + 1} of at most {most}" if found < most else "what is left"
-    workbench.enter(f"looking for {which}")
+    fitter.enter(f"looking for {which}")
     screening = screen(fitter, settings, now.model, len(log.rounds) + 1)
     error = numerical(now.model)
     cache.keep(fitter, now.model, screening.ranking)
@@ -415,7 +399,7 @@ def _screened(
         cache=cache,
         floor=log.floor,
         settings=settings,
-        sigma_declared=workbench.sigma_declared,
+        sigma_declared=fitter.sigma_declared,
         beside=now.beside,
         numerical=error,
     )

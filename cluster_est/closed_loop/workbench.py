@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.fitter import (
     FitStart,
     FittedModel,
@@ -29,7 +28,7 @@ from cluster_est.problem.compatibility import NOT_PLAIN
 from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
-from cluster_est.problem.search_space import SearchSpace, make_space
+from cluster_est.problem.search_space import make_space
 from cluster_est.problem.variables import silent_notes
 from cluster_est.running.arguments import (
     check_method,
@@ -39,20 +38,35 @@ from cluster_est.running.arguments import (
 )
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Record, Resources, TaskOrigin, one_blas_thread
-from cluster_est.running.runner import Runner
 from cluster_est.statistics.noise.estimate import SHORTEST_NOISE_RECORD
-from cluster_est.statistics.records import StackedRecords, make_records
+from cluster_est.statistics.records import make_records
 from cluster_est.toml import dotted
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site
 from workers.fmu.description import ModelDescription, nearest
-from workers.messages import Experiment, FloatArray, Outcome, Output
+from workers.messages import Experiment, Outcome, Output
 from workers.messages.checks import check_kind, check_number
 
 
 @dataclass(frozen=True)
+class LoopScope:
+    """What a report says of a loop, whatever is found.
+
+    Attributes
+    ----------
+    sites
+        Those that were open.
+    notes
+        What a reader should know.
+    """
+
+    sites: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class LoopWorkbench:
-    """A loop that is open: only recipes and what puts a result into words have all of it.
+    """A loop that is open, for its recipe: what the recipe calls is given what it needs.
 
     Attributes
     ----------
@@ -60,85 +74,16 @@ class LoopWorkbench:
         Of the models.
     settings
         Of the loop.
-    sites, notes
-        For the report: what was open, and what a reader should know.
-    sigma_declared
-        The user has given a sigma, for whatever output.
+    scope
+        For the report.
     first_fit
         The declared model from the user's start, where that was needed before.
     """
 
     fitter: Fitter
     settings: LoopSettings
-    sites: tuple[str, ...]
-    notes: tuple[str, ...]
-    sigma_declared: bool = False
+    scope: LoopScope
     first_fit: FittedModel | None = field(default=None, repr=False)
-
-    def enter(self, phase: str) -> None:
-        """See `Fitter`."""
-        self.fitter.enter(phase)
-
-    @property
-    def filtered(self) -> bool:
-        """The problem has process noise: its residuals are innovations of a Kalman filter."""
-        return self.fitter.predicts
-
-    @property
-    def runner(self) -> Runner:
-        return self.fitter.runner
-
-    @property
-    def problem(self) -> Problem:
-        return self.fitter.problem
-
-    @property
-    def description(self) -> ModelDescription:
-        return self.fitter.description
-
-    @property
-    def seed(self) -> int:
-        return self.fitter.seed
-
-    @property
-    def train(self) -> tuple[int, ...]:
-        return self.fitter.train
-
-    @property
-    def records(self) -> StackedRecords:
-        return self.fitter.records
-
-    @property
-    def meter(self) -> SimulationMeter:
-        return self.fitter.meter
-
-    @property
-    def size(self) -> int:
-        return self.fitter.size
-
-    @property
-    def sigmas(self) -> FloatArray:
-        return self.fitter.sigmas
-
-    def noise_floor(self, noise: FloatArray) -> float:
-        """See `Fitter`."""
-        return self.fitter.noise_floor(noise)
-
-    def noise_in_units(self, noise: FloatArray) -> dict[str, float]:
-        """See `Fitter`."""
-        return self.fitter.noise_in_units(noise)
-
-    def generator(self, stream: int) -> np.random.Generator:
-        """See `Fitter`."""
-        return self.fitter.generator(stream)
-
-    def space(self, start: FitStart) -> SearchSpace:
-        """See `Fitter`."""
-        return self.fitter.space(start)
-
-    def trajectories(self, fitted: FittedModel) -> list[LinearisedTrajectory]:
-        """See `Fitter`."""
-        return self.fitter.trajectories(fitted)
 
 
 SAMPLES_PER_UNKNOWN = 4
@@ -161,6 +106,8 @@ class LoopRequest:
         That are left of each long record while effects are looked for; None for all.
     noise_of_samples
         As far as thinned records are known to have it, by output.
+    sigma_declared
+        The user has given a sigma; None where that is so if the problem has one.
     """
 
     problem: Problem
@@ -169,6 +116,7 @@ class LoopRequest:
     seed: int = 0
     rows: int | None = None
     noise_of_samples: Mapping[str, float] = field(default_factory=dict)
+    sigma_declared: bool | None = None
 
 
 def checked_request(
@@ -214,7 +162,8 @@ def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
     description = problem.describe()
     _check_shape(problem)
     _check_choices(problem, request.settings, description)
-    declared = _declares_sigma(problem)
+    if request.sigma_declared is None:
+        request = replace(request, sigma_declared=_declares_sigma(problem))
     weights: tuple[str, ...] = ()
     if _unweighted(problem):
         with _opened(request, description) as fitter:
@@ -227,10 +176,10 @@ def open_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
     with _opened(request, description) as fitter:
         problem = request.problem
         notes = (*_notes(problem, description), *weights)
-        if not declared:
+        if not fitter.sigma_declared:
             notes += _short_notes(fitter)
-        sites = _sites(problem, description)
-        yield LoopWorkbench(fitter, request.settings, sites, notes, declared)
+        scope = LoopScope(_sites(problem, description), notes)
+        yield LoopWorkbench(fitter, request.settings, scope)
 
 
 @contextmanager
@@ -263,6 +212,7 @@ def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[Fit
             everything=everything,
             meter=meter,
             noise_of_samples=request.noise_of_samples,
+            sigma_declared=bool(request.sigma_declared),
         )
         runner.forget()
 

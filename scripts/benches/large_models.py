@@ -114,7 +114,9 @@ def screened(name: str) -> Row:
     """Screen one model."""
     model = MODELS[name]()
     with open_workbench(LoopRequest(made_problem(model))) as bench:
-        fitted = fit_declared(bench.fitter, FitStart(bench.problem, {}), bench.settings.starts)
+        fitted = fit_declared(
+            bench.fitter, FitStart(bench.fitter.problem, {}), bench.settings.starts
+        )
         begin = time.perf_counter()
         screening = screen(bench.fitter, bench.settings, fitted, 1)
         seconds = time.perf_counter() - begin

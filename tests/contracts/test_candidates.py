@@ -93,10 +93,10 @@ def systems():
         for name in NAMES:
             bench = stack.enter_context(opened(missing_effect_problem(name)))
             fitted = unfitted(bench)
-            courses = bench.trajectories(fitted)
+            courses = bench.fitter.trajectories(fitted)
             rate = 2.0 * np.pi * WAVES_IN_A_RECORD / SYSTEMS[name].stop
             candidates = make_candidates(
-                fitted.problem, bench.description, courses, [rate], LoopSettings()
+                fitted.problem, bench.fitter.description, courses, [rate], LoopSettings()
             )
             candidates += [fine for c in candidates for fine in _finer(c)]
             trials = [CandidatePoint(c, c.grid[len(c.grid) // 2]) for c in candidates]
@@ -158,8 +158,8 @@ def test_candidates_can_be_fitted(systems, system):
                 assert parameter.scale == "linear" or parameter.lower > 0.0, (text, parameter)
         start = seen.fitted.start.plus(candidate, candidate.grid[0])
         assert start.problem.parameters[-1].name.startswith(f"{candidate.effect.name}.")
-        extra = tuple(s.variable for s in seen.bench.problem.experiments[0].signals)
-        define(candidate.effect, seen.bench.description, "model_exchange", extra)
+        extra = tuple(s.variable for s in seen.bench.fitter.problem.experiments[0].signals)
+        define(candidate.effect, seen.bench.fitter.description, "model_exchange", extra)
         assert candidate.equation.startswith(
             (f"der({candidate.site.target}) += ", f"{candidate.site.target} -> ")
         )

@@ -26,7 +26,6 @@ from cluster_est.closed_loop.selection.rounds import (
     SelectionResult,
     SelectionRound,
 )
-from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.methods.method import Ending, Solution
 from cluster_est.problem.search_space import make_space
 from cluster_est.results.output_errors import OutputError
@@ -64,10 +63,10 @@ def made_problem(*lengths: int, **more: Any) -> Problem:
     return Problem(model, (Parameter("k", 1.0, 0.0, 10.0),), made_experiments(*lengths, **more))
 
 
-def made_bench(problem: Problem) -> LoopWorkbench:
-    """A workbench on its training experiments, with the settings that a user gets."""
+def made_fitter(problem: Problem) -> SimulationFitter:
+    """A fitter of its training experiments."""
     train = problem.indices("train")
-    fitter = SimulationFitter(
+    return SimulationFitter(
         runner=Runner(FunctionExecutor(_never)),
         problem=problem,
         description=_description(),
@@ -78,12 +77,6 @@ def made_bench(problem: Problem) -> LoopWorkbench:
         everything=problem,
         meter=SimpleNamespace(full=0.0),  # type: ignore[arg-type]
         noise_of_samples={},
-    )
-    return LoopWorkbench(
-        fitter,
-        LoopSettings(),
-        sites=(),
-        notes=(),
         sigma_declared=any(o.sigma != 1.0 for e in problem.experiments for o in e.outputs),
     )
 
@@ -195,6 +188,7 @@ def made_selection(
     squares_before: FloatArray | None = None,
     squares: FloatArray | None = None,
     noise: Sequence[float] = (1.0,),
+    settings: LoopSettings | None = None,
 ) -> SelectionResult:
     """A search that ended; what is predicted is what was fitted, unless it is given."""
     own, now = (_by_experiment(fit) for fit in (base, current))
@@ -207,6 +201,7 @@ def made_selection(
         steps=(last,),
         findings=(),
         noise=np.array(noise),
+        settings=LoopSettings() if settings is None else settings,
     )
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 from support.loop_objects import (
-    made_bench,
     made_fit,
+    made_fitter,
     made_problem,
     made_result,
     made_round,
@@ -25,7 +25,7 @@ from workers.fmu.description import ModelDescription
 from workers.messages import FloatArray
 
 PROBLEM = made_problem(50)
-BENCH = made_bench(PROBLEM)
+FITTER = made_fitter(PROBLEM)
 
 
 def described(
@@ -59,8 +59,7 @@ def described(
     numbers = values or [1.0] * len(names)
     known = estimates or [estimate(*pair) for pair in zip(names, numbers, strict=True)]
     problem = replace(PROBLEM, units=tuple((given or {}).items()))
-    fitter = replace(BENCH.fitter, problem=problem, description=_description(units))
-    bench = replace(BENCH, fitter=fitter)
+    fitter = replace(FITTER, problem=problem, description=_description(units))
     if declared:
         own = tuple(Parameter(f"e.{e.label[2:]}", e.value) for e in known)
         problem = replace(
@@ -71,7 +70,7 @@ def described(
     found = made_selection(made_fit(PROBLEM, np.zeros(50)), fitted, last)
     result = replace(made_result(problem, []), estimates=tuple(known))
     curves = [] if curve is None else [replace(curve, effect="e")]
-    (effect,) = describe_effects(bench, found, result, curves)
+    (effect,) = describe_effects(fitter, found, result, curves)
     return effect
 
 
@@ -109,11 +108,11 @@ def visited(
 
 def _description(units: Mapping[str, str] | None) -> ModelDescription:
     if units is None:
-        return BENCH.description
-    known = BENCH.description.variables
+        return FITTER.description
+    known = FITTER.description.variables
     template = next(iter(known.values()))
     variables = {
         name: replace(known.get(name, template), name=name, kind="real", unit=unit)
         for name, unit in units.items()
     }
-    return replace(BENCH.description, variables=variables, units={})
+    return replace(FITTER.description, variables=variables, units={})

@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 
 from cluster_est.closed_loop.findings.tables import effect_block
-from cluster_est.closed_loop.fitter import FittedModel
+from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
-from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.problem.display import in_a_row, percent
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
@@ -156,33 +155,27 @@ class CompetingModel:
         }
 
 
-def leading_models(
-    workbench: LoopWorkbench, found: SelectionResult, most: int
-) -> list[FittedModel]:
+def leading_models(fitter: Fitter, found: SelectionResult, most: int) -> list[FittedModel]:
     """Return the models with the best criterion, each set of effects once, what was added first."""
     fits = [found.current, found.base]
     fits += [each.fitted for step in found.steps for each in step.contenders]
     fits += [each.fitted for _, rivals in found.rivals.values() for each in rivals]
     best: dict[frozenset[str], FittedModel] = {}
-    for fit in sorted(fits, key=lambda each: each.criterion(workbench.records)):
+    for fit in sorted(fits, key=lambda each: each.criterion(fitter.records)):
         best.setdefault(fit.structure, fit)
     best[found.current.structure] = found.current
     others = [fit for key, fit in best.items() if key != found.current.structure]
     return [found.current, *others[: most - 1]]
 
 
-def competing_models(
-    workbench: LoopWorkbench, found: SelectionResult
-) -> tuple[CompetingModel, ...]:
+def competing_models(fitter: Fitter, found: SelectionResult) -> tuple[CompetingModel, ...]:
     """Return what was found, and the rivals that the data do not rule out, the nearest first.
 
     Their weights are probabilities as `with_probabilities` has them, among those that are kept.
     """
     price = SELECTION.choice_price * np.log(found.steps[0].screening.count)
-    leading = leading_models(workbench, found, 4 * MOST_COMPETING)
-    criteria = np.array(
-        [fit.criterion(workbench.records) + price * len(fit.added) for fit in leading]
-    )
+    leading = leading_models(fitter, found, 4 * MOST_COMPETING)
+    criteria = np.array([fit.criterion(fitter.records) + price * len(fit.added) for fit in leading])
     criteria -= criteria[0]
     order = sorted(range(1, len(leading)), key=lambda i: criteria[i])
     kept = [0, *(i for i in order if criteria[i] < FAR)][:MOST_COMPETING]
@@ -215,7 +208,7 @@ LEADING = 12
 MOST_UNKNOWNS = 150
 MOST_NAMED_CHOICES = 4
 STREAM = 7
-"""Of the workbench's generators."""
+"""Of the fitter's generators."""
 
 
 @dataclass(frozen=True)
@@ -246,7 +239,7 @@ class ResampledChoices:
         return f"of {DRAWS} times that {self.drawn} were drawn anew, the best set is {said}"
 
 
-def resampled_choices(workbench: LoopWorkbench, found: SelectionResult) -> ResampledChoices | None:
+def resampled_choices(fitter: Fitter, found: SelectionResult) -> ResampledChoices | None:
     """Draw the training experiments anew and choose again among the leading sets of effects.
 
     Each is refitted by its linear model, so it takes no simulation. None where no effect was added,
@@ -254,20 +247,20 @@ def resampled_choices(workbench: LoopWorkbench, found: SelectionResult) -> Resam
 
     Parameters
     ----------
-    workbench, found
+    fitter, found
         Where, and the end of the search.
     """
     if not found.current.added:
         return None
-    leading = leading_models(workbench, found, LEADING)
+    leading = leading_models(fitter, found, LEADING)
     if max(len(fit.x) for fit in leading) > MOST_UNKNOWNS:
         return None
     choice = SELECTION.choice_price * np.log(found.steps[0].screening.count)
     fits = [LinearFit(f.residuals, f.jacobian, choice * len(f.added)) for f in leading]
-    whole = len(workbench.train) >= FEWEST
-    pieces, outputs = _pieces(workbench, whole=whole)
-    shares = choice_shares(fits, pieces, outputs, DRAWS, workbench.generator(STREAM))
-    drawn = f"the {len(workbench.train)} experiments" if whole else "tenths of the records"
+    whole = len(fitter.train) >= FEWEST
+    pieces, outputs = _pieces(fitter, whole=whole)
+    shares = choice_shares(fits, pieces, outputs, DRAWS, fitter.generator(STREAM))
+    drawn = f"the {len(fitter.train)} experiments" if whole else "tenths of the records"
     labels = [tuple(candidate.label for candidate in fit.added) for fit in leading]
     return ResampledChoices(drawn, dict(zip(labels, shares.tolist(), strict=True)))
 
@@ -285,14 +278,14 @@ def with_choices(
     )
 
 
-def _pieces(workbench: LoopWorkbench, *, whole: bool) -> tuple[IntArray, IntArray]:
+def _pieces(fitter: Fitter, *, whole: bool) -> tuple[IntArray, IntArray]:
     """The number of the piece and of the output of each residual."""
-    pieces, outputs = np.zeros(workbench.size, int), np.zeros(workbench.size, int)
-    for item in workbench.records.items:
+    pieces, outputs = np.zeros(fitter.size, int), np.zeros(fitter.size, int)
+    for item in fitter.records.items:
         outputs[item.rows] = item.output
         pieces[item.rows] = item.experiment
         if not whole and len(item.times):
-            run = workbench.problem.experiments[workbench.train[item.experiment]]
+            run = fitter.problem.experiments[fitter.train[item.experiment]]
             passed = (item.times - run.start) / (run.stop - run.start)
             part = np.clip((PARTS * passed).astype(int), 0, PARTS - 1)
             pieces[item.rows] = PARTS * item.experiment + part

@@ -18,12 +18,11 @@ from cluster_est.closed_loop.findings.effects import (
 )
 from cluster_est.closed_loop.findings.naming import EffectName, Namer
 from cluster_est.closed_loop.findings.unexplained import varying_columns
-from cluster_est.closed_loop.fitter import FittedModel
+from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.screening.evidence import CandidateStage
 from cluster_est.closed_loop.selection.functions_of_time import period_of, residuals_without
 from cluster_est.closed_loop.selection.refits import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import SelectionResult
-from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.problem.display import in_a_row, readable_time
 from cluster_est.results.fit_tables import EffectCurve, Estimate
 from cluster_est.results.result import Result
@@ -59,7 +58,7 @@ def shared_arguments(added: Sequence[EffectCandidate]) -> tuple[str, ...]:
 
 
 def describe_effects(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     found: SelectionResult,
     result: Result,
     curves: Sequence[EffectCurve] = (),
@@ -69,22 +68,22 @@ def describe_effects(
     `curves` are theirs, where they have some: they say over which range a name holds.
     """
     own = {curve.effect: curve for curve in reversed(curves)}
-    namer = Namer(workbench.description, dict(workbench.problem.units))
+    namer = Namer(fitter.description, dict(fitter.problem.units))
     return tuple(
-        _describe(workbench, found, candidate, result, namer, own.get(candidate.effect.name))
+        _describe(fitter, found, candidate, result, namer, own.get(candidate.effect.name))
         for candidate in found.current.added
     )
 
 
 def error_changes(
-    workbench: LoopWorkbench, found: SelectionResult, before: Result, after: Result
+    fitter: Fitter, found: SelectionResult, before: Result, after: Result
 ) -> tuple[ErrorChange, ...]:
     """Put the errors of the declared and of the final model side by side."""
-    noise = workbench.noise_in_units(found.noise)
+    noise = fitter.noise_in_units(found.noise)
     rows = []
     for old, new in zip(before.errors, after.errors, strict=True):
         sigma = noise.get(old.output, np.nan)
-        if workbench.sigma_declared:
+        if fitter.sigma_declared:
             normalised = old.normalised_after, new.normalised_after
         else:
             normalised = _over(old.rmse_after, sigma), _over(new.rmse_after, sigma)
@@ -97,13 +96,13 @@ def _over(error: float, sigma: float) -> float:
     return error / sigma if sigma > 0.0 else np.nan
 
 
-def where_left(workbench: LoopWorkbench, fitted: FittedModel) -> str:
+def where_left(fitter: Fitter, fitted: FittedModel) -> str:
     """Say in a sentence in which part of the data most of a residual lives."""
     total = fitted.sse
     if not total > 0.0:
         return "nothing is left"
     best: tuple[float, float, str] = (0.0, 0.0, "")
-    for record in workbench.records.items:
+    for record in fitter.records.items:
         if not len(record.times):
             continue
         squares = fitted.residuals[record.rows] ** 2
@@ -112,11 +111,11 @@ def where_left(workbench: LoopWorkbench, fitted: FittedModel) -> str:
         sums = np.bincount(window, weights=squares, minlength=WINDOWS)
         k = int(np.argmax(sums))
         if sums[k] > best[0]:
-            run = workbench.problem.experiments[workbench.train[record.experiment]]
+            run = fitter.problem.experiments[fitter.train[record.experiment]]
             best = (
                 float(sums[k]),
                 float(np.sum(window == k)) / len(fitted.residuals),
-                f"output {workbench.records.outputs[record.output]} of experiment {run.id!r} "
+                f"output {fitter.records.outputs[record.output]} of experiment {run.id!r} "
                 f"between t = {edges[k]:.4g} and {edges[k + 1]:.4g} s",
             )
     share = best[0] / total
@@ -126,7 +125,7 @@ def where_left(workbench: LoopWorkbench, fitted: FittedModel) -> str:
 
 
 def _describe(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     found: SelectionResult,
     candidate: EffectCandidate,
     result: Result,
@@ -137,14 +136,14 @@ def _describe(
     won, rivals = found.rivals.get(name, (None, []))
     coefficients, period = _coefficients(name, result), period_of(candidate, found.current)
     named = namer.name(candidate, [e.value for e in coefficients], curve)
-    also = _agreeing(workbench, result, namer, named, curve)
+    also = _agreeing(fitter, result, namer, named, curve)
     return NamedEffect(
         effect=candidate.effect,
         family=candidate.form.family,
         equation=candidate.equation,
         coefficients=coefficients,
-        alternatives=_alternatives(workbench, found, candidate, won, rivals, namer),
-        evidence=(*_evidence(found, candidate), *_columns(workbench, found, candidate, period)),
+        alternatives=_alternatives(fitter, found, candidate, won, rivals, namer),
+        evidence=(*_evidence(found, candidate), *_columns(fitter, found, candidate, period)),
         words=named.words,
         sentence=sentence_of(named.words, candidate, coefficients, curve, also, period),
         also=also,
@@ -153,14 +152,14 @@ def _describe(
 
 
 def _agreeing(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     result: Result,
     namer: Namer,
     named: EffectName,
     curve: EffectCurve | None,
 ) -> tuple[AgreeingEquation, ...]:
     """Equations that agree with an effect on the range of the data, with their names."""
-    shape = None if curve is None else shape_over(curve, result, workbench.description)
+    shape = None if curve is None else shape_over(curve, result, fitter.description)
     if curve is None or shape is None:
         return ()
     negative = namer.may_be_negative(curve.variable)
@@ -172,7 +171,7 @@ def _coefficients(name: str, result: Result) -> tuple[Estimate, ...]:
 
 
 def _alternatives(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     found: SelectionResult,
     candidate: EffectCandidate,
     won: RefittedCandidate | None,
@@ -188,7 +187,7 @@ def _alternatives(
     others = {c.effect.name for c in found.current.added if c is not candidate}
     made = [
         replace(
-            _alternative(workbench, won, rival, found.noise),
+            _alternative(fitter, won, rival, found.noise),
             words=namer.name(rival.candidate, _strengths(rival), None).words,
         )
         for rival in rivals
@@ -206,11 +205,11 @@ def _strengths(rival: RefittedCandidate) -> list[float]:
 
 
 def _alternative(
-    workbench: LoopWorkbench, won: RefittedCandidate, rival: RefittedCandidate, noise: FloatArray
+    fitter: Fitter, won: RefittedCandidate, rival: RefittedCandidate, noise: FloatArray
 ) -> AlternativeEffect:
     """A rival, and where an experiment would tell it from the winner best."""
     candidate = rival.candidate
-    where, when, output, size = _largest_difference(workbench, won.fitted, rival.fitted, noise)
+    where, when, output, size = _largest_difference(fitter, won.fitted, rival.fitted, noise)
     return AlternativeEffect(
         site=str(candidate.site),
         form=candidate.form.name,
@@ -226,32 +225,35 @@ def _alternative(
 
 
 def _largest_difference(
-    workbench: LoopWorkbench, one: FittedModel, other: FittedModel, noise: FloatArray
+    fitter: Fitter, one: FittedModel, other: FittedModel, noise: FloatArray
 ) -> tuple[str, float, str, float]:
     """Experiment, time, output and size of the largest difference of two models' predictions.
 
     The size is over the noise of that output.
     """
     gap = np.abs(one.residuals - other.residuals)
-    for record in workbench.records.items:
+    for record in fitter.records.items:
         gap[record.rows] /= max(float(noise[record.output]), 1e-300)
     row = int(np.argmax(gap))
-    for record in workbench.records.items:
+    for record in fitter.records.items:
         if record.rows.start <= row < record.rows.stop:
-            experiment = workbench.problem.experiments[workbench.train[record.experiment]]
+            experiment = fitter.problem.experiments[fitter.train[record.experiment]]
             time = float(record.times[row - record.rows.start])
-            return experiment.id, time, workbench.records.outputs[record.output], float(gap[row])
+            return experiment.id, time, fitter.records.outputs[record.output], float(gap[row])
     return "", np.nan, "", float(gap[row])
 
 
 def _columns(
-    workbench: LoopWorkbench, found: SelectionResult, candidate: EffectCandidate, period: float
+    fitter: Fitter, found: SelectionResult, candidate: EffectCandidate, period: float
 ) -> tuple[str, ...]:
     """Sentences on columns that are not used and may be what a wave in time stands for."""
     if not np.isfinite(period):
         return ()
     without = residuals_without(found.current, candidate)
-    return tuple(column.sentence for column in varying_columns(workbench, without, period))
+    return tuple(
+        column.sentence
+        for column in varying_columns(fitter, without, found.settings.significance, period)
+    )
 
 
 def _evidence(found: SelectionResult, candidate: EffectCandidate) -> tuple[str, ...]:

@@ -14,9 +14,8 @@ from cluster_est.closed_loop.candidates.trajectory import (
     linear_system,
     pooled,
 )
-from cluster_est.closed_loop.fitter import FittedModel
+from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.screening.directions import coupling
-from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.errors import ClusterEstError
 from cluster_est.results.fit_tables import EffectCurve
 from cluster_est.results.result import Result
@@ -25,14 +24,12 @@ from workers.effects.site import EffectSite, difference, split_variable
 from workers.messages import FloatArray
 
 
-def effect_curves(
-    workbench: LoopWorkbench, fitted: FittedModel, result: Result
-) -> tuple[EffectCurve, ...]:
+def effect_curves(fitter: Fitter, fitted: FittedModel, result: Result) -> tuple[EffectCurve, ...]:
     """Compute the curves of all effects of a model that the loop has added to.
 
     Parameters
     ----------
-    workbench, fitted
+    fitter, fitted
         The model with the effects, where the search ended: its experiments are simulated once more,
         for the range of their signals and for the directions of free values.
     result
@@ -41,7 +38,7 @@ def effect_curves(
     if not fitted.added:
         return ()
     try:
-        trajectories = workbench.trajectories(fitted)
+        trajectories = fitter.trajectories(fitted)
     except ClusterEstError as error:
         why = f"its experiments cannot be simulated ({error})"
         return tuple(EffectCurve(c.effect.name, str(c.site), why_not=why) for c in fitted.added)
@@ -50,10 +47,10 @@ def effect_curves(
         found = [arguments(each, site, name) for each in trajectories]
         return np.concatenate([each for each in found if each is not None] or [np.zeros(0)])
 
-    curves = effect_shapes(result, workbench.description, visited)
+    curves = effect_shapes(result, fitter.description, visited)
     sites = {c.effect.name: c.site for c in fitted.added}
     # free values follow from the linear systems, which a filter that corrects the states changes
-    residuals = None if workbench.filtered else fitted.residuals
+    residuals = None if fitter.predicts else fitted.residuals
     return tuple(_shown(each, sites.get(each.effect), trajectories, residuals) for each in curves)
 
 

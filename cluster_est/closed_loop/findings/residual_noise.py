@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri, ndtr
 
-from cluster_est.closed_loop.fitter import FittedModel
+from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.output_noise import is_given, is_told
 from cluster_est.closed_loop.selection.rounds import VERDICT
-from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.statistics.noise.estimate import SHORTEST_NOISE_RECORD, estimate_noise
 from cluster_est.statistics.records import StackedRecords
 from cluster_est.statistics.residual_findings import from_to, large_sigma, small_sigma
@@ -154,29 +153,29 @@ class OutputNoise:
 
 
 def residual_noise(
-    workbench: LoopWorkbench, fitted: FittedModel, noise: FloatArray
+    fitter: Fitter, fitted: FittedModel, noise: FloatArray
 ) -> tuple[OutputNoise, ...]:
     """Compare the residual of a fit with the noise of each output.
 
     Parameters
     ----------
-    workbench, fitted
+    fitter, fitted
         Where, and what is compared.
     noise : (outputs,)
         Estimated standard deviations of the noise, in units of the residual.
     """
     found = [
-        _of_output(workbench, fitted, number, float(noise[number]))
-        for number in range(len(workbench.records.outputs))
+        _of_output(fitter, fitted, number, float(noise[number]))
+        for number in range(len(fitter.records.outputs))
     ]
     return tuple(each for each in found if each is not None)
 
 
 def _of_output(
-    workbench: LoopWorkbench, fitted: FittedModel, number: int, noise: float
+    fitter: Fitter, fitted: FittedModel, number: int, noise: float
 ) -> OutputNoise | None:
     """One output's residual beside its noise; None where nothing is left."""
-    records, declared = workbench.records, workbench.sigma_declared
+    records, declared = fitter.records, fitter.sigma_declared
     part = fitted.residuals[records.of_output(number)]
     rms = float(np.sqrt(np.mean(part**2))) if len(part) else 0.0
     if not rms > 0.0:
@@ -198,23 +197,21 @@ def _of_output(
             and white**2 <= COLOURED * rms**2
         ),
         declared=declared,
-        loud=_loud(workbench, fitted, number) if declared else (),
+        loud=_loud(fitter, fitted, number) if declared else (),
         told=is_told(records, number),
-        given=is_given(workbench.fitter, number),
-        filtered=workbench.filtered,
+        given=is_given(fitter, number),
+        filtered=fitter.predicts,
     )
 
 
-def believed_noise(
-    workbench: LoopWorkbench, outputs: Sequence[OutputNoise], noise: FloatArray
-) -> FloatArray:
+def believed_noise(fitter: Fitter, outputs: Sequence[OutputNoise], noise: FloatArray) -> FloatArray:
     """Return the noise of each output, in units of the residual: (outputs,).
 
     The declared sigma where the data do not contradict it, and what is left looks like noise that
     large; else the estimate.
     """
     believed = {each.output for each in outputs if each.believed and each.like_noise}
-    pairs = zip(workbench.records.outputs, noise.tolist(), strict=True)
+    pairs = zip(fitter.records.outputs, noise.tolist(), strict=True)
     return np.array([max(1.0, own) if name in believed else own for name, own in pairs])
 
 
@@ -273,9 +270,9 @@ def suspected_sigma(outputs: Sequence[OutputNoise]) -> str:
     return "; ".join(said)
 
 
-def _loud(workbench: LoopWorkbench, fitted: FittedModel, number: int) -> tuple[str, ...]:
+def _loud(fitter: Fitter, fitted: FittedModel, number: int) -> tuple[str, ...]:
     """Experiments whose own sigma is too small for one output, where those of others are not."""
-    records, sigmas = workbench.records, workbench.sigmas
+    records, sigmas = fitter.records, fitter.sigmas
     own = [r for r in records.items if r.output == number and len(r.times)]
     if len({float(sigmas[record.rows.start]) for record in own}) < 2:
         return ()
@@ -283,7 +280,7 @@ def _loud(workbench: LoopWorkbench, fitted: FittedModel, number: int) -> tuple[s
     for record in own:
         alone = StackedRecords(records.outputs, (record,))
         if estimate_noise(fitted.residuals, alone)[number] > NOISY:
-            loud.append(workbench.problem.experiments[workbench.train[record.experiment]].id)
+            loud.append(fitter.problem.experiments[fitter.train[record.experiment]].id)
     return tuple(loud) if len(loud) < len(own) else ()
 
 

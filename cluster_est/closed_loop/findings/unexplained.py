@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import welch
 
-from cluster_est.closed_loop.fitter import FittedModel
-from cluster_est.closed_loop.workbench import LoopWorkbench
+from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.problem.display import readable_time
 from cluster_est.problem.tables.measured import UnusedColumns
 from cluster_est.problem.variables import silent_inputs
@@ -75,19 +74,19 @@ class UnexplainedResidual:
 
 
 def unexplained_residuals(
-    workbench: LoopWorkbench, fitted: FittedModel, noise: FloatArray
+    fitter: Fitter, fitted: FittedModel, noise: FloatArray
 ) -> tuple[UnexplainedResidual, ...]:
     """Describe what a fit leaves of each output beyond its noise; the largest first.
 
     Parameters
     ----------
-    workbench, fitted
+    fitter, fitted
         Where, and the fit.
     noise : (outputs,)
         Standard deviations of the noise, in units of the residual.
     """
-    records = workbench.records
-    sigmas = workbench.sigmas
+    records = fitter.records
+    sigmas = fitter.sigmas
     found = []
     for number, name in enumerate(records.outputs):
         own = [item for item in records.items if item.output == number]
@@ -99,7 +98,7 @@ def unexplained_residuals(
         beyond = float(np.sqrt(square - level**2))
         # in units of the output, whose sigma each experiment may have for itself
         size = float(np.sqrt(np.mean((part * sigmas[rows]) ** 2) * (1.0 - level**2 / square)))
-        variable = workbench.description.variables.get(name)
+        variable = fitter.description.variables.get(name)
         shortest, period = _periods(fitted.residuals, own, level)
         found.append(
             UnexplainedResidual(
@@ -227,7 +226,7 @@ class VaryingColumn:
 
 
 def varying_columns(
-    workbench: LoopWorkbench, residuals: FloatArray, period: float = np.nan
+    fitter: Fitter, residuals: FloatArray, significance: float, period: float = np.nan
 ) -> tuple[VaryingColumn, ...]:
     """Name unused columns that vary with a residual, by more than chance; the surest first.
 
@@ -235,35 +234,37 @@ def varying_columns(
 
     Parameters
     ----------
-    workbench
+    fitter
         Its problem knows the tables; experiments that were made in Python have none.
     residuals : (N,)
         Of the training experiments.
+    significance
+        The largest p-value, corrected for all columns and outputs, of a column that is named.
     period
         Of what is looked for, in seconds; NaN for none.
     """
-    tables = _tables(workbench)
+    tables = _tables(fitter)
     names = _common(tables)
     if not names:
         return ()
     found = []
-    count = len(names) * len(workbench.records.outputs)
-    for output, label in enumerate(workbench.records.outputs):
+    count = len(names) * len(fitter.records.outputs)
+    for output, label in enumerate(fitter.records.outputs):
         for name in names:
-            seen = _dependence(_pairs(workbench, tables, residuals, output, name))
+            seen = _dependence(_pairs(fitter, tables, residuals, output, name))
             p = min(seen.p * count, 1.0)
-            if p <= workbench.settings.significance:
+            if p <= significance:
                 found.append(VaryingColumn(name, label, seen.share, p))
     if not found and np.isfinite(period):
         found = [
             VaryingColumn(name, "", np.nan, period=period)
             for name in names
-            if _has_period(workbench, tables, residuals, name, period)
+            if _has_period(fitter, tables, residuals, name, period)
         ]
     best: dict[str, VaryingColumn] = {}
     for each in sorted(found, key=lambda c: (np.nan_to_num(c.p), -np.nan_to_num(c.share))):
         best.setdefault(each.column, each)
-    silent = silent_inputs(workbench.problem, workbench.description)
+    silent = silent_inputs(fitter.problem, fitter.description)
     return tuple(replace(each, silent=silent) for each in best.values())[:MOST_NAMED_COLUMNS]
 
 
@@ -282,10 +283,10 @@ def _dependence(pairs: Sequence[_Pair]) -> Dependence:
     return dependence([(pair.residual, pair.column) for pair in pairs], known)
 
 
-def _tables(workbench: LoopWorkbench) -> dict[int, UnusedColumns]:
+def _tables(fitter: Fitter) -> dict[int, UnusedColumns]:
     """Unused columns of the training experiments, by position; none if one has no table."""
-    sources = {source.experiment: source for source in workbench.problem.tables}
-    ids = [workbench.problem.experiments[e].record_id for e in workbench.train]
+    sources = {source.experiment: source for source in fitter.problem.tables}
+    ids = [fitter.problem.experiments[e].record_id for e in fitter.train]
     if not all(name in sources for name in ids):
         return {}
     return {i: sources[name].unused() for i, name in enumerate(ids)}
@@ -301,7 +302,7 @@ def _common(tables: Mapping[int, UnusedColumns]) -> list[str]:
 
 
 def _pairs(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     tables: Mapping[int, UnusedColumns],
     residuals: FloatArray,
     output: int,
@@ -311,13 +312,13 @@ def _pairs(
 
     None where the column is missing in one of them, or is a copy of what is used.
     """
-    records = [r for r in workbench.records.items if r.output == output and len(r.times) > 2]
+    records = [r for r in fitter.records.items if r.output == output and len(r.times) > 2]
     if not records:
         return []
     step = float(np.median(np.concatenate([np.diff(record.times) for record in records])))
     made = []
     for record in records:
-        experiment = workbench.problem.experiments[workbench.train[record.experiment]]
+        experiment = fitter.problem.experiments[fitter.train[record.experiment]]
         times = _even_times(record, step)
         x = tables[record.experiment].at(name, times)
         if x is None or _is_copy(x, times, experiment):
@@ -348,14 +349,14 @@ def _is_copy(x: FloatArray, times: FloatArray, experiment: Experiment) -> bool:
 
 
 def _has_period(
-    workbench: LoopWorkbench,
+    fitter: Fitter,
     tables: Mapping[int, UnusedColumns],
     residuals: FloatArray,
     name: str,
     period: float,
 ) -> bool:
     """Return whether most of a column is a wave of this period, in every record."""
-    pairs = _pairs(workbench, tables, residuals, 0, name)
+    pairs = _pairs(fitter, tables, residuals, 0, name)
     long = [pair for pair in pairs if np.ptp(pair.times) >= SWINGS * period]
     shares = [periodic_share(pair.column, pair.times, period) for pair in long]
     return bool(long) and min(shares) >= PERIODIC

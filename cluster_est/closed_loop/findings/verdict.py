@@ -30,7 +30,7 @@ from cluster_est.closed_loop.findings.residual_noise import (
     residual_noise,
     suspected_sigma,
 )
-from cluster_est.closed_loop.fitter import FittedModel
+from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import (
     VERDICT,
@@ -39,7 +39,6 @@ from cluster_est.closed_loop.selection.rounds import (
     SelectionRound,
 )
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.statistics.residual_findings import autocorrelated
 from workers.messages import FloatArray
 
@@ -136,11 +135,11 @@ class _Residual:
         return f"residual {worst.level:.3g} times the {worst.over}{named}"
 
 
-def judge(workbench: LoopWorkbench, found: SelectionResult) -> ReasonedVerdict:
+def judge(fitter: Fitter, found: SelectionResult) -> ReasonedVerdict:
     """Judge from the training experiments alone; the held-out ones may only take away."""
-    base = _residual(workbench, found, found.base, found.steps[0])
-    now = _residual(workbench, found, found.current, found.last)
-    judged = _judged(workbench, found, base, now)
+    base = _residual(fitter, found, found.base, found.steps[0])
+    now = _residual(fitter, found, found.current, found.last)
+    judged = _judged(fitter, found, base, now)
     suspected = suspected_sigma(now.outputs)
     reason = f"{judged.reason}; {suspected}" if suspected else judged.reason
     smaller = {o.output: o.white for o in now.outputs if o.sigma_too_large and o.white > 0.0}
@@ -148,20 +147,20 @@ def judge(workbench: LoopWorkbench, found: SelectionResult) -> ReasonedVerdict:
     return replace(
         judged,
         reason=reason,
-        declared=workbench.sigma_declared,
+        declared=fitter.sigma_declared,
         noise=smaller,
         floor=float(np.sqrt(np.mean(np.square(floor)))) if floor else 1.0,
-        filtered=workbench.filtered,
+        filtered=fitter.predicts,
     )
 
 
 def _judged(
-    workbench: LoopWorkbench, found: SelectionResult, base: _Residual, now: _Residual
+    fitter: Fitter, found: SelectionResult, base: _Residual, now: _Residual
 ) -> ReasonedVerdict:
     """Judge what a search has added, or that it has added nothing."""
     if not found.current.added:
-        return _nothing_added(found, now, workbench.settings)
-    training, predicted = _closed(workbench, found, now)
+        return _nothing_added(found, now, found.settings)
+    training, predicted = _closed(fitter, found, now)
     closed = min(training, predicted)
     thresholds = VERDICT
     several = len(found.current.added) > 1
@@ -192,7 +191,7 @@ def _judged(
     if base.of_sensors:
         reason = f"{_autocorrelated(base)}; the effects that were tried do not explain it"
         return ReasonedVerdict(Verdict.COLOURED, reason, closed)
-    missing = f"{base.missing}, and {_nothing(found, workbench.settings)}"
+    missing = f"{base.missing}, and {_nothing(found, found.settings)}"
     best = "the best effects" if several else "the best effect"
     little = _little(training, predicted, several=several)
     return ReasonedVerdict(Verdict.UNEXPLAINED, f"{missing}: {best} {little}", closed)
@@ -314,12 +313,12 @@ def _autocorrelated(residual: _Residual) -> str:
 
 
 def _residual(
-    workbench: LoopWorkbench, found: SelectionResult, fitted: FittedModel, at: SelectionRound
+    fitter: Fitter, found: SelectionResult, fitted: FittedModel, at: SelectionRound
 ) -> _Residual:
     """Look at what a model leaves, with the screening of the round that began at it."""
-    thresholds, settings = VERDICT, workbench.settings
-    outputs = residual_noise(workbench, fitted, found.noise)
-    excess = _excess(workbench, fitted, found.noise)
+    thresholds, settings = VERDICT, found.settings
+    outputs = residual_noise(fitter, fitted, found.noise)
+    excess = _excess(fitter, fitted, found.noise)
     screening, level = at.screening, thresholds.structure
     of_sensors = is_noise_of_sensors(
         outputs,
@@ -331,25 +330,23 @@ def _residual(
     return _Residual(outputs, excess, structured, of_sensors)
 
 
-def _excess(workbench: LoopWorkbench, fitted: FittedModel, noise: FloatArray) -> float:
+def _excess(fitter: Fitter, fitted: FittedModel, noise: FloatArray) -> float:
     """Squares over those of the noise, less 1: of all outputs, or of the one with the most."""
-    rows = [workbench.records.of_output(o) for o in range(len(workbench.records.outputs))]
+    rows = [fitter.records.of_output(o) for o in range(len(fitter.records.outputs))]
     alone = [
         float(np.mean(fitted.residuals[own] ** 2) / level**2)
         for own, level in zip(rows, noise.tolist(), strict=True)
         if len(own) and level > 0.0
     ]
-    return max(fitted.sse / workbench.noise_floor(noise), *alone, 0.0) - 1.0
+    return max(fitted.sse / fitter.noise_floor(noise), *alone, 0.0) - 1.0
 
 
-def _closed(
-    workbench: LoopWorkbench, found: SelectionResult, now: _Residual
-) -> tuple[float, float]:
+def _closed(fitter: Fitter, found: SelectionResult, now: _Residual) -> tuple[float, float]:
     """Shares of the gap to the noise that are closed, in training and in prediction.
 
     The noise is the declared sigma where the data do not contradict it, else the estimate.
     """
-    floor = workbench.noise_floor(believed_noise(workbench, now.outputs, found.noise))
+    floor = fitter.noise_floor(believed_noise(fitter, now.outputs, found.noise))
     base, last = found.base.sse, found.current.sse
     gap = base - min(floor, last)
     training = (base - last) / gap if gap > 0.0 else 0.0  # of any unit, however small its squares

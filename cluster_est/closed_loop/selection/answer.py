@@ -37,7 +37,7 @@ from cluster_est.closed_loop.selection.rounds import (
     SelectionRound,
     compared_structure,
 )
-from cluster_est.closed_loop.settings import LoopPart, LoopSettings, LoopStage
+from cluster_est.closed_loop.settings import LoopPart, LoopStage
 from cluster_est.methods.method import Ending, Solution
 from cluster_est.problem.search_space import SearchSpace
 from cluster_est.results.result import Result
@@ -55,16 +55,25 @@ STRENGTH_LEVEL = 0.05
 By definition."""
 
 
-def answers(found: SelectionResult) -> list[SelectionResult]:
+def answers(fitter: Fitter, grown: SelectionResult) -> list[SelectionResult]:
     """Return the answer of a search, and those that it took the place of, the last one first.
 
-    The declared model, which is the first of all, is not among them; if it predicts best, none is.
+    If the declared model predicts best, it is the only one.
     """
+    without = grown.settings.without
+    ends = [grown] if LoopPart.ANSWER in without else best_ancestors(grown)
+    if LoopPart.STRENGTHS in without:
+        return ends
+    return [without_undetermined(fitter, each) for each in ends]
+
+
+def best_ancestors(found: SelectionResult) -> list[SelectionResult]:
+    """Return a search as it would have ended at what predicts best, then at what it replaced."""
     chain = [0]
     for number in range(1, len(found.accepted)):
         if _replaces(found.accepted[number], found.accepted[chain[-1]]):
             chain.append(number)
-    return [ending_at(found, number) for number in reversed(chain) if number]
+    return [ending_at(found, number) for number in reversed(chain[1:] or chain)]
 
 
 def ending_at(found: SelectionResult, number: int) -> SelectionResult:
@@ -115,9 +124,7 @@ def _complexity(fitted: FittedModel) -> tuple[int, int]:
     return len(fitted.added), fitted.space.size
 
 
-def without_undetermined(
-    fitter: Fitter, settings: LoopSettings, found: SelectionResult
-) -> SelectionResult:
+def without_undetermined(fitter: Fitter, found: SelectionResult) -> SelectionResult:
     """Take out effects whose strengths may all be zero, the least determined one first."""
     while found.current.added:
         current = found.current
@@ -127,7 +134,7 @@ def without_undetermined(
         worst = int(np.argmax(p))
         if p[worst] <= STRENGTH_LEVEL:
             break
-        found = without_effects(fitter, settings, found, [worst], LoopPart.STRENGTHS)
+        found = without_effects(fitter, found, [worst], LoopPart.STRENGTHS)
     return found
 
 
@@ -187,7 +194,6 @@ def strength_p(
 
 def without_effects(
     fitter: Fitter,
-    settings: LoopSettings,
     found: SelectionResult,
     positions: Sequence[int],
     part: LoopPart,
@@ -219,7 +225,7 @@ def without_effects(
         if refitted is not None and is_usable(fitter, refitted, found.base):
             number, floor = len(found.steps) + 1, fitter.noise_floor(found.noise)
             kept, prediction = refitted, predict(fitter, refitted)
-            screening = screen(fitter, settings, refitted, number)
+            screening = screen(fitter, found.settings, refitted, number)
             row = compared_structure(fitter.records, found.base, refitted, floor, number, part)
             path = (*path, row)
     seen = SelectionRound(screening, (), WHY_TAKEN_OUT[part])

@@ -260,6 +260,8 @@ class SelectionResult:
         Of all rounds.
     noise
         Of each output, in units of its residual.
+    settings
+        Of the search.
     path
         The structures that were compared, in the order of the rounds, the best of each first.
     accepted
@@ -274,6 +276,7 @@ class SelectionResult:
     steps: tuple[SelectionRound, ...] = field(repr=False)
     findings: tuple[CandidateEvidence, ...] = field(repr=False)
     noise: np.ndarray
+    settings: LoopSettings
     path: tuple[ComparedStructure, ...] = field(default=(), repr=False)
     accepted: tuple[AcceptedStructure, ...] = field(default=(), repr=False)
 
@@ -333,11 +336,11 @@ def _near_noise_sse(begun: RoundStart) -> float:
     return float(near**2 * begun.floor)
 
 
-def without_search(fitter: Fitter, base: FittedModel) -> SelectionResult:
+def without_search(fitter: Fitter, settings: LoopSettings, base: FittedModel) -> SelectionResult:
     """The declared model alone, where no effect was looked for."""
     nothing = LeaveOneOutPrediction(np.zeros(0))
     noise = noise_of(fitter, base.residuals)
-    return SelectionResult(base, base, nothing, nothing, {}, (), (), noise)
+    return SelectionResult(base, base, nothing, nothing, {}, (), (), noise, settings)
 
 
 def evidence_of_round(

@@ -131,8 +131,8 @@ def test_outputs_without_sigma_are_weighted_and_the_reader_is_told(problem):
         runs.append(replace(run, outputs=(y, speed)))
     both = replace(problem, experiments=tuple(runs))
     with opened(both, SETTINGS) as bench:
-        (note,) = bench.notes
-        sigmas = {o.variable: o.sigma for o in bench.problem.experiments[0].outputs}
+        (note,) = bench.scope.notes
+        sigmas = {o.variable: o.sigma for o in bench.fitter.problem.experiments[0].outputs}
     assert sigmas["y"] < 0.01 < sigmas["v"]
     assert f"sigma = {{ y = {sigmas['y']:.6g}, v = {sigmas['v']:.6g} }}" in note
 
@@ -150,12 +150,12 @@ def fixed_mass(problem):
 
 def test_a_parameter_that_the_fmu_declares_fixed_is_said_to_be_closed(problem, fixed_mass):
     with opened(fixed_mass, SETTINGS) as workbench:
-        (note,) = (n for n in workbench.notes if n.startswith("closed to effects"))
+        (note,) = (n for n in workbench.scope.notes if n.startswith("closed to effects"))
         assert "closed to effects: m, because" in note
-        assert "parameter m" not in workbench.sites
-        assert "parameter c" in workbench.sites
+        assert "parameter m" not in workbench.scope.sites
+        assert "parameter c" in workbench.scope.sites
     with opened(problem, SETTINGS) as workbench:
-        assert not any("closed to effects" in note for note in workbench.notes)
+        assert not any("closed to effects" in note for note in workbench.scope.notes)
 
 
 def test_a_closed_site_that_was_asked_for_is_refused_with_the_cause(fixed_mass):

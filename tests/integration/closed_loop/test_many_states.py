@@ -81,7 +81,7 @@ def test_the_leak_is_found_at_its_node_and_errors_fall_to_the_noise(problem):
 def ranked(problem):
     """All candidates at the declared model, fitted."""
     with opened(problem) as bench:
-        start = FitStart(bench.problem, {})
+        start = FitStart(bench.fitter.problem, {})
         (fitted,) = bench.fitter.fit(LoopStage.DECLARED_MODEL, [start], ce.LeastSquares())
         return rank(bench.fitter, bench.settings, fitted)
 

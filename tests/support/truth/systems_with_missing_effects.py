@@ -121,10 +121,10 @@ def opened(problem: Problem, settings: LoopSettings | None = None) -> Iterator[L
 
 def unfitted(bench: LoopWorkbench, start: FitStart | None = None) -> FittedModel:
     """The model where it starts, as if it had been fitted; its Jacobian is zero."""
-    space = bench.fitter.space(start or FitStart(bench.problem, {}))
+    space = bench.fitter.space(start or FitStart(bench.fitter.problem, {}))
     ((at,),) = bench.fitter.evaluate(LoopStage.TRIALS, [(space, space.start[None, :])])
     assert at.ok, at.reason
-    return FittedModel(space, space.start, at.residuals, np.zeros((bench.size, space.size)))
+    return FittedModel(space, space.start, at.residuals, np.zeros((bench.fitter.size, space.size)))
 
 
 def measured(problem: Problem, noise: float, seed: int = 3) -> Problem:

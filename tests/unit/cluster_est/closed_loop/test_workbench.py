@@ -29,7 +29,11 @@ def bench():
 def candidates(bench):
     fitted = unfitted(bench)
     found = make_candidates(
-        fitted.problem, bench.description, bench.trajectories(fitted), [], bench.settings
+        fitted.problem,
+        bench.fitter.description,
+        bench.fitter.trajectories(fitted),
+        [],
+        bench.settings,
     )
     return fitted, {c.form.name: c for c in found}
 
@@ -52,18 +56,18 @@ def test_the_criterion_is_that_of_schwarz(bench):
     fitted = unfitted(bench)
     n, k = len(fitted.residuals), 4  # m, k and two of c
     likelihood = n * np.log(np.mean(fitted.residuals**2))
-    assert fitted.likelihood(bench.records) == pytest.approx(likelihood)
-    assert fitted.criterion(bench.records) == pytest.approx(likelihood + k * np.log(n))
+    assert fitted.likelihood(bench.fitter.records) == pytest.approx(likelihood)
+    assert fitted.criterion(bench.fitter.records) == pytest.approx(likelihood + k * np.log(n))
 
 
 def test_each_output_has_a_variance_of_its_own():
     problem = measured(missing_effect_problem("two_mass_drive"), 0.1)
     with opened(problem) as ready:
         fitted = unfitted(ready)
-        first, second = (fitted.residuals[ready.records.of_output(o)] for o in (0, 1))
-        units = ready.noise_in_units(np.array([2.0, 3.0]))
+        first, second = (fitted.residuals[ready.fitter.records.of_output(o)] for o in (0, 1))
+        units = ready.fitter.noise_in_units(np.array([2.0, 3.0]))
         expected = sum(len(r) * np.log(np.mean(r**2)) for r in (first, second))
-        assert fitted.likelihood(ready.records) == pytest.approx(expected)
+        assert fitted.likelihood(ready.fitter.records) == pytest.approx(expected)
     assert units == pytest.approx({"motor_speed": 2.0 * 0.5, "load_speed": 3.0 * 0.7})
 
 
@@ -80,7 +84,7 @@ def enlarged(bench):
 
 
 def test_synthetic_experiments_start_from_the_values_of_their_experiments(bench):
-    start = FitStart(bench.problem, {"m": 1.3, "c[e0]": 0.7, "c[e1]": 0.9})
+    start = FitStart(bench.fitter.problem, {"m": 1.3, "c[e0]": 0.7, "c[e1]": 0.9})
     kind = shortened(bench)
     space = bench.fitter.space(start, kind)
     labels = [u.label for u in space.unknowns]
@@ -88,12 +92,12 @@ def test_synthetic_experiments_start_from_the_values_of_their_experiments(bench)
     assert labels == ["m", "k", f"c[e0 ({part})]", f"c[e1 ({part})]"]
     np.testing.assert_allclose(space.start, [1.3, 30.0, 0.7, 0.9])
     kept = sum(space.problem.experiments[e].size for e in space.experiments)
-    assert kept < 1.3 * kind.share * bench.size
+    assert kept < 1.3 * kind.share * bench.fitter.size
 
 
 def copies(bench, kind):
     runs = bench.fitter.everything.experiments
-    pairs = zip(bench.train, bench.fitter.synthetic[kind], strict=True)
+    pairs = zip(bench.fitter.train, bench.fitter.synthetic[kind], strict=True)
     return [(runs[own], runs[copy]) for own, copy in pairs]
 
 
@@ -130,10 +134,10 @@ def test_inputs_swing_further_about_their_means(bench):
 
 
 def test_a_fit_that_cannot_be_simulated_is_none(bench):
-    heavy, *others = bench.problem.parameters
+    heavy, *others = bench.fitter.problem.parameters
     light = replace(heavy, start=-1.0, lower=-2.0, upper=-0.5)
-    broken = replace(bench.problem, parameters=(light, *others))
-    good = FitStart(bench.problem, {})
+    broken = replace(bench.fitter.problem, parameters=(light, *others))
+    good = FitStart(bench.fitter.problem, {})
     method = LeastSquares(max_iterations=2)
     fits = bench.fitter.fit(LoopStage.REFITS, [good, FitStart(broken, {}), good], method)
     assert [fit is None for fit in fits] == [False, True, False]
@@ -143,15 +147,15 @@ def test_a_fit_that_cannot_be_simulated_is_none(bench):
 @pytest.mark.parametrize("parts", [0, 1])
 def test_a_meter_counts_parts_of_experiments(bench, parts):
     kind = shortened(bench) if parts else None
-    space = bench.fitter.space(FitStart(bench.problem, {}), kind)
-    before = bench.meter.full
+    space = bench.fitter.space(FitStart(bench.fitter.problem, {}), kind)
+    before = bench.fitter.meter.full
     bench.fitter.evaluate(LoopStage.TRIALS, [(space, space.start[None, :] + 1e-3)])
     share = kind.share if kind is not None else 1.0
-    assert bench.meter.full - before == pytest.approx(2.0 * share, rel=1e-6)
+    assert bench.fitter.meter.full - before == pytest.approx(2.0 * share, rel=1e-6)
 
 
 def test_streams_of_random_numbers_are_apart_and_repeat(bench):
-    one, same, other = (bench.generator(i).normal(size=4) for i in (1, 1, 2))
+    one, same, other = (bench.fitter.generator(i).normal(size=4) for i in (1, 1, 2))
     np.testing.assert_array_equal(one, same)
     assert not np.isclose(one, other).any()
 
@@ -193,8 +197,8 @@ def test_states_are_closed_in_co_simulation():
     ):
         pass
     with opened(problem) as bench:
-        assert "der(v)" not in bench.sites
-        assert any("state derivatives were closed" in note for note in bench.notes)
+        assert "der(v)" not in bench.scope.sites
+        assert any("state derivatives were closed" in note for note in bench.scope.notes)
 
 
 def of_few_samples(*samples, sigma=0.5):
@@ -216,12 +220,12 @@ def test_too_few_measurements(samples):
 
 def test_notes_for_a_reader():
     with opened(missing_effect_problem("mass_spring_damper", experiments=1)) as bench:
-        assert any("only one training experiment" in note for note in bench.notes)
-        assert any('no experiment has role = "test"' in note for note in bench.notes)
+        assert any("only one training experiment" in note for note in bench.scope.notes)
+        assert any('no experiment has role = "test"' in note for note in bench.scope.notes)
     first, second = SPRING.experiments
     with opened(replace(SPRING, experiments=(first, replace(second, role="test")))) as bench:
-        assert bench.train == (0,)
-        assert not any("role" in note for note in bench.notes)
+        assert bench.fitter.train == (0,)
+        assert not any("role" in note for note in bench.scope.notes)
 
 
 def two_units(sigma):
@@ -238,9 +242,9 @@ def two_units(sigma):
 
 def test_outputs_without_sigma_are_weighted_with_their_noise():
     with opened(two_units(1.0)) as bench:
-        for run in bench.problem.experiments:
+        for run in bench.fitter.problem.experiments:
             assert [o.sigma for o in run.outputs] == pytest.approx([0.02, 0.2], rel=0.2)
-        assert any("sigma = { motor_speed = 0.0" in note for note in bench.notes)
+        assert any("sigma = { motor_speed = 0.0" in note for note in bench.scope.notes)
 
 
 def test_an_output_without_known_noise_is_not_said_to_be_weighted_with_it():
@@ -248,7 +252,7 @@ def test_an_output_without_known_noise_is_not_said_to_be_weighted_with_it():
     none = {"motor_speed": {}, "load_speed": {"times": np.zeros(0), "values": np.zeros(0)}}
     problem = with_outputs(two_units(1.0), lambda output: replace(output, **none[output.variable]))
     with opened(problem) as bench:
-        (note,) = (note for note in bench.notes if "sigma" in note)
+        (note,) = (note for note in bench.scope.notes if "sigma" in note)
     assert "noise, but for load_speed, of which no noise is known; write" in note
     assert "load_speed = 1 }" in note
 
@@ -259,11 +263,11 @@ def test_an_output_without_known_noise_is_not_said_to_be_weighted_with_it():
 def test_records_too_short_to_know_their_noise_are_named(samples, sigma, said):
     """The whole residual of the declared model is taken for noise then."""
     with opened(of_few_samples(*samples, sigma=sigma)) as bench:
-        notes = [note for note in bench.notes if "no record of y has 10 samples" in note]
+        notes = [note for note in bench.scope.notes if "no record of y has 10 samples" in note]
     assert bool(notes) is said
 
 
 def test_given_sigmas_are_kept():
     with opened(two_units(0.5)) as bench:
-        assert {o.sigma for run in bench.problem.experiments for o in run.outputs} == {0.5}
-        assert not any("sigma" in note for note in bench.notes)
+        assert {o.sigma for run in bench.fitter.problem.experiments for o in run.outputs} == {0.5}
+        assert not any("sigma" in note for note in bench.scope.notes)

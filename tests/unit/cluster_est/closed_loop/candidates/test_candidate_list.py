@@ -27,7 +27,7 @@ PLAIN = missing_effect_problem("mass_spring_damper", signals=())
 def simulated(problem):
     """The description of its FMU, and the trajectories at the start of its parameters."""
     with opened(problem) as bench:
-        return bench.description, bench.trajectories(unfitted(bench))
+        return bench.fitter.description, bench.fitter.trajectories(unfitted(bench))
 
 
 def listed(problem, frequencies=(3.0,), **settings):
@@ -347,7 +347,7 @@ def test_states_that_effects_bring_are_nothing_to_depend_on():
         lagged = Effect("lag", "input F", "lag")
         tau = Parameter("lag.tau", 0.1, 0.01, 1.0)
         grown = replace(problem, effects=(lagged,), parameters=(*problem.parameters, tau))
-        courses = bench.trajectories(unfitted(bench, replace(start, problem=grown)))
+        courses = bench.fitter.trajectories(unfitted(bench, replace(start, problem=grown)))
     assert set(courses[0].signals) == {"x", "v", "F", "extra", "y"}
     assert np.abs(courses[0].signal("F") - problem.experiments[0].inputs[0].values).max() > 0.1
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support.loop_objects import (
     fit_with_squares,
-    made_bench,
     made_candidate,
+    made_fitter,
     made_problem,
     made_refit,
     made_round,
@@ -108,7 +108,7 @@ def test_nothing_is_said_where_nothing_is_known():
 def searched(runs, rival_worse):
     """An effect that was added, and a rival that is worse in some experiments, better in others."""
     problem = made_problem(*runs)
-    bench = made_bench(problem)
+    fitter = made_fitter(problem)
     generator = np.random.default_rng(1)
     base = fit_with_squares(problem, 9.0 * sum(runs))
     noise = generator.standard_normal(sum(runs))
@@ -118,13 +118,13 @@ def searched(runs, rival_worse):
     rival = replace(current, residuals=factor * noise, added=(made_candidate("rival", "load"),))
     screening = made_screening(current.jacobian, current.residuals, [], [])
     last = made_round(None, screening)
-    contender = made_refit(rival, rival.criterion(bench.records))
-    return bench, made_selection(base, current, replace(last, contenders=(contender,)))
+    contender = made_refit(rival, rival.criterion(fitter.records))
+    return fitter, made_selection(base, current, replace(last, contenders=(contender,)))
 
 
 def test_one_that_is_better_everywhere_is_always_chosen():
-    bench, found = searched([60] * 6, [0.5] * 6)
-    choices = resampled_choices(bench, found)
+    fitter, found = searched([60] * 6, [0.5] * 6)
+    choices = resampled_choices(fitter, found)
     (own,) = (labels for labels, share in choices.shares.items() if share == 1.0)
     assert own == tuple(each.label for each in found.current.added)
     assert choices.sentence.startswith("of 200 times that the 6 experiments were drawn anew, the ")
@@ -132,24 +132,24 @@ def test_one_that_is_better_everywhere_is_always_chosen():
 
 
 def test_one_that_is_better_in_a_part_of_the_experiments_is_chosen_sometimes():
-    bench, found = searched([60] * 6, [0.3, 0.3, 0.3, 0.3, -0.25, -0.25])
-    shares = sorted(resampled_choices(bench, found).shares.values())
+    fitter, found = searched([60] * 6, [0.3, 0.3, 0.3, 0.3, -0.25, -0.25])
+    shares = sorted(resampled_choices(fitter, found).shares.values())
     assert shares[-1] + shares[-2] == pytest.approx(1.0)
     assert 0.02 < shares[-2] < 0.5
-    again = sorted(resampled_choices(bench, found).shares.values())
+    again = sorted(resampled_choices(fitter, found).shares.values())
     assert shares == again
 
 
 def test_of_few_experiments_parts_of_the_records_are_drawn():
-    bench, found = searched([100], [0.5])
-    choices = resampled_choices(bench, found)
+    fitter, found = searched([100], [0.5])
+    choices = resampled_choices(fitter, found)
     assert "tenths of the records" in choices.sentence
     assert max(choices.shares.values()) == 1.0
 
 
 def test_nothing_where_nothing_was_added():
-    bench, found = searched([100], [0.5])
-    assert resampled_choices(bench, replace(found, current=found.base)) is None
+    fitter, found = searched([100], [0.5])
+    assert resampled_choices(fitter, replace(found, current=found.base)) is None
 
 
 def test_the_best_row_of_a_set_has_its_share():

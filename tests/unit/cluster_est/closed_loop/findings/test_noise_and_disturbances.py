@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from support.loop_objects import made_bench, made_fit, made_problem
+from support.loop_objects import made_fit, made_fitter, made_problem
 
 from cluster_est.closed_loop.findings.residual_noise import (
     believed_noise,
@@ -40,9 +40,9 @@ def disturbed(size: float, seed: int) -> np.ndarray:
 
 def looked_at(problem, residual: np.ndarray):
     """What the outputs of a residual over sigma show, and the noise that is estimated for them."""
-    bench, fitted = made_bench(problem), made_fit(problem, residual)
-    noise = estimate_noise(residual, bench.records)
-    return residual_noise(bench, fitted, noise), noise
+    fitter, fitted = made_fitter(problem), made_fit(problem, residual)
+    noise = estimate_noise(residual, fitter.records)
+    return residual_noise(fitter, fitted, noise), noise
 
 
 def of_sensors(residual: np.ndarray, declared: float | None) -> bool:
@@ -87,16 +87,16 @@ def test_a_slow_wave_in_a_short_record_is_not_within_its_sigma(amplitude):
 @pytest.mark.parametrize("declared", [TRUE, 1.0])
 def test_a_residual_without_noise_is_none_of_a_sensor(declared):
     problem = made_problem(60, sigma=declared)
-    bench, fitted = made_bench(problem), made_fit(problem, np.full(60, 5.0))
-    outputs = residual_noise(bench, fitted, np.zeros(1))
+    fitter, fitted = made_fitter(problem), made_fit(problem, np.full(60, 5.0))
+    outputs = residual_noise(fitter, fitted, np.zeros(1))
     assert [o.output for o in outputs] == ["y0"]
     assert not is_noise_of_sensors(outputs, near=1.5, largest=5.0, whitened=True)
 
 
 def test_an_output_that_is_followed_exactly_has_nothing_to_compare():
     problem = made_problem(60, sigma=TRUE)
-    bench = made_bench(problem)
-    assert residual_noise(bench, made_fit(problem, np.zeros(60)), np.zeros(1)) == ()
+    fitter = made_fitter(problem)
+    assert residual_noise(fitter, made_fit(problem, np.zeros(60)), np.zeros(1)) == ()
 
 
 @pytest.mark.parametrize(
@@ -115,7 +115,7 @@ def test_a_wrong_sigma_is_named_and_not_believed(declared, said):
     sentence = suspected_sigma(outputs)
     assert sentence.endswith(said)
     assert bool(sentence) is bool(said)
-    found = believed_noise(made_bench(problem), outputs, noise)[0]
+    found = believed_noise(made_fitter(problem), outputs, noise)[0]
     assert sigma * found == pytest.approx(TRUE, rel=0.1)
 
 
@@ -188,7 +188,7 @@ SIGMA = 0.2
 
 def left_of(problem, residuals, noise):
     fitted = made_fit(problem, residuals)
-    return unexplained_residuals(made_bench(problem), fitted, np.array(noise))
+    return unexplained_residuals(made_fitter(problem), fitted, np.array(noise))
 
 
 def described(signal):
@@ -241,7 +241,7 @@ def test_a_size_is_in_the_unit_of_the_output_though_experiments_differ_in_sigma(
     (found,) = left_of(problem, np.concatenate([wave / 0.5, wave / 2.0]), [1.0])
     assert found.size == pytest.approx(8.0 / np.sqrt(2.0), rel=0.02)
     pooled = np.sqrt((0.5**2 + 2.0**2) / 2.0)
-    noise = made_bench(problem).noise_in_units(np.array([1.0]))
+    noise = made_fitter(problem).noise_in_units(np.array([1.0]))
     assert noise == {"y0": pytest.approx(pooled)}
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from support.loop_objects import (
     fit_with_squares,
-    made_bench,
     made_candidate,
     made_fit,
+    made_fitter,
     made_problem,
     made_result,
     made_round,
@@ -24,6 +24,7 @@ from cluster_est.closed_loop.selection.rounds import (
     RejectionReason,
     SelectionResult,
 )
+from cluster_est.closed_loop.workbench import LoopScope
 from cluster_est.methods.method import Ending
 from cluster_est.statistics.whiteness import SmoothnessTest
 
@@ -154,14 +155,14 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_verdicts(name):
     case, expected, said = CASES[name]
-    judgement = judge(made_bench(PROBLEM), case.search())
+    judgement = judge(made_fitter(PROBLEM), case.search())
     assert judgement.verdict is expected
     assert said.removeprefix("it ") in judgement.reason
 
 
 def test_what_is_closed_is_the_lesser_of_training_and_prediction():
     search = Case(9.0, 2.0, LITTLE, STRUCTURED, left_out=2.6).search()
-    judgement = judge(made_bench(PROBLEM), search)
+    judgement = judge(made_fitter(PROBLEM), search)
     assert judgement.closed == pytest.approx(6.4 / 8.0)
     assert "80%" in judgement.reason
 
@@ -175,14 +176,14 @@ def test_a_prediction_near_the_noise_is_measured_by_a_part_of_the_noise():
         base, current, made_round(LITTLE, screening),
         squares_before=np.full(4, 1.01 * FLOOR / 4), squares=np.full(4, FLOOR / 4),
     )  # fmt: skip
-    assert judge(made_bench(PROBLEM), search).closed == pytest.approx(0.5)
+    assert judge(made_fitter(PROBLEM), search).closed == pytest.approx(0.5)
 
 
 def test_only_a_known_sigma_sets_the_noise_of_a_sensor_apart_from_a_slow_effect():
     search = CASES["coloured noise"][0].search()
     said = "a slow effect of this size cannot be distinguished from such noise"
-    assert said in judge(made_bench(PROBLEM), search).reason
-    declared = replace(made_bench(PROBLEM), sigma_declared=True)
+    assert said in judge(made_fitter(PROBLEM), search).reason
+    declared = replace(made_fitter(PROBLEM), sigma_declared=True)
     assert said not in judge(declared, search).reason
 
 
@@ -190,7 +191,7 @@ def test_only_a_known_sigma_sets_the_noise_of_a_sensor_apart_from_a_slow_effect(
 def test_where_a_declared_sigma_is_wrong_coloured_noise_is_measured_by_its_white_part(level, white):
     """Both are in units of that sigma: what is left is 1.2 times its own white part."""
     search = Case(level**2, level**2, NOISE, STRUCTURED, (), white=QUIET).search()
-    declared = replace(made_bench(PROBLEM), sigma_declared=True)
+    declared = replace(made_fitter(PROBLEM), sigma_declared=True)
     judgement = judge(declared, replace(search, noise=np.array([white])))
     assert judgement.verdict is Verdict.COLOURED
     assert (
@@ -211,7 +212,7 @@ def test_noise_that_was_filtered_is_not_said_to_be_something_that_is_missing(siz
     wave = size * np.sqrt(2.0) * np.sin(2.0 * np.pi * np.arange(400) / 50.0)
     fit = replace(search.current, residuals=wave)
     smooth = replace(search, base=fit, current=fit, noise=np.array([0.01]))
-    judgement = judge(replace(made_bench(PROBLEM), sigma_declared=True), smooth)
+    judgement = judge(replace(made_fitter(PROBLEM), sigma_declared=True), smooth)
     assert judgement.verdict is Verdict.UNEXPLAINED
     assert judgement.reason.startswith(said)
 
@@ -227,16 +228,19 @@ def test_the_gap_that_is_closed_is_the_same_in_any_unit(unit):
         replace(each, squares=unit**2 * each.squares)
         for each in (search.base_prediction, search.prediction)
     )
-    scaled = SelectionResult(base, current, before, after, {}, search.steps, (), np.array([unit]))
-    judgement = judge(made_bench(PROBLEM), scaled)
+    scaled = SelectionResult(
+        base, current, before, after, {}, search.steps, (), np.array([unit]), LoopSettings()
+    )
+    judgement = judge(made_fitter(PROBLEM), scaled)
     assert judgement.verdict is Verdict.PARTIAL
     assert "closes 76% of the gap" in judgement.reason
 
 
 @pytest.mark.parametrize("narrowed", [{"forms": ("coulomb",)}, {"sites": ("der(v)",)}])
 def test_a_narrowed_search_does_not_speak_for_the_whole_library(narrowed):
-    bench = replace(made_bench(PROBLEM), settings=LoopSettings(**narrowed))
-    reason = judge(bench, Case(9.0, 6.0, LITTLE, STRUCTURED).search()).reason
+    search = Case(9.0, 6.0, LITTLE, STRUCTURED).search()
+    search = replace(search, settings=LoopSettings(**narrowed))
+    reason = judge(made_fitter(PROBLEM), search).reason
     assert "nothing among the forms and sites of closed_loop explains it" in reason
 
 
@@ -359,7 +363,7 @@ def test_what_is_left_of_one_output_does_not_drown_in_the_noise_of_many(excess, 
         np.zeros((1200, 1)), residuals, [], [], structure=STRUCTURED, p_white=1e-9
     )
     search = made_selection(fit, fit, made_round(CLEAN, screening), squares=np.full(1, 1200.0))
-    judgement = judge(made_bench(problem), replace(search, noise=np.ones(12)))
+    judgement = judge(made_fitter(problem), replace(search, noise=np.ones(12)))
     assert judgement.verdict is expected
 
 
@@ -372,7 +376,9 @@ def notes(verdict, before=DONE, after=DONE):
     last = made_round(None, made_screening(base.jacobian, base.residuals, [], []))
     found = made_selection(base, base, last)
     fits = LastFits(before, after, (), ())
-    return account(made_bench(PROBLEM), found, ReasonedVerdict(verdict, ""), fits).notes
+    return account(
+        made_fitter(PROBLEM), found, ReasonedVerdict(verdict, ""), fits, LoopScope()
+    ).notes
 
 
 def ended(ending: Ending):

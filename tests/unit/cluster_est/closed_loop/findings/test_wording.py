@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from support.loop_objects import (
     fit_with_squares,
-    made_bench,
     made_candidate,
     made_fit,
+    made_fitter,
     made_problem,
     made_refit,
     made_result,
@@ -45,7 +45,7 @@ def change(sigma, noise, before=0.6, after=0.2):
     last = made_round(None, made_screening(fitted.jacobian, fitted.residuals, [], []))
     found = made_selection(fitted, fitted, last, noise=[noise / sigma])
     fits = (followed(problem, rmse, sigma) for rmse in (before, after))
-    (row,) = error_changes(made_bench(problem), found, *fits)
+    (row,) = error_changes(made_fitter(problem), found, *fits)
     return row
 
 
@@ -90,7 +90,7 @@ def alternatives(scale=1.0):
     last = made_round(None, made_screening(won.fitted.jacobian, np.zeros(200), [], []))
     found = made_selection(won.fitted, won.fitted, last, noise=[4.0, 0.5])
     found = replace(found, rivals={"a": (won, [rival])})
-    (effect,) = describe_effects(made_bench(problem), found, made_result(problem, []))
+    (effect,) = describe_effects(made_fitter(problem), found, made_result(problem, []))
     return effect.alternatives
 
 
@@ -116,7 +116,7 @@ def test_an_output_without_samples_in_an_experiment_is_passed_over():
     problem = replace(made_problem(50, 50, outputs=2), experiments=runs)
     residuals = np.ones(150)
     residuals[-1] = 30.0
-    said = where_left(made_bench(problem), made_fit(problem, residuals))
+    said = where_left(made_fitter(problem), made_fit(problem, residuals))
     assert "output y1 of experiment 'run 1'" in said
 
 
@@ -130,7 +130,7 @@ def test_an_output_without_samples_in_an_experiment_is_passed_over():
 )
 def test_no_part_is_named_where_none_stands_out(residuals, said):
     problem = made_problem(200, 200)
-    found = where_left(made_bench(problem), made_fit(problem, residuals))
+    found = where_left(made_fitter(problem), made_fit(problem, residuals))
     assert said in found
     assert "run" not in found
 
@@ -139,7 +139,7 @@ def test_where_and_when_most_of_a_residual_lives():
     problem = made_problem(100, 100)
     residuals = np.ones(200)
     residuals[100 + 41 : 100 + 44] = 10.0
-    said = where_left(made_bench(problem), made_fit(problem, residuals))
+    said = where_left(made_fitter(problem), made_fit(problem, residuals))
     assert "output y0 of experiment 'run 1'" in said
     assert f"({302 / (197 + 300):.0%})" in said
     start, stop = (float(x) for x in said.split("t = ")[1].removesuffix(" s").split(" and "))

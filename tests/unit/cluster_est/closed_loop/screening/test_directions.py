@@ -26,11 +26,11 @@ class Screened:
     def __init__(self, problem, **settings):
         with opened(problem) as bench:
             fitted = unfitted(bench)
-            self.runs = bench.trajectories(fitted)
+            self.runs = bench.fitter.trajectories(fitted)
             found = make_candidates(
-                problem, bench.description, self.runs, [], LoopSettings(**settings)
+                problem, bench.fitter.description, self.runs, [], LoopSettings(**settings)
             )
-            self.size = bench.size
+            self.size = bench.fitter.size
         self.trials = [CandidatePoint(c, c.grid[0]) for c in found]
         self.known = [
             np.array([fitted.estimates[name] for name in run.linear.parameter_names])

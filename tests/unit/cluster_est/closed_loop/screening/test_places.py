@@ -19,7 +19,7 @@ class Drive:
         self._bench = bench
         self._fitted = unfitted(bench)
         self.whole = rank(bench.fitter, bench.settings, self._fitted)
-        self.size = bench.size
+        self.size = bench.fitter.size
 
     def planted(self, form, site, *variables):
         """The direction of a candidate in the middle of its grid, of length 1."""

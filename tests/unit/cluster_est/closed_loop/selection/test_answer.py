@@ -14,7 +14,7 @@ from support.loop_objects import (
 )
 
 from cluster_est.closed_loop.selection.answer import (
-    answers,
+    best_ancestors,
     ending_at,
     predicts_better,
     strength_p,
@@ -83,18 +83,17 @@ def effects(found):
     ],
 )
 def test_the_answer_is_what_predicts_left_out_parts(path, expected):
-    found = answers(searched(*path))
-    assert (effects(found[0]) if found else []) == expected
+    assert effects(best_ancestors(searched(*path))[0]) == expected
 
 
 def test_the_answers_before_it_come_next():
     path = [((), (9, 9, 9)), ((A,), (4, 4, 4)), ((A, B), (5, 5, 5)), ((A, B, C), (1, 1, 1))]
-    assert [effects(each) for each in answers(searched(*path))] == [["a", "b", "c"], ["a"]]
+    assert [effects(each) for each in best_ancestors(searched(*path))] == [["a", "b", "c"], ["a"]]
 
 
 def test_what_came_after_the_answer_is_no_longer_accepted_and_the_reason_is_said():
     found = searched(((), (9, 9, 9)), ((A,), (1, 1, 1)), ((A, B), (2, 2, 2)))
-    (best,) = answers(found)
+    (best,) = best_ancestors(found)
     assert best.last.why is RejectionReason.REFITS
     assert len(best.steps) == 2
     assert best.prediction.total == 3.0

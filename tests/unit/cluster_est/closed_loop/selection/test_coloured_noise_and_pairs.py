@@ -3,9 +3,9 @@ import pytest
 from scipy.signal import lfilter
 from support.loop_objects import (
     fit_with_squares,
-    made_bench,
     made_candidate,
     made_fit,
+    made_fitter,
     made_problem,
     made_ranking,
     made_refit,
@@ -40,7 +40,7 @@ def best_wave(noise):
 def begun_and_grown(noise, shape, size):
     """Before and after this one of 150 effects, with such noise beside what it has made."""
     problem = made_problem(len(noise))
-    bench = made_bench(problem)
+    fitter = made_fitter(problem)
     before = noise + size * shape
     after = before - shape * (shape @ before) / (shape @ shape)
     base = made_fit(problem, before)
@@ -50,9 +50,9 @@ def begun_and_grown(noise, shape, size):
     screening = made_screening(base.jacobian, before, columns, named)
     assert screening.count == len(columns)
     start = made_start(base, screening, predicted=2.0, floor=float(len(noise)))
-    refit = made_refit(grown, grown.criterion(bench.records))
-    assert refit.criterion < base.criterion(bench.records)  # for white noise it is better
-    return bench.fitter, start, refit
+    refit = made_refit(grown, grown.criterion(fitter.records))
+    assert refit.criterion < base.criterion(fitter.records)  # for white noise it is better
+    return fitter, start, refit
 
 
 def refusal(fitter, begun, contender, after, *, coloured):
@@ -111,13 +111,13 @@ def test_only_what_may_be_noise_is_refused_for_it(size, why):
 def test_an_effect_must_explain_more_than_the_numerical_error_could(after, refused):
     """Of squares 100, known up to a factor of 2, it could account for a fall of 400."""
     problem = made_problem(40)
-    bench, base = made_bench(problem), fit_with_squares(problem, 1000.0)
+    fitter, base = made_fitter(problem), fit_with_squares(problem, 1000.0)
     screening = made_screening(base.jacobian, base.residuals, [], [])
     begun = made_start(base, screening, predicted=1000.0, floor=1000.0, numerical=400.0)
     grown = fit_with_squares(problem, after)
     predicted = LeaveOneOutPrediction(np.array([after]))
-    contender = made_refit(grown, grown.criterion(bench.records))
-    why = refusal(bench.fitter, begun, contender, predicted, coloured=False)
+    contender = made_refit(grown, grown.criterion(fitter.records))
+    why = refusal(fitter, begun, contender, predicted, coloured=False)
     assert why is (RejectionReason.NUMERICAL_ERROR if refused else None)
 
 
@@ -132,7 +132,7 @@ def test_an_effect_must_explain_more_than_the_numerical_error_could(after, refus
 def test_a_criterion_for_coloured_noise_is_not_taken_in_by_it(pole, signal, seen_by):
     """Of both criteria, in 40 draws, where eight cosines are fitted and paid for."""
     problem = made_problem(400)
-    records = made_bench(problem).records
+    records = made_fitter(problem).records
     cosines = np.cos(np.pi * np.outer(np.linspace(0.0, 1.0, 400), np.arange(1, 9)))
     gains = []
     for seed in range(40):

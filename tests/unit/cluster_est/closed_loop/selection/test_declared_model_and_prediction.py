@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.loop_objects import made_bench, made_fit, made_problem
+from support.loop_objects import made_fit, made_fitter, made_problem
 from support.problems.functions import FunctionExecutor
 from support.truth.systems_with_missing_effects import (
     measured,
@@ -33,7 +33,7 @@ def fitted_to(problem, bench):
 
 
 def refitted(bench, space):
-    (solution,) = bench.runner.run([SearchRequest("refit", LeastSquares(), space)])
+    (solution,) = bench.fitter.runner.run([SearchRequest("refit", LeastSquares(), space)])
     return solution
 
 
@@ -46,7 +46,7 @@ def by_refits(problem, bench):
         known = others.estimates(refitted(bench, others).x)
         left_out = make_space(problem, (e,), starts=known)
         look = GivenPoints(left_out.start[None, :], "left out")
-        (seen,) = bench.runner.run([SearchRequest("left out", look, left_out)])
+        (seen,) = bench.fitter.runner.run([SearchRequest("left out", look, left_out)])
         squares.append(float(np.sum(seen.evaluations[0].residuals ** 2)))
     return np.array(squares)
 
@@ -87,7 +87,7 @@ def test_with_one_experiment_quarters_of_its_record_are_left_out():
         left = np.digitize(output.times, [1.5, 3.0, 4.5]) == quarter
         kept = replace(output, times=output.times[~left], values=output.values[~left])
         with opened(replace(problem, experiments=(replace(run, outputs=(kept,)),))) as bench:
-            estimates = fitted_to(bench.problem, bench).estimates
+            estimates = fitted_to(bench.fitter.problem, bench).estimates
         with opened(started(problem, **estimates)) as bench:
             truth.append(float(np.sum(unfitted(bench).residuals[left] ** 2)))
     np.testing.assert_allclose(found.squares, truth, rtol=0.02)
@@ -95,7 +95,7 @@ def test_with_one_experiment_quarters_of_its_record_are_left_out():
 
 def test_of_two_experiments_quarters_of_both_records_are_left_out():
     with opened(measured(missing_effect_problem(NAME), 0.03)) as bench:
-        assert len(predict(bench.fitter, fitted_to(bench.problem, bench)).squares) == 8
+        assert len(predict(bench.fitter, fitted_to(bench.fitter.problem, bench)).squares) == 8
 
 
 def test_what_belongs_to_the_left_out_experiment_follows_the_rest():
@@ -130,7 +130,7 @@ def test_a_step_of_a_logarithm_is_bounded_by_itself_not_by_the_value():
     residuals = np.random.default_rng(0).normal(size=60)
     fitted = replace(made_fit(problem, residuals), jacobian=0.01 * residuals[:, None])
     with FunctionExecutor(simulated) as executor:
-        predict(replace(made_bench(problem).fitter, runner=Runner(executor)), fitted)
+        predict(replace(made_fitter(problem), runner=Runner(executor)), fitted)
     assert min(asked) == pytest.approx(1e-6 * np.exp(-0.5))
     assert max(asked) < 1e-6
 
@@ -142,7 +142,7 @@ def test_a_negative_damping_that_runs_away_is_refused(strength, bounded):
     settings = LoopSettings(forms=("linear",), sites=("der(v)",))
     with opened(problem) as bench:
         trusted = unfitted(bench)
-        given = problem, bench.description, bench.trajectories(trusted)
+        given = problem, bench.fitter.description, bench.fitter.trajectories(trusted)
         (linear,) = [c for c in make_candidates(*given, [], settings) if c.own]
         grown = unfitted(bench, trusted.start.plus(linear, (strength,)))
         assert stays_bounded(bench.fitter, grown, trusted) is bounded
