@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -22,6 +23,7 @@ from cluster_est.closed_loop.findings.description import (
 )
 from cluster_est.closed_loop.findings.effect_curves import effect_curves
 from cluster_est.closed_loop.findings.effects import ErrorChange, NoiseChange, Verdict
+from cluster_est.closed_loop.findings.remaining_error import pooled_error
 from cluster_est.closed_loop.findings.residual_noise import (
     believed_noise,
     residual_noise,
@@ -191,6 +193,11 @@ def account(
         lambda: with_choices(_compared(judgement.verdict, found), choices),
         found.path,
     )
+    compared = steps.do(
+        "the errors of the structures that were accepted",
+        lambda: _with_errors(fitter, found, compared, before),
+        compared,
+    )
     notes = (*held, *scope.notes, *_notes(fitter, judgement.verdict, kept, before, after))
     failed = dict.fromkeys((*before.failed_steps, *after.failed_steps, *steps.failed))
     return LoopResult(
@@ -257,6 +264,29 @@ def _compared(verdict: Verdict, found: SelectionResult) -> tuple[ComparedStructu
         return found.path
     price = SELECTION.choice_price
     return with_probabilities(found.path, price * np.log(found.steps[0].screening.count))
+
+
+def _with_errors(
+    fitter: Fitter,
+    found: SelectionResult,
+    compared: tuple[ComparedStructure, ...],
+    before: Result,
+) -> tuple[ComparedStructure, ...]:
+    """The structures, with errors of those that the search accepted; nothing is chosen by them."""
+    errors = {}
+    for each in found.accepted[1:]:
+        held_out = np.nan
+        if fitter.problem.indices("test") and not fitter.predicts:
+            result = _as_it_is(fitter, each.model, time.monotonic())
+            changes = error_changes(fitter, found, before, result)
+            held_out = pooled_error(changes, "test", after=True)
+        left_out = float(np.sqrt(each.prediction.total / fitter.size))
+        errors[tuple(c.label for c in each.model.added)] = left_out, held_out
+    rows = []
+    for row in reversed(compared):  # of several rows of one structure, the one that it ended at
+        left_out, held_out = errors.pop(row.effects, (np.nan, np.nan))
+        rows.append(replace(row, left_out=left_out, held_out=held_out))
+    return tuple(reversed(rows))
 
 
 def _unexplained(

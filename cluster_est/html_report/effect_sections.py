@@ -197,12 +197,25 @@ def candidates(run: ReportedRun) -> ReportSection:
     return ReportSection("candidates", "Candidates", tuple(blocks))
 
 
+LEFT_OUT = (
+    "Left out is the error of what refits without each part of the training data predict of it; "
+    "held out is the error on held-out experiments over the noise, both of what the search "
+    "accepted. The answer is the set whose refits predict best; what is held out chooses nothing, "
+    "and may veto it."
+)
+
+
 def _compared(run: ReportedRun) -> list[Block]:
     """The structures that each step refitted, the best first."""
-    names = ("structure", "#gap closed", "#criterion", "#probability", "#chosen", "move", "")
+    names = (
+        "structure", "#gap closed", "#criterion", "#left out", "#held out", "#probability",
+        "#chosen", "move", "",
+    )  # fmt: skip
     said = [run.facts[key] for key in ("likely", "resampled") if run.facts.get(key)]
     blocks: list[Block] = [TextBlock(f"{each[:1].upper()}{each[1:]}.") for each in said]
     rows = [row for row in run.tables["structures"] if row["effects"]]  # not the declared model
+    if any(row["left_out"] == row["left_out"] for row in rows):
+        blocks.append(TextBlock(LEFT_OUT))
     for step in sorted({row["step"] for row in rows}):
         own = [row for row in rows if row["step"] == step]
         lines = [
@@ -210,6 +223,7 @@ def _compared(run: ReportedRun) -> list[Block]:
                 code(" + ".join(row["effects"])),
                 _closed(row),
                 digits(row["criterion"], 4),
+                *(digits(row[e], 3) if row[e] == row[e] else "" for e in ("left_out", "held_out")),
                 _share(row, "probability"),
                 _share(row, "chosen"),
                 row["move"],

@@ -55,6 +55,7 @@ STRUCTURES = pa.schema(
         ("probability", pa.float64()),
         ("chosen", pa.float64()),
         *((name, pa.string()) for name in ("move", "stopped_by")),
+        *((name, pa.float64()) for name in ("left_out", "held_out")),
     ]
 )
 BEFORE = ("value", "std_error", "lower95", "upper95")

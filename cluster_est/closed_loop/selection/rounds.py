@@ -209,6 +209,9 @@ class ComparedStructure:
         The part of the search that proposed it, by its name in `closed_loop.without`.
     stopped_by
         The gate that it did not pass, by the same; empty where it was not the best of its round.
+    left_out, held_out
+        Root mean squares, in the units of residuals, of what refits without each part predict of
+        it, and of held-out experiments over their noise, where the search accepted it; else NaN.
     """
 
     step: int
@@ -222,6 +225,8 @@ class ComparedStructure:
     chosen: float = np.nan
     move: str = ""
     stopped_by: str = ""
+    left_out: float = np.nan
+    held_out: float = np.nan
 
 
 @dataclass(frozen=True)

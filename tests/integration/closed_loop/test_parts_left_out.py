@@ -1,6 +1,7 @@
 """Parts of a search that are left out, and how the log names the moves and gates of the others."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -97,3 +98,21 @@ def test_a_dead_zone_needs_no_other_part_than_that_which_adds_it():
     results = [ce.close_loop(problem, settings=each) for each in (few, few.changed(without=others))]
     assert [effect.form for result in results for effect in result.effects] == 2 * ["dead_zone"]
     assert results[0].x == results[1].x
+
+
+def test_what_the_search_accepted_has_its_errors(lacking):
+    """Of the held-out experiment the same as after the last fit; of what is left out, more."""
+    runs = tuple(
+        replace(run, role="train" if i == 0 else "test")
+        for i, run in enumerate(lacking.experiments)
+    )
+    result, _ = searched(replace(lacking, experiments=runs))
+    assert result.effects
+    rows = [row for row in result.table("structures").to_pylist() if row["left_out"] is not None]
+    known = [row for row in rows if row["left_out"] == row["left_out"]]
+    (kept,) = (row for row in known if len(row["effects"]) == len(result.effects))
+    errors = {role: [e for e in result.errors if e.role == role] for role in ("train", "test")}
+    (held_out,) = (e.normalised_after for e in errors["test"])
+    assert kept["held_out"] == pytest.approx(held_out, rel=0.02)
+    (error,) = (s.outcome.residuals for s in result.after.simulations if s.experiment == 0)
+    assert kept["left_out"] > 0.99 * np.sqrt(np.mean(error**2))
