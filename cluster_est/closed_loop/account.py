@@ -22,10 +22,6 @@ from cluster_est.closed_loop.findings.description import (
 )
 from cluster_est.closed_loop.findings.effect_curves import effect_curves
 from cluster_est.closed_loop.findings.effects import ErrorChange, NoiseChange, Verdict
-from cluster_est.closed_loop.findings.residual_noise import (
-    believed_noise,
-    residual_noise,
-)
 from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
 from cluster_est.closed_loop.findings.unexplained import (
     UnexplainedResidual,
@@ -34,6 +30,10 @@ from cluster_est.closed_loop.findings.unexplained import (
 )
 from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict, confirmed, judge
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
+from cluster_est.closed_loop.output_noise import (
+    believed_noise,
+    residual_noise,
+)
 from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
 from cluster_est.closed_loop.settings import LoopStage

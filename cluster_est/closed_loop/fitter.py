@@ -289,6 +289,11 @@ class Fitter(ABC):
         return self.records.size
 
     @property
+    def runs(self) -> tuple[Experiment, ...]:
+        """The training experiments."""
+        return tuple(self.problem.experiments[e] for e in self.train)
+
+    @property
     def exchange(self) -> bool:
         return self.problem.model.interface == "model_exchange"
 
@@ -321,8 +326,7 @@ class Fitter(ABC):
     @property
     def sigmas(self) -> FloatArray:
         """The sigma of each residual, (N,)."""
-        outputs = [o for e in self.train for o in self.problem.experiments[e].outputs]
-        return np.concatenate([o.sigmas for o in outputs])
+        return np.concatenate([o.sigmas for run in self.runs for o in run.outputs])
 
     def generator(self, stream: int) -> np.random.Generator:
         """A generator of its own for each use, so that no use moves another."""
@@ -416,10 +420,9 @@ class Fitter(ABC):
                     f"closed loop: the fitted model cannot be simulated again "
                     f"({outcome.status}: {outcome.message})"
                 )
-        runs = [self.problem.experiments[e] for e in self.train]
         return [
             make_trajectory(run, outcome, self.description.states)
-            for run, outcome in zip(runs, outcomes, strict=True)
+            for run, outcome in zip(self.runs, outcomes, strict=True)
         ]
 
 

@@ -226,8 +226,7 @@ def measure_numerical_error(
     resources
         For the limits of a simulation, and of instances.
     """
-    runs = [fitter.problem.experiments[e] for e in fitter.train]
-    model, description = fitter.problem.model, fitter.description
+    runs, model, description = fitter.runs, fitter.problem.model, fitter.description
     scale = solver_scale(model, description, runs)
     never = step_never_taken(model, description, runs)
     unknown = NumericalError(
@@ -313,7 +312,7 @@ def _residuals(
     fitter: Fitter, fitted: FittedModel, solver: Solver, resources: Resources
 ) -> FloatArray:
     """The residuals of the training experiments with another solver."""
-    runs = tuple(fitter.problem.experiments[e] for e in fitter.train)
+    runs = fitter.runs
     values = fitted.space.physical(fitted.x)
     outcomes = simulate_with_solver(
         fitted.problem, runs, values, solver, "residuals", resources, beside=fitter.runner

@@ -17,7 +17,6 @@ from cluster_est.closed_loop.candidates.arguments import (
     variables_of,
 )
 from cluster_est.closed_loop.candidates.array_forms import shape_of
-from cluster_est.closed_loop.candidates.equation import equation_text
 from cluster_est.closed_loop.candidates.scales import CANDIDATES, SignalScales
 from cluster_est.closed_loop.candidates.trajectory import (
     CONSTANT_FACTOR,
@@ -26,6 +25,7 @@ from cluster_est.closed_loop.candidates.trajectory import (
     pooled,
 )
 from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.problem.declared_effects import equation_text
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names

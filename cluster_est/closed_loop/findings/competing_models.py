@@ -285,7 +285,7 @@ def _pieces(fitter: Fitter, *, whole: bool) -> tuple[IntArray, IntArray]:
         outputs[item.rows] = item.output
         pieces[item.rows] = item.experiment
         if not whole and len(item.times):
-            run = fitter.problem.experiments[fitter.train[item.experiment]]
+            run = fitter.runs[item.experiment]
             passed = (item.times - run.start) / (run.stop - run.start)
             part = np.clip((PARTS * passed).astype(int), 0, PARTS - 1)
             pieces[item.rows] = PARTS * item.experiment + part

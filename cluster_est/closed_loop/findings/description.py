@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
-from cluster_est.closed_loop.findings.agreement import agreements
+from cluster_est.closed_loop.findings.effect_curves import agreements
 from cluster_est.closed_loop.findings.effects import (
     AgreeingEquation,
     AlternativeEffect,
@@ -111,7 +111,7 @@ def where_left(fitter: Fitter, fitted: FittedModel) -> str:
         sums = np.bincount(window, weights=squares, minlength=WINDOWS)
         k = int(np.argmax(sums))
         if sums[k] > best[0]:
-            run = fitter.problem.experiments[fitter.train[record.experiment]]
+            run = fitter.runs[record.experiment]
             best = (
                 float(sums[k]),
                 float(np.sum(window == k)) / len(fitted.residuals),
@@ -237,7 +237,7 @@ def _largest_difference(
     row = int(np.argmax(gap))
     for record in fitter.records.items:
         if record.rows.start <= row < record.rows.stop:
-            experiment = fitter.problem.experiments[fitter.train[record.experiment]]
+            experiment = fitter.runs[record.experiment]
             time = float(record.times[row - record.rows.start])
             return experiment.id, time, fitter.records.outputs[record.output], float(gap[row])
     return "", np.nan, "", float(gap[row])

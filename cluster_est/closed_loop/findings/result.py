@@ -21,8 +21,9 @@ from cluster_est.closed_loop.findings.effects import (
     NamedEffect,
     NoiseChange,
     Verdict,
+    comparable,
+    pooled_error,
 )
-from cluster_est.closed_loop.findings.remaining_error import comparable, pooled_error
 from cluster_est.closed_loop.findings.unexplained import UnexplainedResidual
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.selection.rounds import ComparedStructure

@@ -286,7 +286,7 @@ def _dependence(pairs: Sequence[_Pair]) -> Dependence:
 def _tables(fitter: Fitter) -> dict[int, UnusedColumns]:
     """Unused columns of the training experiments, by position; none if one has no table."""
     sources = {source.experiment: source for source in fitter.problem.tables}
-    ids = [fitter.problem.experiments[e].record_id for e in fitter.train]
+    ids = [run.record_id for run in fitter.runs]
     if not all(name in sources for name in ids):
         return {}
     return {i: sources[name].unused() for i, name in enumerate(ids)}
@@ -318,7 +318,7 @@ def _pairs(
     step = float(np.median(np.concatenate([np.diff(record.times) for record in records])))
     made = []
     for record in records:
-        experiment = fitter.problem.experiments[fitter.train[record.experiment]]
+        experiment = fitter.runs[record.experiment]
         times = _even_times(record, step)
         x = tables[record.experiment].at(name, times)
         if x is None or _is_copy(x, times, experiment):

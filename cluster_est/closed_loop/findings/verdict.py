@@ -12,8 +12,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.effects import ErrorChange, Verdict
-from cluster_est.closed_loop.findings.remaining_error import (
+from cluster_est.closed_loop.findings.effects import (
+    ErrorChange,
+    Verdict,
     comparable,
     largest_error,
     no_longer_simulated,
@@ -23,14 +24,14 @@ from cluster_est.closed_loop.findings.remaining_error import (
     what_is_left,
     without_noise,
 )
-from cluster_est.closed_loop.findings.residual_noise import (
+from cluster_est.closed_loop.fitter import FittedModel, Fitter
+from cluster_est.closed_loop.output_noise import (
     OutputNoise,
     believed_noise,
     is_noise_of_sensors,
     residual_noise,
     suspected_sigma,
 )
-from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import (
     VERDICT,

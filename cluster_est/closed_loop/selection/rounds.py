@@ -38,8 +38,6 @@ class VerdictThresholds:
         Residual over the estimated noise above which what is left is no noise of a sensor, where
         no sigma is declared. Theory: a fourth difference of first-order noise with a correlation
         of 0.93 is five times too small.
-    partial
-        Partial autocorrelation beyond lag 1 up to which noise counts as of first order. Benchmark.
     nearly_all
         Share of the gap to the noise, in squares, that effects must close for "found". Benchmark.
     most
@@ -57,7 +55,6 @@ class VerdictThresholds:
     structure: float = FAMILY_WISE_LEVEL
     excess: float = 0.05
     coloured: float = 5.0
-    partial: float = 0.1
     nearly_all: float = 0.98
     most: float = 0.75
     most_by_curve: float = 0.9
