@@ -127,6 +127,20 @@ def pooled(trajectories: Sequence[LinearisedTrajectory], name: str) -> FloatArra
     )
 
 
+def knots_over(values: FloatArray, count: int) -> FloatArray:
+    """Knots half way between even ones and quantiles: where an argument is, and at its ends."""
+    shares = np.linspace(0.0, 1.0, count)
+    even = values.min() + shares * np.ptp(values)
+    between = 0.5 * (even + np.quantile(values, shares))
+    return np.unique(np.clip(between, values.min(), values.max()))
+
+
+def hats(knots: FloatArray, values: FloatArray) -> FloatArray:
+    """(n, knots): a piecewise linear function with each of its values at 1, all others at 0."""
+    inside = np.clip(values, knots[0], knots[-1])
+    return np.column_stack([np.interp(inside, knots, height) for height in np.eye(len(knots))])
+
+
 CONSTANT_FACTOR = 1e-4
 """Share of its factor by which a kinematic equation may change along a trajectory."""
 

@@ -15,7 +15,9 @@ import numpy as np
 from cluster_est.closed_loop.candidates.trajectory import (
     Forcing,
     LinearisedTrajectory,
+    hats,
     integrated_states,
+    knots_over,
     linear_system,
     pooled,
 )
@@ -134,13 +136,10 @@ def free_values(
     known = np.concatenate([each for each in arguments if each is not None] or [np.zeros(0)])
     if not len(known) or not np.ptp(known) > 0.0:
         return None
-    shares = np.linspace(0.0, 1.0, PLACES)
-    even = known.min() + shares * np.ptp(known)
-    between = 0.5 * (even + np.quantile(known, shares))
-    at = np.unique(np.clip(between, known.min(), known.max()))
+    at = knots_over(known, PLACES)
     parts = [
-        _directions(site, each, _hats(at, values, len(each.times)))
-        for each, values in zip(trajectories, arguments, strict=True)
+        _directions(site, each, np.zeros((len(each.times), len(at))) if v is None else hats(at, v))
+        for each, v in zip(trajectories, arguments, strict=True)
     ]
     direction = np.concatenate(parts)
     sizes = np.einsum("ij,ij->j", direction, direction)
@@ -155,14 +154,6 @@ def free_values(
     variance = float(left @ left) / (len(residuals) - int(kept.sum()))
     inverse = np.linalg.inv(r)
     return at[kept], found, np.sqrt(variance * np.einsum("ij,ij->i", inverse, inverse))
-
-
-def _hats(at: FloatArray, values: FloatArray | None, size: int) -> FloatArray:
-    """(n, places): a piecewise linear function with each of its values at 1, all others at 0."""
-    if values is None:
-        return np.zeros((size, len(at)))
-    inside = np.clip(values, at[0], at[-1])
-    return np.column_stack([np.interp(inside, at, height) for height in np.eye(len(at))])
 
 
 def _directions(

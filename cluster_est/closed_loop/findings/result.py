@@ -210,9 +210,9 @@ class LoopResult:
         if name == "effects":
             return tables.effect_table(self.effects)
         if name == "findings":
-            return tables.finding_table(self.findings)
+            return tables.row_table(CandidateEvidence, self.findings)
         if name == "structures":
-            return tables.structure_table(self.structures)
+            return tables.row_table(ComparedStructure, self.structures)
         if name == "shapes":
             return curve_table(self.curves)
         if name == "parameters":

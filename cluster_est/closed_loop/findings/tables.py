@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pyarrow as pa
@@ -30,31 +30,6 @@ EFFECTS = pa.schema(
         ("unit", pa.string()),
         *((name, pa.float64()) for name in ("std_error", "lower95", "upper95")),
         ("fixed", pa.bool_()),
-    ]
-)
-FINDINGS = pa.schema(
-    [
-        ("step", pa.int64()),
-        *((name, pa.string()) for name in ("site", "form", "family")),
-        ("variables", pa.list_(pa.string())),
-        ("statistic", pa.float64()),
-        ("freedom", pa.int64()),
-        *((name, pa.float64()) for name in ("log_p", "explained", "distinct")),
-        ("stage", pa.string()),
-        ("criterion", pa.float64()),
-        ("confounded_with", pa.string()),
-    ]
-)
-STRUCTURES = pa.schema(
-    [
-        ("step", pa.int64()),
-        ("effects", pa.list_(pa.string())),
-        *((name, pa.float64()) for name in ("criterion", "closed")),
-        *((name, pa.bool_()) for name in ("converged", "accepted")),
-        ("relative_steps", pa.float64()),
-        ("probability", pa.float64()),
-        ("chosen", pa.float64()),
-        *((name, pa.string()) for name in ("move", "stopped_by")),
     ]
 )
 BEFORE = ("value", "std_error", "lower95", "upper95")
@@ -103,23 +78,20 @@ def effect_table(effects: Sequence[NamedEffect]) -> pa.Table:
     return pa.Table.from_pylist(rows, schema=EFFECTS)
 
 
-def finding_table(findings: Sequence[CandidateEvidence]) -> pa.Table:
-    """Make a row for every candidate of every step."""
-    rows = [
-        {name: getattr(finding, name) for name in FINDINGS.names}
-        | {"variables": list(finding.variables), "stage": finding.stage.value}
-        for finding in findings
-    ]
-    return pa.Table.from_pylist(rows, schema=FINDINGS)
+COLUMNS = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
 
 
-def structure_table(path: Sequence[ComparedStructure]) -> pa.Table:
-    """Make a row for every set of effects that was refitted."""
-    rows = [
-        {name: getattr(each, name) for name in STRUCTURES.names} | {"effects": list(each.effects)}
-        for each in path
-    ]
-    return pa.Table.from_pylist(rows, schema=STRUCTURES)
+def row_table(row: type, rows: Sequence[CandidateEvidence | ComparedStructure]) -> pa.Table:
+    """Make a table of rows with a column for each of their fields, also where there are none."""
+    hints = get_type_hints(row)
+    schema = pa.schema([(f.name, _column(hints[f.name])) for f in dataclasses.fields(row)])
+    return pa.Table.from_pylist([vars(each) for each in rows], schema=schema)
+
+
+def _column(kind: Any) -> pa.DataType:
+    if get_origin(kind) is tuple:
+        return pa.list_(_column(get_args(kind)[0]))
+    return next(column for known, column in COLUMNS.items() if issubclass(kind, known))
 
 
 def effect_facts(effect: NamedEffect) -> Row:
@@ -168,8 +140,6 @@ def errors_by_output(errors: Sequence[ErrorChange]) -> Row:
 
 
 def _pooled(rows: list[ErrorChange], values: list[float]) -> float:
-    if not rows:
-        return np.nan
     pairs = [(e.samples, value) for e, value in zip(rows, values, strict=True) if e.samples]
     if not pairs:  # an output may have no samples in an experiment: that is no failure
         return np.nan
@@ -182,32 +152,39 @@ def config_block(effect: NamedEffect) -> str:
 
     Bounds are those of the search, so that a fit that names the effect finds the same.
     """
-    neutral = dict(effect.effect.coefficients)
-    sections = {}
+    neutral, sections = dict(effect.effect.coefficients), {}
     for estimate in effect.coefficients:
-        name = estimate.parameter.removeprefix(f"{effect.name}.")
-        sections[name] = _section(estimate, neutral.get(name))
+        name, fixed = _coefficient(effect, estimate), estimate.estimated_on == "known"
+        bounds = () if fixed else (estimate.lower, estimate.upper)
+        section = _section(estimate.value, neutral.get(name), bounds, estimate.scale, fixed=fixed)
+        sections[name] = section | ({"unit": estimate.unit} if estimate.unit else {})
     return _block(effect.effect, sections)
 
 
 def effect_block(effect: Effect, coefficients: Sequence[Parameter]) -> str:
     """Return the same for an effect whose coefficients are parameters that start as fitted."""
-    neutral = dict(effect.coefficients)
-    sections = {}
+    neutral, sections = dict(effect.coefficients), {}
     for parameter in coefficients:
-        name = parameter.name.removeprefix(f"{effect.name}.")
-        section: dict[str, Any] = {"start": float(parameter.start), "neutral": neutral.get(name)}
-        bounds = [float(parameter.lower), float(parameter.upper)]
-        if any(map(math.isfinite, bounds)):
-            section["bounds"] = bounds
-        if parameter.scale != "linear":
-            section["scale"] = parameter.scale
-        if parameter.fixed:
-            section["fixed"] = True
-        if parameter.per:
-            section["per"] = parameter.per
-        sections[name] = section
+        name, bounds = (
+            parameter.name.removeprefix(f"{effect.name}."),
+            (parameter.lower, parameter.upper),
+        )
+        section = _section(
+            parameter.start, neutral.get(name), bounds, parameter.scale, fixed=parameter.fixed
+        )
+        sections[name] = section | ({"per": parameter.per} if parameter.per else {})
     return _block(effect, sections)
+
+
+def _section(
+    start: float, neutral: float | None, bounds: Sequence[float], scale: str, *, fixed: bool
+) -> Row:
+    section: Row = {"start": float(start), "neutral": neutral}
+    if any(map(math.isfinite, bounds)):
+        section["bounds"] = list(map(float, bounds))
+    if scale != "linear":
+        section["scale"] = scale
+    return section | ({"fixed": True} if fixed else {})
 
 
 def _block(effect: Effect, sections: Mapping[str, Mapping[str, Any]]) -> str:
@@ -223,17 +200,3 @@ def _block(effect: Effect, sections: Mapping[str, Mapping[str, Any]]) -> str:
     ]
     lines += [f"{dotted(name)} = {inline(section)}" for name, section in sections.items()]
     return "\n".join(lines) + "\n"
-
-
-def _section(estimate: Estimate, neutral: float | None) -> dict[str, Any]:
-    section: dict[str, Any] = {"start": float(estimate.value), "neutral": neutral}
-    bounds = [float(estimate.lower), float(estimate.upper)]
-    if any(map(math.isfinite, bounds)) and estimate.estimated_on != "known":
-        section["bounds"] = bounds
-    if estimate.scale != "linear":
-        section["scale"] = estimate.scale
-    if estimate.estimated_on == "known":
-        section["fixed"] = True
-    if estimate.unit:
-        section["unit"] = estimate.unit
-    return section

@@ -9,15 +9,13 @@ import numpy as np
 from scipy.signal import welch
 
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
+from cluster_est.closed_loop.screening.screen import SHORTEST_SPECTRUM
 from cluster_est.problem.display import readable_time
 from cluster_est.problem.tables.measured import UnusedColumns
 from cluster_est.problem.variables import silent_inputs
 from cluster_est.statistics.dependence import Dependence, dependence, periodic_share
 from cluster_est.statistics.records import OutputRecord
 from workers.messages import Experiment, FloatArray
-
-SHORTEST_SPECTRUM = 16
-"""Samples that a record needs for a spectrum."""
 
 SHARE_OF_POWER = 0.9
 """Share of the power that lies below the frequency that is named."""

@@ -41,6 +41,7 @@ from cluster_est.closed_loop.selection.rounds import (
 )
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.statistics.residual_findings import autocorrelated
+from cluster_est.statistics.residual_tests import FAMILY_WISE_LEVEL
 from workers.messages import FloatArray
 
 CLAIMS = (Verdict.FOUND, Verdict.PARTIAL)
@@ -177,7 +178,7 @@ def _judged(
             share += ", with a free curve: a shape that no form of the library has"
         return ReasonedVerdict(Verdict.FOUND, share, closed, most)
     better = np.mean(found.prediction.squares < found.base_prediction.squares)
-    mostly = predicted >= 0.0 and better >= thresholds.mostly_better
+    mostly = predicted >= 0.0 and better >= SELECTION.mostly_better
     if now.of_sensors and not tables and mostly:
         rest = f"{share}; the rest looks like autocorrelated noise of the sensor"
         return ReasonedVerdict(Verdict.FOUND, rest, closed, most)
@@ -226,7 +227,7 @@ def _nothing_added(
     if nowhere:
         return ReasonedVerdict(Verdict.NONE, f"the residual looks like noise, but {why}: {NOWHERE}")
     if why == RejectionReason.COLOURED_NOISE:
-        if screening.structure.p <= VERDICT.structure:
+        if screening.structure.p <= FAMILY_WISE_LEVEL:
             return ReasonedVerdict(Verdict.COLOURED, _coloured(found, now, settings))
         reason = "no candidate is significant once the residual is whitened"
         return ReasonedVerdict(Verdict.NONE, f"{reason} (family-wise p = {_p(found)})")
@@ -315,14 +316,14 @@ def _residual(
     thresholds, settings = VERDICT, found.settings
     outputs = residual_noise(fitter, fitted, found.noise)
     excess = _excess(fitter, fitted, found.noise)
-    screening, level = at.screening, thresholds.structure
+    screening = at.screening
     of_sensors = is_noise_of_sensors(
         outputs,
         near=settings.near_noise,
         largest=thresholds.coloured,
-        whitened=screening.structure_white.p > level,
+        whitened=screening.structure_white.p > FAMILY_WISE_LEVEL,
     )
-    structured = screening.structure.p <= level and excess > thresholds.excess
+    structured = screening.structure.p <= FAMILY_WISE_LEVEL and excess > thresholds.excess
     return _Residual(outputs, excess, structured, of_sensors)
 
 
