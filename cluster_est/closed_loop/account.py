@@ -372,8 +372,6 @@ def result_so_far(
         After a round in which something was added.
     begin
         A reading of the monotonic clock.
-    scope
-        As for `account`.
     said
         Of the records that the search is on.
     """

@@ -27,15 +27,6 @@ from cluster_est.statistics.whitening import deviance
 from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Outcome, Output, Want
 
-HORIZONS = (0.15, 0.4)
-"""Shares of each record that a start grows through. Benchmark."""
-
-SHORTEST_COPY = 12
-"""Samples of each output that a shortened experiment keeps at least. Benchmark."""
-
-ENLARGEMENT = 1.25
-"""Factor by which inputs swing further in the check for stability. Benchmark."""
-
 
 @dataclass(frozen=True)
 class ShortenedCopy:
@@ -50,7 +41,7 @@ class ShortenedCopy:
     """
 
     share: float
-    samples: int = SHORTEST_COPY
+    samples: int
 
     def of(self, experiment: Experiment) -> Experiment:
         """Shorten an experiment."""
@@ -86,15 +77,11 @@ class EnlargedCopy:
 
 SyntheticKind = ShortenedCopy | EnlargedCopy
 
+SHORTENED = (ShortenedCopy(0.15, 12), ShortenedCopy(0.4, 12))
+"""Copies that a start grows through, the shortest first, with 12 samples at least. Benchmark."""
 
-def shortened_kinds() -> tuple[ShortenedCopy, ...]:
-    """Return the shortened experiments that a start grows through, the shortest first."""
-    return tuple(ShortenedCopy(share, SHORTEST_COPY) for share in HORIZONS)
-
-
-def enlarged_kind() -> EnlargedCopy:
-    """Return the enlarged experiments in which a model must stay bounded."""
-    return EnlargedCopy(ENLARGEMENT)
+ENLARGED = EnlargedCopy(1.25)
+"""Copies in which a model must stay bounded. Benchmark."""
 
 
 def with_outputs(problem: Problem, change: Callable[[int, Output], Output]) -> Problem:

@@ -219,12 +219,8 @@ def measure_numerical_error(
 
     Parameters
     ----------
-    fitted
-        The model, at the point where its error counts.
     noise : (outputs,)
         In units of the residuals.
-    resources
-        For the limits of a simulation, and of instances.
     """
     runs, model, description = fitter.runs, fitter.problem.model, fitter.description
     scale = solver_scale(model, description, runs)
@@ -262,15 +258,6 @@ def error_with_effects(
 
     A step that is short enough for the declared model may miss the kinks of an effect: between two
     communication points an input that has been changed counts as a straight line.
-
-    Parameters
-    ----------
-    fitted
-        The model with the effects.
-    declared
-        The error of the declared model.
-    noise, resources
-        See `measure_numerical_error`.
 
     Returns
     -------

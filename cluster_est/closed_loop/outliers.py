@@ -329,15 +329,7 @@ class GrowingNoise:
 
 
 def growing_noise(fitter: Fitter, fitted: FittedModel, kept: Mask) -> tuple[GrowingNoise, ...]:
-    """Return the outputs whose noise grows with their signal.
-
-    Parameters
-    ----------
-    fitter, fitted
-        Where, and the declared model.
-    kept : (residuals,)
-        The samples that are no outliers.
-    """
+    """Return the outputs whose noise grows with their signal."""
     measured, found = measured_values(fitter), []
     for output, name in enumerate(fitter.records.outputs):
         rows = fitter.records.of_output(output)

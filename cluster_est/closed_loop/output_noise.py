@@ -221,8 +221,6 @@ def residual_noise(
 
     Parameters
     ----------
-    fitter, fitted
-        Where, and what is compared.
     noise : (outputs,)
         Estimated standard deviations of the noise, in units of the residual.
     """
@@ -285,8 +283,6 @@ def is_noise_of_sensors(
 
     Parameters
     ----------
-    outputs
-        The residuals.
     near
         Times the noise that what is left may reach if an autoregression describes it.
     largest

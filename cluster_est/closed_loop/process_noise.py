@@ -56,8 +56,6 @@ def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
 
     Parameters
     ----------
-    request
-        Its problem has process noise.
     begin
         A reading of the monotonic clock.
 
@@ -304,14 +302,8 @@ def last_fits_with_noise(
 
     Parameters
     ----------
-    fitter
-        With the noise that the search was done under.
     declared
         As the user has given it.
-    found
-        By the search.
-    begin
-        As for `complete`.
     """
     held = [final_fit(fitter, found.base.start, begin)]
     free = [final_fit(fitter, released(found.base.start, declared), begin)]

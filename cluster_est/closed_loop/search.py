@@ -112,8 +112,6 @@ def search_for_effects(
 
     Parameters
     ----------
-    start
-        Of the declared model.
     resources
         For the simulations with a finer solver.
     reached
@@ -180,8 +178,6 @@ def grow(
 
     Parameters
     ----------
-    base
-        The declared model, fitted.
     numerical
         Fall of the sum of squares that one effect more could owe to the error of the solver at a
         fitted model.

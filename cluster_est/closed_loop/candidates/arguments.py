@@ -83,7 +83,7 @@ class OpenArguments:
         if site.kind == "pair":
             first, second = (self.states.index(name) for name in site.targets)
             differences = (
-                [difference(*names) for names in self._of_one_unit()] if first < second else []
+                [difference(*names) for names in self._of_one_unit] if first < second else []
             )
             others = [name for name in self.states if name not in site.targets]
             return [site.targets[0], *differences, *others]
@@ -118,10 +118,6 @@ class OpenArguments:
         return [n for n in dict.fromkeys([*self.single(names), *places]) if n not in pushed]
 
     @cached_property
-    def differences(self) -> int:
-        """Number of differences of states of one unit."""
-        return len(self._of_one_unit())
-
     def _of_one_unit(self) -> list[tuple[str, str]]:
         pairs = itertools.combinations(self.states, 2)
         return [(a, b) for a, b in pairs if self.units[a] == self.units[b]]
@@ -270,10 +266,6 @@ def variables_of(
 
     Parameters
     ----------
-    form, site
-        The form, and where it would act.
-    arguments
-        What the data offer.
     leading
         The arguments to look at there; None for all of them. What depends on time or on the signal
         itself is looked at at every site but state derivatives, of which there are many.
@@ -304,15 +296,6 @@ def open_places(
 
     A force between two states is looked for where one of them acts on the other already, as a
     function of their difference, of the first of them, or of a state that acts on both.
-
-    Parameters
-    ----------
-    sites
-        In model exchange.
-    arguments
-        What the data offer.
-    trajectories
-        Of the training experiments, with linearisations.
     """
     acts = _acting_states(trajectories)
     index = {name: i for i, name in enumerate(arguments.states)}
@@ -359,31 +342,6 @@ def count_candidates(
                 for form in own
             )
     return total
-
-
-def count_variables(form: EffectForm, site: EffectSite, arguments: OpenArguments) -> int:
-    """Return of how many variables a form at a site may be a function, without a list of them."""
-    if form.variables == 0:
-        return 1
-    if FormCondition.AROUND in form.when:
-        return len(arguments.around(site))
-    n = len(arguments.states)
-    if site.kind == "pair":
-        if FormCondition.FIRST in form.when:
-            return 1
-        first, second = (arguments.states.index(name) for name in site.targets)
-        if form.free and first > second:
-            return 0
-        return n - 2 + (arguments.differences if first < second else 0)
-    names = arguments.at(site)
-    if form.variables == 2 and FormCondition.OWN in form.when:
-        return len(arguments.pushed_by(site)) * len(arguments.beside(site, names))
-    if form.variables == 2:
-        if FormCondition.FEEDS in form.when:
-            names = [name for name in names if arguments.takes(form, site, name)]
-        single = len(arguments.single(names))
-        return single * (single - 1) // 2
-    return sum(arguments.takes(form, site, name) for name in names)
 
 
 def _acting_states(trajectories: Sequence[LinearisedTrajectory]) -> np.ndarray:

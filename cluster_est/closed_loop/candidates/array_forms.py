@@ -70,19 +70,7 @@ class OwnStates:
 def own_states_of(
     form: EffectForm, arguments: Sequence[str], symbols: Mapping[str, sp.Symbol], where: str
 ) -> OwnStates:
-    """Make the own states of a form of the library, which are linear in themselves.
-
-    Parameters
-    ----------
-    form
-        Of the library.
-    arguments
-        Names of the arguments of its equation.
-    symbols
-        By name: of arguments, states and coefficients.
-    where
-        What a message calls it.
-    """
+    """Make the own states of a form of the library, which are linear in themselves."""
     own = [symbols[z.name] for z in form.states]
     derivatives = [parse(z.derivative, symbols, where) for z in form.states]
     starts = [parse(z.start, symbols, where) for z in form.states]

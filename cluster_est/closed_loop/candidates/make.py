@@ -114,14 +114,8 @@ def make_candidates(
 
     Parameters
     ----------
-    problem, description
-        Sites that the FMU offers, and effects that are known: those are no candidates.
-    trajectories
-        Of the training experiments, at the current fit.
     frequencies
         Angular frequencies of peaks in the residuals' spectra, for periodic effects.
-    settings
-        Forms and sites to try.
     places
         Where functions of a variable are tried; None for everywhere.
     """
@@ -334,13 +328,6 @@ def denser_grid(
 
     Where an effect begins must be nearly right, or it looks like less than one that begins nowhere.
     A grid in several coefficients stays as it is.
-
-    Parameters
-    ----------
-    candidate
-        Of the library.
-    trajectories
-        Of a model near the data, over which its argument goes.
     """
     rows = np.array(candidate.grid)
     moving = np.flatnonzero(np.ptp(rows, axis=0) > 0.0)
@@ -404,20 +391,6 @@ def refined(
 
     With the effect the motion may go further than it did without. Where all values of a curve are
     free, the finer one is spread over where its argument goes now.
-
-    Parameters
-    ----------
-    coarse, values
-        The fitted curve, and its coefficients.
-    trajectories
-        Of the fitted model.
-    form
-        The finer form.
-
-    Returns
-    -------
-    EffectCandidate, list of float
-        The finer curve, and its coefficients.
     """
     known = dict(zip([c.name for c in coarse.form.coefficients], values, strict=True))
     ends = known["low"], known["high"]

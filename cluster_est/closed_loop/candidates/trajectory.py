@@ -235,8 +235,6 @@ def propagate(steps: StepMatrices, forcing: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    steps
-        The system.
     forcing : (n, x, m)
         m right-hand sides at every time of the grid, linear in between. The states take their
         place.

@@ -51,8 +51,6 @@ def with_probabilities(
     path
         Whatever was refitted, each set perhaps in several rounds. The best row of a set has its
         probability, the others NaN.
-    choice
-        The price of each effect.
     """
     declared = ComparedStructure(0, (), 0.0, 0.0, converged=True, accepted=False)
     rows = [*path, declared]
@@ -244,11 +242,6 @@ def resampled_choices(fitter: Fitter, found: SelectionResult) -> ResampledChoice
 
     Each is refitted by its linear model, so it takes no simulation. None where no effect was added,
     or a set has too many unknowns for it.
-
-    Parameters
-    ----------
-    fitter, found
-        Where, and the end of the search.
     """
     if not found.current.added:
         return None
@@ -302,11 +295,6 @@ def expensive_structures(path: Sequence[ComparedStructure]) -> tuple[str, ...]:
     A solver that adapts its steps makes more of them where an effect is fast: a lag of a
     millisecond in a record of an hour. The steps are counted, so that the sentence is the same on
     every machine.
-
-    Parameters
-    ----------
-    path
-        The structures that were compared.
     """
     expensive = [each for each in path if each.relative_steps > EXPENSIVE]
     if not expensive:

@@ -290,21 +290,7 @@ def sentence_of(
     also: Sequence[AgreeingEquation] = (),
     period: float = math.nan,
 ) -> str:
-    """Return what was found in a sentence or two.
-
-    Parameters
-    ----------
-    words
-        Its name.
-    candidate, coefficients
-        The effect, and its numbers.
-    curve
-        Of the effect; None where it has none.
-    also
-        Equations that agree with it where the data were.
-    period
-        Of a wave in time; else NaN.
-    """
+    """Return what was found in a sentence or two."""
     said = f"{_capital(words)} {_place(candidate)}: {candidate.equation}"
     values = [] if candidate.form.free else [_value(candidate, e) for e in coefficients if _told(e)]
     if values:

@@ -41,8 +41,6 @@ def effect_curves(fitter: Fitter, fitted: FittedModel, result: Result) -> tuple[
     fitter, fitted
         The model with the effects, where the search ended: its experiments are simulated once more,
         for the range of their signals and for the directions of free values.
-    result
-        Of its last fit: values of the coefficients, and their covariance.
     """
     if not fitted.added:
         return ()
@@ -119,8 +117,6 @@ def free_values(
     ----------
     site
         Where it acts; at pairs of derivatives nothing is fitted.
-    trajectories
-        Of the training experiments at the fit, linearised.
     arguments : (n,) for each trajectory
         None where an experiment does not have it.
     residuals : (N,)
@@ -225,14 +221,10 @@ def agreements(
 
     Parameters
     ----------
-    curve
-        Of the effect, with its band.
     shape
         The same curve as a function, also outside the range of the data.
     own, named
         The law of the effect, and what physics calls another one at its place.
-    negative
-        The variable can be negative at all.
     """
     x, weights = _visited(curve)
     y = shape(x)

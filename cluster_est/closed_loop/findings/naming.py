@@ -93,8 +93,6 @@ class Namer:
 
         Parameters
         ----------
-        candidate, values
-            The effect, and its coefficients.
         curve
             What it adds over its variable; None, or without points, where that is not known.
         """

@@ -78,8 +78,6 @@ def unexplained_residuals(
 
     Parameters
     ----------
-    fitter, fitted
-        Where, and the fit.
     noise : (outputs,)
         Standard deviations of the noise, in units of the residual.
     """
@@ -121,21 +119,22 @@ def _periods(
     long = [item for item in records if len(item.times) >= SHORTEST_SPECTRUM]
     if not long:
         return np.nan, np.nan
-    step = float(np.median(np.concatenate([np.diff(item.times) for item in long])))
-    long = [
-        r
-        for r in long
-        if SHORTEST_SPECTRUM <= _even_count(r, step) <= MOST_EVEN_STEPS * len(r.times)
+    step = _usual_step(long)
+    pairs = [(record, _even_times(record, step)) for record in long]
+    even = [
+        (record, times)
+        for record, times in pairs
+        if SHORTEST_SPECTRUM <= len(times) <= MOST_EVEN_STEPS * len(record.times)
     ]
-    if not long:
+    if not even:
         return np.nan, np.nan
-    length = min(_even_count(item, step) for item in long)
+    length = min(len(times) for _, times in even)
     total = np.zeros(length // 2 + 1)
-    for item in long:
-        even = _even(residuals, item, step)
-        frequencies, density = welch(even, 1.0 / step, nperseg=length, detrend=False)
+    for item, times in even:
+        signal = np.interp(times, item.times, residuals[item.rows])
+        frequencies, density = welch(signal, 1.0 / step, nperseg=length, detrend=False)
         total += len(item.times) * density
-    total /= sum(len(item.times) for item in long)
+    total /= sum(len(item.times) for item, _ in even)
     power = np.maximum(total - 2.0 * noise**2 * step, 0.0)
     if not power.sum() > 0.0:
         return np.nan, np.nan
@@ -152,15 +151,14 @@ def _periods(
     )
 
 
-def _even(residuals: FloatArray, record: OutputRecord, step: float) -> FloatArray:
-    """A record's residual at even steps."""
-    even = record.times[0] + step * np.arange(_even_count(record, step))
-    return np.asarray(np.interp(even, record.times, residuals[record.rows]))
+def _usual_step(records: Sequence[OutputRecord]) -> float:
+    return float(np.median(np.concatenate([np.diff(record.times) for record in records])))
 
 
-def _even_count(record: OutputRecord, step: float) -> int:
-    """Number of even steps in a record."""
-    return int((record.times[-1] - record.times[0]) / step) + 1
+def _even_times(record: OutputRecord, step: float) -> FloatArray:
+    """The times of a record at even steps."""
+    count = int((record.times[-1] - record.times[0]) / step + 1e-6) + 1
+    return np.asarray(record.times[0] + step * np.arange(count))
 
 
 MOST_COLUMNS = 200
@@ -232,10 +230,6 @@ def varying_columns(
 
     Parameters
     ----------
-    fitter
-        Its problem knows the tables; experiments that were made in Python have none.
-    residuals : (N,)
-        Of the training experiments.
     significance
         The largest p-value, corrected for all columns and outputs, of a column that is named.
     period
@@ -313,7 +307,7 @@ def _pairs(
     records = [r for r in fitter.records.items if r.output == output and len(r.times) > 2]
     if not records:
         return []
-    step = float(np.median(np.concatenate([np.diff(record.times) for record in records])))
+    step = _usual_step(records)
     made = []
     for record in records:
         experiment = fitter.runs[record.experiment]
@@ -326,11 +320,6 @@ def _pairs(
         driving = {each.variable: np.interp(times, each.times, each.values) for each in given}
         made.append(_Pair(y, x, times, driving))
     return made
-
-
-def _even_times(record: OutputRecord, step: float) -> FloatArray:
-    count = int((record.times[-1] - record.times[0]) / step + 1e-6) + 1
-    return np.asarray(record.times[0] + step * np.arange(count))
 
 
 def _is_copy(x: FloatArray, times: FloatArray, experiment: Experiment) -> bool:

@@ -356,17 +356,7 @@ def _closed(fitter: Fitter, found: SelectionResult, now: _Residual) -> tuple[flo
 def confirmed(
     judged: ReasonedVerdict, errors: Sequence[ErrorChange], settings: LoopSettings
 ) -> ReasonedVerdict:
-    """Return the verdict after the final fits: what is left on training and on held-out data.
-
-    Parameters
-    ----------
-    judged
-        From the training experiments.
-    errors
-        Of the declared model fitted, and of the one with the effects.
-    settings
-        Of the loop.
-    """
+    """Return the verdict after the final fits: what is left on training and on held-out data."""
     if judged.verdict not in CLAIMS:
         return judged
     near, errors = settings.near_noise, over_noise(errors, judged.noise)

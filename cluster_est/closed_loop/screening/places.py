@@ -90,18 +90,8 @@ def rank_places(
 
     Parameters
     ----------
-    places
-        To be ordered.
-    trajectories
-        Of the training experiments, with linearisations.
-    residual
-        Of the fit that they are added to.
     frequencies
         Angular frequencies of the waves among what depends on time alone.
-    generator
-        Of the random weightings.
-    thresholds
-        Their number, and that of a curve's coefficients.
     """
     if not places:
         return []
@@ -294,8 +284,6 @@ def adjoint_signals(trajectory: LinearisedTrajectory, weights: FloatArray) -> Ad
 
     Parameters
     ----------
-    trajectory
-        In model exchange.
     weights : (k, m)
         m weightings of the experiment's residuals.
 

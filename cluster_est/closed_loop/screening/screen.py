@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import Any, Self
 
 import numpy as np
@@ -11,9 +12,9 @@ import numpy as np
 from cluster_est.closed_loop.candidates.arguments import (
     CandidatePlace,
     count_candidates,
-    count_variables,
     open_arguments,
     open_places,
+    variables_of,
 )
 from cluster_est.closed_loop.candidates.make import (
     EffectCandidate,
@@ -128,8 +129,6 @@ def screen(
 
     Parameters
     ----------
-    fitter, settings, fitted
-        Where, with which forms and sites, and what is screened.
     step
         The number of the round: its random generators are its own.
     """
@@ -307,9 +306,10 @@ def _candidates(
     sites = candidate_sites(*given, settings)
     arguments = open_arguments(*given)
     forms = {site: forms_at(site, fitted.problem, description, settings) for site in sites}
-    possible = sum(count_variables(f, site, arguments) for site in sites for f in forms[site])
     everywhere = LoopPart.PLACES_FIRST in settings.without or not fitter.by_linear_systems
-    if everywhere or possible <= chosen.most_candidates:
+    most = chosen.most_candidates
+    possible = (v for site in sites for f in forms[site] for v in variables_of(f, site, arguments))
+    if everywhere or len(list(islice(possible, most + 1))) <= most:
         candidates = make_candidates(*given, frequencies, settings)
         if everywhere or len(candidates) <= fitter.size:
             return candidates, len(candidates)
@@ -397,10 +397,6 @@ def rank_curves(
 
     Parameters
     ----------
-    fitted
-        The model that a curve is added to.
-    ranking
-        Of all candidates at that model.
     variables
         1 for curves of one argument, 2 for those of a switch, which follow most of what the switch
         alone does and would crowd out curves that say less.
