@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from cluster_est.closed_loop.findings.competing_models import (
     CompetingModel,
+    choice_price,
     competing_models,
     resampled_choices,
     with_choices,
@@ -34,7 +33,6 @@ from cluster_est.closed_loop.output_noise import (
     believed_noise,
     residual_noise,
 )
-from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.closed_loop.workbench import LoopScope
@@ -67,8 +65,8 @@ class LastFits:
     ----------
     before, after
         The same where nothing was added.
-    errors, unchanged
-        Of both side by side, and of the first beside itself.
+    errors
+        Of both side by side.
     noise
         What the effects make of process noise, where there is some.
     """
@@ -76,7 +74,6 @@ class LastFits:
     before: Result = field(repr=False)
     after: Result = field(repr=False)
     errors: tuple[ErrorChange, ...]
-    unchanged: tuple[ErrorChange, ...]
     noise: tuple[NoiseChange, ...] = ()
 
 
@@ -140,13 +137,8 @@ def _fitted_from(
     method: LeastSquares,
 ) -> LastFits:
     fits = [final_fit(fitter, start, begin, method) for start in starts]
-    return _side_by_side(fitter, found, fits)
-
-
-def _side_by_side(fitter: Fitter, found: SelectionResult, fits: Sequence[Result]) -> LastFits:
     before, after = fits[0], fits[-1]
-    changes = [error_changes(fitter, found, before, each) for each in (after, before)]
-    return LastFits(before, after, changes[0], changes[1])
+    return LastFits(before, after, error_changes(fitter, found, before, after))
 
 
 def account(
@@ -198,7 +190,7 @@ def account(
         effects=named if keep else (),
         before=before,
         after=after,
-        errors=fits.errors if keep else fits.unchanged,
+        errors=fits.errors if keep else tuple(each.unchanged for each in fits.errors),
         findings=found.findings,
         rejected=() if keep else named,
         noise={} if fitter.predicts else fitter.noise_in_units(found.noise),
@@ -230,8 +222,7 @@ def _compared(verdict: Verdict, found: SelectionResult) -> tuple[ComparedStructu
     """The structures that were compared; with probabilities, where noise is all that is left."""
     if verdict is not Verdict.FOUND:
         return found.path
-    price = SELECTION.choice_price
-    return with_probabilities(found.path, price * np.log(found.steps[0].screening.count))
+    return with_probabilities(found.path, choice_price(found))
 
 
 def _unexplained(
@@ -378,9 +369,9 @@ def result_so_far(
     try:
         with fitter.runner.uncounted():
             judged = replace(judge(fitter, found), verdict=Verdict.PARTIAL)
-            fits = [_as_it_is(fitter, model, begin) for model in (found.base, found.current)]
-            compared = _side_by_side(fitter, found, fits)
-            result = account(fitter, found, judged, compared, scope)
+            before, after = (_as_it_is(fitter, fit, begin) for fit in (found.base, found.current))
+            fits = LastFits(before, after, error_changes(fitter, found, before, after))
+            result = account(fitter, found, judged, fits, scope)
     except ClusterEstError:
         return None
     rounds = f"stopped after round {len(found.steps)} of at most {found.settings.max_effects}"
@@ -388,7 +379,7 @@ def result_so_far(
         result,
         summary=f"{rounds}: {result.summary}",
         notes=(*filter(None, (NOT_THE_LAST, said)), *result.notes),
-        seconds=fits[-1].seconds,
+        seconds=after.seconds,
     )
 
 

@@ -68,8 +68,10 @@ class EnlargedCopy:
 
     def of(self, experiment: Experiment) -> Experiment:
         """Enlarge the inputs of an experiment."""
+        means = [given.values.mean() for given in experiment.inputs]
         inputs = tuple(
-            replace(given, values=_swung(given.values, self.factor)) for given in experiment.inputs
+            replace(given, values=np.asarray(mean + self.factor * (given.values - mean)))
+            for given, mean in zip(experiment.inputs, means, strict=True)
         )
         name = f"{experiment.id} (inputs x {self.factor:g})"
         return replace(experiment, id=name, inputs=inputs)
@@ -91,11 +93,6 @@ def with_outputs(problem: Problem, change: Callable[[int, Output], Output]) -> P
         for e, experiment in enumerate(problem.experiments)
     ]
     return replace(problem, experiments=tuple(experiments))
-
-
-def _swung(values: FloatArray, factor: float) -> FloatArray:
-    mean = values.mean()
-    return np.asarray(mean + factor * (values - mean))
 
 
 class SimulationMeter:

@@ -314,7 +314,6 @@ def last_fits_with_noise(
         before=free[0],
         after=free[-1],
         errors=_error_changes((free[0], free[-1]), (held[0], held[-1])),
-        unchanged=_error_changes((free[0], free[0]), (held[0], held[0])),
         noise=_noise_changes(free[0], free[-1]),
     )
 

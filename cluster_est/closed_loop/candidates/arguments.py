@@ -297,7 +297,9 @@ def open_places(
     A force between two states is looked for where one of them acts on the other already, as a
     function of their difference, of the first of them, or of a state that acts on both.
     """
-    acts = _acting_states(trajectories)
+    linear = [each.linear for each in trajectories if each.linear is not None]
+    sizes = np.max([each.A.largest() for each in linear], axis=0)
+    acts = sizes > ACTS * sizes.max(axis=1, keepdims=True, initial=0.0)
     index = {name: i for i, name in enumerate(arguments.states)}
     places = []
     for site in sites:
@@ -342,10 +344,3 @@ def count_candidates(
                 for form in own
             )
     return total
-
-
-def _acting_states(trajectories: Sequence[LinearisedTrajectory]) -> np.ndarray:
-    """(x, x) booleans: whether the second state acts on the first, anywhere along the data."""
-    linear = [each.linear for each in trajectories if each.linear is not None]
-    sizes = np.max([each.A.largest() for each in linear], axis=0)
-    return np.asarray(sizes > ACTS * sizes.max(axis=1, keepdims=True, initial=0.0))

@@ -124,28 +124,23 @@ def make_candidates(
     scales = SignalScales(trajectories, frequencies, exchanged, step, arguments.units)
     known = {_identity(e) for e in problem.effects if e.form and not e.is_noise}
     taken = {effect.name for effect in problem.effects}
-    leading = None if places is None else _by_site(places)
-    if leading is None:
+    leading: dict[EffectSite, list[str]] = {}
+    for place in places or ():
+        leading.setdefault(place.site, []).append(place.argument)
+    if places is None:
         sites = candidate_sites(problem, description, trajectories, settings)
     else:
         sites = single_sites(problem, description, trajectories, settings)
         sites += [site for site in leading if site.kind == "pair"]
     found = []
     for site in sites:
-        names = None if leading is None else leading.get(site, [])
+        names = None if places is None else leading.get(site, [])
         for form in forms_at(site, problem, description, settings):
             for variables in variables_of(form, site, arguments, names):
                 candidate = _candidate(form, site, variables, scales, taken, arguments)
                 if candidate and _identity(candidate.effect) not in known:
                     taken.add(candidate.effect.name)
                     found.append(candidate)
-    return found
-
-
-def _by_site(places: Collection[CandidatePlace]) -> dict[EffectSite, list[str]]:
-    found: dict[EffectSite, list[str]] = {}
-    for place in places:
-        found.setdefault(place.site, []).append(place.argument)
     return found
 
 

@@ -94,7 +94,8 @@ class SignalScales:
         if scale is GridScale.PER_STEP:
             return tuple(g / self.resolution for g in grid)
         if scale is GridScale.MIDDLE_T:
-            return tuple(g * self._middle() for g in grid)
+            middle = np.mean([0.5 * (c.times[0] + c.times[-1]) for c in self.trajectories])
+            return tuple(g * float(middle) for g in grid)
         if scale is GridScale.COUPLING:
             return tuple(g * self._coupling(site) for g in grid)
         signal = self._scaled_by(scale, site, variables)
@@ -181,9 +182,6 @@ class SignalScales:
         if not steps.size:
             steps = np.concatenate([np.diff(c.times) for c in self.trajectories])
         return float(np.median(steps))
-
-    def _middle(self) -> float:
-        return float(np.mean([0.5 * (c.times[0] + c.times[-1]) for c in self.trajectories]))
 
     def _coupling(self, site: EffectSite) -> float:
         """Ratio of how two states act on each other, as that of the inertias of two masses."""

@@ -33,6 +33,11 @@ MOST_NAMED_SETS = 5
 DECLARED = "no effect"
 
 
+def choice_price(found: SelectionResult) -> float:
+    """Return the price of the choice of one effect among all candidates, in -2 log likelihood."""
+    return float(SELECTION.choice_price * np.log(found.steps[0].screening.count))
+
+
 def with_probabilities(
     path: Sequence[ComparedStructure], choice: float
 ) -> tuple[ComparedStructure, ...]:
@@ -171,7 +176,7 @@ def competing_models(fitter: Fitter, found: SelectionResult) -> tuple[CompetingM
 
     Their weights are probabilities as `with_probabilities` has them, among those that are kept.
     """
-    price = SELECTION.choice_price * np.log(found.steps[0].screening.count)
+    price = choice_price(found)
     leading = leading_models(fitter, found, 4 * MOST_COMPETING)
     criteria = np.array([fit.criterion(fitter.records) + price * len(fit.added) for fit in leading])
     criteria -= criteria[0]
@@ -248,7 +253,7 @@ def resampled_choices(fitter: Fitter, found: SelectionResult) -> ResampledChoice
     leading = leading_models(fitter, found, LEADING)
     if max(len(fit.x) for fit in leading) > MOST_UNKNOWNS:
         return None
-    choice = SELECTION.choice_price * np.log(found.steps[0].screening.count)
+    choice = choice_price(found)
     fits = [LinearFit(f.residuals, f.jacobian, choice * len(f.added)) for f in leading]
     whole = len(fitter.train) >= FEWEST
     pieces, outputs = _pieces(fitter, whole=whole)

@@ -134,7 +134,8 @@ def _describe(
 ) -> NamedEffect:
     name = candidate.effect.name
     won, rivals = found.rivals.get(name, (None, []))
-    coefficients, period = _coefficients(name, result), period_of(candidate, found.current)
+    coefficients = tuple(e for e in result.estimates if e.parameter.startswith(f"{name}."))
+    period = period_of(candidate, found.current)
     named = namer.name(candidate, [e.value for e in coefficients], curve)
     also = _agreeing(fitter, result, namer, named, curve)
     return NamedEffect(
@@ -164,10 +165,6 @@ def _agreeing(
         return ()
     negative = namer.may_be_negative(curve.variable)
     return agreements(curve, shape, named.placed.law, named.of_law, negative=negative)
-
-
-def _coefficients(name: str, result: Result) -> tuple[Estimate, ...]:
-    return tuple(e for e in result.estimates if e.parameter.startswith(f"{name}."))
 
 
 def _alternatives(
@@ -291,8 +288,9 @@ def sentence_of(
     period: float = math.nan,
 ) -> str:
     """Return what was found in a sentence or two."""
-    said = f"{_capital(words)} {_place(candidate)}: {candidate.equation}"
-    values = [] if candidate.form.free else [_value(candidate, e) for e in coefficients if _told(e)]
+    said = f"{words[:1].upper()}{words[1:]} {_place(candidate)}: {candidate.equation}"
+    told = [e for e in coefficients if e.estimated_on != "known"]  # a width may have been held
+    values = [] if candidate.form.free else [_value(candidate, e) for e in told]
     if values:
         said += f", with {in_a_row(values)}"
     if math.isfinite(period):
@@ -326,15 +324,6 @@ def _reference(candidate: EffectCandidate, coefficients: Sequence[Estimate]) -> 
 def _place(candidate: EffectCandidate) -> str:
     site = candidate.site
     return f"between {' and '.join(site.targets)}" if site.kind == "pair" else f"at {site}"
-
-
-def _capital(words: str) -> str:
-    return words[:1].upper() + words[1:]
-
-
-def _told(estimate: Estimate) -> bool:
-    """A width that was held is nobody's finding."""
-    return estimate.estimated_on != "known"
 
 
 def _value(candidate: EffectCandidate, estimate: Estimate) -> str:

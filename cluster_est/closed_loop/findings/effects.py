@@ -184,6 +184,12 @@ class ErrorChange:
     normalised_before: float
     normalised_after: float
 
+    @property
+    def unchanged(self) -> ErrorChange:
+        """The error before, beside itself."""
+        before, normalised = self.rmse_before, self.normalised_before
+        return replace(self, rmse_after=before, normalised_after=normalised)
+
     @classmethod
     def between(
         cls, before: OutputError, after: OutputError, normalised: tuple[float, float]

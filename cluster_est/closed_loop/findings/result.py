@@ -245,11 +245,9 @@ class LoopResult:
                 role: {"before": self.rms(role, "before"), "after": self.rms(role, "after")}
                 for role in ("train", "test")
             },
-            "errors_by_output": tables.errors_by_output(self.errors),
             "noise": self.noise,
             "notes": list(self.notes),
             "sites": list(self.sites),
-            "experiments_simulated": self.simulations,
         }
 
     @property

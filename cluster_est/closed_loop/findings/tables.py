@@ -124,29 +124,6 @@ def _coefficient(effect: NamedEffect, estimate: Estimate) -> str:
     return estimate.parameter.removeprefix(f"{effect.name}.")
 
 
-def errors_by_output(errors: Sequence[ErrorChange]) -> Row:
-    """Return the root mean square error of each output of each role, in its unit."""
-    found: Row = {}
-    for output in dict.fromkeys(e.output for e in errors):
-        rows = [e for e in errors if e.output == output]
-        found[output] = {"unit": rows[0].unit}
-        for role in ("train", "test"):
-            own = [e for e in rows if e.role == role]
-            found[output][role] = {
-                "before": _pooled(own, [e.rmse_before for e in own]),
-                "after": _pooled(own, [e.rmse_after for e in own]),
-            }
-    return found
-
-
-def _pooled(rows: list[ErrorChange], values: list[float]) -> float:
-    pairs = [(e.samples, value) for e, value in zip(rows, values, strict=True) if e.samples]
-    if not pairs:  # an output may have no samples in an experiment: that is no failure
-        return np.nan
-    samples, errors = np.array(pairs, np.float64).T
-    return float(np.sqrt((samples * errors**2).sum() / samples.sum()))
-
-
 def config_block(effect: NamedEffect) -> str:
     """Return an entry of `[[effects]]` that starts from the values found.
 

@@ -13,7 +13,7 @@ from cluster_est.closed_loop.screening.screen import SHORTEST_SPECTRUM
 from cluster_est.problem.display import readable_time
 from cluster_est.problem.tables.measured import UnusedColumns
 from cluster_est.problem.variables import silent_inputs
-from cluster_est.statistics.dependence import Dependence, dependence, periodic_share
+from cluster_est.statistics.dependence import dependence, periodic_share
 from cluster_est.statistics.records import OutputRecord
 from workers.messages import Experiment, FloatArray
 
@@ -243,7 +243,9 @@ def varying_columns(
     count = len(names) * len(fitter.records.outputs)
     for output, label in enumerate(fitter.records.outputs):
         for name in names:
-            seen = _dependence(_pairs(fitter, tables, residuals, output, name))
+            pairs = _pairs(fitter, tables, residuals, output, name)
+            series = [(pair.residual, pair.column) for pair in pairs]
+            seen = dependence(series, [pair.driving for pair in pairs])
             p = min(seen.p * count, 1.0)
             if p <= significance:
                 found.append(VaryingColumn(name, label, seen.share, p))
@@ -268,11 +270,6 @@ class _Pair:
     column: FloatArray
     times: FloatArray
     driving: dict[str, FloatArray]
-
-
-def _dependence(pairs: Sequence[_Pair]) -> Dependence:
-    known = [pair.driving for pair in pairs]
-    return dependence([(pair.residual, pair.column) for pair in pairs], known)
 
 
 def _tables(fitter: Fitter) -> dict[int, UnusedColumns]:
