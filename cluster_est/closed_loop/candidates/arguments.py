@@ -32,6 +32,14 @@ class CandidatePlace:
     argument: str
 
 
+def by_site(places: Collection[CandidatePlace]) -> dict[EffectSite, list[str]]:
+    """Return the arguments at each site."""
+    found: dict[EffectSite, list[str]] = {}
+    for place in places:
+        found.setdefault(place.site, []).append(place.argument)
+    return found
+
+
 @dataclass(frozen=True)
 class OpenArguments:
     """Everything that an effect may be a function of, in the data at hand.
@@ -329,18 +337,9 @@ def count_candidates(
     A free curve at a place stands for every function of its argument; products, of which there are
     far more, are made of leading arguments alone.
     """
-    total = 0
-    sites = dict.fromkeys(place.site for place in places)
-    for site in sites:
-        if site.kind not in ("derivative", "pair"):
-            total += sum(form.variables == 0 for form in forms[site])
-    for place in places:
-        own = forms[place.site]
-        if place.argument == TIME:
-            total += sum(form.variables == 0 for form in own)
-        else:
-            total += sum(
-                form.variables == 1 and arguments.takes(form, place.site, place.argument)
-                for form in own
-            )
-    return total
+    return sum(
+        len(variables_of(form, site, arguments, names))
+        for site, names in by_site(places).items()
+        for form in forms[site]
+        if form.variables < 2
+    )

@@ -13,6 +13,7 @@ import numpy as np
 from cluster_est.closed_loop.candidates.arguments import (
     CandidatePlace,
     OpenArguments,
+    by_site,
     open_arguments,
     variables_of,
 )
@@ -124,9 +125,7 @@ def make_candidates(
     scales = SignalScales(trajectories, frequencies, exchanged, step, arguments.units)
     known = {_identity(e) for e in problem.effects if e.form and not e.is_noise}
     taken = {effect.name for effect in problem.effects}
-    leading: dict[EffectSite, list[str]] = {}
-    for place in places or ():
-        leading.setdefault(place.site, []).append(place.argument)
+    leading = by_site(places or ())
     if places is None:
         sites = candidate_sites(problem, description, trajectories, settings)
     else:

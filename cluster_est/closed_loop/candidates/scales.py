@@ -65,10 +65,7 @@ class SignalScales:
         signals = [pooled(self.trajectories, name) for name in moving]
         if about is not None and not all(_moves(signal) for signal in (about, *signals)):
             return False
-        share = CANDIDATES.both_signs
-        if FormCondition.OSCILLATES in form.when and (
-            about is None or not oscillates(about, share)
-        ):
+        if FormCondition.OSCILLATES in form.when and (about is None or not oscillates(about)):
             return False
         if FormCondition.POSITIVE in form.when and (about is None or not _positive(about)):
             return False
@@ -233,9 +230,9 @@ def _positive(signal: FloatArray) -> bool:
     return bool(signal.min() >= -1e-6 * np.abs(signal).max())
 
 
-def oscillates(signal: FloatArray, share: float = CANDIDATES.both_signs) -> bool:
-    """Return whether a signal takes both signs clearly, by this share of its rms."""
-    reach = share * float(np.sqrt(np.mean(signal**2)))
+def oscillates(signal: FloatArray) -> bool:
+    """Return whether a signal takes both signs clearly."""
+    reach = CANDIDATES.both_signs * float(np.sqrt(np.mean(signal**2)))
     return bool(signal.min() < -reach and signal.max() > reach)
 
 

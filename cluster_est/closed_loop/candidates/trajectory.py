@@ -147,7 +147,6 @@ CONSTANT_FACTOR = 1e-4
 
 def integrated_states(
     trajectories: Sequence[LinearisedTrajectory],
-    tolerance: float = KINEMATIC,
 ) -> dict[str, tuple[str, float]]:
     """Find the states x with dx/dt = c v, where v is another state and c a constant.
 
@@ -155,8 +154,6 @@ def integrated_states(
     ----------
     trajectories
         The first one with a linear system is looked at: the equations are those of all.
-    tolerance
-        Largest share of the derivative that the equation may leave.
 
     Returns
     -------
@@ -174,7 +171,7 @@ def integrated_states(
         factor = float(own[0, j])
         size = np.abs(linear.derivatives[:, i]).max()
         gap = np.abs(linear.derivatives[:, i] - factor * linear.states[:, j]).max()
-        if i == j or gap > tolerance * size:
+        if i == j or gap > KINEMATIC * size:
             continue
         row = np.abs(own - factor * np.eye(len(names))[j]).max()
         driven = np.abs(linear.B[:, i]).max(initial=0.0)
