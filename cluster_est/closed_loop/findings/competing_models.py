@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.tables import effect_block
+from cluster_est.closed_loop.findings.effects import effect_block
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
+from cluster_est.problem.parameter import Parameter
 from cluster_est.results.fit_tables import Estimate
 from cluster_est.results.output_errors import OutputError
+from cluster_est.toml import dotted, inline
 from workers.messages import Effect, Role
 
 
@@ -131,6 +134,10 @@ class NamedEffect:
     @property
     def variables(self) -> tuple[str, ...]:
         return self.effect.variables
+
+    def coefficient(self, estimate: Estimate) -> str:
+        """Return the name of a coefficient without that of the effect."""
+        return estimate.parameter.removeprefix(f"{self.name}.")
 
 
 @dataclass(frozen=True)
@@ -300,3 +307,58 @@ def pooled_error(errors: Sequence[ErrorChange], role: Role, *, after: bool) -> f
     if not known.any():
         return np.nan
     return float(np.sqrt(np.average(values[known] ** 2, weights=samples[known])))
+
+
+def config_block(effect: NamedEffect) -> str:
+    """Return an entry of `[[effects]]` that starts from the values found.
+
+    Bounds are those of the search, so that a fit that names the effect finds the same.
+    """
+    neutral, sections = dict(effect.effect.coefficients), {}
+    for estimate in effect.coefficients:
+        name, fixed = effect.coefficient(estimate), estimate.estimated_on == "known"
+        bounds = () if fixed else (estimate.lower, estimate.upper)
+        section = _section(estimate.value, neutral.get(name), bounds, estimate.scale, fixed=fixed)
+        sections[name] = section | ({"unit": estimate.unit} if estimate.unit else {})
+    return _block(effect.effect, sections)
+
+
+def effect_block(effect: Effect, coefficients: Sequence[Parameter]) -> str:
+    """Return the same for an effect whose coefficients are parameters that start as fitted."""
+    neutral, sections = dict(effect.coefficients), {}
+    for parameter in coefficients:
+        name, bounds = (
+            parameter.name.removeprefix(f"{effect.name}."),
+            (parameter.lower, parameter.upper),
+        )
+        section = _section(
+            parameter.start, neutral.get(name), bounds, parameter.scale, fixed=parameter.fixed
+        )
+        sections[name] = section | ({"per": parameter.per} if parameter.per else {})
+    return _block(effect, sections)
+
+
+def _section(
+    start: float, neutral: float | None, bounds: Sequence[float], scale: str, *, fixed: bool
+) -> dict[str, Any]:
+    section: dict[str, Any] = {"start": float(start), "neutral": neutral}
+    if any(map(math.isfinite, bounds)):
+        section["bounds"] = list(map(float, bounds))
+    if scale != "linear":
+        section["scale"] = scale
+    return section | ({"fixed": True} if fixed else {})
+
+
+def _block(effect: Effect, sections: Mapping[str, Mapping[str, Any]]) -> str:
+    lines = [
+        "[[effects]]",
+        f"name = {inline(effect.name)}",
+        f"site = {inline(effect.site)}",
+        *([f"form = {inline(effect.form)}"] if effect.form else []),
+        *([f"variables = {inline(list(effect.variables))}"] if effect.variables else []),
+        *([f"equation = {inline(effect.equation)}"] if effect.equation else []),
+        *([f"reaction = {inline(effect.reaction)}"] if effect.reaction else []),
+        "[effects.parameters]",
+    ]
+    lines += [f"{dotted(name)} = {inline(section)}" for name, section in sections.items()]
+    return "\n".join(lines) + "\n"
