@@ -50,7 +50,7 @@ Place = tuple[int, str]
 
 Mask = npt.NDArray[np.bool_]
 
-CHANCE = 0.01
+CHANCE_OF_JUMPS = 0.01
 """Probability above which outliers stand just after jumps by chance."""
 
 
@@ -245,7 +245,7 @@ def _in_records(
     after = sum(int((each.mask & jumps[e]).sum()) for e, each in found.items())
     places = np.concatenate([np.zeros(0, bool), *(jumps[e] for e in signals)])
     share = float(places.mean()) if len(places) else 0.0
-    by_chance = after == 0 or bdtrc(after - 1, count, share) >= CHANCE
+    by_chance = after == 0 or bdtrc(after - 1, count, share) >= CHANCE_OF_JUMPS
     return found if by_chance else _of_sensor(signals, jumps, noise)
 
 

@@ -88,14 +88,14 @@ ORDER = 5
 WHITE = 0.05
 """Share of the squares that is left beside the white part where noise counts as white."""
 
-COLOURED = 0.8
+COLOURED_SHARE = 0.8
 """Share of the variance above which the white part leaves no room for coloured noise: what is
 left beside it is then something else."""
 
 FIRST_ORDER = 0.1
 """Partial autocorrelation beyond lag 1 up to which noise counts as of first order. Benchmark."""
 
-LONGEST = 0.95
+DRIFT = 0.95
 """Correlation from one sample to the next above which a residual is a drift or an offset, and no
 noise of a sensor, which forgets within some twenty samples."""
 
@@ -184,7 +184,7 @@ class OutputNoise:
     @property
     def drifts(self) -> bool:
         """It forgets too slowly for a sensor's own noise."""
-        return self.correlation > LONGEST
+        return self.correlation > DRIFT
 
     @property
     def no_larger(self) -> bool:
@@ -201,7 +201,7 @@ class OutputNoise:
     @property
     def coloured(self) -> bool:
         """A part of it is not white."""
-        return self.white**2 <= COLOURED * self.level**2
+        return self.white**2 <= COLOURED_SHARE * self.level**2
 
     @property
     def like_noise(self) -> bool:
@@ -253,9 +253,9 @@ def _of_output(
         degrees=len(part) / autocorrelation(fitted.residuals, own).squares,
         correlation=float(partial[0]),
         first_order=bool(
-            partial[0] <= LONGEST
+            partial[0] <= DRIFT
             and np.abs(partial[1:]).max() <= most
-            and white**2 <= COLOURED * rms**2
+            and white**2 <= COLOURED_SHARE * rms**2
         ),
         declared=declared,
         loud=_loud(fitter, fitted, number) if declared else (),

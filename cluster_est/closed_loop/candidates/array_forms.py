@@ -26,7 +26,7 @@ from workers.effects.forms import EffectForm
 from workers.effects.signal_memory import MEMORIES, SampledSignal
 from workers.messages import FloatArray
 
-RELATIVE = 1e-9
+EQUAL_STEPS = 1e-9
 """Of a power of ten: steps that differ by less are one."""
 
 Function = Callable[..., Any]
@@ -131,7 +131,7 @@ def _follow_coupled(
     start = np.array([_along(f, arguments, coefficients)[0] for f in states.starts])
     lengths = np.diff(times)
     # the differences of equal times differ in their last bits
-    unit = 10.0 ** np.floor(np.log10(lengths)) * RELATIVE
+    unit = 10.0 ** np.floor(np.log10(lengths)) * EQUAL_STEPS
     steps, which = np.unique(np.rint(lengths / unit) * unit, return_inverse=True)
     by = step_matrices(matrix, steps)
     forced = np.matmul(by.from_first[which], drives.T[:-1, :, None])

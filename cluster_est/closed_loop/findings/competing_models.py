@@ -24,7 +24,7 @@ from workers.messages import Effect, IntArray
 
 SHARE = 0.9
 """Of the probability that the likely sets hold together."""
-TEMPERATURE = 8.0
+CRITERION_SCALE = 8.0
 """What differences of the criterion are divided by. Benchmark: without, sets that should hold 98 %
 held the truth in 91 % of 260 cases, and what was called more than 99 % sure was so in 92 % of 127;
 with it in 95 %, and in 99 % of 96. The criterion takes models for exact and refits for complete."""
@@ -46,7 +46,7 @@ def with_probabilities(
     With a criterion B, exp(-B / 2) is proportional to the probability of the data under a model,
     and so to that of the model where none was more likely beforehand (A. E. Raftery, Sociol.
     Methodol. 25 (1995) 111-163, doi:10.2307/271063). Here B has the price of the choice of each
-    effect among all candidates, and is divided by `TEMPERATURE`: a fractional likelihood (A.
+    effect among all candidates, and is divided by `CRITERION_SCALE`: a fractional likelihood (A.
     O'Hagan, J. R. Stat. Soc. B 57 (1995) 99-138, doi:10.1111/j.2517-6161.1995.tb02017.x). Each set
     counts once, at its best refit, which may have been broken off; the declared model is one of
     them, and the last row of what is returned.
@@ -63,7 +63,7 @@ def with_probabilities(
     priced = [
         rows[number].criterion + choice * len(rows[number].effects) for number in best.values()
     ]
-    criteria = np.array(priced) / TEMPERATURE
+    criteria = np.array(priced) / CRITERION_SCALE
     weights = np.exp(-0.5 * (criteria - criteria.min()))
     known = dict(zip(best.values(), (weights / np.add.reduce(weights)).tolist(), strict=True))
     return tuple(
@@ -182,7 +182,7 @@ def competing_models(fitter: Fitter, found: SelectionResult) -> tuple[CompetingM
     criteria -= criteria[0]
     order = sorted(range(1, len(leading)), key=lambda i: criteria[i])
     kept = [0, *(i for i in order if criteria[i] < FAR)][:MOST_COMPETING]
-    weights = np.exp(-0.5 * (criteria[kept] - criteria[kept].min()) / TEMPERATURE)
+    weights = np.exp(-0.5 * (criteria[kept] - criteria[kept].min()) / CRITERION_SCALE)
     weights /= np.add.reduce(weights)
     return tuple(
         _competing(leading[i], float(criteria[i]), weight)
@@ -203,7 +203,7 @@ def _competing(fit: FittedModel, criterion: float, weight: float) -> CompetingMo
 
 
 DRAWS = 200
-FEWEST = 5
+FEWEST_DRAWN = 5
 """Experiments that are drawn as they are; of fewer, parts of their records."""
 PARTS = 10
 LEADING = 12
@@ -255,7 +255,7 @@ def resampled_choices(fitter: Fitter, found: SelectionResult) -> ResampledChoice
         return None
     choice = choice_price(found)
     fits = [LinearFit(f.residuals, f.jacobian, choice * len(f.added)) for f in leading]
-    whole = len(fitter.train) >= FEWEST
+    whole = len(fitter.train) >= FEWEST_DRAWN
     pieces, outputs = _pieces(fitter, whole=whole)
     shares = choice_shares(fits, pieces, outputs, DRAWS, fitter.generator(STREAM))
     drawn = f"the {len(fitter.train)} experiments" if whole else "tenths of the records"

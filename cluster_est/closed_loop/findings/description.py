@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -37,7 +36,7 @@ WINDOWS = 20
 """Parts into which a record is cut to say when most of its residual lives."""
 
 
-UNEVEN = 4.0
+STANDS_OUT = 4.0
 """Times its share of the samples that a part of a record must have of the squares to be named: of
 white noise in parts of ten samples the largest among some hundred has three times."""
 
@@ -119,7 +118,7 @@ def where_left(fitter: Fitter, fitted: FittedModel) -> str:
                 f"between t = {edges[k]:.4g} and {edges[k + 1]:.4g} s",
             )
     share = best[0] / total
-    if share < UNEVEN * best[1]:
+    if share < STANDS_OUT * best[1]:
         return "what is left is spread over all records, with no part that stands out"
     return f"of what is left, the largest part ({share:.0%}) is in {best[2]}"
 
@@ -144,7 +143,10 @@ def _describe(
         equation=candidate.equation,
         coefficients=coefficients,
         alternatives=_alternatives(fitter, found, candidate, won, rivals, namer),
-        evidence=(*_evidence(found, candidate), *_columns(fitter, found, candidate, period)),
+        evidence=(
+            *_evidence(found, candidate, period),
+            *_columns(fitter, found, candidate, period),
+        ),
         words=named.words,
         sentence=sentence_of(named.words, candidate, coefficients, curve, also, period),
         also=also,
@@ -182,15 +184,30 @@ def _alternatives(
     if won is None:
         return ()
     others = {c.effect.name for c in found.current.added if c is not candidate}
-    made = [
-        replace(
-            _alternative(fitter, won, rival, found.noise),
-            words=namer.name(rival.candidate, _strengths(rival), None).words,
+    made = []
+    for rival in rivals:
+        other = rival.candidate
+        where, when, output, size = _largest_difference(
+            fitter, won.fitted, rival.fitted, found.noise
         )
-        for rival in rivals
-        if rival.candidate.effect.name not in others
-    ]
-    return tuple(a for a in made if a.difference <= LARGEST_DIFFERENCE)
+        if other.effect.name in others or not size <= LARGEST_DIFFERENCE:
+            continue
+        made.append(
+            AlternativeEffect(
+                site=str(other.site),
+                form=other.form.name,
+                family=other.form.family,
+                variables=other.effect.variables,
+                equation=other.equation,
+                criterion=float(rival.criterion - won.criterion),
+                experiment=where,
+                output=output,
+                time=when,
+                difference=size,
+                words=namer.name(other, _strengths(rival), None).words,
+            )
+        )
+    return tuple(made)
 
 
 def _strengths(rival: RefittedCandidate) -> list[float]:
@@ -199,26 +216,6 @@ def _strengths(rival: RefittedCandidate) -> list[float]:
     name = rival.candidate.effect.name
     labels = [f"{name}.{c.name}" for c in rival.candidate.form.coefficients]
     return [values[label] for label in labels if label in values]
-
-
-def _alternative(
-    fitter: Fitter, won: RefittedCandidate, rival: RefittedCandidate, noise: FloatArray
-) -> AlternativeEffect:
-    """A rival, and where an experiment would tell it from the winner best."""
-    candidate = rival.candidate
-    where, when, output, size = _largest_difference(fitter, won.fitted, rival.fitted, noise)
-    return AlternativeEffect(
-        site=str(candidate.site),
-        form=candidate.form.name,
-        family=candidate.form.family,
-        variables=candidate.effect.variables,
-        equation=candidate.equation,
-        criterion=float(rival.criterion - won.criterion),
-        experiment=where,
-        output=output,
-        time=when,
-        difference=size,
-    )
 
 
 def _largest_difference(
@@ -232,12 +229,10 @@ def _largest_difference(
     for record in fitter.records.items:
         gap[record.rows] /= max(float(noise[record.output]), 1e-300)
     row = int(np.argmax(gap))
-    for record in fitter.records.items:
-        if record.rows.start <= row < record.rows.stop:
-            experiment = fitter.runs[record.experiment]
-            time = float(record.times[row - record.rows.start])
-            return experiment.id, time, fitter.records.outputs[record.output], float(gap[row])
-    return "", np.nan, "", float(gap[row])
+    record = next(r for r in fitter.records.items if r.rows.start <= row < r.rows.stop)
+    time = float(record.times[row - record.rows.start])
+    output = fitter.records.outputs[record.output]
+    return fitter.runs[record.experiment].id, time, output, float(gap[row])
 
 
 def _columns(
@@ -253,10 +248,9 @@ def _columns(
     )
 
 
-def _evidence(found: SelectionResult, candidate: EffectCandidate) -> tuple[str, ...]:
+def _evidence(found: SelectionResult, candidate: EffectCandidate, period: float) -> tuple[str, ...]:
     """Sentences on why it was added, and on what it assumes."""
     sentences = []
-    period = period_of(candidate, found.current)
     if np.isfinite(period):
         sentences.append(
             f"a sinusoid in time with a period of {readable_time(period)}, with one phase in all "
@@ -275,7 +269,7 @@ def _evidence(found: SelectionResult, candidate: EffectCandidate) -> tuple[str, 
     return tuple(sentences)
 
 
-SAME = 1e-6
+ROUNDING = 1e-6
 """Share of an effect below which a difference is that of rounding."""
 
 
@@ -352,7 +346,7 @@ def _agreement(also: AgreeingEquation, curve: EffectCurve) -> str:
     unit, over = in_unit(curve.unit), in_unit(curve.variable_unit)
     off = f", but for {also.difference:.2g}{unit} ({also.share:.1%}), "
     return (
-        f"On that range it is{off if also.share > SAME else ' '}also {named}: at "
+        f"On that range it is{off if also.share > ROUNDING else ' '}also {named}: at "
         f"{curve.variable} = {also.told_at:.3g}{over} the two would differ by "
         f"{also.told_by:.2g}{unit}, so measure there to tell them apart."
     )

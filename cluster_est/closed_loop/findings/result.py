@@ -288,7 +288,7 @@ class LoopResult:
         )
 
 
-EFFECTS = pa.schema(
+EFFECT_COLUMNS = pa.schema(
     [
         *((name, pa.string()) for name in ("effect", "family", "site", "form")),
         ("variables", pa.list_(pa.string())),
@@ -299,7 +299,7 @@ EFFECTS = pa.schema(
         ("fixed", pa.bool_()),
     ]
 )
-BEFORE = ("value", "std_error", "lower95", "upper95")
+KEPT_OF_BEFORE = ("value", "std_error", "lower95", "upper95")
 
 
 def _parameter_table(before: Sequence[Estimate], after: Sequence[Estimate]) -> pa.Table:
@@ -308,7 +308,7 @@ def _parameter_table(before: Sequence[Estimate], after: Sequence[Estimate]) -> p
     rows = []
     for estimate in after:
         then = old.get(estimate.label)
-        added = {f"{k}_before": getattr(then, k) if then else np.nan for k in BEFORE}
+        added = {f"{k}_before": getattr(then, k) if then else np.nan for k in KEPT_OF_BEFORE}
         rows.append(dataclasses.asdict(estimate) | added)
     return pa.Table.from_pylist(rows)
 
@@ -337,10 +337,10 @@ def _effect_table(effects: Sequence[NamedEffect]) -> pa.Table:
         for effect in effects
         for estimate in effect.coefficients
     ]
-    return pa.Table.from_pylist(rows, schema=EFFECTS)
+    return pa.Table.from_pylist(rows, schema=EFFECT_COLUMNS)
 
 
-COLUMNS = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
+ARROW_TYPES = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
 
 
 def _row_table(row: type, rows: Sequence[CandidateEvidence | ComparedStructure]) -> pa.Table:
@@ -353,7 +353,7 @@ def _row_table(row: type, rows: Sequence[CandidateEvidence | ComparedStructure])
 def _column(kind: Any) -> pa.DataType:
     if get_origin(kind) is tuple:
         return pa.list_(_column(get_args(kind)[0]))
-    return next(column for known, column in COLUMNS.items() if issubclass(kind, known))
+    return next(column for known, column in ARROW_TYPES.items() if issubclass(kind, known))
 
 
 def _effect_facts(effect: NamedEffect) -> dict[str, Any]:
