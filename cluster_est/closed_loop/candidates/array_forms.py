@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import sympy as sp
@@ -165,18 +165,13 @@ def _along(
 _ARGUMENTS = ("t", "s", "v", "w")
 
 
-@dataclass(frozen=True)
-class FormArguments:
+class FormArguments(NamedTuple):
     """Arguments of a form: time, the signal at the site, and its variables; all (n,)."""
 
     t: FloatArray
     s: FloatArray
     v: FloatArray
     w: FloatArray
-
-    @property
-    def arrays(self) -> tuple[FloatArray, ...]:
-        return self.t, self.s, self.v, self.w
 
 
 @dataclass(frozen=True)
@@ -221,8 +216,8 @@ class ArrayForm:
         self, functions: Sequence[Function], signals: FormArguments, values: Mapping[str, float]
     ) -> FloatArray:
         with np.errstate(all="ignore"):
-            own = self._states.follow(signals.arrays, tuple(values.values()))
-            columns = [f(*signals.arrays, *own, *values.values()) for f in functions]
+            own = self._states.follow(signals, tuple(values.values()))
+            columns = [f(*signals, *own, *values.values()) for f in functions]
         size = len(signals.t)
         return np.column_stack([np.broadcast_to(np.asarray(c, float), size) for c in columns])
 
