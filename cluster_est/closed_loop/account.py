@@ -1,4 +1,7 @@
-"""The account of a closed loop: the last fits, the held-out data's veto, and all in words."""
+"""The account of a closed loop: the last fits, the held-out data's veto, and all in words.
+
+After each round it gives the same of what was found so far, should nothing come after it.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The findings of a closed loop: verdict, effects, their curves, errors before and after."""
+"""The findings of a closed loop: verdict, effects with their blocks of a config, and errors."""
 
 from __future__ import annotations
 
