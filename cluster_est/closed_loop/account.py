@@ -158,12 +158,10 @@ def account(
     steps = GuardedSteps()
     curves: tuple[EffectCurve, ...] = ()
     if keep:
-        curves = steps.do(
-            "the shapes of the effects", lambda: effect_curves(fitter, found.current, grown), ()
-        )
+        shapes = "the shapes of the effects"
+        curves = steps.do(shapes, lambda: effect_curves(fitter, found.current, grown), ())
     named = describe_effects(fitter, found, grown, curves)
-    after = grown if keep else before
-    kept = found.current if keep else found.base
+    after, kept = (grown, found.current) if keep else (before, found.base)
     unexplained = steps.do(
         "the description of what nothing explains",
         lambda: _unexplained(fitter, judgement.verdict, kept, found),
@@ -172,11 +170,8 @@ def account(
     choices = None
     competing: tuple[CompetingModel, ...] = ()
     if keep:
-        choices = steps.do(
-            "how often the choice falls on these effects",
-            lambda: resampled_choices(fitter, found),
-            None,
-        )
+        often = "how often the choice falls on these effects"
+        choices = steps.do(often, lambda: resampled_choices(fitter, found), None)
     if keep and not fitter.predicts:
         competing = steps.do("the models that compete", lambda: competing_models(fitter, found), ())
     begun = initial_errors(after.problem, after.simulations, fitted=True)
