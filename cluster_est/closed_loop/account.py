@@ -1,4 +1,7 @@
-"""The account of a closed loop: the last fits, the held-out data's veto, and all in words."""
+"""The account of a closed loop: the last fits, the held-out data's veto, and all in words.
+
+After each round it gives the same of what was found so far, should nothing come after it.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import numpy as np
 
 from cluster_est.closed_loop.findings.competing_models import (
     CompetingModel,
+    choice_price,
     competing_models,
     resampled_choices,
     with_choices,
@@ -22,11 +26,11 @@ from cluster_est.closed_loop.findings.description import (
     where_left,
 )
 from cluster_est.closed_loop.findings.effect_curves import effect_curves
-from cluster_est.closed_loop.findings.effects import ErrorChange, NoiseChange, Verdict
-from cluster_est.closed_loop.findings.remaining_error import pooled_error
-from cluster_est.closed_loop.findings.residual_noise import (
-    believed_noise,
-    residual_noise,
+from cluster_est.closed_loop.findings.effects import (
+    ErrorChange,
+    NoiseChange,
+    Verdict,
+    pooled_error,
 )
 from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
 from cluster_est.closed_loop.findings.unexplained import (
@@ -36,7 +40,10 @@ from cluster_est.closed_loop.findings.unexplained import (
 )
 from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict, confirmed, judge
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
-from cluster_est.closed_loop.selection.gates import SELECTION
+from cluster_est.closed_loop.output_noise import (
+    believed_noise,
+    residual_noise,
+)
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.closed_loop.workbench import LoopScope
@@ -69,8 +76,8 @@ class LastFits:
     ----------
     before, after
         The same where nothing was added.
-    errors, unchanged
-        Of both side by side, and of the first beside itself.
+    errors
+        Of both side by side.
     noise
         What the effects make of process noise, where there is some.
     """
@@ -78,7 +85,6 @@ class LastFits:
     before: Result = field(repr=False)
     after: Result = field(repr=False)
     errors: tuple[ErrorChange, ...]
-    unchanged: tuple[ErrorChange, ...]
     noise: tuple[NoiseChange, ...] = ()
 
 
@@ -142,13 +148,8 @@ def _fitted_from(
     method: LeastSquares,
 ) -> LastFits:
     fits = [final_fit(fitter, start, begin, method) for start in starts]
-    return _side_by_side(fitter, found, fits)
-
-
-def _side_by_side(fitter: Fitter, found: SelectionResult, fits: Sequence[Result]) -> LastFits:
     before, after = fits[0], fits[-1]
-    changes = [error_changes(fitter, found, before, each) for each in (after, before)]
-    return LastFits(before, after, changes[0], changes[1])
+    return LastFits(before, after, error_changes(fitter, found, before, after))
 
 
 def account(
@@ -165,12 +166,10 @@ def account(
     steps = GuardedSteps()
     curves: tuple[EffectCurve, ...] = ()
     if keep:
-        curves = steps.do(
-            "the shapes of the effects", lambda: effect_curves(fitter, found.current, grown), ()
-        )
+        shapes = "the shapes of the effects"
+        curves = steps.do(shapes, lambda: effect_curves(fitter, found.current, grown), ())
     named = describe_effects(fitter, found, grown, curves)
-    after = grown if keep else before
-    kept = found.current if keep else found.base
+    after, kept = (grown, found.current) if keep else (before, found.base)
     judgement, held = at_bounds(judgement, kept, after) if keep else (judgement, ())
     unexplained = steps.do(
         "the description of what nothing explains",
@@ -180,11 +179,8 @@ def account(
     choices = None
     competing: tuple[CompetingModel, ...] = ()
     if keep:
-        choices = steps.do(
-            "how often the choice falls on these effects",
-            lambda: resampled_choices(fitter, found),
-            None,
-        )
+        often = "how often the choice falls on these effects"
+        choices = steps.do(often, lambda: resampled_choices(fitter, found), None)
     if keep and not fitter.predicts:
         competing = steps.do("the models that compete", lambda: competing_models(fitter, found), ())
     begun = initial_errors(after.problem, after.simulations, fitted=True)
@@ -206,7 +202,7 @@ def account(
         effects=named if keep else (),
         before=before,
         after=after,
-        errors=fits.errors if keep else fits.unchanged,
+        errors=fits.errors if keep else tuple(each.unchanged for each in fits.errors),
         findings=found.findings,
         rejected=() if keep else named,
         noise={} if fitter.predicts else fitter.noise_in_units(found.noise),
@@ -262,8 +258,7 @@ def _compared(verdict: Verdict, found: SelectionResult) -> tuple[ComparedStructu
     """The structures that were compared; with probabilities, where noise is all that is left."""
     if verdict is not Verdict.FOUND:
         return found.path
-    price = SELECTION.choice_price
-    return with_probabilities(found.path, price * np.log(found.steps[0].screening.count))
+    return with_probabilities(found.path, choice_price(found))
 
 
 def _with_errors(
@@ -427,17 +422,15 @@ def result_so_far(
         After a round in which something was added.
     begin
         A reading of the monotonic clock.
-    scope
-        As for `account`.
     said
         Of the records that the search is on.
     """
     try:
         with fitter.runner.uncounted():
             judged = replace(judge(fitter, found), verdict=Verdict.PARTIAL)
-            fits = [_as_it_is(fitter, model, begin) for model in (found.base, found.current)]
-            compared = _side_by_side(fitter, found, fits)
-            result = account(fitter, found, judged, compared, scope)
+            before, after = (_as_it_is(fitter, fit, begin) for fit in (found.base, found.current))
+            fits = LastFits(before, after, error_changes(fitter, found, before, after))
+            result = account(fitter, found, judged, fits, scope)
     except ClusterEstError:
         return None
     rounds = f"stopped after round {len(found.steps)} of at most {found.settings.max_effects}"
@@ -445,7 +438,7 @@ def result_so_far(
         result,
         summary=f"{rounds}: {result.summary}",
         notes=(*filter(None, (NOT_THE_LAST, said)), *result.notes),
-        seconds=fits[-1].seconds,
+        seconds=after.seconds,
     )
 
 

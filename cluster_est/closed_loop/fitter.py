@@ -27,15 +27,6 @@ from cluster_est.statistics.whitening import deviance
 from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Outcome, Output, Want
 
-HORIZONS = (0.15, 0.4)
-"""Shares of each record that a start grows through. Benchmark."""
-
-SHORTEST_COPY = 12
-"""Samples of each output that a shortened experiment keeps at least. Benchmark."""
-
-ENLARGEMENT = 1.25
-"""Factor by which inputs swing further in the check for stability. Benchmark."""
-
 
 @dataclass(frozen=True)
 class ShortenedCopy:
@@ -50,7 +41,7 @@ class ShortenedCopy:
     """
 
     share: float
-    samples: int = SHORTEST_COPY
+    samples: int
 
     def of(self, experiment: Experiment) -> Experiment:
         """Shorten an experiment."""
@@ -77,8 +68,10 @@ class EnlargedCopy:
 
     def of(self, experiment: Experiment) -> Experiment:
         """Enlarge the inputs of an experiment."""
+        means = [given.values.mean() for given in experiment.inputs]
         inputs = tuple(
-            replace(given, values=_swung(given.values, self.factor)) for given in experiment.inputs
+            replace(given, values=np.asarray(mean + self.factor * (given.values - mean)))
+            for given, mean in zip(experiment.inputs, means, strict=True)
         )
         name = f"{experiment.id} (inputs x {self.factor:g})"
         return replace(experiment, id=name, inputs=inputs)
@@ -86,15 +79,11 @@ class EnlargedCopy:
 
 SyntheticKind = ShortenedCopy | EnlargedCopy
 
+SHORTENED = (ShortenedCopy(0.15, 12), ShortenedCopy(0.4, 12))
+"""Copies that a start grows through, the shortest first, with 12 samples at least. Benchmark."""
 
-def shortened_kinds() -> tuple[ShortenedCopy, ...]:
-    """Return the shortened experiments that a start grows through, the shortest first."""
-    return tuple(ShortenedCopy(share, SHORTEST_COPY) for share in HORIZONS)
-
-
-def enlarged_kind() -> EnlargedCopy:
-    """Return the enlarged experiments in which a model must stay bounded."""
-    return EnlargedCopy(ENLARGEMENT)
+ENLARGED = EnlargedCopy(1.25)
+"""Copies in which a model must stay bounded. Benchmark."""
 
 
 def with_outputs(problem: Problem, change: Callable[[int, Output], Output]) -> Problem:
@@ -104,11 +93,6 @@ def with_outputs(problem: Problem, change: Callable[[int, Output], Output]) -> P
         for e, experiment in enumerate(problem.experiments)
     ]
     return replace(problem, experiments=tuple(experiments))
-
-
-def _swung(values: FloatArray, factor: float) -> FloatArray:
-    mean = values.mean()
-    return np.asarray(mean + factor * (values - mean))
 
 
 class SimulationMeter:
@@ -289,6 +273,11 @@ class Fitter(ABC):
         return self.records.size
 
     @property
+    def runs(self) -> tuple[Experiment, ...]:
+        """The training experiments."""
+        return tuple(self.problem.experiments[e] for e in self.train)
+
+    @property
     def exchange(self) -> bool:
         return self.problem.model.interface == "model_exchange"
 
@@ -321,8 +310,7 @@ class Fitter(ABC):
     @property
     def sigmas(self) -> FloatArray:
         """The sigma of each residual, (N,)."""
-        outputs = [o for e in self.train for o in self.problem.experiments[e].outputs]
-        return np.concatenate([o.sigmas for o in outputs])
+        return np.concatenate([o.sigmas for run in self.runs for o in run.outputs])
 
     def generator(self, stream: int) -> np.random.Generator:
         """A generator of its own for each use, so that no use moves another."""
@@ -416,10 +404,9 @@ class Fitter(ABC):
                     f"closed loop: the fitted model cannot be simulated again "
                     f"({outcome.status}: {outcome.message})"
                 )
-        runs = [self.problem.experiments[e] for e in self.train]
         return [
             make_trajectory(run, outcome, self.description.states)
-            for run, outcome in zip(runs, outcomes, strict=True)
+            for run, outcome in zip(self.runs, outcomes, strict=True)
         ]
 
 

@@ -219,15 +219,10 @@ def measure_numerical_error(
 
     Parameters
     ----------
-    fitted
-        The model, at the point where its error counts.
     noise : (outputs,)
         In units of the residuals.
-    resources
-        For the limits of a simulation, and of instances.
     """
-    runs = [fitter.problem.experiments[e] for e in fitter.train]
-    model, description = fitter.problem.model, fitter.description
+    runs, model, description = fitter.runs, fitter.problem.model, fitter.description
     scale = solver_scale(model, description, runs)
     never = step_never_taken(model, description, runs)
     unknown = NumericalError(
@@ -263,15 +258,6 @@ def error_with_effects(
 
     A step that is short enough for the declared model may miss the kinks of an effect: between two
     communication points an input that has been changed counts as a straight line.
-
-    Parameters
-    ----------
-    fitted
-        The model with the effects.
-    declared
-        The error of the declared model.
-    noise, resources
-        See `measure_numerical_error`.
 
     Returns
     -------
@@ -313,7 +299,7 @@ def _residuals(
     fitter: Fitter, fitted: FittedModel, solver: Solver, resources: Resources
 ) -> FloatArray:
     """The residuals of the training experiments with another solver."""
-    runs = tuple(fitter.problem.experiments[e] for e in fitter.train)
+    runs = fitter.runs
     values = fitted.space.physical(fitted.x)
     outcomes = simulate_with_solver(
         fitted.problem, runs, values, solver, "residuals", resources, beside=fitter.runner

@@ -12,13 +12,7 @@ import numpy.typing as npt
 from scipy.special import bdtrc
 
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter, with_outputs
-from cluster_est.closed_loop.output_noise import (
-    GrowingNoise,
-    growing_noise,
-    measured_values,
-    noise_of,
-    with_own_sigmas,
-)
+from cluster_est.closed_loop.output_noise import measured_values, noise_of
 from cluster_est.closed_loop.selection.starts import THOROUGH
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.closed_loop.workbench import LoopRequest, LoopScope, LoopWorkbench, open_workbench
@@ -28,8 +22,10 @@ from cluster_est.problem.tables.jumps import after_jumps
 from cluster_est.problem.thinning import LONG
 from cluster_est.results.output_errors import output_residuals
 from cluster_est.statistics.noise.estimate import estimate_noise
+from cluster_est.statistics.noise.growing_noise import NoiseGrowth, noise_growth
 from cluster_est.statistics.noise.outliers import PROVEN, IsolatedOutliers, isolated_outliers
 from cluster_est.statistics.records import OutputRecord, StackedRecords
+from cluster_est.toml import dotted
 from workers.messages import FloatArray, Output
 
 MOST_OUTLIERS = 0.05
@@ -41,12 +37,20 @@ EXACT = 1e-5
 Signal: a simulation is hardly more exact, and what it gets wrong is no sensor's fault."""
 
 
+NOISE_GROWTH = 2.0
+"""Noise where a signal is large over that where it is small, from which a note is made. Theory:
+with weights wrong by a factor of 2 in sigma, least squares loses a third of its efficiency; with
+less, little."""
+
+NOISE_GROWTH_P = 1e-6
+"""Largest p-value for the same. Theory: a thousand outputs have a false note with 0.001."""
+
 Place = tuple[int, str]
 """An experiment's index and the name of an output."""
 
 Mask = npt.NDArray[np.bool_]
 
-CHANCE = 0.01
+CHANCE_OF_JUMPS = 0.01
 """Probability above which outliers stand just after jumps by chance."""
 
 
@@ -220,8 +224,7 @@ def _outliers(fitter: Fitter, fitted: FittedModel) -> list[OutliersOfOutput]:
 
 def _noise(fitter: Fitter, fitted: FittedModel) -> dict[str, float]:
     """The noise of each output, no less than what a simulation may get wrong."""
-    runs = [fitter.problem.experiments[e] for e in fitter.train]
-    measured, records = measured_values(runs), fitter.records
+    measured, records = measured_values(fitter), fitter.records
     signals = [measured[records.of_output(output)] for output in range(len(records.outputs))]
     ranges = np.array([np.ptp(signal) if len(signal) else 0.0 for signal in signals])
     exact = EXACT * ranges
@@ -242,7 +245,7 @@ def _in_records(
     after = sum(int((each.mask & jumps[e]).sum()) for e, each in found.items())
     places = np.concatenate([np.zeros(0, bool), *(jumps[e] for e in signals)])
     share = float(places.mean()) if len(places) else 0.0
-    by_chance = after == 0 or bdtrc(after - 1, count, share) >= CHANCE
+    by_chance = after == 0 or bdtrc(after - 1, count, share) >= CHANCE_OF_JUMPS
     return found if by_chance else _of_sensor(signals, jumps, noise)
 
 
@@ -280,3 +283,82 @@ def _held_out(fitter: Fitter, fitted: FittedModel) -> dict[Place, FloatArray]:
             if residuals is not None:
                 found[test, output.variable] = residuals
     return found
+
+
+@dataclass(frozen=True)
+class GrowingNoise:
+    """An output whose noise is larger where its signal is.
+
+    Attributes
+    ----------
+    output, growth
+        Its name, and by how much, in units of its residual.
+    sigma, relative_sigma
+        Of a sample, as in `Output`; NaN where they are not known.
+    weighted
+        Each sample takes its own; not where the user has given a sigma.
+    """
+
+    output: str
+    growth: NoiseGrowth
+    sigma: float
+    relative_sigma: float
+    weighted: bool
+
+    @property
+    def sentence(self) -> str:
+        """Say how much it grows, and what becomes of it."""
+        growth, name = self.growth, self.output
+        times = f"{growth.loud / growth.quiet:.1f} times" if growth.quiet > 0.0 else "far above"
+        said = (
+            f"the noise of {name} grows with the signal: in the third of its samples with the "
+            f"largest values it is {times} that in the third with the smallest"
+        )
+        both = f"{dotted('sigma', name)} = {self.sigma:.3g} and {dotted('relative_sigma', name)} = "
+        both += f"{self.relative_sigma:.3g}"
+        if self.weighted:
+            return (
+                f"{said}, so each sample was weighted with its own; write {both} into the "
+                "experiments for a fit with the same weights"
+            )
+        said += ", and one sigma gives the loud ones too much weight"
+        if np.isnan(self.sigma):
+            larger = dotted("relative_sigma", name)
+            return f"{said}; give it a larger {larger} beside {dotted('sigma', name)}"
+        return f"{said}; about {both} would give each sample its own"
+
+
+def growing_noise(fitter: Fitter, fitted: FittedModel, kept: Mask) -> tuple[GrowingNoise, ...]:
+    """Return the outputs whose noise grows with their signal."""
+    measured, found = measured_values(fitter), []
+    for output, name in enumerate(fitter.records.outputs):
+        rows = fitter.records.of_output(output)
+        rows = rows[kept[rows]]
+        growth = noise_growth(fitted.residuals[rows], measured[rows])
+        if growth.p >= NOISE_GROWTH_P or growth.loud < NOISE_GROWTH * growth.quiet:
+            continue
+        sigmas = fitter.sigmas[rows]
+        known = growth.quiet > 0.0 and growth.part > 0.0 and np.ptp(sigmas) == 0.0
+        sigma = _rounded(growth.constant * sigmas[0]) if known else np.nan
+        relative = _rounded(growth.part) if known else np.nan
+        weighted = known and not fitter.sigma_declared
+        found.append(GrowingNoise(name, growth, sigma, relative, weighted))
+    return tuple(found)
+
+
+def with_own_sigmas(problem: Problem, growing: Sequence[GrowingNoise]) -> Problem:
+    """Return the problem with a standard deviation for each sample of the outputs that need it."""
+    own = {each.output: each for each in growing if each.weighted}
+
+    def change(_: int, output: Output) -> Output:
+        found = own.get(output.variable)
+        if found is None:
+            return output
+        return replace(output, sigma=found.sigma, relative_sigma=found.relative_sigma)
+
+    return with_outputs(problem, change)
+
+
+def _rounded(value: float) -> float:
+    """As it is written into a note, so that a fit with it has the same weights to the bit."""
+    return float(f"{value:.3g}")

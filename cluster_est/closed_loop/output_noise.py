@@ -1,28 +1,20 @@
-"""The noise of the outputs: from residuals and measured signals; where it grows with the signal."""
+"""The noise of the outputs, from residuals and measured signals, and a residual beside it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
+from scipy.special import chdtri, ndtr
 
-from cluster_est.closed_loop.fitter import FittedModel, Fitter, with_outputs
-from cluster_est.problem.problem import Problem
+from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.statistics.noise.estimate import SHORTEST_NOISE_RECORD, estimate_noise
-from cluster_est.statistics.noise.growing_noise import NoiseGrowth, noise_growth
 from cluster_est.statistics.records import StackedRecords
-from cluster_est.toml import dotted
-from workers.messages import Experiment, FloatArray, Output
-
-NOISE_GROWTH = 2.0
-"""Noise where a signal is large over that where it is small, from which a note is made. Theory:
-with weights wrong by a factor of 2 in sigma, least squares loses a third of its efficiency; with
-less, little."""
-
-NOISE_GROWTH_P = 1e-6
-"""Largest p-value for the same. Theory: a thousand outputs have a false note with 0.001."""
+from cluster_est.statistics.residual_findings import from_to, large_sigma, small_sigma
+from cluster_est.statistics.residual_tests import NOISY, SMALL_RMS_OVER_SIGMA, autocorrelation
+from cluster_est.statistics.whitening import partial_autocorrelations
+from workers.messages import FloatArray
 
 
 def noise_of(fitter: Fitter, residuals: FloatArray) -> FloatArray:
@@ -43,8 +35,7 @@ def noise_of(fitter: Fitter, residuals: FloatArray) -> FloatArray:
     (outputs,)
         In units of the residual.
     """
-    runs = [fitter.problem.experiments[e] for e in fitter.train]
-    found = estimate_noise(residuals, fitter.records, measured_values(runs))
+    found = estimate_noise(residuals, fitter.records, measured_values(fitter))
     for number in range(len(found)):
         if is_given(fitter, number) and not is_told(fitter.records, number):
             found[number] = 1.0
@@ -55,8 +46,8 @@ def _seen_between_samples(fitter: Fitter) -> FloatArray:
     """Noise of each output in units of the residual, where records are thinned; else NaN."""
     names = fitter.records.outputs
     units: dict[str, list[FloatArray]] = {name: [] for name in names}
-    for e in fitter.train:
-        for output in fitter.problem.experiments[e].outputs:
+    for run in fitter.runs:
+        for output in run.outputs:
             if output.noise_factors is not None:
                 units[output.variable].append(output.sigmas / output.noise_factors)
     found = np.full(len(names), np.nan)
@@ -85,98 +76,274 @@ def is_given(fitter: Fitter, output: int) -> bool:
     return bool(np.any(fitter.sigmas[fitter.records.of_output(output)] != 1.0))
 
 
-def measured_values(experiments: Iterable[Experiment]) -> FloatArray:
-    """Return what was measured over sigma, stacked like the residuals of these experiments."""
-    parts = [o.values / o.sigmas for experiment in experiments for o in experiment.outputs]
+def measured_values(fitter: Fitter) -> FloatArray:
+    """Return what was measured over sigma, stacked like the residuals."""
+    parts = [o.values / o.sigmas for run in fitter.runs for o in run.outputs]
     return np.concatenate(parts) if parts else np.zeros(0)
 
 
+ORDER = 5
+"""Lags at which partial autocorrelations are looked at."""
+
+WHITE = 0.05
+"""Share of the squares that is left beside the white part where noise counts as white."""
+
+COLOURED_SHARE = 0.8
+"""Share of the variance above which the white part leaves no room for coloured noise: what is
+left beside it is then something else."""
+
+FIRST_ORDER = 0.1
+"""Partial autocorrelation beyond lag 1 up to which noise counts as of first order. Benchmark."""
+
+DRIFT = 0.95
+"""Correlation from one sample to the next above which a residual is a drift or an offset, and no
+noise of a sensor, which forgets within some twenty samples."""
+
+CHANCE = float(ndtr(-2.0))
+"""Probability that noise of the declared sigma is larger than what still counts as within it: that
+of two standard errors."""
+
+
 @dataclass(frozen=True)
-class GrowingNoise:
-    """An output whose noise is larger where its signal is.
+class OutputNoise:
+    """The residual of one output beside its noise, all in standard deviations that are declared.
+
+    Without a declared sigma they are in units of the estimated noise; where that is 0, what is left
+    is infinitely larger.
 
     Attributes
     ----------
-    output, growth
-        Its name, and by how much, in units of its residual.
-    sigma, relative_sigma
-        Of a sample, as in `Output`; NaN where they are not known.
-    weighted
-        Each sample takes its own; not where the user has given a sigma.
+    output, samples
+        Its name, and how many there are.
+    level
+        Root mean square of the residual.
+    white
+        Estimated standard deviation of the part that is white noise.
+    degrees
+        Of freedom of the square of `level`: few where the residual has a memory.
+    correlation
+        Of one sample with the next.
+    first_order
+        Nothing is seen beyond a first-order autoregression, which is what a sensor's coloured
+        noise looks like. A disturbance that goes through the model has a white floor beneath it, or
+        is smoother.
+    declared
+        The sigma is the user's.
+    loud
+        Where experiments have sigmas of their own, the ids of those that alone are noisier than
+        twice theirs, if others are not.
+    told
+        Some record is long enough for its noise to be told from what a model leaves; else `white`
+        is the sigma that is given, or the whole residual of the declared model.
+    given
+        The sigma is not 1 throughout, which is what stands where none is given.
+    filtered
+        The residuals are innovations: their unit is what process noise and sigma explain together.
     """
 
     output: str
-    growth: NoiseGrowth
-    sigma: float
-    relative_sigma: float
-    weighted: bool
+    samples: int
+    level: float
+    white: float
+    degrees: float
+    correlation: float
+    first_order: bool
+    declared: bool
+    loud: tuple[str, ...] = ()
+    told: bool = True
+    given: bool = True
+    filtered: bool = False
 
     @property
-    def sentence(self) -> str:
-        """Say how much it grows, and what becomes of it."""
-        growth, name = self.growth, self.output
-        times = f"{growth.loud / growth.quiet:.1f} times" if growth.quiet > 0.0 else "far above"
-        said = (
-            f"the noise of {name} grows with the signal: in the third of its samples with the "
-            f"largest values it is {times} that in the third with the smallest"
-        )
-        both = f"{dotted('sigma', name)} = {self.sigma:.3g} and {dotted('relative_sigma', name)} = "
-        both += f"{self.relative_sigma:.3g}"
-        if self.weighted:
-            return (
-                f"{said}, so each sample was weighted with its own; write {both} into the "
-                "experiments for a fit with the same weights"
-            )
-        said += ", and one sigma gives the loud ones too much weight"
-        if np.isnan(self.sigma):
-            larger = dotted("relative_sigma", name)
-            return f"{said}; give it a larger {larger} beside {dotted('sigma', name)}"
-        return f"{said}; about {both} would give each sample its own"
+    def over(self) -> str:
+        """What its level is a multiple of."""
+        if self.filtered:
+            return "spread that noise explains"
+        return "declared sigma" if self.declared else "noise"
+
+    @property
+    def named(self) -> str:
+        """Its name, with what its sigma may be but the user's."""
+        return self.output if self.given else f"{self.output} (1, as where none is given)"
+
+    @property
+    def sigma_too_small(self) -> bool:
+        """The white part alone is more than twice the sigma that is declared."""
+        return self.declared and self.white > NOISY
+
+    @property
+    def sigma_too_large(self) -> bool:
+        """Everything that is left is less than half the sigma that is declared."""
+        return self.declared and self.level < SMALL_RMS_OVER_SIGMA
+
+    @property
+    def within(self) -> bool:
+        """It is no larger than noise of the declared sigma is by chance, and no drift."""
+        return self.no_larger and not self.drifts
+
+    @property
+    def drifts(self) -> bool:
+        """It forgets too slowly for a sensor's own noise."""
+        return self.correlation > DRIFT
+
+    @property
+    def no_larger(self) -> bool:
+        """It is no larger than noise of the declared sigma is by chance, however smooth.
+
+        The chance is that of a chi-squared number with as many degrees of freedom as the memory
+        leaves (`Autocorrelation.squares`). A residual is not judged by its own error, which grows
+        with it.
+        """
+        if not self.declared:
+            return False
+        return bool(self.level**2 <= chdtri(self.degrees, CHANCE) / self.degrees)
+
+    @property
+    def coloured(self) -> bool:
+        """A part of it is not white."""
+        return self.white**2 <= COLOURED_SHARE * self.level**2
+
+    @property
+    def like_noise(self) -> bool:
+        """It is white, or coloured as the noise of a sensor is."""
+        return self.first_order or self.level**2 - self.white**2 <= WHITE
+
+    @property
+    def believed(self) -> bool:
+        """The declared sigma is not contradicted by the data."""
+        return self.declared and not (self.sigma_too_small or self.sigma_too_large)
 
 
-def growing_noise(
-    fitter: Fitter, fitted: FittedModel, kept: npt.NDArray[np.bool_]
-) -> tuple[GrowingNoise, ...]:
-    """Return the outputs whose noise grows with their signal.
+def residual_noise(
+    fitter: Fitter, fitted: FittedModel, noise: FloatArray
+) -> tuple[OutputNoise, ...]:
+    """Compare the residual of a fit with the noise of each output.
 
     Parameters
     ----------
-    fitter, fitted
-        Where, and the declared model.
-    kept : (residuals,)
-        The samples that are no outliers.
+    noise : (outputs,)
+        Estimated standard deviations of the noise, in units of the residual.
     """
-    runs = [fitter.problem.experiments[e] for e in fitter.train]
-    measured = measured_values(runs)
-    found = []
-    for output, name in enumerate(fitter.records.outputs):
-        rows = fitter.records.of_output(output)
-        rows = rows[kept[rows]]
-        growth = noise_growth(fitted.residuals[rows], measured[rows])
-        if growth.p >= NOISE_GROWTH_P or growth.loud < NOISE_GROWTH * growth.quiet:
-            continue
-        sigmas = fitter.sigmas[rows]
-        known = growth.quiet > 0.0 and growth.part > 0.0 and np.ptp(sigmas) == 0.0
-        sigma = _rounded(growth.constant * sigmas[0]) if known else np.nan
-        relative = _rounded(growth.part) if known else np.nan
-        weighted = known and not fitter.sigma_declared
-        found.append(GrowingNoise(name, growth, sigma, relative, weighted))
-    return tuple(found)
+    found = [
+        _of_output(fitter, fitted, number, float(noise[number]))
+        for number in range(len(fitter.records.outputs))
+    ]
+    return tuple(each for each in found if each is not None)
 
 
-def with_own_sigmas(problem: Problem, growing: Sequence[GrowingNoise]) -> Problem:
-    """Return the problem with a standard deviation for each sample of the outputs that need it."""
-    own = {each.output: each for each in growing if each.weighted}
+def _of_output(
+    fitter: Fitter, fitted: FittedModel, number: int, noise: float
+) -> OutputNoise | None:
+    """One output's residual beside its noise; None where nothing is left."""
+    records, declared = fitter.records, fitter.sigma_declared
+    part = fitted.residuals[records.of_output(number)]
+    own = [record for record in records.items if record.output == number]
+    rms = float(np.sqrt(np.mean(part**2))) if len(part) else 0.0
+    if not rms > 0.0:
+        return None
+    white = noise if noise > 0.0 else 0.0
+    unit = 1.0 if declared else white
+    partial = partial_autocorrelations(fitted.residuals, records, number, ORDER)
+    most = max(FIRST_ORDER, 3.3 / np.sqrt(len(part)))
+    return OutputNoise(
+        output=records.outputs[number],
+        samples=len(part),
+        level=rms / unit if unit else np.inf,
+        white=white / unit if unit else 1.0,
+        degrees=len(part) / autocorrelation(fitted.residuals, own).squares,
+        correlation=float(partial[0]),
+        first_order=bool(
+            partial[0] <= DRIFT
+            and np.abs(partial[1:]).max() <= most
+            and white**2 <= COLOURED_SHARE * rms**2
+        ),
+        declared=declared,
+        loud=_loud(fitter, fitted, number) if declared else (),
+        told=is_told(records, number),
+        given=is_given(fitter, number),
+        filtered=fitter.predicts,
+    )
 
-    def change(_: int, output: Output) -> Output:
-        found = own.get(output.variable)
-        if found is None:
-            return output
-        return replace(output, sigma=found.sigma, relative_sigma=found.relative_sigma)
 
-    return with_outputs(problem, change)
+def believed_noise(fitter: Fitter, outputs: Sequence[OutputNoise], noise: FloatArray) -> FloatArray:
+    """Return the noise of each output, in units of the residual: (outputs,).
+
+    The declared sigma where the data do not contradict it, and what is left looks like noise that
+    large; else the estimate.
+    """
+    believed = {each.output for each in outputs if each.believed and each.like_noise}
+    pairs = zip(fitter.records.outputs, noise.tolist(), strict=True)
+    return np.array([max(1.0, own) if name in believed else own for name, own in pairs])
 
 
-def _rounded(value: float) -> float:
-    """As it is written into a note, so that a fit with it has the same weights to the bit."""
-    return float(f"{value:.3g}")
+def is_noise_of_sensors(
+    outputs: Sequence[OutputNoise], *, near: float, largest: float, whitened: bool
+) -> bool:
+    """Return whether what is left may be the noise of sensors, however coloured, and no more.
+
+    Parameters
+    ----------
+    near
+        Times the noise that what is left may reach if an autoregression describes it.
+    largest
+        Times the estimated noise that it may reach where no sigma is declared: the estimate sees
+        the white part alone, and is too small by about 5 at a correlation of 0.93.
+    whitened
+        Once an autoregression is allowed for, nothing is left.
+    """
+    for output in outputs:
+        if output.filtered:  # with the right process noise innovations are white
+            known = output.level**2 - output.white**2 <= WHITE
+        elif output.believed:
+            known = _within_declared(output, near)
+        else:
+            level = output.level / output.white if output.white > 0.0 else np.inf
+            most = max(largest * output.first_order, near * whitened)
+            white = WHITE + 5.0 / np.sqrt(output.samples)  # the estimate's own error
+            known = level**2 <= 1.0 + white or level <= most
+        if not known:
+            return False
+    return True
+
+
+def suspected_sigma(outputs: Sequence[OutputNoise]) -> str:
+    """Say which declared sigmas the data contradict; "" if none."""
+    small = {o.named: o.white for o in outputs if o.sigma_too_small and not o.loud and o.told}
+    large = {o.named: o.level for o in outputs if o.sigma_too_large}
+    short = {o.named: o.level for o in outputs if o.declared and not o.told and o.level > NOISY}
+    said = [
+        f"over all experiments, {small_sigma(o.named, [o.white])} in {', '.join(map(repr, o.loud))}"
+        for o in outputs
+        if o.sigma_too_small and o.loud and o.told
+    ]
+    if short:
+        said.append(
+            f"what is left of {' and '.join(short)} is {from_to(short.values())} times the "
+            f"declared sigma, and with records of fewer than {SHORTEST_NOISE_RECORD} samples "
+            "nobody can say whether sigma is the error or something is missing"
+        )
+    if small:
+        said.append(small_sigma(" and ".join(small), small.values()))
+    if large:
+        said.append(large_sigma(" and ".join(large), large.values()))
+    return "; ".join(said)
+
+
+def _loud(fitter: Fitter, fitted: FittedModel, number: int) -> tuple[str, ...]:
+    """Experiments whose own sigma is too small for one output, where those of others are not."""
+    records, sigmas = fitter.records, fitter.sigmas
+    own = [r for r in records.items if r.output == number and len(r.times)]
+    if len({float(sigmas[record.rows.start]) for record in own}) < 2:
+        return ()
+    loud = []
+    for record in own:
+        alone = StackedRecords(records.outputs, (record,))
+        if estimate_noise(fitted.residuals, alone)[number] > NOISY:
+            loud.append(fitter.runs[record.experiment].id)
+    return tuple(loud) if len(loud) < len(own) else ()
+
+
+def _within_declared(output: OutputNoise, near: float) -> bool:
+    """Return whether a sigma that is declared covers what is left."""
+    white = output.level**2 - output.white**2 <= WHITE
+    return white or output.within or (output.first_order and output.level <= near)

@@ -56,8 +56,6 @@ def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
 
     Parameters
     ----------
-    request
-        Its problem has process noise.
     begin
         A reading of the monotonic clock.
 
@@ -304,14 +302,8 @@ def last_fits_with_noise(
 
     Parameters
     ----------
-    fitter
-        With the noise that the search was done under.
     declared
         As the user has given it.
-    found
-        By the search.
-    begin
-        As for `complete`.
     """
     held = [final_fit(fitter, found.base.start, begin)]
     free = [final_fit(fitter, released(found.base.start, declared), begin)]
@@ -322,7 +314,6 @@ def last_fits_with_noise(
         before=free[0],
         after=free[-1],
         errors=_error_changes((free[0], free[-1]), (held[0], held[-1])),
-        unchanged=_error_changes((free[0], free[0]), (held[0], held[0])),
         noise=_noise_changes(free[0], free[-1]),
     )
 

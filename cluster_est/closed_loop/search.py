@@ -124,8 +124,6 @@ def search_for_effects(
 
     Parameters
     ----------
-    start
-        Of the declared model.
     resources
         For the simulations with a finer solver.
     reached
@@ -192,8 +190,6 @@ def grow(
 
     Parameters
     ----------
-    base
-        The declared model, fitted.
     numerical
         Fall of the sum of squares that one effect more could owe to the error of the solver at a
         fitted model.

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cluster_est.closed_loop.fitter import (
+    ENLARGED,
+    SHORTENED,
     FitStart,
     FittedModel,
     Fitter,
@@ -16,8 +18,6 @@ from cluster_est.closed_loop.fitter import (
     SimulationFitter,
     SimulationMeter,
     SyntheticKind,
-    enlarged_kind,
-    shortened_kinds,
     with_outputs,
 )
 from cluster_est.closed_loop.output_noise import is_told, noise_of
@@ -190,8 +190,7 @@ def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[Fit
     runs = [problem.experiments[e] for e in train]
     installed = list(problem.experiments)
     synthetic: dict[SyntheticKind, tuple[int, ...]] = {}
-    kinds: list[SyntheticKind] = [*shortened_kinds(), enlarged_kind()]
-    for copy in kinds:
+    for copy in (*SHORTENED, ENLARGED):
         synthetic[copy] = tuple(range(len(installed), len(installed) + len(runs)))
         installed += [copy.of(run) for run in runs]
     everything = replace(problem, experiments=tuple(installed))

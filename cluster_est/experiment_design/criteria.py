@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 from typing_extensions import override
 
-from cluster_est.closed_loop.findings.competing_models import TEMPERATURE
+from cluster_est.closed_loop.findings.competing_models import CRITERION_SCALE
 from cluster_est.experiment_design.models import FittedCandidate
 from cluster_est.experiment_design.predicted_outputs import PredictedExperiment
 from cluster_est.plug_in import check_class_attributes
@@ -153,7 +153,7 @@ class Discrimination(DesignCriterion):
     """The probability of the true model after the experiment, as a mean over the models.
 
     Each is as likely to be the true one as the data so far say. As probabilities of structures
-    are, it is made of evidence divided by `TEMPERATURE`, for no model is exact. A rival that no
+    are, it is made of evidence divided by `CRITERION_SCALE`, for no model is exact. A rival that no
     input can tell apart, such as one that holds the true model as a special case, takes the same
     from every experiment; one that is ruled out already adds nothing.
 
@@ -193,7 +193,7 @@ def expected_probabilities(evidence: FloatArray, weights: FloatArray) -> FloatAr
     weights : (models,)
         Probabilities before.
     """
-    rivals = weights * np.exp(-np.maximum(evidence, 0.0) / TEMPERATURE)
+    rivals = weights * np.exp(-np.maximum(evidence, 0.0) / CRITERION_SCALE)
     np.fill_diagonal(rivals, weights)
     return np.asarray(weights / np.add.reduce(rivals, axis=1))
 

@@ -16,11 +16,11 @@ from typing import Any, Self
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.equation import equation_text
 from cluster_est.config.build import build_problem
 from cluster_est.config.reader import parse_config
 from cluster_est.config.sections import EffectSection
 from cluster_est.errors import RunFolderError
+from cluster_est.problem.declared_effects import equation_text
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.unknowns import label_of

@@ -32,6 +32,14 @@ class CandidatePlace:
     argument: str
 
 
+def by_site(places: Collection[CandidatePlace]) -> dict[EffectSite, list[str]]:
+    """Return the arguments at each site."""
+    found: dict[EffectSite, list[str]] = {}
+    for place in places:
+        found.setdefault(place.site, []).append(place.argument)
+    return found
+
+
 @dataclass(frozen=True)
 class OpenArguments:
     """Everything that an effect may be a function of, in the data at hand.
@@ -83,7 +91,7 @@ class OpenArguments:
         if site.kind == "pair":
             first, second = (self.states.index(name) for name in site.targets)
             differences = (
-                [difference(*names) for names in self._of_one_unit()] if first < second else []
+                [difference(*names) for names in self._of_one_unit] if first < second else []
             )
             others = [name for name in self.states if name not in site.targets]
             return [site.targets[0], *differences, *others]
@@ -118,10 +126,6 @@ class OpenArguments:
         return [n for n in dict.fromkeys([*self.single(names), *places]) if n not in pushed]
 
     @cached_property
-    def differences(self) -> int:
-        """Number of differences of states of one unit."""
-        return len(self._of_one_unit())
-
     def _of_one_unit(self) -> list[tuple[str, str]]:
         pairs = itertools.combinations(self.states, 2)
         return [(a, b) for a, b in pairs if self.units[a] == self.units[b]]
@@ -270,10 +274,6 @@ def variables_of(
 
     Parameters
     ----------
-    form, site
-        The form, and where it would act.
-    arguments
-        What the data offer.
     leading
         The arguments to look at there; None for all of them. What depends on time or on the signal
         itself is looked at at every site but state derivatives, of which there are many.
@@ -304,17 +304,10 @@ def open_places(
 
     A force between two states is looked for where one of them acts on the other already, as a
     function of their difference, of the first of them, or of a state that acts on both.
-
-    Parameters
-    ----------
-    sites
-        In model exchange.
-    arguments
-        What the data offer.
-    trajectories
-        Of the training experiments, with linearisations.
     """
-    acts = _acting_states(trajectories)
+    linear = [each.linear for each in trajectories if each.linear is not None]
+    sizes = np.max([each.A.largest() for each in linear], axis=0)
+    acts = sizes > ACTS * sizes.max(axis=1, keepdims=True, initial=0.0)
     index = {name: i for i, name in enumerate(arguments.states)}
     places = []
     for site in sites:
@@ -344,50 +337,9 @@ def count_candidates(
     A free curve at a place stands for every function of its argument; products, of which there are
     far more, are made of leading arguments alone.
     """
-    total = 0
-    sites = dict.fromkeys(place.site for place in places)
-    for site in sites:
-        if site.kind not in ("derivative", "pair"):
-            total += sum(form.variables == 0 for form in forms[site])
-    for place in places:
-        own = forms[place.site]
-        if place.argument == TIME:
-            total += sum(form.variables == 0 for form in own)
-        else:
-            total += sum(
-                form.variables == 1 and arguments.takes(form, place.site, place.argument)
-                for form in own
-            )
-    return total
-
-
-def count_variables(form: EffectForm, site: EffectSite, arguments: OpenArguments) -> int:
-    """Return of how many variables a form at a site may be a function, without a list of them."""
-    if form.variables == 0:
-        return 1
-    if FormCondition.AROUND in form.when:
-        return len(arguments.around(site))
-    n = len(arguments.states)
-    if site.kind == "pair":
-        if FormCondition.FIRST in form.when:
-            return 1
-        first, second = (arguments.states.index(name) for name in site.targets)
-        if form.free and first > second:
-            return 0
-        return n - 2 + (arguments.differences if first < second else 0)
-    names = arguments.at(site)
-    if form.variables == 2 and FormCondition.OWN in form.when:
-        return len(arguments.pushed_by(site)) * len(arguments.beside(site, names))
-    if form.variables == 2:
-        if FormCondition.FEEDS in form.when:
-            names = [name for name in names if arguments.takes(form, site, name)]
-        single = len(arguments.single(names))
-        return single * (single - 1) // 2
-    return sum(arguments.takes(form, site, name) for name in names)
-
-
-def _acting_states(trajectories: Sequence[LinearisedTrajectory]) -> np.ndarray:
-    """(x, x) booleans: whether the second state acts on the first, anywhere along the data."""
-    linear = [each.linear for each in trajectories if each.linear is not None]
-    sizes = np.max([each.A.largest() for each in linear], axis=0)
-    return np.asarray(sizes > ACTS * sizes.max(axis=1, keepdims=True, initial=0.0))
+    return sum(
+        len(variables_of(form, site, arguments, names))
+        for site, names in by_site(places).items()
+        for form in forms[site]
+        if form.variables < 2
+    )

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import sympy as sp
@@ -26,7 +26,7 @@ from workers.effects.forms import EffectForm
 from workers.effects.signal_memory import MEMORIES, SampledSignal
 from workers.messages import FloatArray
 
-RELATIVE = 1e-9
+EQUAL_STEPS = 1e-9
 """Of a power of ten: steps that differ by less are one."""
 
 Function = Callable[..., Any]
@@ -70,19 +70,7 @@ class OwnStates:
 def own_states_of(
     form: EffectForm, arguments: Sequence[str], symbols: Mapping[str, sp.Symbol], where: str
 ) -> OwnStates:
-    """Make the own states of a form of the library, which are linear in themselves.
-
-    Parameters
-    ----------
-    form
-        Of the library.
-    arguments
-        Names of the arguments of its equation.
-    symbols
-        By name: of arguments, states and coefficients.
-    where
-        What a message calls it.
-    """
+    """Make the own states of a form of the library, which are linear in themselves."""
     own = [symbols[z.name] for z in form.states]
     derivatives = [parse(z.derivative, symbols, where) for z in form.states]
     starts = [parse(z.start, symbols, where) for z in form.states]
@@ -143,7 +131,7 @@ def _follow_coupled(
     start = np.array([_along(f, arguments, coefficients)[0] for f in states.starts])
     lengths = np.diff(times)
     # the differences of equal times differ in their last bits
-    unit = 10.0 ** np.floor(np.log10(lengths)) * RELATIVE
+    unit = 10.0 ** np.floor(np.log10(lengths)) * EQUAL_STEPS
     steps, which = np.unique(np.rint(lengths / unit) * unit, return_inverse=True)
     by = step_matrices(matrix, steps)
     forced = np.matmul(by.from_first[which], drives.T[:-1, :, None])
@@ -177,18 +165,13 @@ def _along(
 _ARGUMENTS = ("t", "s", "v", "w")
 
 
-@dataclass(frozen=True)
-class FormArguments:
+class FormArguments(NamedTuple):
     """Arguments of a form: time, the signal at the site, and its variables; all (n,)."""
 
     t: FloatArray
     s: FloatArray
     v: FloatArray
     w: FloatArray
-
-    @property
-    def arrays(self) -> tuple[FloatArray, ...]:
-        return self.t, self.s, self.v, self.w
 
 
 @dataclass(frozen=True)
@@ -233,8 +216,8 @@ class ArrayForm:
         self, functions: Sequence[Function], signals: FormArguments, values: Mapping[str, float]
     ) -> FloatArray:
         with np.errstate(all="ignore"):
-            own = self._states.follow(signals.arrays, tuple(values.values()))
-            columns = [f(*signals.arrays, *own, *values.values()) for f in functions]
+            own = self._states.follow(signals, tuple(values.values()))
+            columns = [f(*signals, *own, *values.values()) for f in functions]
         size = len(signals.t)
         return np.column_stack([np.broadcast_to(np.asarray(c, float), size) for c in columns])
 

@@ -13,11 +13,11 @@ import numpy as np
 from cluster_est.closed_loop.candidates.arguments import (
     CandidatePlace,
     OpenArguments,
+    by_site,
     open_arguments,
     variables_of,
 )
 from cluster_est.closed_loop.candidates.array_forms import shape_of
-from cluster_est.closed_loop.candidates.equation import equation_text
 from cluster_est.closed_loop.candidates.scales import CANDIDATES, SignalScales
 from cluster_est.closed_loop.candidates.trajectory import (
     CONSTANT_FACTOR,
@@ -26,6 +26,7 @@ from cluster_est.closed_loop.candidates.trajectory import (
     pooled,
 )
 from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.problem.declared_effects import equation_text
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
@@ -114,14 +115,8 @@ def make_candidates(
 
     Parameters
     ----------
-    problem, description
-        Sites that the FMU offers, and effects that are known: those are no candidates.
-    trajectories
-        Of the training experiments, at the current fit.
     frequencies
         Angular frequencies of peaks in the residuals' spectra, for periodic effects.
-    settings
-        Forms and sites to try.
     places
         Where functions of a variable are tried; None for everywhere.
     """
@@ -130,28 +125,21 @@ def make_candidates(
     scales = SignalScales(trajectories, frequencies, exchanged, step, arguments.units)
     known = {_identity(e) for e in problem.effects if e.form and not e.is_noise}
     taken = {effect.name for effect in problem.effects}
-    leading = None if places is None else _by_site(places)
-    if leading is None:
+    leading = by_site(places or ())
+    if places is None:
         sites = candidate_sites(problem, description, trajectories, settings)
     else:
         sites = single_sites(problem, description, trajectories, settings)
         sites += [site for site in leading if site.kind == "pair"]
     found = []
     for site in sites:
-        names = None if leading is None else leading.get(site, [])
+        names = None if places is None else leading.get(site, [])
         for form in forms_at(site, problem, description, settings):
             for variables in variables_of(form, site, arguments, names):
                 candidate = _candidate(form, site, variables, scales, taken, arguments)
                 if candidate and _identity(candidate.effect) not in known:
                     taken.add(candidate.effect.name)
                     found.append(candidate)
-    return found
-
-
-def _by_site(places: Collection[CandidatePlace]) -> dict[EffectSite, list[str]]:
-    found: dict[EffectSite, list[str]] = {}
-    for place in places:
-        found.setdefault(place.site, []).append(place.argument)
     return found
 
 
@@ -334,13 +322,6 @@ def denser_grid(
 
     Where an effect begins must be nearly right, or it looks like less than one that begins nowhere.
     A grid in several coefficients stays as it is.
-
-    Parameters
-    ----------
-    candidate
-        Of the library.
-    trajectories
-        Of a model near the data, over which its argument goes.
     """
     rows = np.array(candidate.grid)
     moving = np.flatnonzero(np.ptp(rows, axis=0) > 0.0)
@@ -404,20 +385,6 @@ def refined(
 
     With the effect the motion may go further than it did without. Where all values of a curve are
     free, the finer one is spread over where its argument goes now.
-
-    Parameters
-    ----------
-    coarse, values
-        The fitted curve, and its coefficients.
-    trajectories
-        Of the fitted model.
-    form
-        The finer form.
-
-    Returns
-    -------
-    EffectCandidate, list of float
-        The finer curve, and its coefficients.
     """
     known = dict(zip([c.name for c in coarse.form.coefficients], values, strict=True))
     ends = known["low"], known["high"]

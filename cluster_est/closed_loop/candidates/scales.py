@@ -65,10 +65,7 @@ class SignalScales:
         signals = [pooled(self.trajectories, name) for name in moving]
         if about is not None and not all(_moves(signal) for signal in (about, *signals)):
             return False
-        share = CANDIDATES.both_signs
-        if FormCondition.OSCILLATES in form.when and (
-            about is None or not oscillates(about, share)
-        ):
+        if FormCondition.OSCILLATES in form.when and (about is None or not oscillates(about)):
             return False
         if FormCondition.POSITIVE in form.when and (about is None or not _positive(about)):
             return False
@@ -94,7 +91,8 @@ class SignalScales:
         if scale is GridScale.PER_STEP:
             return tuple(g / self.resolution for g in grid)
         if scale is GridScale.MIDDLE_T:
-            return tuple(g * self._middle() for g in grid)
+            middle = np.mean([0.5 * (c.times[0] + c.times[-1]) for c in self.trajectories])
+            return tuple(g * float(middle) for g in grid)
         if scale is GridScale.COUPLING:
             return tuple(g * self._coupling(site) for g in grid)
         signal = self._scaled_by(scale, site, variables)
@@ -182,9 +180,6 @@ class SignalScales:
             steps = np.concatenate([np.diff(c.times) for c in self.trajectories])
         return float(np.median(steps))
 
-    def _middle(self) -> float:
-        return float(np.mean([0.5 * (c.times[0] + c.times[-1]) for c in self.trajectories]))
-
     def _coupling(self, site: EffectSite) -> float:
         """Ratio of how two states act on each other, as that of the inertias of two masses."""
         largest = np.zeros(2)
@@ -235,9 +230,9 @@ def _positive(signal: FloatArray) -> bool:
     return bool(signal.min() >= -1e-6 * np.abs(signal).max())
 
 
-def oscillates(signal: FloatArray, share: float = CANDIDATES.both_signs) -> bool:
-    """Return whether a signal takes both signs clearly, by this share of its rms."""
-    reach = share * float(np.sqrt(np.mean(signal**2)))
+def oscillates(signal: FloatArray) -> bool:
+    """Return whether a signal takes both signs clearly."""
+    reach = CANDIDATES.both_signs * float(np.sqrt(np.mean(signal**2)))
     return bool(signal.min() < -reach and signal.max() > reach)
 
 

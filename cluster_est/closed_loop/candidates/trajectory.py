@@ -127,13 +127,26 @@ def pooled(trajectories: Sequence[LinearisedTrajectory], name: str) -> FloatArra
     )
 
 
+def knots_over(values: FloatArray, count: int) -> FloatArray:
+    """Knots half way between even ones and quantiles: where an argument is, and at its ends."""
+    shares = np.linspace(0.0, 1.0, count)
+    even = values.min() + shares * np.ptp(values)
+    between = 0.5 * (even + np.quantile(values, shares))
+    return np.unique(np.clip(between, values.min(), values.max()))
+
+
+def hats(knots: FloatArray, values: FloatArray) -> FloatArray:
+    """(n, knots): a piecewise linear function with each of its values at 1, all others at 0."""
+    inside = np.clip(values, knots[0], knots[-1])
+    return np.column_stack([np.interp(inside, knots, height) for height in np.eye(len(knots))])
+
+
 CONSTANT_FACTOR = 1e-4
 """Share of its factor by which a kinematic equation may change along a trajectory."""
 
 
 def integrated_states(
     trajectories: Sequence[LinearisedTrajectory],
-    tolerance: float = KINEMATIC,
 ) -> dict[str, tuple[str, float]]:
     """Find the states x with dx/dt = c v, where v is another state and c a constant.
 
@@ -141,8 +154,6 @@ def integrated_states(
     ----------
     trajectories
         The first one with a linear system is looked at: the equations are those of all.
-    tolerance
-        Largest share of the derivative that the equation may leave.
 
     Returns
     -------
@@ -160,7 +171,7 @@ def integrated_states(
         factor = float(own[0, j])
         size = np.abs(linear.derivatives[:, i]).max()
         gap = np.abs(linear.derivatives[:, i] - factor * linear.states[:, j]).max()
-        if i == j or gap > tolerance * size:
+        if i == j or gap > KINEMATIC * size:
             continue
         row = np.abs(own - factor * np.eye(len(names))[j]).max()
         driven = np.abs(linear.B[:, i]).max(initial=0.0)
@@ -221,8 +232,6 @@ def propagate(steps: StepMatrices, forcing: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    steps
-        The system.
     forcing : (n, x, m)
         m right-hand sides at every time of the grid, linear in between. The states take their
         place.

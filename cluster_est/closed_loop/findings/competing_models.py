@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.tables import effect_block
+from cluster_est.closed_loop.findings.effects import effect_block
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
@@ -24,13 +24,18 @@ from workers.messages import Effect, IntArray
 
 SHARE = 0.9
 """Of the probability that the likely sets hold together."""
-TEMPERATURE = 8.0
+CRITERION_SCALE = 8.0
 """What differences of the criterion are divided by. Benchmark: without, sets that should hold 98 %
 held the truth in 91 % of 260 cases, and what was called more than 99 % sure was so in 92 % of 127;
 with it in 95 %, and in 99 % of 96. The criterion takes models for exact and refits for complete."""
 MOST_NAMED_SETS = 5
 """Sets that a sentence names."""
 DECLARED = "no effect"
+
+
+def choice_price(found: SelectionResult) -> float:
+    """Return the price of the choice of one effect among all candidates, in -2 log likelihood."""
+    return float(SELECTION.choice_price * np.log(found.steps[0].screening.count))
 
 
 def with_probabilities(
@@ -41,7 +46,7 @@ def with_probabilities(
     With a criterion B, exp(-B / 2) is proportional to the probability of the data under a model,
     and so to that of the model where none was more likely beforehand (A. E. Raftery, Sociol.
     Methodol. 25 (1995) 111-163, doi:10.2307/271063). Here B has the price of the choice of each
-    effect among all candidates, and is divided by `TEMPERATURE`: a fractional likelihood (A.
+    effect among all candidates, and is divided by `CRITERION_SCALE`: a fractional likelihood (A.
     O'Hagan, J. R. Stat. Soc. B 57 (1995) 99-138, doi:10.1111/j.2517-6161.1995.tb02017.x). Each set
     counts once, at its best refit, which may have been broken off; the declared model is one of
     them, and the last row of what is returned.
@@ -51,8 +56,6 @@ def with_probabilities(
     path
         Whatever was refitted, each set perhaps in several rounds. The best row of a set has its
         probability, the others NaN.
-    choice
-        The price of each effect.
     """
     declared = ComparedStructure(0, (), 0.0, 0.0, converged=True, accepted=False)
     rows = [*path, declared]
@@ -60,7 +63,7 @@ def with_probabilities(
     priced = [
         rows[number].criterion + choice * len(rows[number].effects) for number in best.values()
     ]
-    criteria = np.array(priced) / TEMPERATURE
+    criteria = np.array(priced) / CRITERION_SCALE
     weights = np.exp(-0.5 * (criteria - criteria.min()))
     known = dict(zip(best.values(), (weights / np.add.reduce(weights)).tolist(), strict=True))
     return tuple(
@@ -173,13 +176,13 @@ def competing_models(fitter: Fitter, found: SelectionResult) -> tuple[CompetingM
 
     Their weights are probabilities as `with_probabilities` has them, among those that are kept.
     """
-    price = SELECTION.choice_price * np.log(found.steps[0].screening.count)
+    price = choice_price(found)
     leading = leading_models(fitter, found, 4 * MOST_COMPETING)
     criteria = np.array([fit.criterion(fitter.records) + price * len(fit.added) for fit in leading])
     criteria -= criteria[0]
     order = sorted(range(1, len(leading)), key=lambda i: criteria[i])
     kept = [0, *(i for i in order if criteria[i] < FAR)][:MOST_COMPETING]
-    weights = np.exp(-0.5 * (criteria[kept] - criteria[kept].min()) / TEMPERATURE)
+    weights = np.exp(-0.5 * (criteria[kept] - criteria[kept].min()) / CRITERION_SCALE)
     weights /= np.add.reduce(weights)
     return tuple(
         _competing(leading[i], float(criteria[i]), weight)
@@ -200,7 +203,7 @@ def _competing(fit: FittedModel, criterion: float, weight: float) -> CompetingMo
 
 
 DRAWS = 200
-FEWEST = 5
+FEWEST_DRAWN = 5
 """Experiments that are drawn as they are; of fewer, parts of their records."""
 PARTS = 10
 LEADING = 12
@@ -244,20 +247,15 @@ def resampled_choices(fitter: Fitter, found: SelectionResult) -> ResampledChoice
 
     Each is refitted by its linear model, so it takes no simulation. None where no effect was added,
     or a set has too many unknowns for it.
-
-    Parameters
-    ----------
-    fitter, found
-        Where, and the end of the search.
     """
     if not found.current.added:
         return None
     leading = leading_models(fitter, found, LEADING)
     if max(len(fit.x) for fit in leading) > MOST_UNKNOWNS:
         return None
-    choice = SELECTION.choice_price * np.log(found.steps[0].screening.count)
+    choice = choice_price(found)
     fits = [LinearFit(f.residuals, f.jacobian, choice * len(f.added)) for f in leading]
-    whole = len(fitter.train) >= FEWEST
+    whole = len(fitter.train) >= FEWEST_DRAWN
     pieces, outputs = _pieces(fitter, whole=whole)
     shares = choice_shares(fits, pieces, outputs, DRAWS, fitter.generator(STREAM))
     drawn = f"the {len(fitter.train)} experiments" if whole else "tenths of the records"
@@ -285,7 +283,7 @@ def _pieces(fitter: Fitter, *, whole: bool) -> tuple[IntArray, IntArray]:
         outputs[item.rows] = item.output
         pieces[item.rows] = item.experiment
         if not whole and len(item.times):
-            run = fitter.problem.experiments[fitter.train[item.experiment]]
+            run = fitter.runs[item.experiment]
             passed = (item.times - run.start) / (run.stop - run.start)
             part = np.clip((PARTS * passed).astype(int), 0, PARTS - 1)
             pieces[item.rows] = PARTS * item.experiment + part
@@ -302,11 +300,6 @@ def expensive_structures(path: Sequence[ComparedStructure]) -> tuple[str, ...]:
     A solver that adapts its steps makes more of them where an effect is fast: a lag of a
     millisecond in a record of an hour. The steps are counted, so that the sentence is the same on
     every machine.
-
-    Parameters
-    ----------
-    path
-        The structures that were compared.
     """
     expensive = [each for each in path if each.relative_steps > EXPENSIVE]
     if not expensive:

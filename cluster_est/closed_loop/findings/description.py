@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
-from cluster_est.closed_loop.findings.agreement import agreements
+from cluster_est.closed_loop.findings.effect_curves import agreements
 from cluster_est.closed_loop.findings.effects import (
     AgreeingEquation,
     AlternativeEffect,
@@ -37,7 +36,7 @@ WINDOWS = 20
 """Parts into which a record is cut to say when most of its residual lives."""
 
 
-UNEVEN = 4.0
+STANDS_OUT = 4.0
 """Times its share of the samples that a part of a record must have of the squares to be named: of
 white noise in parts of ten samples the largest among some hundred has three times."""
 
@@ -111,7 +110,7 @@ def where_left(fitter: Fitter, fitted: FittedModel) -> str:
         sums = np.bincount(window, weights=squares, minlength=WINDOWS)
         k = int(np.argmax(sums))
         if sums[k] > best[0]:
-            run = fitter.problem.experiments[fitter.train[record.experiment]]
+            run = fitter.runs[record.experiment]
             best = (
                 float(sums[k]),
                 float(np.sum(window == k)) / len(fitted.residuals),
@@ -119,7 +118,7 @@ def where_left(fitter: Fitter, fitted: FittedModel) -> str:
                 f"between t = {edges[k]:.4g} and {edges[k + 1]:.4g} s",
             )
     share = best[0] / total
-    if share < UNEVEN * best[1]:
+    if share < STANDS_OUT * best[1]:
         return "what is left is spread over all records, with no part that stands out"
     return f"of what is left, the largest part ({share:.0%}) is in {best[2]}"
 
@@ -134,7 +133,8 @@ def _describe(
 ) -> NamedEffect:
     name = candidate.effect.name
     won, rivals = found.rivals.get(name, (None, []))
-    coefficients, period = _coefficients(name, result), period_of(candidate, found.current)
+    coefficients = tuple(e for e in result.estimates if e.parameter.startswith(f"{name}."))
+    period = period_of(candidate, found.current)
     named = namer.name(candidate, [e.value for e in coefficients], curve)
     also = _agreeing(fitter, result, namer, named, curve)
     return NamedEffect(
@@ -143,7 +143,10 @@ def _describe(
         equation=candidate.equation,
         coefficients=coefficients,
         alternatives=_alternatives(fitter, found, candidate, won, rivals, namer),
-        evidence=(*_evidence(found, candidate), *_columns(fitter, found, candidate, period)),
+        evidence=(
+            *_evidence(found, candidate, period),
+            *_columns(fitter, found, candidate, period),
+        ),
         words=named.words,
         sentence=sentence_of(named.words, candidate, coefficients, curve, also, period),
         also=also,
@@ -166,10 +169,6 @@ def _agreeing(
     return agreements(curve, shape, named.placed.law, named.of_law, negative=negative)
 
 
-def _coefficients(name: str, result: Result) -> tuple[Estimate, ...]:
-    return tuple(e for e in result.estimates if e.parameter.startswith(f"{name}."))
-
-
 def _alternatives(
     fitter: Fitter,
     found: SelectionResult,
@@ -185,15 +184,30 @@ def _alternatives(
     if won is None:
         return ()
     others = {c.effect.name for c in found.current.added if c is not candidate}
-    made = [
-        replace(
-            _alternative(fitter, won, rival, found.noise),
-            words=namer.name(rival.candidate, _strengths(rival), None).words,
+    made = []
+    for rival in rivals:
+        other = rival.candidate
+        where, when, output, size = _largest_difference(
+            fitter, won.fitted, rival.fitted, found.noise
         )
-        for rival in rivals
-        if rival.candidate.effect.name not in others
-    ]
-    return tuple(a for a in made if a.difference <= LARGEST_DIFFERENCE)
+        if other.effect.name in others or not size <= LARGEST_DIFFERENCE:
+            continue
+        made.append(
+            AlternativeEffect(
+                site=str(other.site),
+                form=other.form.name,
+                family=other.form.family,
+                variables=other.effect.variables,
+                equation=other.equation,
+                criterion=float(rival.criterion - won.criterion),
+                experiment=where,
+                output=output,
+                time=when,
+                difference=size,
+                words=namer.name(other, _strengths(rival), None).words,
+            )
+        )
+    return tuple(made)
 
 
 def _strengths(rival: RefittedCandidate) -> list[float]:
@@ -202,26 +216,6 @@ def _strengths(rival: RefittedCandidate) -> list[float]:
     name = rival.candidate.effect.name
     labels = [f"{name}.{c.name}" for c in rival.candidate.form.coefficients]
     return [values[label] for label in labels if label in values]
-
-
-def _alternative(
-    fitter: Fitter, won: RefittedCandidate, rival: RefittedCandidate, noise: FloatArray
-) -> AlternativeEffect:
-    """A rival, and where an experiment would tell it from the winner best."""
-    candidate = rival.candidate
-    where, when, output, size = _largest_difference(fitter, won.fitted, rival.fitted, noise)
-    return AlternativeEffect(
-        site=str(candidate.site),
-        form=candidate.form.name,
-        family=candidate.form.family,
-        variables=candidate.effect.variables,
-        equation=candidate.equation,
-        criterion=float(rival.criterion - won.criterion),
-        experiment=where,
-        output=output,
-        time=when,
-        difference=size,
-    )
 
 
 def _largest_difference(
@@ -235,12 +229,10 @@ def _largest_difference(
     for record in fitter.records.items:
         gap[record.rows] /= max(float(noise[record.output]), 1e-300)
     row = int(np.argmax(gap))
-    for record in fitter.records.items:
-        if record.rows.start <= row < record.rows.stop:
-            experiment = fitter.problem.experiments[fitter.train[record.experiment]]
-            time = float(record.times[row - record.rows.start])
-            return experiment.id, time, fitter.records.outputs[record.output], float(gap[row])
-    return "", np.nan, "", float(gap[row])
+    record = next(r for r in fitter.records.items if r.rows.start <= row < r.rows.stop)
+    time = float(record.times[row - record.rows.start])
+    output = fitter.records.outputs[record.output]
+    return fitter.runs[record.experiment].id, time, output, float(gap[row])
 
 
 def _columns(
@@ -256,10 +248,9 @@ def _columns(
     )
 
 
-def _evidence(found: SelectionResult, candidate: EffectCandidate) -> tuple[str, ...]:
+def _evidence(found: SelectionResult, candidate: EffectCandidate, period: float) -> tuple[str, ...]:
     """Sentences on why it was added, and on what it assumes."""
     sentences = []
-    period = period_of(candidate, found.current)
     if np.isfinite(period):
         sentences.append(
             f"a sinusoid in time with a period of {readable_time(period)}, with one phase in all "
@@ -278,7 +269,7 @@ def _evidence(found: SelectionResult, candidate: EffectCandidate) -> tuple[str, 
     return tuple(sentences)
 
 
-SAME = 1e-6
+ROUNDING = 1e-6
 """Share of an effect below which a difference is that of rounding."""
 
 
@@ -290,23 +281,10 @@ def sentence_of(
     also: Sequence[AgreeingEquation] = (),
     period: float = math.nan,
 ) -> str:
-    """Return what was found in a sentence or two.
-
-    Parameters
-    ----------
-    words
-        Its name.
-    candidate, coefficients
-        The effect, and its numbers.
-    curve
-        Of the effect; None where it has none.
-    also
-        Equations that agree with it where the data were.
-    period
-        Of a wave in time; else NaN.
-    """
-    said = f"{_capital(words)} {_place(candidate)}: {candidate.equation}"
-    values = [] if candidate.form.free else [_value(candidate, e) for e in coefficients if _told(e)]
+    """Return what was found in a sentence or two."""
+    said = f"{words[:1].upper()}{words[1:]} {_place(candidate)}: {candidate.equation}"
+    told = [e for e in coefficients if e.estimated_on != "known"]  # a width may have been held
+    values = [] if candidate.form.free else [_value(candidate, e) for e in told]
     if values:
         said += f", with {in_a_row(values)}"
     if math.isfinite(period):
@@ -342,15 +320,6 @@ def _place(candidate: EffectCandidate) -> str:
     return f"between {' and '.join(site.targets)}" if site.kind == "pair" else f"at {site}"
 
 
-def _capital(words: str) -> str:
-    return words[:1].upper() + words[1:]
-
-
-def _told(estimate: Estimate) -> bool:
-    """A width that was held is nobody's finding."""
-    return estimate.estimated_on != "known"
-
-
 def _value(candidate: EffectCandidate, estimate: Estimate) -> str:
     name = estimate.parameter.removeprefix(f"{candidate.effect.name}.")
     said = f"{name} = {estimate.value:.4g}{in_unit(estimate.unit)}"
@@ -377,7 +346,7 @@ def _agreement(also: AgreeingEquation, curve: EffectCurve) -> str:
     unit, over = in_unit(curve.unit), in_unit(curve.variable_unit)
     off = f", but for {also.difference:.2g}{unit} ({also.share:.1%}), "
     return (
-        f"On that range it is{off if also.share > SAME else ' '}also {named}: at "
+        f"On that range it is{off if also.share > ROUNDING else ' '}also {named}: at "
         f"{curve.variable} = {also.told_at:.3g}{over} the two would differ by "
         f"{also.told_by:.2g}{unit}, so measure there to tell them apart."
     )

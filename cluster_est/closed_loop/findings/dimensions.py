@@ -123,7 +123,7 @@ def dimension_of(unit: str, definitions: Mapping[str, UnitDefinition]) -> Dimens
     return by_text if by_text.powers[-1] else defined
 
 
-LONGEST = 60
+LONGEST_UNIT = 60
 """Signs of a unit's text; what is longer is none."""
 SPELLINGS = {
     "°C": "degC", "℃": "degC", "°F": "degF", "°": "deg", "Ω": "ohm", "\u2126": "ohm",
@@ -134,7 +134,7 @@ WORDS = {
     "Ohm": "ohm", "Nm": "N*m", "Ns": "N*s", "Cel": "degC", "RPM": "rpm", "rev": "revolution",
     "sec": "s", "Celsius": "degC", "Kelvin": "kelvin",
 }  # fmt: skip
-KNOWN = frozenset({
+KNOWN_NAMES = frozenset({
     "meter", "inch", "foot", "mile", "gram", "metric_ton", "pound", "second", "minute", "hour",
     "day", "ampere", "kelvin", "degree_Celsius", "degree_Fahrenheit", "degree_Rankine", "mole",
     "candela", "lumen", "lux", "radian", "degree", "revolution", "turn",
@@ -164,7 +164,7 @@ def _dimension_of_text(unit: str) -> Dimension | None:
     "1" and "%" are numbers; an empty text may mean anything, so it says nothing.
     """
     text = unit.strip()
-    if not text or len(text) > LONGEST:
+    if not text or len(text) > LONGEST_UNIT:
         return None
     if text in ("1", "%"):
         return NUMBER
@@ -182,7 +182,7 @@ def _dimension_of_text(unit: str) -> Dimension | None:
     except Exception:  # what is no unit may fail in any part of pint's parser
         return None
     names = {name for name, _ in parts}
-    if not names <= KNOWN:
+    if not names <= KNOWN_NAMES:
         return None
     powers["[angle]"] = sum(own for name, own in parts if name in ANGLES)
     absolute = not names & RELATIVE

@@ -1,8 +1,13 @@
-"""Curves of the effects that were found, beside what the residuals ask for without a form."""
+"""Curves of the effects that were found: what the residuals ask for, and equations that agree.
+
+v^2 and v|v| are the same where v is never negative, and a switch with the sign of v is a constant
+where v never changes it. No search can tell them apart there, so a finding names both, and where
+to measure to tell.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,17 +15,21 @@ import numpy as np
 from cluster_est.closed_loop.candidates.trajectory import (
     Forcing,
     LinearisedTrajectory,
+    hats,
     integrated_states,
+    knots_over,
     linear_system,
     pooled,
 )
+from cluster_est.closed_loop.findings.effects import AgreeingEquation
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.screening.directions import coupling
 from cluster_est.errors import ClusterEstError
 from cluster_est.results.fit_tables import EffectCurve
 from cluster_est.results.result import Result
-from cluster_est.results.shapes.effect_shapes import effect_shapes, with_evidence
-from workers.effects.site import EffectSite, difference, split_variable
+from cluster_est.results.shapes.effect_shapes import BAND_QUANTILE, effect_shapes, with_evidence
+from workers.effects.laws import Law
+from workers.effects.site import EffectSite, bracketed, difference, split_variable
 from workers.messages import FloatArray
 
 
@@ -32,8 +41,6 @@ def effect_curves(fitter: Fitter, fitted: FittedModel, result: Result) -> tuple[
     fitter, fitted
         The model with the effects, where the search ended: its experiments are simulated once more,
         for the range of their signals and for the directions of free values.
-    result
-        Of its last fit: values of the coefficients, and their covariance.
     """
     if not fitted.added:
         return ()
@@ -110,8 +117,6 @@ def free_values(
     ----------
     site
         Where it acts; at pairs of derivatives nothing is fitted.
-    trajectories
-        Of the training experiments at the fit, linearised.
     arguments : (n,) for each trajectory
         None where an experiment does not have it.
     residuals : (N,)
@@ -127,13 +132,10 @@ def free_values(
     known = np.concatenate([each for each in arguments if each is not None] or [np.zeros(0)])
     if not len(known) or not np.ptp(known) > 0.0:
         return None
-    shares = np.linspace(0.0, 1.0, PLACES)
-    even = known.min() + shares * np.ptp(known)
-    between = 0.5 * (even + np.quantile(known, shares))
-    at = np.unique(np.clip(between, known.min(), known.max()))
+    at = knots_over(known, PLACES)
     parts = [
-        _directions(site, each, _hats(at, values, len(each.times)))
-        for each, values in zip(trajectories, arguments, strict=True)
+        _directions(site, each, np.zeros((len(each.times), len(at))) if v is None else hats(at, v))
+        for each, v in zip(trajectories, arguments, strict=True)
     ]
     direction = np.concatenate(parts)
     sizes = np.einsum("ij,ij->j", direction, direction)
@@ -148,14 +150,6 @@ def free_values(
     variance = float(left @ left) / (len(residuals) - int(kept.sum()))
     inverse = np.linalg.inv(r)
     return at[kept], found, np.sqrt(variance * np.einsum("ij,ij->i", inverse, inverse))
-
-
-def _hats(at: FloatArray, values: FloatArray | None, size: int) -> FloatArray:
-    """(n, places): a piecewise linear function with each of its values at 1, all others at 0."""
-    if values is None:
-        return np.zeros((size, len(at)))
-    inside = np.clip(values, at[0], at[-1])
-    return np.column_stack([np.interp(inside, at, height) for height in np.eye(len(at))])
 
 
 def _directions(
@@ -179,3 +173,111 @@ def _directions(
         change += through[:, :, None] * added[:, None, :]
     forcing = Forcing(added, [into], np.zeros(count, int))
     return trajectory.residual_change(change + linear_system(linear).respond(forcing))
+
+
+Shape = Callable[[FloatArray], FloatArray]
+
+CLOSE = 0.1
+"""Share of an effect's largest size that another equation may be off anywhere in the data."""
+
+CLEARLY_DIFFERENT = 0.25
+"""Share of that size by which two equations must differ somewhere, to be told apart there."""
+
+BEYOND = 1.5
+"""Times the largest absolute value in the data up to which it is looked where two differ."""
+
+MOST_AGREEING = 3
+"""Equations that are named beside the one that was found."""
+
+
+LAWS: dict[Law, tuple[str, Shape]] = {
+    Law.CONSTANT: ("1", np.ones_like),
+    Law.LINEAR: ("{v}", lambda x: x),
+    Law.SQUARE: ("{v}^2", np.square),
+    Law.ODD_SQUARE: ("{v} * abs({v})", lambda x: x * np.abs(x)),
+    Law.CUBE: ("{v}^3", lambda x: x**3),
+    Law.ABSOLUTE: ("abs({v})", np.abs),
+    Law.SWITCH: ("sign({v})", np.sign),
+    Law.ROOT: ("sqrt(max({v}, 0))", lambda x: np.sqrt(np.maximum(x, 0.0))),
+    Law.ODD_ROOT: ("sign({v}) * sqrt(abs({v}))", lambda x: np.sign(x) * np.sqrt(np.abs(x))),
+}
+"""Laws with a strength alone: one more coefficient could imitate anything."""
+
+
+def agreements(
+    curve: EffectCurve,
+    shape: Shape,
+    own: Law,
+    named: Callable[[Law], str],
+    *,
+    negative: bool = True,
+) -> tuple[AgreeingEquation, ...]:
+    """Return equations that agree with a found effect wherever the data were; the closest first.
+
+    Each is fitted to the curve of the effect over the samples. It agrees if what is left is smaller
+    than the effect's own standard error, both as root mean squares over the samples, and nowhere
+    more than a tenth of the effect's largest size. Laws that differ from it nowhere are the same
+    equation written in another way, and are not named.
+
+    Parameters
+    ----------
+    shape
+        The same curve as a function, also outside the range of the data.
+    own, named
+        The law of the effect, and what physics calls another one at its place.
+    """
+    x, weights = _visited(curve)
+    y = shape(x)
+    size = float(np.abs(y).max(initial=0.0))
+    if len(x) < 3 or curve.variable == "time" or not np.isfinite(y).all() or not size > 0.0:
+        return ()
+    error = max(_standard_error(curve, x, weights), 1e-9 * size)
+    found = []
+    for law, (text, other) in LAWS.items():
+        column = other(x)
+        square = float(np.sum(weights * column**2))
+        if law is own or not square > 0.0:
+            continue
+        strength = float(np.sum(weights * column * y)) / square
+        off = np.abs(y - strength * column)
+        apart = float(np.sqrt(np.average(off**2, weights=weights)))
+        if apart > error or off.max() > CLOSE * size:
+            continue
+        told = _told_apart(curve, shape, other, strength, size, negative=negative)
+        if told is not None:
+            largest = float(off.max())
+            equation = f"{strength:.4g} * {text.format(v=bracketed(curve.variable))}"
+            known = (equation.removesuffix(" * 1"), named(law), largest, largest / size)
+            found.append((apart, AgreeingEquation(*known, *told)))
+    return tuple(each for _, each in sorted(found, key=lambda pair: pair[0])[:MOST_AGREEING])
+
+
+def _visited(curve: EffectCurve) -> tuple[FloatArray, FloatArray]:
+    """Middles of the bins that have samples, and how many."""
+    middles = 0.5 * (curve.edges[1:] + curve.edges[:-1])
+    return middles[curve.counts > 0.0], curve.counts[curve.counts > 0.0]
+
+
+def _standard_error(curve: EffectCurve, x: FloatArray, weights: FloatArray) -> float:
+    """Of the effect, as a root mean square over the samples; 0 where the band is not known."""
+    half = 0.5 * (curve.upper - curve.lower) / BAND_QUANTILE
+    if not np.isfinite(half).all():
+        return 0.0
+    there = np.interp(x, curve.x, half)
+    return float(np.sqrt(np.average(there**2, weights=weights)))
+
+
+def _told_apart(
+    curve: EffectCurve, one: Shape, other: Shape, strength: float, size: float, *, negative: bool
+) -> tuple[float, float] | None:
+    """The value nearest to the data at which two laws clearly differ, and by how much."""
+    low, high = float(curve.edges[0]), float(curve.edges[-1])
+    far = BEYOND * max(abs(low), abs(high))
+    x = np.linspace(-far if negative else 0.0, far, 1201)
+    apart = np.abs(one(x) - strength * other(x))
+    clear = np.isfinite(apart) & (apart >= CLEARLY_DIFFERENT * size)
+    if not clear.any():
+        return None
+    distance = np.maximum(np.maximum(low - x, x - high), 0.0)
+    best = int(np.argmin(np.where(clear, distance, np.inf)))
+    return float(x[best]), float(apart[best])

@@ -1,15 +1,19 @@
-"""The findings of a closed loop: verdict, effects, their curves, errors before and after."""
+"""The findings of a closed loop: verdict, effects with their blocks of a config, and errors."""
 
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
-from typing import Self
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 
+from cluster_est.problem.parameter import Parameter
 from cluster_est.results.fit_tables import Estimate
 from cluster_est.results.output_errors import OutputError
+from cluster_est.toml import dotted, inline
 from workers.messages import Effect, Role
 
 
@@ -131,6 +135,10 @@ class NamedEffect:
     def variables(self) -> tuple[str, ...]:
         return self.effect.variables
 
+    def coefficient(self, estimate: Estimate) -> str:
+        """Return the name of a coefficient without that of the effect."""
+        return estimate.parameter.removeprefix(f"{self.name}.")
+
 
 @dataclass(frozen=True)
 class NoiseChange:
@@ -183,6 +191,12 @@ class ErrorChange:
     normalised_before: float
     normalised_after: float
 
+    @property
+    def unchanged(self) -> ErrorChange:
+        """The error before, beside itself."""
+        before, normalised = self.rmse_before, self.normalised_before
+        return replace(self, rmse_after=before, normalised_after=normalised)
+
     @classmethod
     def between(
         cls, before: OutputError, after: OutputError, normalised: tuple[float, float]
@@ -199,3 +213,152 @@ class ErrorChange:
             normalised_before=normalised[0],
             normalised_after=normalised[1],
         )
+
+
+def what_is_left(errors: Sequence[ErrorChange], over: str = "the noise", remark: str = "") -> str:
+    """Say how large the error is that is left, beside the noise, and where that is not known.
+
+    `remark` follows the sizes.
+    """
+    train, test = (largest_error(errors, role) for role in ("train", "test"))
+    said = []
+    worst = " in the worst output" if len({e.output for e in errors}) > 1 else ""
+    if np.isfinite(train) and np.isfinite(test):
+        said.append(
+            f"what is left is {_times(train)} times {over} on training and {_times(test)} on "
+            f"held-out data{worst}{remark}"
+        )
+    elif np.isfinite(train) or np.isfinite(test):
+        where = "" if np.isfinite(train) else " on held-out data"
+        size = f"{_times(train if not where else test)} times {over}{where}{worst}"
+        said.append(f"what is left is {size}{remark}")
+    silent = without_noise(errors)
+    if silent:
+        said.append(
+            f"the noise of {', '.join(silent)} is not known, so what is left there was not "
+            "compared with it"
+        )
+    for role, kind in (("train", "training"), ("test", "held-out")):
+        failed = not_simulated([e for e in errors if e.role == role])
+        if failed:
+            said.append(f"{kind} experiment {', '.join(failed)} could not be simulated")
+    return "; ".join(said)
+
+
+def _times(size: float) -> str:
+    """A multiple, with two decimals as far as they matter."""
+    return f"{size:.2f}" if size < 10.0 else f"{size:.3g}"
+
+
+def not_simulated(errors: Sequence[ErrorChange]) -> tuple[str, ...]:
+    """Experiments with data that could not be simulated with the effects, each once."""
+    rows = [e for e in errors if e.samples and not np.isfinite(e.rmse_after)]
+    return tuple(dict.fromkeys(repr(e.experiment) for e in rows))
+
+
+def no_longer_simulated(errors: Sequence[ErrorChange]) -> tuple[str, ...]:
+    """Those of them that could be simulated before."""
+    return not_simulated([e for e in errors if np.isfinite(e.rmse_before)])
+
+
+def without_noise(errors: Sequence[ErrorChange]) -> tuple[str, ...]:
+    """Outputs that have an error, and no noise that it could be compared with."""
+    rows = [e for e in errors if e.rmse_after > 0.0 and not np.isfinite(e.normalised_after)]
+    return tuple(dict.fromkeys(e.output for e in rows))
+
+
+def over_noise(
+    errors: Sequence[ErrorChange], noise: Mapping[str, float]
+) -> tuple[ErrorChange, ...]:
+    """Return the errors over another noise than the declared sigma, in units of that, by output."""
+    return tuple(
+        replace(
+            e,
+            normalised_before=e.normalised_before / noise.get(e.output, 1.0),
+            normalised_after=e.normalised_after / noise.get(e.output, 1.0),
+        )
+        for e in errors
+    )
+
+
+def comparable(errors: Sequence[ErrorChange]) -> tuple[ErrorChange, ...]:
+    """Return the errors that are known both before and after."""
+    return tuple(
+        e for e in errors if np.isfinite(e.normalised_before) and np.isfinite(e.normalised_after)
+    )
+
+
+def largest_error(errors: Sequence[ErrorChange], role: Role) -> float:
+    """Return the error over the noise of the output where it is largest, after; NaN for none."""
+    outputs = dict.fromkeys(e.output for e in errors if e.role == role)
+    own = [
+        pooled_error([e for e in errors if e.output == output], role, after=True)
+        for output in outputs
+    ]
+    return max((e for e in own if np.isfinite(e)), default=np.nan)
+
+
+def pooled_error(errors: Sequence[ErrorChange], role: Role, *, after: bool) -> float:
+    """Return the root mean square of errors over their noise; NaN where there are none."""
+    rows = [e for e in errors if e.role == role]
+    values = np.array([e.normalised_after if after else e.normalised_before for e in rows])
+    samples = np.array([e.samples for e in rows], float)
+    known = np.isfinite(values)
+    if not known.any():
+        return np.nan
+    return float(np.sqrt(np.average(values[known] ** 2, weights=samples[known])))
+
+
+def config_block(effect: NamedEffect) -> str:
+    """Return an entry of `[[effects]]` that starts from the values found.
+
+    Bounds are those of the search, so that a fit that names the effect finds the same.
+    """
+    neutral, sections = dict(effect.effect.coefficients), {}
+    for estimate in effect.coefficients:
+        name, fixed = effect.coefficient(estimate), estimate.estimated_on == "known"
+        bounds = () if fixed else (estimate.lower, estimate.upper)
+        section = _section(estimate.value, neutral.get(name), bounds, estimate.scale, fixed=fixed)
+        sections[name] = section | ({"unit": estimate.unit} if estimate.unit else {})
+    return _block(effect.effect, sections)
+
+
+def effect_block(effect: Effect, coefficients: Sequence[Parameter]) -> str:
+    """Return the same for an effect whose coefficients are parameters that start as fitted."""
+    neutral, sections = dict(effect.coefficients), {}
+    for parameter in coefficients:
+        name, bounds = (
+            parameter.name.removeprefix(f"{effect.name}."),
+            (parameter.lower, parameter.upper),
+        )
+        section = _section(
+            parameter.start, neutral.get(name), bounds, parameter.scale, fixed=parameter.fixed
+        )
+        sections[name] = section | ({"per": parameter.per} if parameter.per else {})
+    return _block(effect, sections)
+
+
+def _section(
+    start: float, neutral: float | None, bounds: Sequence[float], scale: str, *, fixed: bool
+) -> dict[str, Any]:
+    section: dict[str, Any] = {"start": float(start), "neutral": neutral}
+    if any(map(math.isfinite, bounds)):
+        section["bounds"] = list(map(float, bounds))
+    if scale != "linear":
+        section["scale"] = scale
+    return section | ({"fixed": True} if fixed else {})
+
+
+def _block(effect: Effect, sections: Mapping[str, Mapping[str, Any]]) -> str:
+    lines = [
+        "[[effects]]",
+        f"name = {inline(effect.name)}",
+        f"site = {inline(effect.site)}",
+        *([f"form = {inline(effect.form)}"] if effect.form else []),
+        *([f"variables = {inline(list(effect.variables))}"] if effect.variables else []),
+        *([f"equation = {inline(effect.equation)}"] if effect.equation else []),
+        *([f"reaction = {inline(effect.reaction)}"] if effect.reaction else []),
+        "[effects.parameters]",
+    ]
+    lines += [f"{dotted(name)} = {inline(section)}" for name, section in sections.items()]
+    return "\n".join(lines) + "\n"

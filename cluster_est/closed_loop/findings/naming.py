@@ -93,8 +93,6 @@ class Namer:
 
         Parameters
         ----------
-        candidate, values
-            The effect, and its coefficients.
         curve
             What it adds over its variable; None, or without points, where that is not known.
         """
@@ -297,14 +295,10 @@ def physics_of(placed: PlacedLaw) -> str:
     """Return what physics calls a law at its place; "" where the units do not say."""
     if placed.site is None or placed.kind == "output":
         return ""
-    rules = (_load, _motion, _heat, _flow, _stock, _kinetics, _circuit)
+    if placed.law in (Law.CONSTANT, Law.OFFSET):
+        return "constant load" if _pushes(placed) is not None else ""
+    rules = (_motion, _heat, _flow, _stock, _kinetics, _circuit)
     return next((word for rule in rules if (word := rule(placed))), "")
-
-
-def _load(placed: PlacedLaw) -> str:
-    """A force that is always there."""
-    always = placed.law in (Law.CONSTANT, Law.OFFSET)
-    return "constant load" if always and _pushes(placed) is not None else ""
 
 
 def _pushes(placed: PlacedLaw) -> Dimension | None:
@@ -384,15 +378,10 @@ def _heat(placed: PlacedLaw) -> str:
     return ""
 
 
-def _stocks(placed: PlacedLaw) -> tuple[Dimension, ...]:
-    """What drives a fluid, or holds it."""
-    return (PRESSURE, VOLUME, LENGTH) if placed.level else (PRESSURE, VOLUME)
-
-
 def _flow(placed: PlacedLaw) -> str:
     """A fluid that leaves, or goes from one place to another."""
     assert placed.site is not None
-    stocks = _stocks(placed)
+    stocks = (PRESSURE, VOLUME, LENGTH) if placed.level else (PRESSURE, VOLUME)
     if placed.argument is None or not placed.loss or not placed.argument.same_as(*stocks):
         return ""
     drained = placed.at_rates and placed.own and placed.site.same_as(*stocks)

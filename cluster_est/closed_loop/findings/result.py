@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+import numpy as np
 import pyarrow as pa
 
-from cluster_est.closed_loop.findings import tables
 from cluster_est.closed_loop.findings.competing_models import (
     CompetingModel,
     likely_sentence,
@@ -21,15 +21,18 @@ from cluster_est.closed_loop.findings.effects import (
     NamedEffect,
     NoiseChange,
     Verdict,
+    comparable,
+    config_block,
+    pooled_error,
 )
-from cluster_est.closed_loop.findings.remaining_error import comparable, pooled_error
 from cluster_est.closed_loop.findings.unexplained import UnexplainedResidual
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence
 from cluster_est.closed_loop.selection.rounds import ComparedStructure
 from cluster_est.problem import display
 from cluster_est.problem.problem import Problem
 from cluster_est.results.facts import fit_facts
-from cluster_est.results.fit_tables import EffectCurve, fit_tables
+from cluster_est.results.fit_tables import EffectCurve, Estimate, fit_tables
+from cluster_est.results.output_errors import OutputError
 from cluster_est.results.result import Result
 from cluster_est.results.shapes.effect_table import curve_table
 from workers.messages import FloatArray, Role
@@ -207,17 +210,17 @@ class LoopResult:
             If there is no such table.
         """
         if name == "effects":
-            return tables.effect_table(self.effects)
+            return _effect_table(self.effects)
         if name == "findings":
-            return tables.finding_table(self.findings)
+            return _row_table(CandidateEvidence, self.findings)
         if name == "structures":
-            return tables.structure_table(self.structures)
+            return _row_table(ComparedStructure, self.structures)
         if name == "shapes":
             return curve_table(self.curves)
         if name == "parameters":
-            return tables.parameter_table(self.before.estimates, self.after.estimates)
+            return _parameter_table(self.before.estimates, self.after.estimates)
         if name == "errors":
-            return tables.error_table(self.errors, self.before.errors, self.after.errors)
+            return _error_table(self.errors, self.before.errors, self.after.errors)
         return self.final.table(name)
 
     def facts(self) -> Mapping[str, Any]:
@@ -233,22 +236,20 @@ class LoopResult:
             "errors_over": self.errors_over.value,
             "verdict": self.verdict.value,
             "summary": self.summary,
-            "effects": [tables.effect_facts(effect) for effect in self.effects],
+            "effects": [_effect_facts(effect) for effect in self.effects],
             "likely": likely_sentence(self.structures),
             "resampled": self.resampled,
             "process_noise": [dataclasses.asdict(each) for each in self.process_noise],
             "competing": [model.facts() for model in self.competing],
             "unexplained": [dataclasses.asdict(each) for each in self.unexplained],
-            "rejected": [tables.effect_facts(effect) for effect in self.rejected],
+            "rejected": [_effect_facts(effect) for effect in self.rejected],
             "errors": {
                 role: {"before": self.rms(role, "before"), "after": self.rms(role, "after")}
                 for role in ("train", "test")
             },
-            "errors_by_output": tables.errors_by_output(self.errors),
             "noise": self.noise,
             "notes": list(self.notes),
             "sites": list(self.sites),
-            "experiments_simulated": self.simulations,
         }
 
     @property
@@ -285,3 +286,97 @@ class LoopResult:
             display.DisplayTable("Effects", ("name", "words", "equation"), effects),
             *fit_tables(self.after.estimates, self.errors),
         )
+
+
+EFFECT_COLUMNS = pa.schema(
+    [
+        *((name, pa.string()) for name in ("effect", "family", "site", "form")),
+        ("variables", pa.list_(pa.string())),
+        *((name, pa.string()) for name in ("equation", "words", "coefficient")),
+        ("value", pa.float64()),
+        ("unit", pa.string()),
+        *((name, pa.float64()) for name in ("std_error", "lower95", "upper95")),
+        ("fixed", pa.bool_()),
+    ]
+)
+KEPT_OF_BEFORE = ("value", "std_error", "lower95", "upper95")
+
+
+def _parameter_table(before: Sequence[Estimate], after: Sequence[Estimate]) -> pa.Table:
+    """Make a row for each estimate of the final model, with that before (NaN if it is new)."""
+    old = {e.label: e for e in before}
+    rows = []
+    for estimate in after:
+        then = old.get(estimate.label)
+        added = {f"{k}_before": getattr(then, k) if then else np.nan for k in KEPT_OF_BEFORE}
+        rows.append(dataclasses.asdict(estimate) | added)
+    return pa.Table.from_pylist(rows)
+
+
+def _error_table(
+    changes: Sequence[ErrorChange], before: Sequence[OutputError], after: Sequence[OutputError]
+) -> pa.Table:
+    """Make a row for each output of each experiment: declared model fitted, and with effects."""
+    rows = []
+    for change, old, new in zip(changes, before, after, strict=True):
+        row = dataclasses.asdict(change)
+        row |= {"relative_before": old.relative_after, "relative_after": new.relative_after}
+        rows.append(row)
+    return pa.Table.from_pylist(rows)
+
+
+def _effect_table(effects: Sequence[NamedEffect]) -> pa.Table:
+    """Make a row for each coefficient of each effect that was added."""
+    rows = [
+        {
+            "effect": effect.name,
+            "coefficient": effect.coefficient(estimate),
+            **_named(effect),
+            **_numbers(estimate),
+        }
+        for effect in effects
+        for estimate in effect.coefficients
+    ]
+    return pa.Table.from_pylist(rows, schema=EFFECT_COLUMNS)
+
+
+ARROW_TYPES = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
+
+
+def _row_table(row: type, rows: Sequence[CandidateEvidence | ComparedStructure]) -> pa.Table:
+    """Make a table of rows with a column for each of their fields, also where there are none."""
+    hints = get_type_hints(row)
+    schema = pa.schema([(f.name, _column(hints[f.name])) for f in dataclasses.fields(row)])
+    return pa.Table.from_pylist([vars(each) for each in rows], schema=schema)
+
+
+def _column(kind: Any) -> pa.DataType:
+    if get_origin(kind) is tuple:
+        return pa.list_(_column(get_args(kind)[0]))
+    return next(column for known, column in ARROW_TYPES.items() if issubclass(kind, known))
+
+
+def _effect_facts(effect: NamedEffect) -> dict[str, Any]:
+    """Return one effect with its alternatives and a block for a config."""
+    return {
+        "name": effect.name,
+        **_named(effect),
+        "sentence": effect.sentence,
+        "also": [dataclasses.asdict(a) for a in effect.also],
+        "period": effect.period,
+        "parameters": {effect.coefficient(e): _numbers(e) for e in effect.coefficients},
+        "alternatives": [dataclasses.asdict(a) for a in effect.alternatives],
+        "evidence": list(effect.evidence),
+        "config": config_block(effect),
+    }
+
+
+def _named(effect: NamedEffect) -> dict[str, Any]:
+    known = {k: getattr(effect, k) for k in ("family", "site", "form", "equation", "words")}
+    return known | {"variables": list(effect.variables)}
+
+
+def _numbers(estimate: Estimate) -> dict[str, Any]:
+    kept = {k: getattr(estimate, k) for k in ("value", "unit", "std_error", "lower95", "upper95")}
+    held = {"fixed": estimate.estimated_on == "known", "at_bound": estimate.at_bound}
+    return kept | held

@@ -9,15 +9,13 @@ import numpy as np
 from scipy.signal import welch
 
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
+from cluster_est.closed_loop.screening.screen import SHORTEST_SPECTRUM
 from cluster_est.problem.display import readable_time
 from cluster_est.problem.tables.measured import UnusedColumns
 from cluster_est.problem.variables import silent_inputs
-from cluster_est.statistics.dependence import Dependence, dependence, periodic_share
+from cluster_est.statistics.dependence import dependence, periodic_share
 from cluster_est.statistics.records import OutputRecord
 from workers.messages import Experiment, FloatArray
-
-SHORTEST_SPECTRUM = 16
-"""Samples that a record needs for a spectrum."""
 
 SHARE_OF_POWER = 0.9
 """Share of the power that lies below the frequency that is named."""
@@ -80,8 +78,6 @@ def unexplained_residuals(
 
     Parameters
     ----------
-    fitter, fitted
-        Where, and the fit.
     noise : (outputs,)
         Standard deviations of the noise, in units of the residual.
     """
@@ -123,21 +119,22 @@ def _periods(
     long = [item for item in records if len(item.times) >= SHORTEST_SPECTRUM]
     if not long:
         return np.nan, np.nan
-    step = float(np.median(np.concatenate([np.diff(item.times) for item in long])))
-    long = [
-        r
-        for r in long
-        if SHORTEST_SPECTRUM <= _even_count(r, step) <= MOST_EVEN_STEPS * len(r.times)
+    step = _usual_step(long)
+    pairs = [(record, _even_times(record, step)) for record in long]
+    even = [
+        (record, times)
+        for record, times in pairs
+        if SHORTEST_SPECTRUM <= len(times) <= MOST_EVEN_STEPS * len(record.times)
     ]
-    if not long:
+    if not even:
         return np.nan, np.nan
-    length = min(_even_count(item, step) for item in long)
+    length = min(len(times) for _, times in even)
     total = np.zeros(length // 2 + 1)
-    for item in long:
-        even = _even(residuals, item, step)
-        frequencies, density = welch(even, 1.0 / step, nperseg=length, detrend=False)
+    for item, times in even:
+        signal = np.interp(times, item.times, residuals[item.rows])
+        frequencies, density = welch(signal, 1.0 / step, nperseg=length, detrend=False)
         total += len(item.times) * density
-    total /= sum(len(item.times) for item in long)
+    total /= sum(len(item.times) for item, _ in even)
     power = np.maximum(total - 2.0 * noise**2 * step, 0.0)
     if not power.sum() > 0.0:
         return np.nan, np.nan
@@ -154,15 +151,14 @@ def _periods(
     )
 
 
-def _even(residuals: FloatArray, record: OutputRecord, step: float) -> FloatArray:
-    """A record's residual at even steps."""
-    even = record.times[0] + step * np.arange(_even_count(record, step))
-    return np.asarray(np.interp(even, record.times, residuals[record.rows]))
+def _usual_step(records: Sequence[OutputRecord]) -> float:
+    return float(np.median(np.concatenate([np.diff(record.times) for record in records])))
 
 
-def _even_count(record: OutputRecord, step: float) -> int:
-    """Number of even steps in a record."""
-    return int((record.times[-1] - record.times[0]) / step) + 1
+def _even_times(record: OutputRecord, step: float) -> FloatArray:
+    """The times of a record at even steps."""
+    count = int((record.times[-1] - record.times[0]) / step + 1e-6) + 1
+    return np.asarray(record.times[0] + step * np.arange(count))
 
 
 MOST_COLUMNS = 200
@@ -234,10 +230,6 @@ def varying_columns(
 
     Parameters
     ----------
-    fitter
-        Its problem knows the tables; experiments that were made in Python have none.
-    residuals : (N,)
-        Of the training experiments.
     significance
         The largest p-value, corrected for all columns and outputs, of a column that is named.
     period
@@ -251,7 +243,9 @@ def varying_columns(
     count = len(names) * len(fitter.records.outputs)
     for output, label in enumerate(fitter.records.outputs):
         for name in names:
-            seen = _dependence(_pairs(fitter, tables, residuals, output, name))
+            pairs = _pairs(fitter, tables, residuals, output, name)
+            series = [(pair.residual, pair.column) for pair in pairs]
+            seen = dependence(series, [pair.driving for pair in pairs])
             p = min(seen.p * count, 1.0)
             if p <= significance:
                 found.append(VaryingColumn(name, label, seen.share, p))
@@ -278,15 +272,10 @@ class _Pair:
     driving: dict[str, FloatArray]
 
 
-def _dependence(pairs: Sequence[_Pair]) -> Dependence:
-    known = [pair.driving for pair in pairs]
-    return dependence([(pair.residual, pair.column) for pair in pairs], known)
-
-
 def _tables(fitter: Fitter) -> dict[int, UnusedColumns]:
     """Unused columns of the training experiments, by position; none if one has no table."""
     sources = {source.experiment: source for source in fitter.problem.tables}
-    ids = [fitter.problem.experiments[e].record_id for e in fitter.train]
+    ids = [run.record_id for run in fitter.runs]
     if not all(name in sources for name in ids):
         return {}
     return {i: sources[name].unused() for i, name in enumerate(ids)}
@@ -315,10 +304,10 @@ def _pairs(
     records = [r for r in fitter.records.items if r.output == output and len(r.times) > 2]
     if not records:
         return []
-    step = float(np.median(np.concatenate([np.diff(record.times) for record in records])))
+    step = _usual_step(records)
     made = []
     for record in records:
-        experiment = fitter.problem.experiments[fitter.train[record.experiment]]
+        experiment = fitter.runs[record.experiment]
         times = _even_times(record, step)
         x = tables[record.experiment].at(name, times)
         if x is None or _is_copy(x, times, experiment):
@@ -328,11 +317,6 @@ def _pairs(
         driving = {each.variable: np.interp(times, each.times, each.values) for each in given}
         made.append(_Pair(y, x, times, driving))
     return made
-
-
-def _even_times(record: OutputRecord, step: float) -> FloatArray:
-    count = int((record.times[-1] - record.times[0]) / step + 1e-6) + 1
-    return np.asarray(record.times[0] + step * np.arange(count))
 
 
 def _is_copy(x: FloatArray, times: FloatArray, experiment: Experiment) -> bool:

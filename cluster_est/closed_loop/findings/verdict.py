@@ -12,8 +12,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.findings.effects import ErrorChange, Verdict
-from cluster_est.closed_loop.findings.remaining_error import (
+from cluster_est.closed_loop.findings.effects import (
+    ErrorChange,
+    Verdict,
     comparable,
     largest_error,
     no_longer_simulated,
@@ -23,14 +24,14 @@ from cluster_est.closed_loop.findings.remaining_error import (
     what_is_left,
     without_noise,
 )
-from cluster_est.closed_loop.findings.residual_noise import (
+from cluster_est.closed_loop.fitter import FittedModel, Fitter
+from cluster_est.closed_loop.output_noise import (
     OutputNoise,
     believed_noise,
     is_noise_of_sensors,
     residual_noise,
     suspected_sigma,
 )
-from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.selection.gates import SELECTION
 from cluster_est.closed_loop.selection.rounds import (
     VERDICT,
@@ -40,6 +41,7 @@ from cluster_est.closed_loop.selection.rounds import (
 )
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.statistics.residual_findings import autocorrelated
+from cluster_est.statistics.residual_tests import FAMILY_WISE_LEVEL
 from workers.messages import FloatArray
 
 CLAIMS = (Verdict.FOUND, Verdict.PARTIAL)
@@ -159,10 +161,9 @@ def _judged(
 ) -> ReasonedVerdict:
     """Judge what a search has added, or that it has added nothing."""
     if not found.current.added:
-        return _nothing_added(found, now, found.settings)
+        return _nothing_added(found, now)
     training, predicted = _closed(fitter, found, now)
     closed = min(training, predicted)
-    thresholds = VERDICT
     several = len(found.current.added) > 1
     closes = "the effects close" if several else "the effect closes"
     share = f"{closes} {training:.0%} of the gap between error and noise"
@@ -170,18 +171,18 @@ def _judged(
         share += f", and {predicted:.0%} in records that were left out to be predicted"
     tables = any(c.form.free for c in found.current.added)
     # a curve that is at the right place leaves nothing: it needs no right name
-    most = thresholds.most_by_curve if tables else thresholds.most
+    most = VERDICT.most_by_curve if tables else VERDICT.most
     if base.structured and base.within_sigma:
         reason = f"{_autocorrelated(base)}: no effect is needed"
         return ReasonedVerdict(Verdict.COLOURED, reason, closed)
     # what predicts other records worse is not found, however well it follows those it was fitted to
     quiet = not now.structured and predicted >= 0.0
-    if quiet or closed > thresholds.nearly_all:
+    if quiet or closed > VERDICT.nearly_all:
         if tables:
             share += ", with a free curve: a shape that no form of the library has"
         return ReasonedVerdict(Verdict.FOUND, share, closed, most)
     better = np.mean(found.prediction.squares < found.base_prediction.squares)
-    mostly = predicted >= 0.0 and better >= thresholds.mostly_better
+    mostly = predicted >= 0.0 and better >= SELECTION.mostly_better
     if now.of_sensors and not tables and mostly:
         rest = f"{share}; the rest looks like autocorrelated noise of the sensor"
         return ReasonedVerdict(Verdict.FOUND, rest, closed, most)
@@ -191,14 +192,15 @@ def _judged(
     if base.of_sensors:
         reason = f"{_autocorrelated(base)}; the effects that were tried do not explain it"
         return ReasonedVerdict(Verdict.COLOURED, reason, closed)
-    missing = f"{base.missing}, and {_nothing(found, found.settings)}"
+    missing = f"{base.missing}, and {_nothing(found)}"
     best = "the best effects" if several else "the best effect"
     little = _little(training, predicted, several=several)
     return ReasonedVerdict(Verdict.UNEXPLAINED, f"{missing}: {best} {little}", closed)
 
 
-def _nothing(found: SelectionResult, settings: LoopSettings) -> str:
+def _nothing(found: SelectionResult) -> str:
     """Say that nothing explains it, and where the search was told to look, or to end."""
+    settings = found.settings
     narrowed = settings.forms or settings.sites
     among = "among the forms and sites of closed_loop" if narrowed else "in the library"
     said = f"nothing {among} explains it"
@@ -218,20 +220,18 @@ def _little(training: float, predicted: float, *, several: bool) -> str:
     return f"would close only {training:.0%} of the gap"
 
 
-def _nothing_added(
-    found: SelectionResult, now: _Residual, settings: LoopSettings
-) -> ReasonedVerdict:
+def _nothing_added(found: SelectionResult, now: _Residual) -> ReasonedVerdict:
     why, screening = found.last.why, found.last.screening
     nowhere = why == RejectionReason.NO_CANDIDATE
     if now.structured and now.of_sensors and not nowhere:
-        return ReasonedVerdict(Verdict.COLOURED, _coloured(found, now, settings))
+        return ReasonedVerdict(Verdict.COLOURED, _coloured(found, now))
     if now.structured:
         return ReasonedVerdict(Verdict.UNEXPLAINED, f"{now.missing}, {_why_not(why)}")
     if nowhere:
         return ReasonedVerdict(Verdict.NONE, f"the residual looks like noise, but {why}: {NOWHERE}")
     if why == RejectionReason.COLOURED_NOISE:
-        if screening.structure.p <= VERDICT.structure:
-            return ReasonedVerdict(Verdict.COLOURED, _coloured(found, now, settings))
+        if screening.structure.p <= FAMILY_WISE_LEVEL:
+            return ReasonedVerdict(Verdict.COLOURED, _coloured(found, now))
         reason = "no candidate is significant once the residual is whitened"
         return ReasonedVerdict(Verdict.NONE, f"{reason} (family-wise p = {_p(found)})")
     if why == RejectionReason.NOT_SIGNIFICANT:
@@ -268,12 +268,12 @@ def _why_not(why: RejectionReason | None) -> str:
     return f"and nothing explains it: {why}"
 
 
-def _coloured(found: SelectionResult, now: _Residual, settings: LoopSettings) -> str:
+def _coloured(found: SelectionResult, now: _Residual) -> str:
     """Why what is left counts as coloured noise, though some effect may carry a part of it."""
     why, screening = found.last.why, found.last.screening
     if why == RejectionReason.NOT_SIGNIFICANT:
         rest = f"no candidate is significant (family-wise p = {screening.p:.2g})"
-    elif screening.p_white > settings.significance:
+    elif screening.p_white > found.settings.significance:
         rest = (
             "no effect explains it once that is allowed for "
             f"(family-wise p = {screening.p_white:.2g})"
@@ -316,17 +316,16 @@ def _residual(
     fitter: Fitter, found: SelectionResult, fitted: FittedModel, at: SelectionRound
 ) -> _Residual:
     """Look at what a model leaves, with the screening of the round that began at it."""
-    thresholds, settings = VERDICT, found.settings
     outputs = residual_noise(fitter, fitted, found.noise)
     excess = _excess(fitter, fitted, found.noise)
-    screening, level = at.screening, thresholds.structure
+    screening = at.screening
     of_sensors = is_noise_of_sensors(
         outputs,
-        near=settings.near_noise,
-        largest=thresholds.coloured,
-        whitened=screening.structure_white.p > level,
+        near=found.settings.near_noise,
+        largest=VERDICT.coloured,
+        whitened=screening.structure_white.p > FAMILY_WISE_LEVEL,
     )
-    structured = screening.structure.p <= level and excess > thresholds.excess
+    structured = screening.structure.p <= FAMILY_WISE_LEVEL and excess > VERDICT.excess
     return _Residual(outputs, excess, structured, of_sensors)
 
 
@@ -359,17 +358,7 @@ def _closed(fitter: Fitter, found: SelectionResult, now: _Residual) -> tuple[flo
 def confirmed(
     judged: ReasonedVerdict, errors: Sequence[ErrorChange], settings: LoopSettings
 ) -> ReasonedVerdict:
-    """Return the verdict after the final fits: what is left on training and on held-out data.
-
-    Parameters
-    ----------
-    judged
-        From the training experiments.
-    errors
-        Of the declared model fitted, and of the one with the effects.
-    settings
-        Of the loop.
-    """
+    """Return the verdict after the final fits: what is left on training and on held-out data."""
     if judged.verdict not in CLAIMS:
         return judged
     against = veto(judged, errors, settings)

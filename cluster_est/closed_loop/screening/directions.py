@@ -67,16 +67,12 @@ def directions(
 
     Parameters
     ----------
-    trajectories
-        Of the training experiments, in their order.
     trials
         At any sites in model exchange, at outputs in co-simulation.
     known : (parameters,) for each trajectory
         Values of the model's parameters there.
     rows
         The residuals that are kept, ascending; None for all of them.
-    told
-        Called on the way with how many are done, and of how many.
     """
     if not trials:
         return []

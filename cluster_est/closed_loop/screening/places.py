@@ -21,6 +21,8 @@ import numpy as np
 from cluster_est.closed_loop.candidates.arguments import TIME, CandidatePlace
 from cluster_est.closed_loop.candidates.trajectory import (
     LinearisedTrajectory,
+    hats,
+    knots_over,
     linear_system,
     pooled,
 )
@@ -45,19 +47,20 @@ class PlaceThresholds:
     weightings
         Random weightings that estimate the size of a direction. Theory: the relative error of a
         squared length is the square root of 2 over their number.
-    price
-        Rise of the statistic that each further coefficient must bring; see `column_penalty`.
-        Benchmark.
     """
 
     most_candidates: int = 1500
     leading: int = 40
     hats: int = 9
     weightings: int = 96
-    price: float = 8.0
 
 
 LEADING_PLACES = PlaceThresholds()
+
+COLUMN_PENALTY = 8.0
+"""Rise of the statistic that each further column of a candidate, or coefficient of a curve, must
+bring to be ranked as high. Benchmark; its mean is 1 where the column means nothing (theory:
+chi-squared)."""
 
 
 SITES_AT_ONCE = 16
@@ -87,18 +90,8 @@ def rank_places(
 
     Parameters
     ----------
-    places
-        To be ordered.
-    trajectories
-        Of the training experiments, with linearisations.
-    residual
-        Of the fit that they are added to.
     frequencies
         Angular frequencies of the waves among what depends on time alone.
-    generator
-        Of the random weightings.
-    thresholds
-        Their number, and that of a curve's coefficients.
     """
     if not places:
         return []
@@ -124,7 +117,7 @@ def rank_places(
                 product[:, first:last] += drawn.T @ acting
                 first = last
     ranks = {
-        place: _rank(block, variance, thresholds.price)
+        place: _rank(block, variance)
         for group, product in zip(groups, products, strict=True)
         for place, block in group.blocks(product, weights.shape[1])
     }
@@ -162,13 +155,10 @@ class FreeCurve:
         waves: tuple[float, ...],
         size: int,
     ) -> Self:
-        """With knots half way between even ones and quantiles: where it is, and at its ends."""
+        """Over all values of an argument."""
         if name == TIME:
             return cls(name, np.zeros(0), waves, size)
-        v = pooled(trajectories, name)
-        shares = np.linspace(0.0, 1.0, size)
-        even = v.min() + shares * (v.max() - v.min())
-        return cls(name, np.unique(0.5 * (even + np.quantile(v, shares))), (), size)
+        return cls(name, knots_over(pooled(trajectories, name), size), (), size)
 
     def columns(self, trajectory: LinearisedTrajectory) -> FloatArray:
         """(n, size): the function with each coefficient at 1 and all others at 0."""
@@ -178,9 +168,7 @@ class FreeCurve:
             parts = [np.ones_like(t), t, *(f(w * t) for w in self.waves for f in (np.sin, np.cos))]
             found[:, : len(parts)] = np.column_stack(parts)
         elif trajectory.has(self.name):
-            v = np.clip(trajectory.signal(self.name), self.knots[0], self.knots[-1])
-            for k, heights in enumerate(np.eye(len(self.knots))):
-                found[:, k] = np.interp(v, self.knots, heights)
+            found[:, : len(self.knots)] = hats(self.knots, trajectory.signal(self.name))
         return found
 
 
@@ -225,7 +213,7 @@ def _grouped(places: Sequence[CandidatePlace]) -> list[_PlaceGroup]:
     ]
 
 
-def _rank(block: FloatArray, variance: float, price: float) -> float:
+def _rank(block: FloatArray, variance: float) -> float:
     """The score statistic of a curve, less the price of its coefficients."""
     b, sketch = block[:, 0], block[:, 1:]
     count = sketch.shape[1]
@@ -239,7 +227,7 @@ def _rank(block: FloatArray, variance: float, price: float) -> float:
     shares = (vectors[:, kept].T @ b) ** 2 / values[kept]
     d = int(kept.sum())
     unbiased = max(count - d - 1, 1) / count  # of an inverse, T. W. Anderson (2003), lemma 7.7.1
-    return float(unbiased * shares.sum()) / max(variance, 1e-300) - price * (d - 1)
+    return float(unbiased * shares.sum()) / max(variance, 1e-300) - COLUMN_PENALTY * (d - 1)
 
 
 def _width(site: EffectSite) -> int:
@@ -296,8 +284,6 @@ def adjoint_signals(trajectory: LinearisedTrajectory, weights: FloatArray) -> Ad
 
     Parameters
     ----------
-    trajectory
-        In model exchange.
     weights : (k, m)
         m weightings of the experiment's residuals.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import Any, Self
 
 import numpy as np
@@ -11,9 +12,9 @@ import numpy as np
 from cluster_est.closed_loop.candidates.arguments import (
     CandidatePlace,
     count_candidates,
-    count_variables,
     open_arguments,
     open_places,
+    variables_of,
 )
 from cluster_est.closed_loop.candidates.make import (
     EffectCandidate,
@@ -27,7 +28,12 @@ from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.screening.directions import CandidatePoint, directions, probe
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
-from cluster_est.closed_loop.screening.places import LEADING_PLACES, PlaceThresholds, rank_places
+from cluster_est.closed_loop.screening.places import (
+    COLUMN_PENALTY,
+    LEADING_PLACES,
+    PlaceThresholds,
+    rank_places,
+)
 from cluster_est.closed_loop.settings import LoopPart, LoopSettings, LoopStage
 from cluster_est.statistics.projection import (
     OrthogonalProjection,
@@ -55,21 +61,13 @@ class ScreeningThresholds:
         The same times the columns of all candidates. Memory: 128 MB, and some five copies of it.
     peaks
         Frequencies of the residual's spectrum that periodic effects begin with. Benchmark.
-    peak_samples
-        Samples that a record needs for a spectrum. Signal.
     peak_distance
         Relative distance of two peaks that count as different. Benchmark.
-    column_penalty
-        Rise of the statistic that each further column of a candidate must bring to be ranked as
-        high. Benchmark; its mean is 1 where the column means nothing (theory: chi-squared).
     curves
         Places of leading free curves at which finer ones are looked at. Benchmark.
     probed_curves
         The same in co-simulation, where each value of a curve takes simulations of its own.
         Benchmark.
-    confounded
-        Share of a direction outside the declared parameters below which it cannot be told from
-        them. Signal: the linearisations of a simulation are not more exact.
     autoregression
         Order of the autoregression that whitens. Benchmark.
     """
@@ -77,16 +75,16 @@ class ScreeningThresholds:
     most_rows: int = 20_000
     most_values: int = 16_000_000
     peaks: int = 2
-    peak_samples: int = 16
     peak_distance: float = 0.1
-    column_penalty: float = 8.0
     curves: int = 12
     probed_curves: int = 4
-    confounded: float = CONFOUNDED
     autoregression: int = 2
 
 
 SCREENING = ScreeningThresholds()
+
+SHORTEST_SPECTRUM = 16
+"""Samples that a record needs for a spectrum. Signal."""
 
 
 @dataclass(frozen=True)
@@ -131,8 +129,6 @@ def screen(
 
     Parameters
     ----------
-    fitter, settings, fitted
-        Where, with which forms and sites, and what is screened.
     step
         The number of the round: its random generators are its own.
     """
@@ -198,13 +194,6 @@ def _confounding_parameter(matrix: FloatArray, column: FloatArray, fitted: Fitte
     return fitted.space.unknowns[int(np.argmax(cosines))].label
 
 
-def refreshed(
-    finding: CandidateEvidence, stage: CandidateStage, criterion: float = np.nan
-) -> CandidateEvidence:
-    """A finding that has come a stage further."""
-    return replace(finding, stage=stage, criterion=criterion)
-
-
 PLACES_STREAM = 7
 """Stream of the random generator of the places; see `Fitter.generator`."""
 
@@ -229,8 +218,6 @@ class CandidateRanking:
         What they were scored against.
     unseen
         Candidates that were looked at, if only by their places, for each that was compared itself.
-    column_penalty
-        See `ScreeningThresholds`.
     """
 
     trials: tuple[CandidatePoint, ...]
@@ -242,7 +229,6 @@ class CandidateRanking:
     residual: ProjectedResidual = field(repr=False)
     residual_white: ProjectedResidual = field(repr=False)
     unseen: float = 1.0
-    column_penalty: float = ScreeningThresholds.column_penalty
 
     @property
     def count(self) -> int:
@@ -256,7 +242,7 @@ class CandidateRanking:
 
     def leaders(self, scores: ScoreTests, most: int, *, free: bool = False) -> list[int]:
         """The best trial of each named candidate, or of each free curve; the best first."""
-        rank = scores.statistics - self.column_penalty * np.maximum(scores.df - 1, 0)
+        rank = scores.statistics - COLUMN_PENALTY * np.maximum(scores.df - 1, 0)
         best: dict[str, int] = {}
         for i in np.argsort(-rank, kind="stable").tolist():
             trial = self.trials[i]
@@ -293,18 +279,16 @@ def rank(
         return whiten(values, records, coefficients)
 
     white = ProjectedResidual(OrthogonalProjection(whitened(matrix)), whitened(residuals))
-    least = SCREENING.confounded
     return CandidateRanking(
         trials=trials,
         columns=columns,
         rows=rows,
         records=records,
-        plain=score(plain.projection, plain.residuals, columns, least),
-        white=score(white.projection, white.residuals, columns, least, whitened),
+        plain=score(plain.projection, plain.residuals, columns, CONFOUNDED),
+        white=score(white.projection, white.residuals, columns, CONFOUNDED, whitened),
         residual=plain,
         residual_white=white,
         unseen=max(possible / max(len(candidates), 1), 1.0),
-        column_penalty=SCREENING.column_penalty,
     )
 
 
@@ -322,9 +306,10 @@ def _candidates(
     sites = candidate_sites(*given, settings)
     arguments = open_arguments(*given)
     forms = {site: forms_at(site, fitted.problem, description, settings) for site in sites}
-    possible = sum(count_variables(f, site, arguments) for site in sites for f in forms[site])
     everywhere = LoopPart.PLACES_FIRST in settings.without or not fitter.by_linear_systems
-    if everywhere or possible <= chosen.most_candidates:
+    most = chosen.most_candidates
+    possible = (v for site in sites for f in forms[site] for v in variables_of(f, site, arguments))
+    if everywhere or len(list(islice(possible, most + 1))) <= most:
         candidates = make_candidates(*given, frequencies, settings)
         if everywhere or len(candidates) <= fitter.size:
             return candidates, len(candidates)
@@ -384,7 +369,7 @@ def _peaks(records: StackedRecords, residuals: FloatArray) -> list[float]:
     best: list[tuple[float, float]] = []
     for record in records.items:
         part, times = residuals[record.rows], record.times
-        if len(part) < SCREENING.peak_samples:
+        if len(part) < SHORTEST_SPECTRUM:
             continue
         step = float(np.median(np.diff(times)))
         power = np.abs(np.fft.rfft(part - part.mean())) ** 2 / len(part)
@@ -412,10 +397,6 @@ def rank_curves(
 
     Parameters
     ----------
-    fitted
-        The model that a curve is added to.
-    ranking
-        Of all candidates at that model.
     variables
         1 for curves of one argument, 2 for those of a switch, which follow most of what the switch
         alone does and would crowd out curves that say less.
@@ -441,7 +422,7 @@ def rank_curves(
     new = candidate_columns(fitter, fitted, fitter.trajectories(fitted), finer, ranking.rows)
     columns = (*(ranking.columns[i] for i in leaders), *new)
     residual = ranking.residual
-    scores = score(residual.projection, residual.residuals, columns, SCREENING.confounded)
+    scores = score(residual.projection, residual.residuals, columns, CONFOUNDED)
     return replace(ranking, trials=(*coarse, *finer), columns=columns, plain=scores)
 
 

@@ -7,14 +7,16 @@ structure takes the place of a plainer one where it predicts the parts better in
 them one by one; what is plainer takes the place of a structure that does not. A step that is
 refused does not end the walk: a model may get worse before it gets right.
 
-An effect whose strengths may all be zero, for all that the data say, is taken out again.
+A structure in which the strengths of an effect may all be zero, for all that the data say, is no
+answer; without that effect it may be one. Effects of one place and argument are one finding, and
+tested together.
 
 What is held out chooses nothing. It may veto an answer, and then the one before it is asked.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -60,20 +62,45 @@ def answers(fitter: Fitter, grown: SelectionResult) -> list[SelectionResult]:
 
     If the declared model predicts best, it is the only one.
     """
-    without = grown.settings.without
-    ends = [grown] if LoopPart.ANSWER in without else best_ancestors(grown)
-    if LoopPart.STRENGTHS in without:
-        return ends
-    return [without_undetermined(fitter, each) for each in ends]
+    without, accepted = grown.settings.without, grown.accepted
+    if LoopPart.ANSWER in without:
+        return [grown]
+    tested = LoopPart.STRENGTHS not in without
+    doubtful = {
+        n for n, each in enumerate(accepted) if tested and least_determined(each.model) is not None
+    }
+    chain = best_ancestors(accepted, doubtful)
+    best = chain[-1]
+    ends = [ending_at(grown, number) for number in reversed(chain[1:] or chain)]
+    better = [n for n in doubtful if _replaces(accepted[n], accepted[best])]
+    if better:
+        number = min(better, key=lambda n: accepted[n].prediction.total)
+        kept = without_undetermined(fitter, ending_at(grown, number))
+        if kept.current.added and _replaces(_accepted(kept), accepted[best]):
+            return [kept, *ends] if best else [kept]
+        ends[0] = replace(ends[0], steps=_ended(ends[0].steps, RejectionReason.STRENGTHS))
+    return ends
 
 
-def best_ancestors(found: SelectionResult) -> list[SelectionResult]:
-    """Return a search as it would have ended at what predicts best, then at what it replaced."""
+def best_ancestors(
+    accepted: Sequence[AcceptedStructure], left_out: Collection[int] = ()
+) -> list[int]:
+    """Return which of the structures take the place of all that came before, in their order.
+
+    The first is the declared model, and the last the answer.
+
+    Parameters
+    ----------
+    accepted
+        By a search, in its order.
+    left_out
+        What is no answer.
+    """
     chain = [0]
-    for number in range(1, len(found.accepted)):
-        if _replaces(found.accepted[number], found.accepted[chain[-1]]):
+    for number in range(1, len(accepted)):
+        if number not in left_out and _replaces(accepted[number], accepted[chain[-1]]):
             chain.append(number)
-    return [ending_at(found, number) for number in reversed(chain[1:] or chain)]
+    return chain
 
 
 def ending_at(found: SelectionResult, number: int) -> SelectionResult:
@@ -83,7 +110,7 @@ def ending_at(found: SelectionResult, number: int) -> SelectionResult:
     """
     then, steps = found.accepted[number], found.steps[: number + 1]
     if number < len(found.accepted) - 1:
-        steps = (*steps[:-1], replace(steps[-1], why=RejectionReason.REFITS))
+        steps = _ended(steps, RejectionReason.REFITS)
     return replace(
         found,
         path=tuple(_not_the_answer(row, found, number) for row in found.path),
@@ -92,6 +119,14 @@ def ending_at(found: SelectionResult, number: int) -> SelectionResult:
         rivals=then.rivals,
         steps=steps,
     )
+
+
+def _accepted(found: SelectionResult) -> AcceptedStructure:
+    return AcceptedStructure(found.current, found.prediction, found.rivals)
+
+
+def _ended(steps: tuple[SelectionRound, ...], why: RejectionReason) -> tuple[SelectionRound, ...]:
+    return (*steps[:-1], replace(steps[-1], why=why))
 
 
 def _not_the_answer(
@@ -126,16 +161,21 @@ def _complexity(fitted: FittedModel) -> tuple[int, int]:
 
 def without_undetermined(fitter: Fitter, found: SelectionResult) -> SelectionResult:
     """Take out effects whose strengths may all be zero, the least determined one first."""
-    while found.current.added:
-        current = found.current
-        solution = Solution(current.x, current.sse, Ending.CONVERGED, jacobian=current.jacobian)
-        known = assess(current.space, solution)
-        p = [strength_p(each, current.space, current.x, known) for each in current.added]
-        worst = int(np.argmax(p))
-        if p[worst] <= STRENGTH_LEVEL:
-            break
+    while (worst := least_determined(found.current)) is not None:
         found = without_effects(fitter, found, [worst], LoopPart.STRENGTHS)
     return found
+
+
+def least_determined(model: FittedModel) -> int | None:
+    """Return the position of the effect whose strengths are most likely zero; None for none."""
+    if not model.added:
+        return None
+    solution = Solution(model.x, model.sse, Ending.CONVERGED, jacobian=model.jacobian)
+    given = model.space, model.x, assess(model.space, solution)
+    p = strength_p(model.added, *given)
+    alone = [strength_p([each], *given)[0] for each in model.added]
+    worst = max(range(len(p)), key=lambda i: (p[i], alone[i]))
+    return worst if p[worst] > STRENGTH_LEVEL else None
 
 
 def undetermined_sentence(model: FittedModel, fit: Result) -> str:
@@ -145,16 +185,15 @@ def undetermined_sentence(model: FittedModel, fit: Result) -> str:
     """
     if fit.uncertainty is None or fit.solution.x.shape != model.x.shape:
         return ""
-    for added in model.added:
-        if strength_p(added, model.space, fit.solution.x, fit.uncertainty) > STRENGTH_LEVEL:
-            return f"by the last fit the strength of {added.label} may be zero"
-    return ""
+    p = strength_p(model.added, model.space, fit.solution.x, fit.uncertainty)
+    doubtful = [c.label for c, own in zip(model.added, p, strict=True) if own > STRENGTH_LEVEL]
+    return f"by the last fit the strength of {doubtful[0]} may be zero" if doubtful else ""
 
 
 def strength_p(
-    added: EffectCandidate, space: SearchSpace, x: FloatArray, known: Uncertainty
-) -> float:
-    """Return the p-value of the strengths of an effect, tested jointly against zero.
+    added: Sequence[EffectCandidate], space: SearchSpace, x: FloatArray, known: Uncertainty
+) -> list[float]:
+    """Return for each effect the p-value of the strengths at its place, tested jointly.
 
     With k strengths a and their covariance C, of which the noise is known with n degrees of
     freedom, a' C^-1 a / k follows F(k, n) where all are zero: G. A. F. Seber, C. J. Wild, Nonlinear
@@ -163,31 +202,43 @@ def strength_p(
 
     Parameters
     ----------
+    added
+        The effects. Those of one site and argument share a test.
     space, x
-        The unknowns of a model with the effect, and where they stand.
+        The unknowns of a model with the effects, and where they stand.
     known
         Their uncertainty.
 
     Returns
     -------
-    float
-        1 where the data do not determine one of them; 0 where there is none, or each is at a bound
-        that is not zero.
+    list of float
+        1 where the data do not determine one of the strengths; 0 where there is none, or each is at
+        a bound that is not zero.
     """
     labels = [unknown.label for unknown in space.unknowns]
-    names = [f"{added.effect.name}.{strength}" for strength in added.strengths]
-    places = [labels.index(name) for name in names if name in labels]
-    free = [i for i in places if not known.intervals[i].at_bound or x[i] == 0.0]
+    places: dict[tuple[str, tuple[str, ...]], list[int]] = {}
+    for each in added:
+        names = [f"{each.effect.name}.{strength}" for strength in each.strengths]
+        own = [labels.index(name) for name in names if name in labels]
+        places.setdefault((str(each.site), each.effect.variables), []).extend(own)
+    found = {place: _joint_p(own, labels, x, known) for place, own in places.items()}
+    return [found[str(each.site), each.effect.variables] for each in added]
+
+
+def _joint_p(
+    strengths: Sequence[int], labels: Sequence[str], x: FloatArray, known: Uncertainty
+) -> float:
+    free = [i for i in strengths if not known.intervals[i].at_bound or x[i] == 0.0]
     if not free:
         return 0.0
     errors = np.array([known.intervals[i].std_error for i in free])
     shared = [known.shared.index(labels[i]) if labels[i] in known.shared else -1 for i in free]
     if not (np.isfinite(errors).all() and (errors > 0.0).all() and min(shared) >= 0):
         return 1.0
-    scores = x[free] / errors
     correlations = known.correlations[np.ix_(shared, shared)]
     if not np.isfinite(correlations).all():
         return 1.0
+    scores = x[free] / errors
     statistic = float(scores @ np.linalg.pinv(correlations, hermitian=True) @ scores) / len(free)
     return float(fdtrc(len(free), known.basis_degrees, statistic))
 

@@ -8,7 +8,7 @@ from typing import ClassVar, final
 import numpy as np
 from typing_extensions import override
 
-from cluster_est.closed_loop.fitter import FittedModel, Fitter, enlarged_kind
+from cluster_est.closed_loop.fitter import ENLARGED, FittedModel, Fitter
 from cluster_est.closed_loop.selection.linear_model import longest_step
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.errors import ProblemError
@@ -201,8 +201,7 @@ def stays_bounded(fitter: Fitter, fitted: FittedModel, trusted: FittedModel) -> 
     It may go as far as several times what was measured, or what the trusted model makes of the
     same inputs: a loop that starts at rest answers a displaced reference with a large transient.
     """
-    kind = enlarged_kind()
-    spaces = [fitter.space(f.start, kind) for f in (fitted, trusted)]
+    spaces = [fitter.space(f.start, ENLARGED) for f in (fitted, trusted)]
     (at,), (usual,) = fitter.evaluate(
         LoopStage.ENLARGED_INPUTS, [(s, s.start[None, :]) for s in spaces]
     )

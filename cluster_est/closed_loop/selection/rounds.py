@@ -12,13 +12,12 @@ from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.output_noise import noise_of
 from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
-from cluster_est.closed_loop.screening.screen import ScreeningResult, findings, refreshed
+from cluster_est.closed_loop.screening.screen import ScreeningResult, findings
 from cluster_est.closed_loop.selection.linear_model import UNPRUNED, PruningBound
 from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.refits import ModelCache, RefittedCandidate, Rivals
 from cluster_est.closed_loop.settings import LoopPart, LoopSettings
 from cluster_est.statistics.records import StackedRecords
-from cluster_est.statistics.residual_tests import FAMILY_WISE_LEVEL
 
 
 @dataclass(frozen=True)
@@ -29,17 +28,12 @@ class VerdictThresholds:
     ----------
     gap
         Residual over noise, in squares, above which an effect must close a part of it. Benchmark.
-    structure
-        p-value of the test for smooth structure up to which structure counts as left, as for a
-        fit. Theory: its size.
     excess
         Residual over noise, in squares, less 1, below which nothing can be left. Benchmark.
     coloured
         Residual over the estimated noise above which what is left is no noise of a sensor, where
         no sigma is declared. Theory: a fourth difference of first-order noise with a correlation
         of 0.93 is five times too small.
-    partial
-        Partial autocorrelation beyond lag 1 up to which noise counts as of first order. Benchmark.
     nearly_all
         Share of the gap to the noise, in squares, that effects must close for "found". Benchmark.
     most
@@ -48,20 +42,14 @@ class VerdictThresholds:
     most_by_curve
         The same for "partial" with a free curve, which takes any shape: what it leaves says that
         the effect is another one. Benchmark.
-    mostly_better
-        Share of the parts left out that must be predicted better for the rest to count as noise.
-        Benchmark.
     """
 
     gap: float = 1.15
-    structure: float = FAMILY_WISE_LEVEL
     excess: float = 0.05
     coloured: float = 5.0
-    partial: float = 0.1
     nearly_all: float = 0.98
     most: float = 0.75
     most_by_curve: float = 0.9
-    mostly_better: float = 0.75
 
 
 VERDICT = VerdictThresholds()
@@ -366,7 +354,7 @@ def evidence_of_round(
             name = candidate.effect.name
             known = found.get(name) or _as_finer(found.values(), candidate)
             if known is not None:
-                found[name] = refreshed(known, stage, contender.criterion - base)
+                found[name] = replace(known, stage=stage, criterion=contender.criterion - base)
     return list(found.values())
 
 
@@ -379,7 +367,7 @@ def with_single(
     known = next((each for each in first if _is_of(each, own)), None) or _as_finer(first, own)
     if known is None:
         return list(seen)
-    accepted = refreshed(known, CandidateStage.ACCEPTED, criterion)
+    accepted = replace(known, stage=CandidateStage.ACCEPTED, criterion=criterion)
     return [accepted, *(each for each in seen if each.step != 1 or not _is_of(each, own))]
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cluster_est.closed_loop.candidates.make import EffectCandidate
-from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter, shortened_kinds
+from cluster_est.closed_loop.fitter import SHORTENED, FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.output_noise import noise_of
 from cluster_est.closed_loop.selection.linear_model import (
     REFINEMENT,
@@ -110,8 +110,7 @@ def at_noise(fitter: Fitter, fitted: FittedModel) -> bool:
 def _grow(fitter: Fitter, start: FitStart, count: int) -> list[FittedModel | None]:
     """Several starts through the horizons to the full records."""
     starts = _spread(fitter, start, count)
-    horizons = shortened_kinds()
-    for horizon, survivors in zip(horizons, DECLARED_MODEL.survivors, strict=True):
+    for horizon, survivors in zip(SHORTENED, DECLARED_MODEL.survivors, strict=True):
         fits = fitter.fit(LoopStage.DECLARED_MODEL, starts, BRIEF, horizon)
         alive = sorted((f for f in fits if f is not None), key=lambda f: f.sse)
         starts = [

@@ -12,7 +12,7 @@ from support.truth.form_terms import curve
 
 import cluster_est as ce
 from cluster_est.cli import main
-from cluster_est.closed_loop.findings.tables import effect_block
+from cluster_est.closed_loop.findings.effects import effect_block
 from cluster_est.errors import ConfigError, EffectError
 from cluster_est.toml import to_toml
 

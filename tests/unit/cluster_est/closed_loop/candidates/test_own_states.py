@@ -4,7 +4,7 @@ import sympy as sp
 from scipy.integrate import solve_ivp
 
 from cluster_est.closed_loop.candidates.array_forms import own_states_of
-from cluster_est.closed_loop.candidates.equation import equation_text
+from cluster_est.problem.declared_effects import equation_text
 from workers.effects.expression import parse
 from workers.effects.forms import FORMS
 from workers.effects.site import parse_site

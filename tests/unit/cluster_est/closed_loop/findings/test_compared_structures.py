@@ -16,7 +16,7 @@ from support.loop_objects import (
 )
 
 from cluster_est.closed_loop.findings.competing_models import (
-    TEMPERATURE,
+    CRITERION_SCALE,
     ResampledChoices,
     likely_sentence,
     likely_structures,
@@ -34,7 +34,7 @@ def compared(*pairs):
     ]
 
 
-NINE_TIMES = 2.0 * TEMPERATURE * math.log(9.0)
+NINE_TIMES = 2.0 * CRITERION_SCALE * math.log(9.0)
 PATH = compared(("a", -5000.0), ("b", -5000.0 + NINE_TIMES), ("a+b", -3000.0))
 
 

@@ -5,13 +5,13 @@ import pytest
 from scipy.signal import lfilter
 from support.loop_objects import made_fit, made_fitter, made_problem
 
-from cluster_est.closed_loop.findings.residual_noise import (
+from cluster_est.closed_loop.findings.unexplained import unexplained_residuals
+from cluster_est.closed_loop.output_noise import (
     believed_noise,
     is_noise_of_sensors,
     residual_noise,
     suspected_sigma,
 )
-from cluster_est.closed_loop.findings.unexplained import unexplained_residuals
 from cluster_est.statistics.noise.estimate import estimate_noise
 
 LENGTHS = (600, 600, 600, 600)

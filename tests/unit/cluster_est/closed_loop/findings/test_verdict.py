@@ -375,7 +375,7 @@ def notes(verdict, before=DONE, after=DONE):
     base = fit_with_squares(PROBLEM, 80.0)
     last = made_round(None, made_screening(base.jacobian, base.residuals, [], []))
     found = made_selection(base, base, last)
-    fits = LastFits(before, after, (), ())
+    fits = LastFits(before, after, ())
     return account(
         made_fitter(PROBLEM), found, ReasonedVerdict(verdict, ""), fits, LoopScope()
     ).notes

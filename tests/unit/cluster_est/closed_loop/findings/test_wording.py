@@ -169,24 +169,8 @@ def of_experiment(experiment: str, before: float, after: float, samples: int = 1
     return ErrorChange(experiment, "train", "y", "m", samples, before, after, before, after)
 
 
-def of_output(*errors: ErrorChange) -> dict[str, float]:
-    return dict(result(*errors).facts()["errors_by_output"]["y"]["train"])
-
-
 def test_errors_before_and_after_are_of_the_same_experiments() -> None:
     lost, won = of_experiment("lost", 9.0, math.nan), of_experiment("won", math.nan, 5.0)
     found = result(of_experiment("both", 3.0, 1.0), lost, won)
     assert found.rms("train", "before") == 3.0
     assert found.rms("train", "after") == 1.0
-
-
-def test_an_experiment_without_samples_hides_no_error() -> None:
-    empty = of_experiment("b", math.nan, math.nan, samples=0)
-    assert of_output(of_experiment("a", 2.0, 1.0), empty) == {"before": 2.0, "after": 1.0}
-    assert math.isnan(of_output(empty)["after"])
-
-
-def test_an_output_has_no_error_where_an_experiment_fails() -> None:
-    found = of_output(of_experiment("a", 2.0, 1.0), of_experiment("b", 2.0, math.nan))
-    assert found["before"] == pytest.approx(2.0)
-    assert math.isnan(found["after"])

@@ -83,17 +83,25 @@ def effects(found):
     ],
 )
 def test_the_answer_is_what_predicts_left_out_parts(path, expected):
-    assert effects(best_ancestors(searched(*path))[0]) == expected
+    found = searched(*path)
+    assert effects(ending_at(found, best_ancestors(found.accepted)[-1])) == expected
 
 
 def test_the_answers_before_it_come_next():
     path = [((), (9, 9, 9)), ((A,), (4, 4, 4)), ((A, B), (5, 5, 5)), ((A, B, C), (1, 1, 1))]
-    assert [effects(each) for each in best_ancestors(searched(*path))] == [["a", "b", "c"], ["a"]]
+    found = searched(*path)
+    chain = best_ancestors(found.accepted)
+    assert [effects(ending_at(found, n)) for n in chain] == [[], ["a"], ["a", "b", "c"]]
+
+
+def test_what_is_no_answer_is_passed_over():
+    path = [((), (9, 9, 9)), ((A,), (4, 4, 4)), ((A, B), (1, 1, 1))]
+    assert best_ancestors(searched(*path).accepted, {2}) == [0, 1]
 
 
 def test_what_came_after_the_answer_is_no_longer_accepted_and_the_reason_is_said():
     found = searched(((), (9, 9, 9)), ((A,), (1, 1, 1)), ((A, B), (2, 2, 2)))
-    (best,) = best_ancestors(found)
+    best = ending_at(found, best_ancestors(found.accepted)[-1])
     assert best.last.why is RejectionReason.REFITS
     assert len(best.steps) == 2
     assert best.prediction.total == 3.0
@@ -139,7 +147,7 @@ def test_strengths_are_tested_jointly_as_by_the_f_test_of_two_nested_fits(truth)
     alone = np.linalg.lstsq(matrix[:, :1], measured, rcond=None)[0]
     fall = np.sum((measured - matrix[:, :1] @ alone) ** 2) - fitted.sse
     expected = stats.f.sf(fall / 2.0 / (fitted.sse / 77.0), 2, 77)
-    p = strength_p(fitted.added[0], fitted.space, fitted.x, known)
+    p = strength_p(fitted.added, fitted.space, fitted.x, known)[0]
     assert p == pytest.approx(expected, rel=1e-6)
 
 
@@ -149,7 +157,7 @@ def test_two_strengths_that_each_may_be_zero_are_not_both():
     known = assess(fitted.space, solution)
     for i in (1, 2):
         assert known.intervals[i].lower95 < 0.0 < known.intervals[i].upper95
-    assert strength_p(fitted.added[0], fitted.space, fitted.x, known) < 1e-6
+    assert strength_p(fitted.added, fitted.space, fitted.x, known)[0] < 1e-6
 
 
 def test_a_strength_that_does_nothing_is_not_determined():
@@ -158,4 +166,25 @@ def test_a_strength_that_does_nothing_is_not_determined():
     jacobian[:, 1:] = 0.0
     solution = Solution(fitted.x, fitted.sse, Ending.CONVERGED, jacobian=jacobian)
     known = assess(fitted.space, solution)
-    assert strength_p(fitted.added[0], fitted.space, fitted.x, known) == 1.0
+    assert strength_p(fitted.added, fitted.space, fitted.x, known)[0] == 1.0
+
+
+def test_effects_of_one_place_and_argument_are_one_finding():
+    """Two powers of one speed, which each may be zero beside the other, and not both."""
+    fitted, *_ = two_strengths((0.5, 0.5), collinear=0.98)
+    (both,) = fitted.added
+    parts = [replace(both, effect=replace(both.effect, name=name)) for name in ("one", "other")]
+    first, *_, second, third = fitted.space.unknowns
+    split = tuple(
+        replace(u, label=f"{part.effect.name}.{part.strengths[0]}")
+        for u, part in zip((second, third), parts, strict=True)
+    )
+    space = replace(fitted.space, unknowns=(first, *split))
+    solution = Solution(fitted.x, fitted.sse, Ending.CONVERGED, jacobian=fitted.jacobian)
+    known = assess(space, solution)
+    together = strength_p(parts, space, fitted.x, known)
+    assert max(together) < 1e-6
+    alone = [strength_p([part], space, fitted.x, known)[0] for part in parts]
+    assert min(alone) > 0.05
+    elsewhere = replace(parts[1], effect=replace(parts[1].effect, variables=("x",)))
+    assert strength_p([parts[0], elsewhere], space, fitted.x, known) == alone
