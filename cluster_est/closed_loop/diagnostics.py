@@ -13,10 +13,9 @@ from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.numerical_error import NumericalError, measure_numerical_error
 from cluster_est.closed_loop.outliers import open_checked_workbench
 from cluster_est.closed_loop.output_noise import expected_noise, noise_of
-from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
-from cluster_est.closed_loop.screening.screen import findings, screen
+from cluster_est.closed_loop.screening.screen import CandidateEvidence, findings, screen
 from cluster_est.closed_loop.selection.starts import fit_declared
-from cluster_est.closed_loop.settings import LoopSettings
+from cluster_est.closed_loop.settings import CandidateStage, LoopSettings
 from cluster_est.closed_loop.workbench import (
     LoopRequest,
     checked_request,

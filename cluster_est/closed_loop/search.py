@@ -29,12 +29,8 @@ from cluster_est.closed_loop.numerical_error import (
     measure_numerical_error,
 )
 from cluster_est.closed_loop.output_noise import expected_noise, noise_of
-from cluster_est.closed_loop.screening.evidence import CandidateEvidence
-from cluster_est.closed_loop.screening.screen import screen
-from cluster_est.closed_loop.selection.answer import (
-    answers,
-    without_effects,
-)
+from cluster_est.closed_loop.screening.screen import CandidateEvidence, screen
+from cluster_est.closed_loop.selection.answer import answers, without_effects
 from cluster_est.closed_loop.selection.free_curves import (
     SingleEffects,
     may_be_single,

@@ -1,4 +1,4 @@
-"""The settings of a closed loop, and the names of its stages."""
+"""The settings of a closed loop, and the names of its stages and of its candidates'."""
 
 from __future__ import annotations
 
@@ -47,6 +47,17 @@ class LoopStage(enum.Enum):
     DROP = "drop", "revising the effects"
     FINAL = "final", "the final fits"
     PROCESS_NOISE = "process noise", "fitting the process noise"
+
+
+class CandidateStage(enum.StrEnum):
+    """The stage that a candidate reached; a member's text is what findings.parquet carries."""
+
+    SET_ASIDE = "set aside"
+    """The declared parameters confound it."""
+    SCREENED = "screened"
+    TRIED = "tried"
+    REFITTED = "refitted"
+    ACCEPTED = "accepted"
 
 
 def stage_title(search: str) -> str:

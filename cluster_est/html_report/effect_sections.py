@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cluster_est.closed_loop.screening.evidence import CandidateStage
+from cluster_est.closed_loop.settings import CandidateStage
 from cluster_est.html_report.charts import (
     Band,
     Bars,

@@ -26,7 +26,7 @@ from cluster_est.closed_loop.findings.effects import (
     pooled_error,
 )
 from cluster_est.closed_loop.findings.unexplained import UnexplainedResidual
-from cluster_est.closed_loop.screening.evidence import CandidateEvidence
+from cluster_est.closed_loop.screening.screen import CandidateEvidence
 from cluster_est.closed_loop.selection.rounds import ComparedStructure
 from cluster_est.problem import display
 from cluster_est.problem.problem import Problem

@@ -27,14 +27,13 @@ from cluster_est.closed_loop.candidates.make import (
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.screening.directions import CandidatePoint, directions, probe
-from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
 from cluster_est.closed_loop.screening.places import (
     COLUMN_PENALTY,
     LEADING_PLACES,
     PlaceThresholds,
     rank_places,
 )
-from cluster_est.closed_loop.settings import LoopPart, LoopSettings, LoopStage
+from cluster_est.closed_loop.settings import CandidateStage, LoopPart, LoopSettings, LoopStage
 from cluster_est.statistics.projection import (
     OrthogonalProjection,
     ProjectedResidual,
@@ -151,6 +150,48 @@ def screen(
         found.append(test())
     ranking = replace(ranking, white=ranking.white.without_bases())  # which these tests alone need
     return ScreeningResult(ranking, *found)
+
+
+@dataclass(frozen=True)
+class CandidateEvidence:
+    """One candidate and its evidence, a row of findings.parquet.
+
+    Attributes
+    ----------
+    step
+        1 for the search for the first effect, and so on.
+    site, form, family, variables
+        Of the effect: "der(v)", "coulomb", "friction", ("v",).
+    statistic, freedom
+        Score statistic and its degrees of freedom.
+    log_p
+        Natural logarithm of its own p-value, before any correction for the number of candidates.
+    explained
+        Share of the residual sum of squares that its direction carries.
+    distinct
+        Norm of its direction outside the declared parameters, over that before.
+    stage
+        The last one that it reached.
+    criterion
+        Bayesian information criterion of its refit minus that of the model without it; NaN where
+        it was not refitted.
+    confounded_with
+        For one set aside: the declared parameter whose sensitivity is most like its direction.
+    """
+
+    step: int
+    site: str
+    form: str
+    family: str
+    variables: tuple[str, ...]
+    statistic: float
+    freedom: int
+    log_p: float
+    explained: float
+    distinct: float
+    stage: CandidateStage
+    criterion: float = np.nan
+    confounded_with: str = ""
 
 
 def findings(

@@ -11,12 +11,11 @@ import numpy as np
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.output_noise import noise_of
-from cluster_est.closed_loop.screening.evidence import CandidateEvidence, CandidateStage
-from cluster_est.closed_loop.screening.screen import ScreeningResult, findings
+from cluster_est.closed_loop.screening.screen import CandidateEvidence, ScreeningResult, findings
 from cluster_est.closed_loop.selection.linear_model import UNPRUNED, PruningBound
 from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.refits import ModelCache, RefittedCandidate, Rivals
-from cluster_est.closed_loop.settings import LoopPart, LoopSettings
+from cluster_est.closed_loop.settings import CandidateStage, LoopPart, LoopSettings
 from cluster_est.statistics.records import StackedRecords
 
 
