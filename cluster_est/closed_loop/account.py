@@ -80,7 +80,7 @@ class LastFits:
 
 def last_fits(workbench: LoopWorkbench, found: SelectionResult, begin: float) -> LastFits:
     """Fit both models to convergence from where the search ended."""
-    starts = [model.start for model in _last_models(found)]
+    starts = [model.start for model in last_models(found)]
     return _fitted_from(workbench, found, starts, begin, FINAL)
 
 
@@ -90,26 +90,20 @@ def last_fits_to_all_rows(
     starts: Sequence[FitStart],
     begin: float,
 ) -> LastFits:
-    """Do so on a workbench with all rows, from what is best on fewer; see `best_on_few_rows`."""
+    """Do so on a workbench with all rows, from what `straight_fits` finds on fewer."""
     experiments = workbench.problem.experiments
     moved = [
         replace(start, problem=replace(start.problem, experiments=experiments)) for start in starts
     ]
-    near = _straight_fits(workbench, moved)
+    near = straight_fits(workbench, moved)
     return _fitted_from(workbench, found, near, begin, _of_many_rows(workbench.size))
 
 
-def best_on_few_rows(workbench: LoopWorkbench, found: SelectionResult) -> list[FitStart]:
-    """Fit both models to convergence on thinned records, for a fit to all rows to start from.
+def straight_fits(workbench: LoopWorkbench, starts: Sequence[FitStart]) -> list[FitStart]:
+    """Start from fits in the values of the parameters, no logarithms among them.
 
     A search does not fit to convergence, and what is left takes iterations each of which costs as
-    much more as there are more rows.
-    """
-    return _straight_fits(workbench, [model.start for model in _last_models(found)])
-
-
-def _straight_fits(workbench: LoopWorkbench, starts: Sequence[FitStart]) -> list[FitStart]:
-    """Start from fits in the values of the parameters, no logarithms among them.
+    much more as there are more rows: so a fit to fewer comes before one to all.
 
     Two terms that the data hardly tell apart, such as two dampings, keep their sum along the
     valley between them. It is straight in their values, and bent in their logarithms, so that many
@@ -125,7 +119,7 @@ def _straight_fits(workbench: LoopWorkbench, starts: Sequence[FitStart]) -> list
     return found
 
 
-def _last_models(found: SelectionResult) -> list[FittedModel]:
+def last_models(found: SelectionResult) -> list[FittedModel]:
     """The declared model, and the one with effects where there are some."""
     return [found.base, found.current] if found.current.added else [found.base]
 

@@ -2,20 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+import time
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cluster_est.closed_loop.fitter import with_outputs
-from cluster_est.closed_loop.outliers import outliers_of_long_records, without
+from cluster_est.closed_loop.account import (
+    account,
+    last_fits_to_all_rows,
+    last_models,
+    straight_fits,
+)
+from cluster_est.closed_loop.findings.result import LoopResult
+from cluster_est.closed_loop.fitter import FitStart, with_outputs
+from cluster_est.closed_loop.numerical_error import NumericalError
+from cluster_est.closed_loop.outliers import (
+    open_checked_workbench,
+    outliers_of_long_records,
+    without,
+)
+from cluster_est.closed_loop.process_noise import SpentSimulations, with_all
+from cluster_est.closed_loop.search import SearchedModel, search_for_effects
+from cluster_est.closed_loop.search_windows import SearchWindows, choose_windows
+from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import LoopStage
+from cluster_est.closed_loop.so_far import result_so_far
 from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, open_workbench
 from cluster_est.errors import ClusterEstError
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
 from cluster_est.problem.thinning import FINENESS, ThinnedProblem, thinned
+from cluster_est.results.interpolation import PreferredInterpolation, preferred_interpolation
 from cluster_est.results.solver_error.measure import simulate_with_solver
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Resources, TaskOrigin
@@ -151,3 +170,194 @@ def reopened(request: LoopRequest, workbench: LoopWorkbench) -> Iterator[LoopWor
     with open_workbench(replace(request, problem=workbench.problem)) as again:
         runner, meter = again.runner, again.meter
         yield replace(workbench, fitter=replace(workbench.fitter, runner=runner, meter=meter))
+
+
+@dataclass(frozen=True)
+class AccountedSearch:
+    """What a search has found, in words.
+
+    Attributes
+    ----------
+    result, searched
+        The result but for notes on the solver, and the search.
+    error
+        Of the solver, at the last model.
+    interpolation
+        An input that the measurements prefer to be interpolated otherwise.
+    """
+
+    result: LoopResult
+    searched: SearchedModel
+    error: NumericalError
+    interpolation: PreferredInterpolation | None
+
+
+def search_and_keep(
+    request: LoopRequest,
+    workbench: LoopWorkbench,
+    start: FitStart,
+    begin: float,
+    said: str = "",
+) -> SearchedModel:
+    """Search for effects, and keep a result after each round in which something was added.
+
+    Parameters
+    ----------
+    said
+        Of the records that the search is on; "" if they are those that were measured.
+    """
+    kept = request.environment.monitor.reached
+
+    def keep_so_far(found: SelectionResult) -> None:
+        result = None if kept is None else result_so_far(workbench, found, begin, said)
+        if kept is not None and result is not None:
+            kept(result)
+
+    resources = request.environment.resources
+    return search_for_effects(workbench, start, resources, keep_so_far, thinned=bool(said))
+
+
+def loop_on_thinned_records(
+    request: LoopRequest, thin: ThinnedProblem, begin: float
+) -> AccountedSearch:
+    """Search on thinned records, or on parts of them, and fit what is found to all rows.
+
+    Parameters
+    ----------
+    request
+        Of the problem before it was thinned.
+    begin
+        A reading of the monotonic clock.
+    """
+    environment = with_slim_log(request.environment, MANY)
+    request = replace(
+        request, problem=thin.problem, noise_of_samples=thin.noise, environment=environment
+    )
+    return _ThinnedLoop(request, thin, begin).run()
+
+
+@dataclass(frozen=True)
+class _Search:
+    """A search that has ended.
+
+    Attributes
+    ----------
+    workbench
+        That it was done on.
+    searched
+        What it has found.
+    starts
+        Both models as they fit thinned records.
+    error
+        Of the solver, at the last of them.
+    said
+        What it was done on.
+    """
+
+    workbench: LoopWorkbench
+    searched: SearchedModel
+    starts: Sequence[FitStart]
+    error: NumericalError
+    said: str
+
+
+@dataclass(frozen=True)
+class _ThinnedLoop:
+    """A closed loop on thinned records.
+
+    Attributes
+    ----------
+    request, thin, begin
+        See `loop_on_thinned_records`.
+    spent
+        What was simulated on each workbench that is closed: there are workers of one at a time.
+    """
+
+    request: LoopRequest
+    thin: ThinnedProblem
+    begin: float
+    spent: list[SpentSimulations] = field(default_factory=list)
+
+    def run(self) -> AccountedSearch:
+        with self._counted(open_checked_workbench(self.request)) as whole:
+            windows = choose_windows(whole, self.request.rows)
+            if windows is None:
+                found = self._search(whole)
+        if windows is not None:
+            found = self._search_in(windows, whole)
+        return self._confirmed(found)
+
+    def _search(self, workbench: LoopWorkbench, more: str = "") -> _Search:
+        """Search on whole records."""
+        start = FitStart(workbench.problem, {})
+        searched, error, said = self._searched(workbench, start, more)
+        models = [model.start for model in last_models(searched.found)]
+        return _Search(workbench, searched, straight_fits(workbench, models), error, said)
+
+    def _search_in(self, windows: SearchWindows, whole: LoopWorkbench) -> _Search:
+        """Search in windows, and where these do not do, on whole records."""
+        request = replace(self._left(), problem=windows.problem)
+        with self._counted(open_workbench(request)) as opened:
+            parts = replace(opened, notes=whole.notes, sigma_declared=whole.sigma_declared)
+            why = windows.unlike_records(parts.fitter)
+            if not why:
+                found = self._searched(parts, windows.start, windows.sentence)
+        with self._counted(reopened(self._left(), whole)) as again:
+            if not why:
+                searched, error, said = found
+                models = last_models(searched.found)
+                why = "" if models[-1].added else "nothing was found there"
+                if not why or searched.error.hides_effects:
+                    again.enter("before and after")
+                    moved = [windows.on_whole_records(model) for model in models]
+                    starts = straight_fits(again, moved)
+                    why = windows.missed(again.fitter, starts[-1])
+                    if not why or searched.error.hides_effects:
+                        return _Search(parts, searched, starts, error, said)
+            return self._search(again, f"{windows.sentence}, then in all of them: {why}")
+
+    def _searched(
+        self, workbench: LoopWorkbench, start: FitStart, more: str
+    ) -> tuple[SearchedModel, NumericalError, str]:
+        """Search, with the error of the solver at the last model, and what it was done on."""
+        said = "; ".join(filter(None, [self.thin.sentence, more]))
+        searched = search_and_keep(self.request, workbench, start, self.begin, said)
+        workbench.enter("before and after")
+        last = searched.found.current
+        return searched, searched.error_at(last) if last.added else searched.error, said
+
+    def _confirmed(self, found: _Search) -> AccountedSearch:
+        """Fit both models to convergence on all rows, and put what was found into words.
+
+        The interpolation that the measurements prefer is told from all rows, too.
+        """
+        judged, models, begin = found.searched.judged, found.searched.found, self.begin
+        opened = open_whole_workbench(self._left(), self.thin, found.workbench)
+        with self._counted(opened) as whole:
+            whole.enter("before and after")
+            fits = last_fits_to_all_rows(whole, models, found.starts, begin)
+            noise = whole.noise_in_units(models.noise)
+            other = preferred_interpolation(
+                whole.space(replace(found.starts[0], problem=fits.before.problem)),
+                fits.before.solution,
+                fits.before.simulations,
+                self.request.environment.resources,
+                whole.runner,
+            )
+        with reopened(self._left(), found.workbench) as workbench:
+            result = account(workbench, models, judged, fits)
+        notes = (f"{found.said}; {CONFIRMED_ON_ALL}", *result.notes)
+        result = with_all(replace(result, noise=noise, notes=notes), self.spent)
+        return AccountedSearch(result, found.searched, found.error, other)
+
+    @contextmanager
+    def _counted(self, opened: AbstractContextManager[LoopWorkbench]) -> Iterator[LoopWorkbench]:
+        with opened as workbench:
+            yield workbench
+            self.spent.append(SpentSimulations.at(workbench.fitter))
+
+    def _left(self) -> LoopRequest:
+        """Return the request with what is left of the budget."""
+        used = sum(each.evaluations for each in self.spent)
+        environment = self.request.environment.left(used, time.monotonic() - self.begin)
+        return replace(self.request, environment=environment)

@@ -11,44 +11,29 @@ points follows N. R. Kristensen, H. Madsen, S. B. Jorgensen, Comput. Chem. Eng. 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from typing_extensions import override
 
-from cluster_est.closed_loop.account import (
-    account,
-    best_on_few_rows,
-    last_fits,
-    last_fits_to_all_rows,
-)
+from cluster_est.closed_loop.account import account, last_fits
 from cluster_est.closed_loop.findings.competing_models import expensive_structures
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.fitter import FitStart
 from cluster_est.closed_loop.long_records import (
-    CONFIRMED_ON_ALL,
-    MANY,
-    open_whole_workbench,
-    reopened,
+    AccountedSearch,
+    loop_on_thinned_records,
+    search_and_keep,
     thinned_records,
-    with_slim_log,
 )
 from cluster_est.closed_loop.outliers import open_checked_workbench
-from cluster_est.closed_loop.process_noise import (
-    SpentSimulations,
-    close_loop_under_noise,
-    with_all,
-)
-from cluster_est.closed_loop.search import SearchedModel, search_for_effects
-from cluster_est.closed_loop.selection.rounds import SelectionResult
+from cluster_est.closed_loop.process_noise import close_loop_under_noise
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.so_far import result_so_far
-from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, check_arguments
+from cluster_est.closed_loop.workbench import LoopRequest, check_arguments
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import make_space
-from cluster_est.problem.thinning import ThinnedProblem, ThinningSettings
-from cluster_est.results.interpolation import PreferredInterpolation, preferred_interpolation
+from cluster_est.problem.thinning import ThinningSettings
+from cluster_est.results.interpolation import PreferredInterpolation
 from cluster_est.running.arguments import prepared
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Note, Record, Resources, Show
@@ -144,43 +129,31 @@ def run_loop(request: LoopRequest) -> LoopResult:
     if noise_names(request.problem):
         return close_loop_under_noise(request, begin)
     thin = thinned_records(request, request.rows)
-    request = replace(request, problem=thin.problem, noise_of_samples=thin.noise)
-    if thin.is_thinner:
-        slim = with_slim_log(request.environment, MANY)
-        request = replace(request, environment=slim)
+    found = (
+        loop_on_thinned_records(request, thin, begin)
+        if thin.is_thinner
+        else _loop_on_all_rows(request, begin)
+    )
+    result, searched = found.result, found.searched
+    known = found.error if result.effects else searched.error
+    with_effects = known.notes_with_effects if known is not searched.error else ()
+    said = (*searched.error.notes, *with_effects)
+    notes = (*said, *result.notes, *expensive_structures(searched.found.path))
+    seconds, failures = time.monotonic() - begin, searched.failures
+    result = replace(result, notes=notes, seconds=seconds, failures_in_search=failures)
+    return _with_interpolation(result, found.interpolation)
+
+
+def _loop_on_all_rows(request: LoopRequest, begin: float) -> AccountedSearch:
+    """Search, and fit what is found on the same workbench."""
     with open_checked_workbench(request) as workbench:
         start = FitStart(workbench.problem, {})
-
-        def keep_so_far(found: SelectionResult) -> None:
-            kept = request.environment.monitor.reached
-            result = None if kept is None else result_so_far(workbench, found, begin, thin.sentence)
-            if kept is not None and result is not None:
-                kept(result)
-
-        searched = search_for_effects(
-            workbench,
-            start,
-            request.environment.resources,
-            keep_so_far,
-            thinned=thin.is_thinner,
-        )
+        searched = search_and_keep(request, workbench, start, begin)
         workbench.enter("before and after")
-        result, other, starts = None, None, []
-        if thin.is_thinner:
-            starts = best_on_few_rows(workbench, searched.found)
-        else:
-            fits = last_fits(workbench, searched.found, begin)
-            result = account(workbench, searched.found, searched.judged, fits)
-        added = searched.found.current.added if result is None else result.effects
-        last = searched.error_at(searched.found.current) if added else searched.error
-    if result is None:
-        result, other = _confirmed_on_all_rows(request, thin, workbench, searched, starts, begin)
-    seconds, error = time.monotonic() - begin, searched.error
-    known = last if result.effects else error
-    said = (*error.notes, *(known.notes_with_effects if known is not error else ()))
-    notes = (*said, *result.notes, *expensive_structures(searched.found.path))
-    result = replace(result, notes=notes, seconds=seconds, failures_in_search=searched.failures)
-    return _with_interpolation(result, other or searched.interpolation)
+        fits = last_fits(workbench, searched.found, begin)
+        result = account(workbench, searched.found, searched.judged, fits)
+        error = searched.error_at(searched.found.current) if result.effects else searched.error
+    return AccountedSearch(result, searched, error, searched.interpolation)
 
 
 def _with_interpolation(result: LoopResult, other: PreferredInterpolation | None) -> LoopResult:
@@ -192,41 +165,3 @@ def _with_interpolation(result: LoopResult, other: PreferredInterpolation | None
         return result
     summary = f"{result.summary}; but the measurements prefer {other.key}: set it first"
     return replace(result, summary=summary, notes=(other.sentence, *result.notes))
-
-
-def _confirmed_on_all_rows(
-    request: LoopRequest,
-    thin: ThinnedProblem,
-    searching: LoopWorkbench,
-    searched: SearchedModel,
-    starts: Sequence[FitStart],
-    begin: float,
-) -> tuple[LoopResult, PreferredInterpolation | None]:
-    """Fit both models to convergence on all rows, and put what was found into words.
-
-    The interpolation that the measurements prefer is told from all rows, too.
-    """
-    found, spent = searched.found, [SpentSimulations.at(searching.fitter)]
-
-    def left() -> LoopRequest:
-        used = sum(each.evaluations for each in spent)
-        return replace(
-            request, environment=request.environment.left(used, time.monotonic() - begin)
-        )
-
-    with open_whole_workbench(left(), thin, searching) as whole:
-        whole.enter("before and after")
-        fits = last_fits_to_all_rows(whole, found, starts, begin)
-        spent.append(SpentSimulations.at(whole.fitter))
-        noise = whole.noise_in_units(found.noise)
-        other = preferred_interpolation(
-            whole.space(replace(found.base.start, problem=fits.before.problem)),
-            fits.before.solution,
-            fits.before.simulations,
-            request.environment.resources,
-            whole.runner,
-        )
-    with reopened(left(), searching) as workbench:
-        result = account(workbench, found, searched.judged, fits)
-    notes = (f"{thin.sentence}; {CONFIRMED_ON_ALL}", *result.notes)
-    return with_all(replace(result, noise=noise, notes=notes), spent), other
