@@ -95,11 +95,13 @@ def last_fits_to_all_rows(
     moved = [
         replace(start, problem=replace(start.problem, experiments=experiments)) for start in starts
     ]
-    near = straight_fits(workbench, moved)
+    near = [start for start, _ in straight_fits(workbench, moved)]
     return _fitted_from(workbench, found, near, begin, _of_many_rows(workbench.size))
 
 
-def straight_fits(workbench: LoopWorkbench, starts: Sequence[FitStart]) -> list[FitStart]:
+def straight_fits(
+    workbench: LoopWorkbench, starts: Sequence[FitStart]
+) -> list[tuple[FitStart, FittedModel | None]]:
     """Start from fits in the values of the parameters, no logarithms among them.
 
     A search does not fit to convergence, and what is left takes iterations each of which costs as
@@ -108,14 +110,20 @@ def straight_fits(workbench: LoopWorkbench, starts: Sequence[FitStart]) -> list[
     Two terms that the data hardly tell apart, such as two dampings, keep their sum along the
     valley between them. It is straight in their values, and bent in their logarithms, so that many
     short steps would follow it.
+
+    Returns
+    -------
+    list of (FitStart, FittedModel or None)
+        Each model from where its fit has ended, and that fit; the start as it was, and None, where
+        it cannot be simulated.
     """
     method = replace(_of_many_rows(workbench.size), differences="forward", secant_updates=5)
-    found = []
+    found: list[tuple[FitStart, FittedModel | None]] = []
     for start in starts:  # one by one: each holds its derivatives by all rows
         linear = tuple(replace(p, scale="linear") for p in start.problem.parameters)
         straight = replace(start, problem=replace(start.problem, parameters=linear))
         (fit,) = workbench.fitter.fit(LoopStage.FINAL, [straight], method)
-        found.append(start if fit is None else replace(start, values=fit.estimates))
+        found.append((start if fit is None else replace(start, values=fit.estimates), fit))
     return found
 
 

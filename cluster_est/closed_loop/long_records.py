@@ -292,7 +292,8 @@ class _ThinnedLoop:
         start = FitStart(workbench.problem, {})
         searched, error, said = self._searched(workbench, start, more)
         models = [model.start for model in last_models(searched.found)]
-        return _Search(workbench, searched, straight_fits(workbench, models), error, said)
+        starts = [start for start, _ in straight_fits(workbench, models)]
+        return _Search(workbench, searched, starts, error, said)
 
     def _search_in(self, windows: SearchWindows, whole: LoopWorkbench) -> _Search:
         """Search in windows, and where these do not do, on whole records."""
@@ -309,12 +310,14 @@ class _ThinnedLoop:
                 why = "" if models[-1].added else "nothing was found there"
                 if not why or searched.error.hides_effects:
                     again.enter("before and after")
-                    moved = [windows.on_whole_records(model) for model in models]
-                    starts = straight_fits(again, moved)
-                    why = windows.missed(again.fitter, starts[-1])
+                    moved = windows.on_whole_records(again.fitter, models)
+                    fits = straight_fits(again, moved)
+                    why = windows.missed(again.fitter, fits[-1][1])
                     if not why or searched.error.hides_effects:
+                        starts = [start for start, _ in fits]
                         return _Search(parts, searched, starts, error, said)
-            return self._search(again, f"{windows.sentence}, then in all of them: {why}")
+            known = replace(again, first_fit=windows.fitted)
+            return self._search(known, f"{windows.sentence}, then in all of them: {why}")
 
     def _searched(
         self, workbench: LoopWorkbench, start: FitStart, more: str

@@ -128,8 +128,12 @@ def open_checked_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
             return
     cleaned = with_own_sigmas(without(workbench.problem, few), growing)
     with open_workbench(replace(request, problem=cleaned)) as again:
-        notes = [*workbench.notes, *notes]
-        yield replace(again, notes=tuple(notes), sigma_declared=workbench.sigma_declared)
+        yield replace(
+            again,
+            notes=(*workbench.notes, *notes),
+            sigma_declared=workbench.sigma_declared,
+            near={} if fitted is None else fitted.estimates,
+        )
 
 
 def without(problem: Problem, outliers: Sequence[OutliersOfOutput]) -> Problem:

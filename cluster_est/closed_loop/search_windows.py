@@ -156,8 +156,26 @@ class SearchWindows:
             return ""
         return "the declared model does not go on from where they begin"
 
-    def on_whole_records(self, fitted: FittedModel) -> FitStart:
-        """Return a model of the search, to be fitted to whole records from where it stands."""
+    def on_whole_records(self, fitter: Fitter, models: Sequence[FittedModel]) -> list[FitStart]:
+        """Return models of the search, to be fitted to whole records from where they stand.
+
+        The declared one starts where it was fitted to these before, unless the search is better.
+
+        Parameters
+        ----------
+        fitter
+            Of whole records.
+        models
+            The declared one first.
+        """
+        starts = [self._on_whole_records(model) for model in models]
+        declared = [starts[0], replace(starts[0], values=self.fitted.estimates)]
+        spaces = [fitter.space(start) for start in declared]
+        points = [(space, space.start[None]) for space in spaces]
+        costs = [at.cost for (at,) in fitter.evaluate(LoopStage.FINAL, points)]
+        return [declared[int(np.argmin(costs))], *starts[1:]]
+
+    def _on_whole_records(self, fitted: FittedModel) -> FitStart:
         kept = tuple(p for p in fitted.problem.parameters if p.name not in self.made)
         problem = replace(
             fitted.problem,
@@ -167,21 +185,19 @@ class SearchWindows:
         )
         return FitStart(problem, {**self.fitted.estimates, **fitted.estimates}, fitted.added)
 
-    def missed(self, fitter: Fitter, start: FitStart) -> str:
+    def missed(self, fitter: Fitter, fitted: FittedModel | None) -> str:
         """Say where a model leaves more in whole records than in the windows; "" if nowhere.
 
         Parameters
         ----------
         fitter
             Of whole records.
-        start
-            A model, as it fits them.
+        fitted
+            A model, fitted to them; None if it cannot be simulated.
         """
-        space = fitter.space(start)
-        ((at,),) = fitter.evaluate(LoopStage.FINAL, [(space, space.start[None])])
-        if not at.ok:
+        if fitted is None:
             return "what was found there cannot be simulated in them"
-        left = _Misfit.of(fitter, at.residuals)
+        left = _Misfit.of(fitter, fitted)
         inside = max(left.within(window.rows) for window in self.windows)
         for window in self.windows:
             others = list(_candidates(fitter, window.position, window.count))
@@ -194,34 +210,44 @@ class SearchWindows:
 
 @dataclass(frozen=True)
 class _Misfit:
-    """What is left of whole records beyond their noise.
+    """What a model leaves of whole records, in units of the noise.
 
     Attributes
     ----------
-    squares : (N,)
-        Over the variance of the noise.
+    residuals : (N,)
+    jacobian : (N, unknowns)
     outputs : (N,)
         Which output each is of.
     """
 
-    squares: FloatArray = field(repr=False)
+    residuals: FloatArray = field(repr=False)
+    jacobian: FloatArray = field(repr=False)
     outputs: IntArray = field(repr=False)
 
     @classmethod
-    def of(cls, fitter: Fitter, residuals: FloatArray) -> Self:
-        squares, outputs = residuals**2, np.zeros(len(residuals), int)
-        for number, noise in enumerate(noise_of(fitter, residuals).tolist()):
+    def of(cls, fitter: Fitter, fitted: FittedModel) -> Self:
+        outputs = np.zeros(fitter.size, int)
+        noise = noise_of(fitter, fitted.residuals)
+        levels = np.ones(fitter.size)
+        for number, level in enumerate(noise.tolist()):
             own = fitter.records.of_output(number)
             outputs[own] = number
-            level = noise**2 if noise > 0.0 else float(np.mean(squares[own]))
-            squares[own] /= max(level, 1e-300)
-        return cls(squares, outputs)
+            seen = level if level > 0.0 else _root_mean_square(fitted.residuals[own])
+            levels[own] = max(seen, 1e-300)
+        return cls(fitted.residuals / levels, fitted.jacobian / levels[:, None], outputs)
 
     def within(self, rows: IntArray) -> float:
-        """Return by how much -2 log likelihood exceeds that of noise, beyond chance."""
+        """Return by how much -2 log likelihood exceeds that of noise, beyond chance.
+
+        Other values of the unknowns, for these rows alone, explain none of it: what is wrong in one
+        part of the data makes a fit to all of them wrong everywhere.
+        """
+        matrix = _of_one_size(self.jacobian[rows])
+        step = np.linalg.lstsq(matrix, self.residuals[rows], rcond=TOLD)[0]
+        squares = (self.residuals[rows] - matrix @ step) ** 2
         found = 0.0
         for number in np.unique(self.outputs[rows]).tolist():
-            own = self.squares[rows[self.outputs[rows] == number]]
+            own = squares[self.outputs[rows] == number]
             more = len(own) * np.log(max(float(np.mean(own)), 1.0))
             found += max(more - BY_CHANCE * np.sqrt(2.0 * len(own)), 0.0)
         return float(found)
@@ -243,7 +269,7 @@ def choose_windows(workbench: LoopWorkbench, most: int | None) -> SearchWindows 
         return None
     fitted = workbench.first_fit
     if fitted is None:
-        start = FitStart(fitter.problem, {})
+        start = FitStart(fitter.problem, workbench.near)
         (fitted,) = fitter.fit(LoopStage.DECLARED_MODEL, [start], THOROUGH)
     windows = None if fitted is None else _enough(fitter, fitted, long, most)
     if fitted is None or windows is None or not _show_all_outputs(fitter, windows):
@@ -255,7 +281,7 @@ def _enough(
     fitter: Fitter, fitted: FittedModel, long: Sequence[int], most: int
 ) -> list[Window] | None:
     """Return windows that say enough of each unknown, as short as they may be."""
-    left = _Misfit.of(fitter, fitted.residuals)
+    left = _Misfit.of(fitter, fitted)
     shared = [i for i, unknown in enumerate(fitted.space.unknowns) if not unknown.scope]
     u, sizes, _ = np.linalg.svd(_of_one_size(fitted.jacobian[:, shared]), full_matrices=False)
     known = u[:, sizes > TOLD * sizes[:1]]

@@ -66,6 +66,8 @@ class LoopWorkbench:
         The user has given a sigma, for whatever output.
     first_fit
         The declared model from the user's start, where that was needed before.
+    near
+        Where a fit to data that had outliers ended; empty if there is none.
     """
 
     fitter: Fitter
@@ -74,6 +76,7 @@ class LoopWorkbench:
     notes: tuple[str, ...]
     sigma_declared: bool = False
     first_fit: FittedModel | None = field(default=None, repr=False)
+    near: Mapping[str, float] = field(default_factory=dict)
 
     def enter(self, phase: str) -> None:
         """See `Fitter`."""
