@@ -289,11 +289,7 @@ class _ThinnedLoop:
 
     def _search(self, workbench: LoopWorkbench, more: str = "") -> _Search:
         """Search on whole records."""
-        start = FitStart(workbench.problem, {})
-        searched, error, said = self._searched(workbench, start, more)
-        models = [model.start for model in last_models(searched.found)]
-        starts = [start for start, _ in straight_fits(workbench, models)]
-        return _Search(workbench, searched, starts, error, said)
+        return self._searched(workbench, FitStart(workbench.problem, {}), more)
 
     def _search_in(self, windows: SearchWindows, whole: LoopWorkbench) -> _Search:
         """Search in windows, and where these do not do, on whole records."""
@@ -305,29 +301,29 @@ class _ThinnedLoop:
                 found = self._searched(parts, windows.start, windows.sentence)
         with self._counted(reopened(self._left(), whole)) as again:
             if not why:
-                searched, error, said = found
-                models = last_models(searched.found)
-                why = "" if models[-1].added else "nothing was found there"
-                if not why or searched.error.hides_effects:
-                    again.enter("before and after")
-                    moved = windows.on_whole_records(again.fitter, models)
-                    fits = straight_fits(again, moved)
-                    why = windows.missed(again.fitter, fits[-1][1])
-                    if not why or searched.error.hides_effects:
-                        starts = [start for start, _ in fits]
-                        return _Search(parts, searched, starts, error, said)
+                hidden = found.searched.error.hides_effects
+                why = "" if len(found.starts) > 1 or hidden else "nothing was found there"
+            if not why:
+                again.enter("before and after")
+                moved = windows.on_whole_records(again.fitter, found.starts)
+                fits = straight_fits(again, moved)
+                why = "" if hidden else windows.missed(again.fitter, fits[-1][1])
+                if not why:
+                    return replace(found, starts=[start for start, _ in fits])
             known = replace(again, first_fit=windows.fitted)
             return self._search(known, f"{windows.sentence}, then in all of them: {why}")
 
-    def _searched(
-        self, workbench: LoopWorkbench, start: FitStart, more: str
-    ) -> tuple[SearchedModel, NumericalError, str]:
-        """Search, with the error of the solver at the last model, and what it was done on."""
+    def _searched(self, workbench: LoopWorkbench, start: FitStart, more: str) -> _Search:
+        """Search, and fit both models to convergence where that was done."""
         said = "; ".join(filter(None, [self.thin.sentence, more]))
         searched = search_and_keep(self.request, workbench, start, self.begin, said)
         workbench.enter("before and after")
-        last = searched.found.current
-        return searched, searched.error_at(last) if last.added else searched.error, said
+        found = searched.found
+        models = [model.start for model in last_models(found)]
+        starts = [start for start, _ in straight_fits(workbench, models)]
+        added = found.current.added
+        error = searched.error_at(found.current) if added else searched.error
+        return _Search(workbench, searched, starts, error, said)
 
     def _confirmed(self, found: _Search) -> AccountedSearch:
         """Fit both models to convergence on all rows, and put what was found into words.

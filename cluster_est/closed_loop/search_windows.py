@@ -119,11 +119,15 @@ class SearchWindows:
         lengths = [window.stop - window.start for window in self.windows]
         low, high = (f"{length:.3g}" for length in (min(lengths), max(lengths)))
         of = f"{low} s" if low == high else f"{low} to {high} s"
-        said = f"effects were looked for in {of} of each of {len(lengths)} records, "
+        named = self.windows[0].experiment.id
+        which = f"{named!r}" if len(lengths) == 1 else f"each of {len(lengths)} records"
+        said = f"effects were looked for in {of} of {which}, "
         if not late:
-            return said + "their beginnings"
+            return f"{said}from the beginning"
         where = f"{in_a_row(late)}, where the declared model errs most"
-        return said + (where if len(late) == len(lengths) else f"their beginnings but for {where}")
+        return said + (
+            where if len(late) == len(lengths) else f"from the beginning but for {where}"
+        )
 
     @property
     def start(self) -> FitStart:
@@ -156,7 +160,7 @@ class SearchWindows:
             return ""
         return "the declared model does not go on from where they begin"
 
-    def on_whole_records(self, fitter: Fitter, models: Sequence[FittedModel]) -> list[FitStart]:
+    def on_whole_records(self, fitter: Fitter, starts: Sequence[FitStart]) -> list[FitStart]:
         """Return models of the search, to be fitted to whole records from where they stand.
 
         The declared one starts where it was fitted to these before, unless the search is better.
@@ -165,25 +169,24 @@ class SearchWindows:
         ----------
         fitter
             Of whole records.
-        models
+        starts
             The declared one first.
         """
-        starts = [self._on_whole_records(model) for model in models]
-        declared = [starts[0], replace(starts[0], values=self.fitted.estimates)]
+        moved = [self._on_whole_records(start) for start in starts]
+        declared = [moved[0], replace(moved[0], values=self.fitted.estimates)]
         spaces = [fitter.space(start) for start in declared]
         points = [(space, space.start[None]) for space in spaces]
         costs = [at.cost for (at,) in fitter.evaluate(LoopStage.FINAL, points)]
-        return [declared[int(np.argmin(costs))], *starts[1:]]
+        return [declared[int(np.argmin(costs))], *moved[1:]]
 
-    def _on_whole_records(self, fitted: FittedModel) -> FitStart:
-        kept = tuple(p for p in fitted.problem.parameters if p.name not in self.made)
+    def _on_whole_records(self, start: FitStart) -> FitStart:
         problem = replace(
-            fitted.problem,
+            start.problem,
             model=self.whole.model,
-            parameters=kept,
+            parameters=tuple(p for p in start.problem.parameters if p.name not in self.made),
             experiments=self.whole.experiments,
         )
-        return FitStart(problem, {**self.fitted.estimates, **fitted.estimates}, fitted.added)
+        return replace(start, problem=problem, values={**self.fitted.estimates, **start.values})
 
     def missed(self, fitter: Fitter, fitted: FittedModel | None) -> str:
         """Say where a model leaves more in whole records than in the windows; "" if nowhere.

@@ -101,13 +101,13 @@ def test_an_effect_that_acts_late_is_found_where_it_acts(late):
 def test_an_effect_that_acts_throughout_is_looked_for_in_the_beginnings():
     result = looped(springs(always_loud), MOST)
     assert [effect.effect.form for effect in result.effects] == ["saturation"]
-    assert "in 15 s of each of 2 records, their beginnings; estimates" in result.notes[0]
+    assert "in 15 s of each of 2 records, from the beginning; estimates" in result.notes[0]
 
 
 def test_whole_records_are_searched_where_nothing_is_found_in_parts():
     result = looped(springs(always_loud, unchanged), MOST)
     assert result.verdict is Verdict.NONE
-    assert "their beginnings, then in all of them: nothing was found there;" in result.notes[0]
+    assert "from the beginning, then in all of them: nothing was found there;" in result.notes[0]
 
 
 def test_shorter_records_stay_whole(late):
