@@ -11,9 +11,9 @@ import numpy as np
 
 from cluster_est.closed_loop.account import (
     account,
+    best_on_few_rows,
     last_fits_to_all_rows,
     last_models,
-    straight_fits,
 )
 from cluster_est.closed_loop.findings.result import LoopResult
 from cluster_est.closed_loop.fitter import FitStart, with_outputs
@@ -306,7 +306,7 @@ class _ThinnedLoop:
             if not why:
                 again.enter("before and after")
                 moved = windows.on_whole_records(again.fitter, found.starts)
-                fits = straight_fits(again, moved)
+                fits = best_on_few_rows(again, moved)
                 why = "" if hidden else windows.missed(again.fitter, fits[-1][1])
                 if not why:
                     return replace(found, starts=[start for start, _ in fits])
@@ -320,7 +320,7 @@ class _ThinnedLoop:
         workbench.enter("before and after")
         found = searched.found
         models = [model.start for model in last_models(found)]
-        starts = [start for start, _ in straight_fits(workbench, models)]
+        starts = [start for start, _ in best_on_few_rows(workbench, models)]
         added = found.current.added
         error = searched.error_at(found.current) if added else searched.error
         return _Search(workbench, searched, starts, error, said)
