@@ -16,9 +16,10 @@ from cluster_est.closed_loop.account import (
     last_models,
 )
 from cluster_est.closed_loop.findings.result import LoopResult
-from cluster_est.closed_loop.fitter import FitStart, with_outputs
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, with_outputs
 from cluster_est.closed_loop.numerical_error import NumericalError
 from cluster_est.closed_loop.outliers import (
+    fit_from_start,
     open_checked_workbench,
     outliers_of_long_records,
     without,
@@ -33,7 +34,12 @@ from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, open_w
 from cluster_est.errors import ClusterEstError
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
-from cluster_est.problem.thinning import FINENESS, ThinnedProblem, thinned
+from cluster_est.problem.thinning import (
+    FINENESS,
+    ThinnedProblem,
+    looked_at_in_parts,
+    thinned,
+)
 from cluster_est.results.interpolation import PreferredInterpolation, preferred_interpolation
 from cluster_est.results.solver_error.measure import simulate_with_solver
 from cluster_est.running.environment import RunEnvironment
@@ -195,7 +201,6 @@ class AccountedSearch:
 def search_and_keep(
     request: LoopRequest,
     workbench: LoopWorkbench,
-    start: FitStart,
     begin: float,
     said: str = "",
 ) -> SearchedModel:
@@ -213,7 +218,7 @@ def search_and_keep(
         if kept is not None and result is not None:
             kept(result)
 
-    resources = request.environment.resources
+    start, resources = FitStart(workbench.problem, {}), request.environment.resources
     return search_for_effects(workbench, start, resources, keep_so_far, thinned=bool(said))
 
 
@@ -261,6 +266,12 @@ class _Search:
     said: str
 
 
+def _fit_straight(workbench: LoopWorkbench) -> FittedModel | None:
+    """Fit the declared model in as few simulations as it takes: each is a long one."""
+    ((_, fitted),) = best_on_few_rows(workbench, [FitStart(workbench.problem, {})])
+    return fitted
+
+
 @dataclass(frozen=True)
 class _ThinnedLoop:
     """A closed loop on thinned records.
@@ -279,17 +290,16 @@ class _ThinnedLoop:
     spent: list[SpentSimulations] = field(default_factory=list)
 
     def run(self) -> AccountedSearch:
-        with self._counted(open_checked_workbench(self.request)) as whole:
-            windows = choose_windows(whole, self.request.rows)
+        rows = self.request.rows
+        long = bool(looked_at_in_parts(self.request.problem, rows))
+        fit = _fit_straight if long else fit_from_start
+        with self._counted(open_checked_workbench(self.request, fit)) as whole:
+            windows = choose_windows(whole, rows) if long else None
             if windows is None:
-                found = self._search(whole)
+                found = self._search(replace(whole, first_fit=None) if long else whole)
         if windows is not None:
             found = self._search_in(windows, whole)
         return self._confirmed(found)
-
-    def _search(self, workbench: LoopWorkbench, more: str = "") -> _Search:
-        """Search on whole records."""
-        return self._searched(workbench, FitStart(workbench.problem, {}), more)
 
     def _search_in(self, windows: SearchWindows, whole: LoopWorkbench) -> _Search:
         """Search in windows, and where these do not do, on whole records."""
@@ -298,7 +308,7 @@ class _ThinnedLoop:
             parts = replace(opened, notes=whole.notes, sigma_declared=whole.sigma_declared)
             why = windows.unlike_records(parts.fitter)
             if not why:
-                found = self._searched(parts, windows.start, windows.sentence)
+                found = self._search(parts, windows.sentence)
         with self._counted(reopened(self._left(), whole)) as again:
             if not why:
                 hidden = found.searched.error.hides_effects
@@ -310,13 +320,13 @@ class _ThinnedLoop:
                 why = "" if hidden else windows.missed(again.fitter, fits[-1][1])
                 if not why:
                     return replace(found, starts=[start for start, _ in fits])
-            known = replace(again, first_fit=windows.fitted)
-            return self._search(known, f"{windows.sentence}, then in all of them: {why}")
+            unfitted = replace(again, first_fit=None)
+            return self._search(unfitted, f"{windows.sentence}, then in all of them: {why}")
 
-    def _searched(self, workbench: LoopWorkbench, start: FitStart, more: str) -> _Search:
+    def _search(self, workbench: LoopWorkbench, more: str = "") -> _Search:
         """Search, and fit both models to convergence where that was done."""
         said = "; ".join(filter(None, [self.thin.sentence, more]))
-        searched = search_and_keep(self.request, workbench, start, self.begin, said)
+        searched = search_and_keep(self.request, workbench, self.begin, said)
         workbench.enter("before and after")
         found = searched.found
         models = [model.start for model in last_models(found)]

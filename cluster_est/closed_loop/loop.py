@@ -18,7 +18,6 @@ from typing_extensions import override
 from cluster_est.closed_loop.account import account, last_fits
 from cluster_est.closed_loop.findings.competing_models import expensive_structures
 from cluster_est.closed_loop.findings.result import LoopResult
-from cluster_est.closed_loop.fitter import FitStart
 from cluster_est.closed_loop.long_records import (
     AccountedSearch,
     loop_on_thinned_records,
@@ -147,8 +146,7 @@ def run_loop(request: LoopRequest) -> LoopResult:
 def _loop_on_all_rows(request: LoopRequest, begin: float) -> AccountedSearch:
     """Search, and fit what is found on the same workbench."""
     with open_checked_workbench(request) as workbench:
-        start = FitStart(workbench.problem, {})
-        searched = search_and_keep(request, workbench, start, begin)
+        searched = search_and_keep(request, workbench, begin)
         workbench.enter("before and after")
         fits = last_fits(workbench, searched.found, begin)
         result = account(workbench, searched.found, searched.judged, fits)

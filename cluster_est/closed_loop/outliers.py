@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -101,8 +101,18 @@ class OutliersOfOutput:
         )
 
 
+def fit_from_start(workbench: LoopWorkbench) -> FittedModel | None:
+    """Fit the declared model from the user's start; None where it cannot be simulated."""
+    start = FitStart(workbench.problem, {})
+    (fitted,) = workbench.fitter.fit(LoopStage.DECLARED_MODEL, [start], THOROUGH)
+    return fitted
+
+
 @contextmanager
-def open_checked_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
+def open_checked_workbench(
+    request: LoopRequest,
+    fit: Callable[[LoopWorkbench], FittedModel | None] = fit_from_start,
+) -> Iterator[LoopWorkbench]:
     """Open a workbench whose data have no outliers any more; its notes say what was left out.
 
     The declared model is fitted as a search begins; its residuals show single samples that nothing
@@ -112,8 +122,7 @@ def open_checked_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
     """
     with open_workbench(request) as workbench:
         fitter = workbench.fitter
-        start = FitStart(workbench.problem, {})
-        (fitted,) = fitter.fit(LoopStage.DECLARED_MODEL, [start], THOROUGH)
+        fitted = fit(workbench)
         outliers = [] if fitted is None else _outliers(fitter, fitted)
         notes = [each.sentence for each in outliers]
         few = [each for each in outliers if each.few]

@@ -15,10 +15,10 @@ from typing import Self
 
 import numpy as np
 
+from cluster_est.closed_loop.account import best_on_few_rows
 from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.output_noise import noise_of
-from cluster_est.closed_loop.selection.starts import THOROUGH
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.errors import ProblemError
@@ -129,11 +129,6 @@ class SearchWindows:
             where if len(late) == len(lengths) else f"from the beginning but for {where}"
         )
 
-    @property
-    def start(self) -> FitStart:
-        """The declared model, from where it fits whole records."""
-        return FitStart(self.problem, self.fitted.estimates)
-
     def unlike_records(self, fitter: Fitter) -> str:
         """Say that the declared model leaves something else in the windows than in whole records.
 
@@ -149,7 +144,7 @@ class SearchWindows:
         str
             "" if it leaves the same.
         """
-        space = fitter.space(self.start)
+        space = fitter.space(FitStart(self.problem, self.fitted.estimates))
         ((at,),) = fitter.evaluate(LoopStage.DECLARED_MODEL, [(space, space.start[None])])
         if not at.ok:
             return "the declared model cannot be simulated from where they begin"
@@ -273,7 +268,7 @@ def choose_windows(workbench: LoopWorkbench, most: int | None) -> SearchWindows 
     fitted = workbench.first_fit
     if fitted is None:
         start = FitStart(fitter.problem, workbench.near)
-        (fitted,) = fitter.fit(LoopStage.DECLARED_MODEL, [start], THOROUGH)
+        ((_, fitted),) = best_on_few_rows(workbench, [start])
     windows = None if fitted is None else _enough(fitter, fitted, long, most)
     if fitted is None or windows is None or not _show_all_outputs(fitter, windows):
         return None
