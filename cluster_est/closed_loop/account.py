@@ -6,7 +6,7 @@ After each round it gives the same of what was found so far, should nothing come
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -38,12 +38,13 @@ from cluster_est.closed_loop.findings.unexplained import (
     unexplained_residuals,
     varying_columns,
 )
-from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict, confirmed, judge
+from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict, confirmed, judge, veto
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.output_noise import (
     believed_noise,
     residual_noise,
 )
+from cluster_est.closed_loop.selection.answer import undetermined_sentence
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.closed_loop.workbench import LoopScope
@@ -90,7 +91,7 @@ class LastFits:
 
 def last_fits(fitter: Fitter, found: SelectionResult, begin: float) -> LastFits:
     """Fit both models to convergence from where the search ended."""
-    starts = [model.start for model in _last_models(found)]
+    starts = [model.start for model in last_models(found)]
     return _fitted_from(fitter, found, starts, begin, FINAL)
 
 
@@ -100,42 +101,46 @@ def last_fits_to_all_rows(
     starts: Sequence[FitStart],
     begin: float,
 ) -> LastFits:
-    """Do so on a fitter with all rows, from what is best on fewer; see `best_on_few_rows`."""
+    """Do so on a fitter with all rows, from what is best on fewer; see `best_on_few_rows`.
+
+    Most are there with the first step, whose derivatives are those of the result.
+    """
     experiments = fitter.problem.experiments
     moved = [
         replace(start, problem=replace(start.problem, experiments=experiments)) for start in starts
     ]
-    near = _straight_fits(fitter, moved)
-    return _fitted_from(fitter, found, near, begin, _of_many_rows(fitter.size))
+    method = replace(_of_many_rows(fitter.size), trials=1)
+    return _fitted_from(fitter, found, moved, begin, method)
 
 
-def best_on_few_rows(fitter: Fitter, found: SelectionResult) -> list[FitStart]:
+def best_on_few_rows(
+    fitter: Fitter, starts: Sequence[FitStart]
+) -> list[tuple[FitStart, FittedModel | None]]:
     """Fit both models to convergence on thinned records, for a fit to all rows to start from.
 
     A search does not fit to convergence, and what is left takes iterations each of which costs as
-    much more as there are more rows.
+    much more as there are more rows. These fits are in the values of the parameters, no logarithms
+    among them: two terms that the data hardly tell apart, such as two dampings, keep their sum
+    along the valley between them, which is straight in their values and bent in their logarithms,
+    so that many short steps would follow it.
+
+    Returns
+    -------
+    list of (FitStart, FittedModel or None)
+        Each model from where its fit has ended, and that fit; the start as it was, and None, where
+        it cannot be simulated.
     """
-    return _straight_fits(fitter, [model.start for model in _last_models(found)])
-
-
-def _straight_fits(fitter: Fitter, starts: Sequence[FitStart]) -> list[FitStart]:
-    """Start from fits in the values of the parameters, no logarithms among them.
-
-    Two terms that the data hardly tell apart, such as two dampings, keep their sum along the
-    valley between them. It is straight in their values, and bent in their logarithms, so that many
-    short steps would follow it.
-    """
-    method = replace(_of_many_rows(fitter.size), differences="forward", secant_updates=5)
-    found = []
-    for start in starts:  # one by one: each holds its derivatives by all rows
+    method = _of_many_rows(fitter.size)
+    found: list[tuple[FitStart, FittedModel | None]] = []
+    for start in starts:
         linear = tuple(replace(p, scale="linear") for p in start.problem.parameters)
         straight = replace(start, problem=replace(start.problem, parameters=linear))
         (fit,) = fitter.fit(LoopStage.FINAL, [straight], method)
-        found.append(start if fit is None else replace(start, values=fit.estimates))
+        found.append((start if fit is None else replace(start, values=fit.estimates), fit))
     return found
 
 
-def _last_models(found: SelectionResult) -> list[FittedModel]:
+def last_models(found: SelectionResult) -> list[FittedModel]:
     """The declared model, and the one with effects where there are some."""
     return [found.base, found.current] if found.current.added else [found.base]
 
@@ -152,14 +157,62 @@ def _fitted_from(
     return LastFits(before, after, error_changes(fitter, found, before, after))
 
 
-def account(
-    fitter: Fitter,
-    found: SelectionResult,
-    judged: ReasonedVerdict,
-    fits: LastFits,
-    scope: LoopScope,
-) -> LoopResult:
+@dataclass(frozen=True)
+class LastAnswer:
+    """An answer of a search, after its last fits.
+
+    Attributes
+    ----------
+    found, judged
+        The models, and what the training experiments say of them.
+    fits
+        The last ones.
+    number
+        Of the answers of the search, 0 the first one.
+    against
+        What speaks against those before it.
+    """
+
+    found: SelectionResult = field(repr=False)
+    judged: ReasonedVerdict
+    fits: LastFits = field(repr=False)
+    number: int = 0
+    against: tuple[str, ...] = ()
+
+
+def last_answer(
+    ends: Sequence[tuple[SelectionResult, ReasonedVerdict]],
+    last: Sequence[Callable[[], LastFits]],
+) -> LastAnswer:
+    """Return the first answer that nothing speaks against after its last fits.
+
+    Where something does against each of them, it is the first one, which is then not claimed.
+
+    Parameters
+    ----------
+    ends
+        The answer of a search, and those that it took the place of.
+    last
+        Do the last fits of each.
+    """
+    refused: list[LastAnswer] = []
+    said: list[str] = []
+    for number, ((found, judged), fit) in enumerate(zip(ends, last, strict=True)):
+        fits = fit()
+        against = veto(judged, fits.errors, found.settings)
+        if not against and judged.verdict in CLAIMS:
+            against = undetermined_sentence(found.current, fits.after)
+        if not against:
+            return LastAnswer(found, judged, fits, number, tuple(said))
+        refused.append(LastAnswer(found, judged.refused(against), fits, number))
+        labels = " and ".join(c.label for c in found.current.added)
+        said.append(f"{labels}: not added, because {against}")
+    return refused[0]
+
+
+def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
     """Let the held-out experiments veto what was found, and put it into words."""
+    found, judged, fits = answer.found, answer.judged, answer.fits
     before, grown = fits.before, fits.after
     judgement = confirmed(judged, fits.errors, found.settings)
     keep = judgement.verdict in CLAIMS
@@ -194,7 +247,12 @@ def account(
         lambda: _with_errors(fitter, found, compared, before),
         compared,
     )
-    notes = (*held, *scope.notes, *_notes(fitter, judgement.verdict, kept, before, after))
+    notes = (
+        *held,
+        *answer.against,
+        *scope.notes,
+        *_notes(fitter, judgement.verdict, kept, before, after),
+    )
     failed = dict.fromkeys((*before.failed_steps, *after.failed_steps, *steps.failed))
     return LoopResult(
         verdict=judgement.verdict,
@@ -369,9 +427,11 @@ def _not_converged(before: Result, after: Result) -> tuple[str, ...]:
 def _of_many_rows(count: int) -> LeastSquares:
     """Return the method of the last fits to so many residuals, each simulation of which takes long.
 
-    It ends where steps are below a tenth of the standard errors.
+    It ends where steps are below a tenth of the standard errors, beside which the error of forward
+    differences is nothing.
     """
-    return replace(FINAL, ftol=max(FINAL.ftol, 0.25 * NOTICEABLE / count))
+    ftol = max(FINAL.ftol, 0.25 * NOTICEABLE / count)
+    return replace(FINAL, ftol=ftol, differences="forward", secant_updates=5)
 
 
 def final_fit(
@@ -430,7 +490,7 @@ def result_so_far(
             judged = replace(judge(fitter, found), verdict=Verdict.PARTIAL)
             before, after = (_as_it_is(fitter, fit, begin) for fit in (found.base, found.current))
             fits = LastFits(before, after, error_changes(fitter, found, before, after))
-            result = account(fitter, found, judged, fits, scope)
+            result = account(fitter, LastAnswer(found, judged, fits), scope)
     except ClusterEstError:
         return None
     rounds = f"stopped after round {len(found.steps)} of at most {found.settings.max_effects}"

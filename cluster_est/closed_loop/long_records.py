@@ -2,20 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+import time
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
-from cluster_est.closed_loop.fitter import Fitter, with_outputs
-from cluster_est.closed_loop.outliers import outliers_of_long_records, without
+from cluster_est.closed_loop.account import (
+    account,
+    best_on_few_rows,
+    last_answer,
+    last_fits_to_all_rows,
+    last_models,
+    result_so_far,
+)
+from cluster_est.closed_loop.findings.result import LoopResult
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter, with_outputs
+from cluster_est.closed_loop.numerical_error import NumericalError
+from cluster_est.closed_loop.outliers import (
+    fit_from_start,
+    open_checked_workbench,
+    outliers_of_long_records,
+    without,
+)
+from cluster_est.closed_loop.process_noise import SpentSimulations, with_all
+from cluster_est.closed_loop.search import SearchedModel, search_for_effects
+from cluster_est.closed_loop.search_windows import SearchWindows, choose_windows
+from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import LoopStage
-from cluster_est.closed_loop.workbench import LoopRequest, open_workbench
+from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, open_workbench
 from cluster_est.errors import ClusterEstError
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
-from cluster_est.problem.thinning import FINENESS, ThinnedProblem, thinned
+from cluster_est.problem.thinning import (
+    FINENESS,
+    ThinnedProblem,
+    looked_at_in_parts,
+    thinned,
+)
+from cluster_est.results.interpolation import PreferredInterpolation, preferred_interpolation
 from cluster_est.results.solver_error.measure import simulate_with_solver
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Resources, TaskOrigin
@@ -150,7 +178,219 @@ def open_on_all_rows(
 
 
 @contextmanager
-def reopened(request: LoopRequest, fitter: Fitter) -> Iterator[Fitter]:
-    """Open a fitter of before once more: there are workers of one at a time."""
-    with open_workbench(replace(request, problem=fitter.problem)) as again:
-        yield replace(fitter, runner=again.fitter.runner, meter=again.fitter.meter)
+def reopened(request: LoopRequest, workbench: LoopWorkbench) -> Iterator[LoopWorkbench]:
+    """Open a workbench of before once more: there are workers of one at a time."""
+    with open_workbench(replace(request, problem=workbench.fitter.problem)) as again:
+        runner, meter = again.fitter.runner, again.fitter.meter
+        yield replace(workbench, fitter=replace(workbench.fitter, runner=runner, meter=meter))
+
+
+@dataclass(frozen=True)
+class AccountedSearch:
+    """What a search has found, in words.
+
+    Attributes
+    ----------
+    result, searched
+        The result but for notes on the solver, and the search.
+    error
+        Of the solver, at the last model.
+    interpolation
+        An input that the measurements prefer to be interpolated otherwise.
+    """
+
+    result: LoopResult
+    searched: SearchedModel
+    error: NumericalError
+    interpolation: PreferredInterpolation | None
+
+
+def search_and_keep(
+    request: LoopRequest,
+    workbench: LoopWorkbench,
+    begin: float,
+    said: str = "",
+) -> SearchedModel:
+    """Search for effects, and keep a result after each round in which something was added.
+
+    Parameters
+    ----------
+    said
+        Of the records that the search is on; "" if they are those that were measured.
+    """
+    kept = request.environment.monitor.reached
+
+    def keep_so_far(found: SelectionResult) -> None:
+        if kept is None:
+            return
+        result = result_so_far(workbench.fitter, found, begin, workbench.scope, said)
+        if result is not None:
+            kept(result)
+
+    start = FitStart(workbench.fitter.problem, {})
+    resources = request.environment.resources
+    return search_for_effects(workbench, start, resources, keep_so_far, thinned=bool(said))
+
+
+def loop_on_thinned_records(
+    request: LoopRequest, thin: ThinnedProblem, begin: float
+) -> AccountedSearch:
+    """Search on thinned records, or on parts of them, and fit what is found to all rows.
+
+    Parameters
+    ----------
+    request
+        Of the problem before it was thinned.
+    begin
+        A reading of the monotonic clock.
+    """
+    environment = with_slim_log(request.environment, MANY)
+    request = replace(
+        request, problem=thin.problem, noise_of_samples=thin.noise, environment=environment
+    )
+    return _ThinnedLoop(request, thin, begin).run()
+
+
+@dataclass(frozen=True)
+class _Search:
+    """A search that has ended.
+
+    Attributes
+    ----------
+    workbench
+        That it was done on.
+    searched
+        What it has found.
+    starts
+        For each of its answers, both models as they fit thinned records.
+    errors
+        Of the solver, at the last of them.
+    said
+        What it was done on.
+    """
+
+    workbench: LoopWorkbench
+    searched: SearchedModel
+    starts: Sequence[Sequence[FitStart]]
+    errors: Sequence[NumericalError]
+    said: str
+
+
+def _fit_straight(fitter: Fitter) -> FittedModel | None:
+    """Fit the declared model in as few simulations as it takes: each is a long one."""
+    ((_, fitted),) = best_on_few_rows(fitter, [FitStart(fitter.problem, {})])
+    return fitted
+
+
+Opened = TypeVar("Opened", LoopWorkbench, Fitter)
+
+
+@dataclass(frozen=True)
+class _ThinnedLoop:
+    """A closed loop on thinned records.
+
+    Attributes
+    ----------
+    request, thin, begin
+        See `loop_on_thinned_records`.
+    spent
+        What was simulated on each workbench that is closed: there are workers of one at a time.
+    """
+
+    request: LoopRequest
+    thin: ThinnedProblem
+    begin: float
+    spent: list[SpentSimulations] = field(default_factory=list)
+
+    def run(self) -> AccountedSearch:
+        rows = self.request.rows
+        long = bool(looked_at_in_parts(self.request.problem, rows))
+        fit = _fit_straight if long else fit_from_start
+        with self._counted(open_checked_workbench(self.request, fit)) as whole:
+            windows = choose_windows(whole, rows) if long else None
+            if windows is None:
+                found = self._search(replace(whole, first_fit=None) if long else whole)
+        if windows is not None:
+            found = self._search_in(windows, whole)
+        return self._confirmed(found)
+
+    def _search_in(self, windows: SearchWindows, whole: LoopWorkbench) -> _Search:
+        """Search in windows, and where these do not do, on whole records."""
+        declared = whole.fitter.sigma_declared
+        request = replace(self._left(), problem=windows.problem, sigma_declared=declared)
+        with self._counted(open_workbench(request)) as opened:
+            parts = replace(opened, scope=whole.scope)
+            why = windows.unlike_records(parts.fitter)
+            if not why:
+                found = self._search(parts, windows.sentence)
+        with self._counted(reopened(self._left(), whole)) as again:
+            if not why:
+                hidden = found.searched.error.hides_effects
+                why = "" if len(found.starts[0]) > 1 or hidden else "nothing was found there"
+            if not why:
+                again.fitter.enter("before and after")
+                fits = [
+                    best_on_few_rows(again.fitter, windows.on_whole_records(again.fitter, starts))
+                    for starts in found.starts
+                ]
+                why = "" if hidden else windows.missed(again.fitter, fits[0][-1][1])
+                if not why:
+                    starts = [[start for start, _ in models] for models in fits]
+                    return replace(found, starts=starts)
+            unfitted = replace(again, first_fit=None)
+            return self._search(unfitted, f"{windows.sentence}, then in all of them: {why}")
+
+    def _search(self, workbench: LoopWorkbench, more: str = "") -> _Search:
+        """Search, and fit both models to convergence where that was done."""
+        said = "; ".join(filter(None, [self.thin.sentence, more]))
+        searched = search_and_keep(self.request, workbench, self.begin, said)
+        workbench.fitter.enter("before and after")
+        starts, errors = [], []
+        for found, _ in searched.ends:
+            models = [model.start for model in last_models(found)]
+            starts.append([start for start, _ in best_on_few_rows(workbench.fitter, models)])
+            added = found.current.added
+            errors.append(searched.error_at(found.current) if added else searched.error)
+        return _Search(workbench, searched, starts, errors, said)
+
+    def _confirmed(self, done: _Search) -> AccountedSearch:
+        """Fit both models to convergence on all rows, and put what was found into words.
+
+        The interpolation that the measurements prefer is told from all rows, too.
+        """
+        begin, searching = self.begin, done.workbench
+        opened = open_on_all_rows(self._left(), self.thin, searching.fitter)
+        with self._counted(opened) as whole:
+            whole.enter("before and after")
+            last = [
+                partial(last_fits_to_all_rows, whole, found, starts, begin)
+                for (found, _), starts in zip(done.searched.ends, done.starts, strict=True)
+            ]
+            answer = last_answer(done.searched.ends, last)
+            before = answer.fits.before
+            noise = whole.noise_in_units(answer.found.noise)
+            other = preferred_interpolation(
+                whole.space(replace(done.starts[0][0], problem=before.problem)),
+                before.solution,
+                before.simulations,
+                self.request.environment.resources,
+                whole.runner,
+            )
+        with reopened(self._left(), searching) as again:
+            result = account(again.fitter, answer, searching.scope)
+        notes = (f"{done.said}; {CONFIRMED_ON_ALL}", *result.notes)
+        result = with_all(replace(result, noise=noise, notes=notes), self.spent)
+        return AccountedSearch(result, done.searched, done.errors[answer.number], other)
+
+    @contextmanager
+    def _counted(self, opened: AbstractContextManager[Opened]) -> Iterator[Opened]:
+        with opened as made:
+            yield made
+            fitter = made.fitter if isinstance(made, LoopWorkbench) else made
+            self.spent.append(SpentSimulations.at(fitter))
+
+    def _left(self) -> LoopRequest:
+        """Return the request with what is left of the budget."""
+        used = sum(each.evaluations for each in self.spent)
+        environment = self.request.environment.left(used, time.monotonic() - self.begin)
+        return replace(self.request, environment=environment)

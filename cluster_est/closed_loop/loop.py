@@ -11,48 +11,29 @@ points follows N. R. Kristensen, H. Madsen, S. B. Jorgensen, Comput. Chem. Eng. 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 from typing_extensions import override
 
-from cluster_est.closed_loop.account import (
-    LastFits,
-    account,
-    best_on_few_rows,
-    last_fits,
-    last_fits_to_all_rows,
-    result_so_far,
-)
+from cluster_est.closed_loop.account import account, last_answer, last_fits
 from cluster_est.closed_loop.findings.competing_models import expensive_structures
 from cluster_est.closed_loop.findings.result import LoopResult
-from cluster_est.closed_loop.findings.verdict import CLAIMS, veto
-from cluster_est.closed_loop.fitter import FitStart
 from cluster_est.closed_loop.long_records import (
-    CONFIRMED_ON_ALL,
-    MANY,
-    open_on_all_rows,
-    reopened,
+    AccountedSearch,
+    loop_on_thinned_records,
+    search_and_keep,
     thinned_records,
-    with_slim_log,
 )
 from cluster_est.closed_loop.outliers import open_checked_workbench
-from cluster_est.closed_loop.process_noise import (
-    SpentSimulations,
-    close_loop_under_noise,
-    with_all,
-)
-from cluster_est.closed_loop.search import SearchedModel, search_for_effects
-from cluster_est.closed_loop.selection.answer import undetermined_sentence
-from cluster_est.closed_loop.selection.rounds import SelectionResult
+from cluster_est.closed_loop.process_noise import close_loop_under_noise
 from cluster_est.closed_loop.settings import LoopSettings
-from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, check_arguments
+from cluster_est.closed_loop.workbench import LoopRequest, check_arguments
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import make_space
-from cluster_est.problem.thinning import ThinnedProblem, ThinningSettings
-from cluster_est.results.interpolation import PreferredInterpolation, preferred_interpolation
+from cluster_est.problem.thinning import ThinningSettings
+from cluster_est.results.interpolation import PreferredInterpolation
 from cluster_est.running.arguments import prepared
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Note, Record, Resources, Show
@@ -148,86 +129,31 @@ def run_loop(request: LoopRequest) -> LoopResult:
     if noise_names(request.problem):
         return close_loop_under_noise(request, begin)
     thin = thinned_records(request, request.rows)
-    request = replace(request, problem=thin.problem, noise_of_samples=thin.noise)
-    if thin.is_thinner:
-        slim = with_slim_log(request.environment, MANY)
-        request = replace(request, environment=slim)
-    with open_checked_workbench(request) as workbench:
-        fitter, start = workbench.fitter, FitStart(workbench.fitter.problem, {})
-        scope = workbench.scope
-
-        def keep_so_far(found: SelectionResult) -> None:
-            keep = request.environment.monitor.reached
-            if keep is None:
-                return
-            result = result_so_far(fitter, found, begin, scope, thin.sentence)
-            if result is not None:
-                keep(result)
-
-        searched = search_for_effects(
-            workbench,
-            start,
-            request.environment.resources,
-            keep_so_far,
-            thinned=thin.is_thinner,
-        )
-        fitter.enter("before and after")
-        result, other, starts, ends = None, None, [], searched.ends
-        if thin.is_thinner:
-            starts = [best_on_few_rows(fitter, end.found) for end in ends]
-        else:
-            last_of = [partial(last_fits, fitter, end.found, begin) for end in ends]
-            searched, fits, vetoed = _last_answer(ends, last_of, request.settings)
-            result = account(fitter, searched.found, searched.judged, fits, scope)
-            result = replace(result, notes=(*vetoed, *result.notes))
-        added = searched.found.current.added if result is None else result.effects
-        last = searched.error_at(searched.found.current) if added else searched.error
-    if result is None:
-        result, other = _confirmed_on_all_rows(request, thin, workbench, ends, starts, begin)
-    seconds, error = time.monotonic() - begin, searched.error
-    known = last if result.effects else error
-    said = (*error.notes, *(known.notes_with_effects if known is not error else ()))
+    found = (
+        loop_on_thinned_records(request, thin, begin)
+        if thin.is_thinner
+        else _loop_on_all_rows(request, begin)
+    )
+    result, searched = found.result, found.searched
+    known = found.error if result.effects else searched.error
+    with_effects = known.notes_with_effects if known is not searched.error else ()
+    said = (*searched.error.notes, *with_effects)
     notes = (*said, *result.notes, *expensive_structures(searched.found.path))
-    result = replace(result, notes=notes, seconds=seconds, failures_in_search=searched.failures)
-    return _with_interpolation(result, other or searched.interpolation)
+    seconds, failures = time.monotonic() - begin, searched.failures
+    result = replace(result, notes=notes, seconds=seconds, failures_in_search=failures)
+    return _with_interpolation(result, found.interpolation)
 
 
-def _last_answer(
-    ends: Sequence[SearchedModel],
-    last: Sequence[Callable[[], LastFits]],
-    settings: LoopSettings,
-) -> tuple[SearchedModel, LastFits, list[str]]:
-    """Return the last answer that nothing speaks against after the last fits, and those.
-
-    Where something does against each of them, it is the first one, which is then not claimed.
-
-    Parameters
-    ----------
-    ends
-        The search with its answer, and with those that this took the place of.
-    last
-        Do the last fits of each.
-
-    Returns
-    -------
-    SearchedModel
-    LastFits
-    list of str
-        What speaks against the answers before it.
-    """
-    refused: list[tuple[SearchedModel, LastFits]] = []
-    said: list[str] = []
-    for end, fit in zip(ends, last, strict=True):
-        fits = fit()
-        against = veto(end.judged, fits.errors, settings)
-        if not against and end.judged.verdict in CLAIMS:
-            against = undetermined_sentence(end.found.current, fits.after)
-        if not against:
-            return end, fits, said
-        refused.append((replace(end, judged=end.judged.refused(against)), fits))
-        labels = " and ".join(c.label for c in end.found.current.added)
-        said.append(f"{labels}: not added, because {against}")
-    return *refused[0], []
+def _loop_on_all_rows(request: LoopRequest, begin: float) -> AccountedSearch:
+    """Search, and fit what is found on the same workbench."""
+    with open_checked_workbench(request) as workbench:
+        fitter, searched = workbench.fitter, search_and_keep(request, workbench, begin)
+        fitter.enter("before and after")
+        last = [partial(last_fits, fitter, found, begin) for found, _ in searched.ends]
+        answer = last_answer(searched.ends, last)
+        result = account(fitter, answer, workbench.scope)
+        error = searched.error_at(answer.found.current) if result.effects else searched.error
+    return AccountedSearch(result, searched, error, searched.interpolation)
 
 
 def _with_interpolation(result: LoopResult, other: PreferredInterpolation | None) -> LoopResult:
@@ -239,46 +165,3 @@ def _with_interpolation(result: LoopResult, other: PreferredInterpolation | None
         return result
     summary = f"{result.summary}; but the measurements prefer {other.key}: set it first"
     return replace(result, summary=summary, notes=(other.sentence, *result.notes))
-
-
-def _confirmed_on_all_rows(
-    request: LoopRequest,
-    thin: ThinnedProblem,
-    searching: LoopWorkbench,
-    ends: Sequence[SearchedModel],
-    starts: Sequence[Sequence[FitStart]],
-    begin: float,
-) -> tuple[LoopResult, PreferredInterpolation | None]:
-    """Fit both models to convergence on all rows, and put what was found into words.
-
-    The interpolation that the measurements prefer is told from all rows, too.
-    """
-    spent = [SpentSimulations.at(searching.fitter)]
-
-    def left() -> LoopRequest:
-        used = sum(each.evaluations for each in spent)
-        return replace(
-            request, environment=request.environment.left(used, time.monotonic() - begin)
-        )
-
-    with open_on_all_rows(left(), thin, searching.fitter) as whole:
-        whole.enter("before and after")
-        last_of = [
-            partial(last_fits_to_all_rows, whole, end.found, start, begin)
-            for end, start in zip(ends, starts, strict=True)
-        ]
-        searched, fits, vetoed = _last_answer(ends, last_of, request.settings)
-        found = searched.found
-        spent.append(SpentSimulations.at(whole))
-        noise = whole.noise_in_units(found.noise)
-        other = preferred_interpolation(
-            whole.space(replace(found.base.start, problem=fits.before.problem)),
-            fits.before.solution,
-            fits.before.simulations,
-            request.environment.resources,
-            whole.runner,
-        )
-    with reopened(left(), searching.fitter) as fitter:
-        result = account(fitter, found, searched.judged, fits, searching.scope)
-    notes = (f"{thin.sentence}; {CONFIRMED_ON_ALL}", *vetoed, *result.notes)
-    return with_all(replace(result, noise=noise, notes=notes), spent), other

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -105,8 +105,18 @@ class OutliersOfOutput:
         )
 
 
+def fit_from_start(fitter: Fitter) -> FittedModel | None:
+    """Fit the declared model from the user's start; None where it cannot be simulated."""
+    start = FitStart(fitter.problem, {})
+    (fitted,) = fitter.fit(LoopStage.DECLARED_MODEL, [start], THOROUGH)
+    return fitted
+
+
 @contextmanager
-def open_checked_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
+def open_checked_workbench(
+    request: LoopRequest,
+    fit: Callable[[Fitter], FittedModel | None] = fit_from_start,
+) -> Iterator[LoopWorkbench]:
     """Open a workbench whose data have no outliers any more; its notes say what was left out.
 
     The declared model is fitted as a search begins; its residuals show single samples that nothing
@@ -116,8 +126,7 @@ def open_checked_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
     """
     with open_workbench(request) as workbench:
         fitter = workbench.fitter
-        start = FitStart(fitter.problem, {})
-        (fitted,) = fitter.fit(LoopStage.DECLARED_MODEL, [start], THOROUGH)
+        fitted = fit(fitter)
         outliers = [] if fitted is None else _outliers(fitter, fitted)
         notes = [each.sentence for each in outliers]
         few = [each for each in outliers if each.few]
@@ -131,7 +140,8 @@ def open_checked_workbench(request: LoopRequest) -> Iterator[LoopWorkbench]:
     cleaned = with_own_sigmas(without(fitter.problem, few), growing)
     cleaned_request = replace(request, problem=cleaned, sigma_declared=fitter.sigma_declared)
     with open_workbench(cleaned_request) as again:
-        yield replace(again, scope=_noted(workbench.scope, notes))
+        near = {} if fitted is None else fitted.estimates
+        yield replace(again, scope=_noted(workbench.scope, notes), near=near)
 
 
 def _noted(scope: LoopScope, notes: Sequence[str]) -> LoopScope:

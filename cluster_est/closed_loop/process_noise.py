@@ -19,7 +19,7 @@ from typing import Self
 
 import numpy as np
 
-from cluster_est.closed_loop.account import LastFits, account, final_fit
+from cluster_est.closed_loop.account import LastAnswer, LastFits, account, final_fit
 from cluster_est.closed_loop.findings.competing_models import expensive_structures
 from cluster_est.closed_loop.findings.effects import ErrorChange, NoiseChange, Verdict
 from cluster_est.closed_loop.findings.result import LoopResult
@@ -82,7 +82,7 @@ def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
                 fitter.enter("before and after")
                 fits = last_fits_with_noise(fitter, request.problem, searched.found, begin)
                 judged = _judged(fitter.size, searched, fits, passed)
-                result = account(fitter, searched.found, judged, fits, workbench.scope)
+                result = account(fitter, LastAnswer(searched.found, judged, fits), workbench.scope)
                 result = _with_noise(fitter, result, searched, fits, passed)
                 return replace(with_all(result, spent), seconds=time.monotonic() - begin)
             fitter.enter("the process noise that is left")

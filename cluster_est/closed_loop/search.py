@@ -103,9 +103,9 @@ class SearchedModel:
     earlier: tuple[tuple[SelectionResult, ReasonedVerdict], ...] = ()
 
     @property
-    def ends(self) -> list[SearchedModel]:
-        """The search with its answer, and with each of the earlier ones."""
-        return [self, *(replace(self, found=f, judged=j, earlier=()) for f, j in self.earlier)]
+    def ends(self) -> list[tuple[SelectionResult, ReasonedVerdict]]:
+        """The answer, and the earlier ones."""
+        return [(self.found, self.judged), *self.earlier]
 
 
 def search_for_effects(

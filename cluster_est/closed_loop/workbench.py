@@ -78,12 +78,15 @@ class LoopWorkbench:
         For the report.
     first_fit
         The declared model from the user's start, where that was needed before.
+    near
+        Where a fit to data that had outliers ended; empty if there is none.
     """
 
     fitter: Fitter
     settings: LoopSettings
     scope: LoopScope
     first_fit: FittedModel | None = field(default=None, repr=False)
+    near: Mapping[str, float] = field(default_factory=dict)
 
 
 SAMPLES_PER_UNKNOWN = 4

@@ -17,7 +17,7 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.tables.gaps import RecordGap, gap_findings
 from cluster_est.problem.tables.jumps import after_jumps, jump_findings, samples_after
 from cluster_est.problem.tables.stand_ins import stand_ins
-from cluster_est.problem.thinning import thinned
+from cluster_est.problem.thinning import IN_PARTS, looked_at_in_parts, thinned
 from cluster_est.problem.variables import driven_or_constant, idle_inputs, stays
 from cluster_est.statistics.noise.estimate import estimate_noise, quantisation_step
 from cluster_est.statistics.noise.outliers import isolated_outliers
@@ -240,11 +240,18 @@ def _gaps(times: FloatArray, rows: FloatArray, experiment: Experiment) -> tuple[
 
 def long_records(config: Config, problem: Problem) -> list[CheckFinding]:
     """Return a line on what becomes of long records, where they are thinned."""
-    found = thinned(problem, config.thinning.most())
+    most = config.thinning.most()
+    found = thinned(problem, most)
     said = (
         f"for close-loop, sensitivity and design {found.sentence}; close-loop takes more rows, or "
         "all of them, where the declared model would not be the same on these"
     )
+    parts = looked_at_in_parts(found.problem, most)
+    if most is not None and parts:
+        said += (
+            f"; {len(parts)} of them still have more than {IN_PARTS * most:,} rows: effects are "
+            "looked for in a part of each, the first or where the declared model errs more"
+        )
     return [passed("long records", said)] if found.is_thinner else []
 
 

@@ -47,7 +47,7 @@ def split_at_gaps(problem: Problem) -> Problem:
         experiments += parts
         gaps += said
     if any(each.own_starts for each in experiments):
-        problem = _with_parameters(problem, states.added)
+        problem = with_parameters(problem, states.added)
     return replace(problem, experiments=tuple(experiments), gaps=_each_once([*gaps, *problem.gaps]))
 
 
@@ -155,7 +155,7 @@ def _made(target: str, start: float, unit: str, taken: set[str]) -> Parameter:
     return Parameter(name, start, variable=target, per="gap", unit=unit)
 
 
-def _with_parameters(problem: Problem, added: Sequence[Parameter]) -> Problem:
+def with_parameters(problem: Problem, added: Sequence[Parameter]) -> Problem:
     """Return the problem with more parameters of the model, behind those that it has."""
     count = len(problem.model.parameters)
     inside = [i for i, p in enumerate(problem.parameters) if not p.auxiliary]
@@ -183,7 +183,7 @@ def _parts(
     if not states.refusal:
         ends = [*(gap.first for gap in moving[1:]), experiment.stop]
         edges += list(zip([gap.last for gap in moving], ends, strict=True))
-    parts = [_part(experiment, *edge, states) for edge in edges]
+    parts = [part_of(experiment, *edge, states) for edge in edges]
     kept = [part for part in parts if part is not None]
     if not kept:
         few = "nothing was measured apart from it"
@@ -210,10 +210,13 @@ def _needs_whole(experiment: Experiment) -> str:
     return next((f"it has {what}" for what, has in there.items() if has), "")
 
 
-def _part(
+def part_of(
     experiment: Experiment, start: float, stop: float, states: RestartableStates
 ) -> Experiment | None:
-    """Return an experiment from one time to another; None where it would say nothing."""
+    """Return an experiment from one time to another; None where it would say nothing.
+
+    A part that does not begin where the experiment does has initial states of its own.
+    """
     if not start < stop:
         return None
     outputs = tuple(_between(output, start, stop) for output in experiment.outputs)

@@ -43,6 +43,10 @@ FEWEST = 0.25
 LONG = 1.5
 """Times as many rows that a record has at least to be thinned."""
 
+IN_PARTS = 2
+"""Times as many rows as are wanted, above which a thinned record is looked at in a part of so many:
+it shows many hundreds of a model's time constants, and each trial would simulate them all."""
+
 MOST_BENT = 1.3
 """Mean square of the fourth coefficient, over that in blocks half as long: where these were too
 long it is up to 512. The error of a value is then below 0.4 of its noise."""
@@ -179,6 +183,19 @@ def thinned(problem: Problem, most: int | None, fineness: Fineness | None = None
                 noise.setdefault(each.output.variable, []).append(each.noise)
     known = {name: float(np.sqrt(np.mean(own))) for name, own in noise.items()}
     return ThinnedProblem(problem, changed, rows, _sentence(problem, changed), known)
+
+
+def rows_of(experiment: Experiment) -> int:
+    """Return the number of rows of the output that has the most."""
+    return max((len(output.times) for output in experiment.outputs), default=0)
+
+
+def looked_at_in_parts(problem: Problem, most: int | None) -> list[int]:
+    """Return the training experiments that still have so many rows that a part of each will do."""
+    if most is None:
+        return []
+    runs = problem.experiments
+    return [e for e in problem.indices("train") if rows_of(runs[e]) > IN_PARTS * most]
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,398 @@
+"""Parts of long records that effects are looked for in, chosen by what the declared model leaves.
+
+A thinned record of many hundreds of time constants says more than a search needs, and each trial
+would simulate all of it. So a search sees a part: the first, or where the declared model, fitted to
+all of the record, errs more. A part that begins later has initial states of its own. What is lost
+is power, as the root of the samples; what acts elsewhere alone shows in the residual of all rows
+that the search's model leaves, and then the search is done on whole records.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+
+from cluster_est.closed_loop.account import best_on_few_rows
+from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
+from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
+from cluster_est.closed_loop.output_noise import noise_of
+from cluster_est.closed_loop.settings import LoopStage
+from cluster_est.closed_loop.workbench import LoopWorkbench
+from cluster_est.errors import ProblemError
+from cluster_est.problem.display import in_a_row
+from cluster_est.problem.gaps import RestartableStates, part_of, with_parameters
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.thinning import IN_PARTS, looked_at_in_parts, rows_of
+from workers.messages import Experiment, FloatArray, IntArray, OwnStart
+
+WORSE_THERE = 2.0
+"""Times the misfit of the first part that another has where it is taken: it takes unknown initial
+states."""
+
+BY_CHANCE = 4.0
+"""Standard errors of a sum of squares of noise, below which it is no misfit."""
+
+INFORMED = 0.2
+"""Share of the information on each unknown, or combination of some, that windows have at least,
+over their share of the rows."""
+
+FEWEST_SAMPLES = 30
+"""Rows that a window has at least of each output that its record has."""
+
+TOLD = 1e-10
+"""Singular value over the largest, below which a combination of unknowns changes nothing."""
+
+SAME = 0.3
+"""Times the noise by which a window may differ from its record in what the declared model leaves,
+as a root mean square."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """A part of a record.
+
+    Attributes
+    ----------
+    position
+        Of the record among the training experiments.
+    experiment
+        The whole record.
+    start, stop
+        Seconds.
+    count
+        Rows that were wanted.
+    rows
+        Of the residuals of all training experiments.
+    """
+
+    position: int
+    experiment: Experiment = field(repr=False)
+    start: float
+    stop: float
+    count: int
+    rows: IntArray = field(repr=False)
+
+    @property
+    def leads(self) -> bool:
+        return self.start == self.experiment.start
+
+    @property
+    def place(self) -> str:
+        """Where it is."""
+        return f"{self.experiment.id!r} from {self.start:.4g} to {self.stop:.4g} s"
+
+
+@dataclass(frozen=True)
+class SearchWindows:
+    """A problem whose longest training records are parts of what they were.
+
+    Attributes
+    ----------
+    whole
+        With these records as they were, and as many experiments.
+    problem
+        What is searched in.
+    windows
+        The parts.
+    made
+        Names of the parameters that stand for initial states of parts alone.
+    rows
+        Of the residuals of `whole` that `problem` has.
+    fitted
+        The declared model, fitted to whole records.
+    """
+
+    whole: Problem = field(repr=False)
+    problem: Problem = field(repr=False)
+    windows: tuple[Window, ...]
+    made: frozenset[str]
+    rows: IntArray = field(repr=False)
+    fitted: FittedModel = field(repr=False)
+
+    @property
+    def sentence(self) -> str:
+        """Say which parts were searched in."""
+        late = [window.place for window in self.windows if not window.leads]
+        lengths = [window.stop - window.start for window in self.windows]
+        low, high = (f"{length:.3g}" for length in (min(lengths), max(lengths)))
+        of = f"{low} s" if low == high else f"{low} to {high} s"
+        named = self.windows[0].experiment.id
+        which = f"{named!r}" if len(lengths) == 1 else f"each of {len(lengths)} records"
+        said = f"effects were looked for in {of} of {which}, "
+        if not late:
+            return f"{said}from the beginning"
+        where = f"{in_a_row(late)}, where the declared model errs most"
+        return said + (
+            where if len(late) == len(lengths) else f"from the beginning but for {where}"
+        )
+
+    def unlike_records(self, fitter: Fitter) -> str:
+        """Say that the declared model leaves something else in the windows than in whole records.
+
+        It does where initial states cannot be set, or where something is remembered for long.
+
+        Parameters
+        ----------
+        fitter
+            Of the windows.
+
+        Returns
+        -------
+        str
+            "" if it leaves the same.
+        """
+        space = fitter.space(FitStart(self.problem, self.fitted.estimates))
+        ((at,),) = fitter.evaluate(LoopStage.DECLARED_MODEL, [(space, space.start[None])])
+        if not at.ok:
+            return "the declared model cannot be simulated from where they begin"
+        noise = noise_of(fitter, at.residuals)
+        off = at.residuals - self.fitted.residuals[self.rows]
+        sizes = [(item.output, _root_mean_square(off[item.rows])) for item in fitter.records.items]
+        if all(size <= SAME * noise[output] for output, size in sizes):
+            return ""
+        return "the declared model does not go on from where they begin"
+
+    def on_whole_records(self, fitter: Fitter, starts: Sequence[FitStart]) -> list[FitStart]:
+        """Return models of the search, to be fitted to whole records from where they stand.
+
+        The declared one starts where it was fitted to these before, unless the search is better.
+
+        Parameters
+        ----------
+        fitter
+            Of whole records.
+        starts
+            The declared one first.
+        """
+        moved = [self._on_whole_records(start) for start in starts]
+        declared = [moved[0], replace(moved[0], values=self.fitted.estimates)]
+        spaces = [fitter.space(start) for start in declared]
+        points = [(space, space.start[None]) for space in spaces]
+        costs = [at.cost for (at,) in fitter.evaluate(LoopStage.FINAL, points)]
+        return [declared[int(np.argmin(costs))], *moved[1:]]
+
+    def _on_whole_records(self, start: FitStart) -> FitStart:
+        problem = replace(
+            start.problem,
+            model=self.whole.model,
+            parameters=tuple(p for p in start.problem.parameters if p.name not in self.made),
+            experiments=self.whole.experiments,
+        )
+        return replace(start, problem=problem, values={**self.fitted.estimates, **start.values})
+
+    def missed(self, fitter: Fitter, fitted: FittedModel | None) -> str:
+        """Say where a model leaves more in whole records than in the windows; "" if nowhere.
+
+        Parameters
+        ----------
+        fitter
+            Of whole records.
+        fitted
+            A model, fitted to them; None if it cannot be simulated.
+        """
+        if fitted is None:
+            return "what was found there cannot be simulated in them"
+        left = _Misfit.of(fitter, fitted)
+        inside = max(left.within(window.rows) for window in self.windows)
+        for window in self.windows:
+            others = list(_candidates(fitter, window.position, window.count))
+            misfits = [left.within(other.rows) for other in others]
+            worst = int(np.argmax(misfits))
+            if misfits[worst] > WORSE_THERE * inside:
+                return f"what was found there leaves more in {others[worst].place}"
+        return ""
+
+
+@dataclass(frozen=True)
+class _Misfit:
+    """What a model leaves of whole records, in units of the noise.
+
+    Attributes
+    ----------
+    residuals : (N,)
+    jacobian : (N, unknowns)
+    outputs : (N,)
+        Which output each is of.
+    """
+
+    residuals: FloatArray = field(repr=False)
+    jacobian: FloatArray = field(repr=False)
+    outputs: IntArray = field(repr=False)
+
+    @classmethod
+    def of(cls, fitter: Fitter, fitted: FittedModel) -> Self:
+        outputs = np.zeros(fitter.size, int)
+        noise = noise_of(fitter, fitted.residuals)
+        levels = np.ones(fitter.size)
+        for number, level in enumerate(noise.tolist()):
+            own = fitter.records.of_output(number)
+            outputs[own] = number
+            seen = level if level > 0.0 else _root_mean_square(fitted.residuals[own])
+            levels[own] = max(seen, 1e-300)
+        return cls(fitted.residuals / levels, fitted.jacobian / levels[:, None], outputs)
+
+    def within(self, rows: IntArray) -> float:
+        """Return by how much -2 log likelihood exceeds that of noise, beyond chance.
+
+        Other values of the unknowns, for these rows alone, explain none of it: what is wrong in one
+        part of the data makes a fit to all of them wrong everywhere.
+        """
+        matrix = _of_one_size(self.jacobian[rows])
+        step = np.linalg.lstsq(matrix, self.residuals[rows], rcond=TOLD)[0]
+        squares = (self.residuals[rows] - matrix @ step) ** 2
+        found = 0.0
+        for number in np.unique(self.outputs[rows]).tolist():
+            own = squares[self.outputs[rows] == number]
+            more = len(own) * np.log(max(float(np.mean(own)), 1.0))
+            found += max(more - BY_CHANCE * np.sqrt(2.0 * len(own)), 0.0)
+        return float(found)
+
+
+def choose_windows(workbench: LoopWorkbench, most: int | None) -> SearchWindows | None:
+    """Choose a part of each long record for a search; None where it needs whole records.
+
+    Parameters
+    ----------
+    workbench
+        With thinned records.
+    most
+        Rows that are wanted of each.
+    """
+    fitter = workbench.fitter
+    long = [fitter.train.index(e) for e in looked_at_in_parts(fitter.problem, most)]
+    if most is None or not long:
+        return None
+    fitted = workbench.first_fit
+    if fitted is None:
+        start = FitStart(fitter.problem, workbench.near)
+        ((_, fitted),) = best_on_few_rows(fitter, [start])
+    windows = None if fitted is None else _enough(fitter, fitted, long, most)
+    if fitted is None or windows is None or not _show_all_outputs(fitter, windows):
+        return None
+    return _with_parts(fitter, fitted, windows)
+
+
+def _enough(
+    fitter: Fitter, fitted: FittedModel, long: Sequence[int], most: int
+) -> list[Window] | None:
+    """Return windows that say enough of each unknown, as short as they may be."""
+    left = _Misfit.of(fitter, fitted)
+    shared = [i for i, unknown in enumerate(fitted.space.unknowns) if not unknown.scope]
+    u, sizes, _ = np.linalg.svd(_of_one_size(fitted.jacobian[:, shared]), full_matrices=False)
+    known = u[:, sizes > TOLD * sizes[:1]]
+    while True:
+        long = [position for position in long if _rows(fitter, position) > IN_PARTS * most]
+        if not long:
+            return None
+        windows = [_worst(left, list(_candidates(fitter, position, most))) for position in long]
+        rows = _rows_of_search(fitter, windows)
+        said = np.linalg.norm(known[rows], ord=-2) ** 2 if known.size else 1.0
+        if said >= INFORMED * len(rows) / len(known):
+            return windows
+        most *= 2
+
+
+def _of_one_size(jacobian: FloatArray) -> FloatArray:
+    sizes = np.linalg.norm(jacobian, axis=0)
+    return np.asarray(jacobian / np.where(sizes > 0.0, sizes, 1.0))
+
+
+def _worst(left: _Misfit, windows: Sequence[Window]) -> Window:
+    """The first window, or where the misfit is much larger."""
+    misfits = [left.within(window.rows) for window in windows]
+    worst = int(np.argmax(misfits))
+    return windows[worst if misfits[worst] > WORSE_THERE * misfits[0] else 0]
+
+
+def _rows(fitter: Fitter, position: int) -> int:
+    return rows_of(fitter.problem.experiments[fitter.train[position]])
+
+
+def _candidates(fitter: Fitter, position: int, count: int) -> Iterator[Window]:
+    """Windows of about as many rows of a record, each half over the one before."""
+    run = fitter.problem.experiments[fitter.train[position]]
+    times = max((output.times for output in run.outputs), key=len)
+    halves = max(int(np.ceil(2 * len(times) / count)), 2)
+    inner = times[np.linspace(0, len(times), halves + 1).astype(int)[1:-1]]
+    edges = np.array([run.start, *inner, run.stop]).tolist()
+    items = [item for item in fitter.records.items if item.experiment == position]
+    for start, stop in zip(edges, edges[2:], strict=False):
+        parts = [
+            item.rows.start + np.flatnonzero((item.times >= start) & (item.times <= stop))
+            for item in items
+        ]
+        yield Window(position, run, start, stop, count, np.concatenate(parts))
+
+
+def _rows_of_search(fitter: Fitter, windows: Sequence[Window]) -> IntArray:
+    """The residuals of windows, and of all of the other records."""
+    own = {window.position: window.rows for window in windows}
+    every = range(len(fitter.train))
+    return np.concatenate(
+        [own.get(position, fitter.records.of_experiment(position)) for position in every]
+    )
+
+
+def _show_all_outputs(fitter: Fitter, windows: Sequence[Window]) -> bool:
+    for window in windows:
+        for item in fitter.records.items:
+            if item.experiment == window.position and len(item.times):
+                inside = np.sum((item.times >= window.start) & (item.times <= window.stop))
+                if inside < min(FEWEST_SAMPLES, len(item.times)):
+                    return False
+    return True
+
+
+def _with_parts(
+    fitter: Fitter, fitted: FittedModel, windows: Sequence[Window]
+) -> SearchWindows | None:
+    """Put parts in the place of records; None where one cannot begin with states of its own."""
+    before, states = fitter.problem, RestartableStates()
+    problem = before
+    paths: list[LinearisedTrajectory] = []
+    if not all(window.leads for window in windows):
+        states = RestartableStates.of(before, fitter.description)
+        if states.refusal or not fitter.exchange:
+            return None
+        try:
+            paths = fitter.trajectories(fitted)
+        except ProblemError:
+            return None
+        problem = with_parameters(before, states.added)
+    experiments = list(problem.experiments)
+    for window in windows:
+        part = part_of(window.experiment, window.start, window.stop, states)
+        if part is None:
+            return None
+        if not window.leads:
+            part = replace(part, own_starts=_begun(part, states, paths[window.position]))
+        name = f"{window.experiment.id} ({window.start:.4g} to {window.stop:.4g} s)"
+        part = replace(part, id=name, record=window.experiment.record_id)
+        experiments[fitter.train[window.position]] = part
+    return SearchWindows(
+        whole=before,
+        problem=replace(problem, experiments=tuple(experiments)),
+        windows=tuple(windows),
+        made=frozenset({p.name for p in problem.parameters} - {p.name for p in before.parameters}),
+        rows=_rows_of_search(fitter, windows),
+        fitted=fitted,
+    )
+
+
+def _begun(
+    part: Experiment, states: RestartableStates, path: LinearisedTrajectory
+) -> tuple[OwnStart, ...]:
+    """The initial states of a part: where the fit of the whole record stands there."""
+    at = min(int(np.searchsorted(path.times, part.start)), len(path.times) - 1)
+    values = {target: float(path.signals[name][at]) for name, target in states.targets.items()}
+    return tuple(
+        replace(own, start=min(max(values[own.variable], own.lower), own.upper))
+        for own in states.own_starts(part)
+    )
+
+
+def _root_mean_square(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
