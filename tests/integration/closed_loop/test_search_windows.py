@@ -136,7 +136,7 @@ def test_what_acts_outside_of_the_parts_alone_is_noticed(late, chosen):
     with thinned_bench(late) as bench:
         assert chosen.missed(bench.fitter, chosen.fitted) == ""
         early = []
-        for window, item in zip(chosen.windows, bench.records.items, strict=True):
+        for window, item in zip(chosen.windows, bench.fitter.records.items, strict=True):
             rows = item.rows.start + np.flatnonzero(item.times <= 15.0)
             early.append(replace(window, start=0.0, stop=15.0, rows=rows))
         said = replace(chosen, windows=tuple(early)).missed(bench.fitter, chosen.fitted)

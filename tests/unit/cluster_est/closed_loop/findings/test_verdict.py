@@ -15,7 +15,7 @@ from support.loop_objects import (
 )
 
 from cluster_est import LoopSettings
-from cluster_est.closed_loop.account import LastFits, account
+from cluster_est.closed_loop.account import LastAnswer, LastFits, account
 from cluster_est.closed_loop.findings.competing_models import expensive_structures
 from cluster_est.closed_loop.findings.effects import ErrorChange, Verdict
 from cluster_est.closed_loop.findings.verdict import ReasonedVerdict, confirmed, judge
@@ -377,7 +377,7 @@ def notes(verdict, before=DONE, after=DONE):
     found = made_selection(base, base, last)
     fits = LastFits(before, after, ())
     return account(
-        made_fitter(PROBLEM), found, ReasonedVerdict(verdict, ""), fits, LoopScope()
+        made_fitter(PROBLEM), LastAnswer(found, ReasonedVerdict(verdict, ""), fits), LoopScope()
     ).notes
 
 
