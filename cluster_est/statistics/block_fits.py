@@ -168,8 +168,8 @@ def _polynomials(
 def _orthonormal(at: FloatArray) -> FloatArray:
     """Polynomials that are orthonormal on samples (b, k) of each block, by their recurrence.
 
-    q_{p+1} is what is left of t q_p without its parts along q_p and q_{p-1}, over its norm: Lanczos'
-    iteration with the diagonal matrix of the times, which a few degrees do not spoil (W. Gautschi,
+    q_{p+1} is what is left of t q_p without its parts along q_p and q_{p-1}, over its norm: that is
+    the iteration of Lanczos, which a few degrees do not spoil (W. Gautschi,
     SIAM J. Sci. Stat. Comput. 3 (1982) 289-317, doi:10.1137/0903018).
     """
     q = np.empty((len(at), DEGREE + 1, at.shape[1]))

@@ -231,6 +231,7 @@ typedef struct {
     const double *coefficients;
     double rate, decay; /* of the fastest own state; of one that follows linearly, or 0 */
     double *outputs;    /* (t, y), of which a column is changed */
+    const double *linear; /* (x, x) of several own states with x' = linear x + g(t), or NULL */
 } Record;
 
 EXPORT int core_apply_to_outputs(const Record *record);

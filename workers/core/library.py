@@ -226,7 +226,7 @@ class Record(_HoldingStructure):
         *_fields(c_size_t, "n_times", "n_inputs", "n_outputs", "column"),
         *_fields(c_void_p, "program", "coefficients"),
         *_fields(c_double, "rate", "decay"),
-        ("outputs", c_void_p),
+        *_fields(c_void_p, "outputs", "linear"),
     ]
 
 

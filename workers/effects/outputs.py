@@ -149,6 +149,8 @@ def apply_output_effect(
         np.float64, times=fine.times, values=fine.inputs, slopes=fine.slopes,
         coefficients=coefficients, outputs=seen,
     )  # fmt: skip
+    if (linear := definition.linear_rates(coefficients)).size:
+        record.hold(np.float64, linear=linear)
     if core().core_apply_to_outputs(addressof(record)) != FINISHED:
         raise MemoryError(f"effect at output {definition.site.target!r}")
     outputs[:, column] = seen[:: PIECES if definition.states else 1, column]
