@@ -90,34 +90,30 @@ def last_fits_to_all_rows(
     starts: Sequence[FitStart],
     begin: float,
 ) -> LastFits:
-    """Do so on a workbench with all rows, from what is best on fewer; see `best_on_few_rows`."""
+    """Do so on a workbench with all rows, from what is best on fewer; see `best_on_few_rows`.
+
+    Most are there with the first step, whose derivatives are those of the result.
+    """
     experiments = workbench.problem.experiments
     moved = [
         replace(start, problem=replace(start.problem, experiments=experiments)) for start in starts
     ]
-    near = _straight_fits(workbench, moved)
-    return _fitted_from(workbench, found, near, begin, _of_many_rows(workbench.size))
+    method = replace(_of_many_rows(workbench.size), trials=1)
+    return _fitted_from(workbench, found, moved, begin, method)
 
 
-def best_on_few_rows(workbench: LoopWorkbench, found: SelectionResult) -> list[FitStart]:
+def best_on_few_rows(workbench: LoopWorkbench, found_by_search: SelectionResult) -> list[FitStart]:
     """Fit both models to convergence on thinned records, for a fit to all rows to start from.
 
     A search does not fit to convergence, and what is left takes iterations each of which costs as
-    much more as there are more rows.
+    much more as there are more rows. These fits are in the values of the parameters, no logarithms
+    among them: two terms that the data hardly tell apart, such as two dampings, keep their sum
+    along the valley between them, which is straight in their values and bent in their logarithms,
+    so that many short steps would follow it.
     """
-    return _straight_fits(workbench, [model.start for model in _last_models(found)])
-
-
-def _straight_fits(workbench: LoopWorkbench, starts: Sequence[FitStart]) -> list[FitStart]:
-    """Start from fits in the values of the parameters, no logarithms among them.
-
-    Two terms that the data hardly tell apart, such as two dampings, keep their sum along the
-    valley between them. It is straight in their values, and bent in their logarithms, so that many
-    short steps would follow it.
-    """
-    method = replace(_of_many_rows(workbench.size), differences="forward", secant_updates=5)
+    method = _of_many_rows(workbench.size)
     found = []
-    for start in starts:  # one by one: each holds its derivatives by all rows
+    for start in [model.start for model in _last_models(found_by_search)]:
         linear = tuple(replace(p, scale="linear") for p in start.problem.parameters)
         straight = replace(start, problem=replace(start.problem, parameters=linear))
         (fit,) = workbench.fitter.fit(LoopStage.FINAL, [straight], method)
@@ -318,9 +314,11 @@ def _not_converged(before: Result, after: Result) -> tuple[str, ...]:
 def _of_many_rows(count: int) -> LeastSquares:
     """Return the method of the last fits to so many residuals, each simulation of which takes long.
 
-    It ends where steps are below a tenth of the standard errors.
+    It ends where steps are below a tenth of the standard errors, beside which the error of forward
+    differences is nothing.
     """
-    return replace(FINAL, ftol=max(FINAL.ftol, 0.25 * NOTICEABLE / count))
+    ftol = max(FINAL.ftol, 0.25 * NOTICEABLE / count)
+    return replace(FINAL, ftol=ftol, differences="forward", secant_updates=5)
 
 
 def final_fit(

@@ -180,6 +180,7 @@ static void apply(OutputRun *run) {
     double before = 0.0;
     for (size_t i = 0; i < a->n_times; i++) {
         if (i > 0 && p->n_own > 0) advance_output_states(run, i - 1);
+        if (i % a->every > 0) continue;
         set_recorded(run, i);
         memcpy(run->r + 1, run->x, p->n_own * sizeof *run->x);
         if (i == 0) {
@@ -187,7 +188,7 @@ static void apply(OutputRun *run) {
             memcpy(run->x, run->r + 1, p->n_own * sizeof *run->x);
         }
         run_fast(p->fast[BEFORE], run->r);
-        if (i > 0) a->outputs[(i - 1) * a->n_outputs + a->column] = before;
+        if (i > 0) a->outputs[(i - a->every) * a->n_outputs + a->column] = before;
         before = run->r[p->first_parameter];
     }
     a->outputs[(a->n_times - 1) * a->n_outputs + a->column] = before;
@@ -197,6 +198,7 @@ int core_apply_to_outputs(const Record *a) {
     const Program *p = a->program;
     if (p->n_states != p->n_own || p->n_inputs != a->n_inputs + a->n_outputs
         || p->n_parameters != 1 || p->n_base != 0 || a->n_times == 0 || a->column >= a->n_outputs
+        || a->every == 0 || (a->n_times - 1) % a->every > 0
         || (a->decay > 0.0 && p->n_own != 1))
         return WRONG_SIZES;
     const size_t own = p->n_own;
@@ -211,4 +213,43 @@ int core_apply_to_outputs(const Record *a) {
     apply(&run);
     free(m);
     return FINISHED;
+}
+
+enum { STENCIL = 4 };
+
+/* The outputs at a time of interval i: by the cubic through four records, or the line. */
+static void between(const Pieces *a, size_t i, double at, double share, double *result) {
+    const size_t n = a->n_outputs;
+    const double *y = a->outputs + i * n;
+    if (!a->smooth[i]) {
+        FOR(c, n) result[c] = y[c] + share * (y[n + c] - y[c]);
+        return;
+    }
+    const double *knots = a->times + a->first[i];
+    double weight[STENCIL];
+    FOR(j, STENCIL) {
+        weight[j] = 1.0;
+        FOR(m, STENCIL) if (m != j) weight[j] *= (at - knots[m]) / (knots[j] - knots[m]);
+    }
+    y = a->outputs + (size_t)a->first[i] * n;
+    FOR(c, n)
+        result[c] = (weight[0] * y[c] + weight[2] * y[2 * n + c])
+                    + (weight[1] * y[n + c] + weight[3] * y[3 * n + c]);
+}
+
+void core_refine(const Pieces *a) {
+    const size_t last = a->n_times - 1, u = a->n_inputs, n = a->n_outputs;
+    for (size_t i = 0, row = 0; i <= last; i++) {
+        const double *value = a->values + i * u, *slope = a->slopes + i * u;
+        for (size_t p = 0; p < (i < last ? a->pieces : 1); p++, row++) {
+            const double share = (double)p / (double)a->pieces, passed = share * a->lengths[i];
+            a->at[row] = a->times[i] + passed;
+            FOR(j, u) a->fine_values[row * u + j] = value[j] + passed * slope[j];
+            memcpy(a->fine_slopes + row * u, slope, u * sizeof *slope);
+            if (p > 0)
+                between(a, i, a->at[row], share, a->fine_outputs + row * n);
+            else
+                memcpy(a->fine_outputs + row * n, a->outputs + i * n, n * sizeof(double));
+        }
+    }
 }
