@@ -1,16 +1,24 @@
 """The times of a simulation: all inputs and all measurements of an experiment on one grid.
 
 A solver goes from one time of the grid to the next, so that it never steps across a kink of an
-input, and stands exactly on every time at which something was measured.
+input, and stands exactly on every time at which something was measured. Where what was measured
+lies between the samples of the inputs, which are about as dense, steps go from one of these to the
+next, and pass over it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from workers.messages import Experiment, FloatArray, Input, IntArray
+
+MOST_PASSED = 2
+"""Times in a row that a step may pass over: with more of them, they and not the inputs would be
+what keeps steps short."""
 
 
 class SignalGrid(NamedTuple):
@@ -28,6 +36,8 @@ class SignalGrid(NamedTuple):
         The slope of each in the interval that starts at this time; 0 where it is held.
     jumps : (n,)
         Whether a held input jumps at this time.
+    passed : (n,)
+        Whether a step may pass over this time, as no input or signal has a sample there.
     gather : (k,)
         Index of each measured value's simulated one in the flattened (n, recorded) outputs.
     measured : (k,)
@@ -45,6 +55,7 @@ class SignalGrid(NamedTuple):
     inputs: FloatArray
     slopes: FloatArray
     jumps: IntArray
+    passed: npt.NDArray[np.bool_]
     gather: IntArray
     measured: FloatArray
     sigmas: FloatArray
@@ -60,8 +71,8 @@ def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> Signal
     recorded = recorded or experiment.recorded
     start, stop = experiment.start, experiment.stop
     signals = (*experiment.inputs, *experiment.signals)
-    times_of_signals = [signal.times for signal in signals]
-    times_of_signals += [output.times for output in experiment.outputs]
+    sampled = [signal.times for signal in signals]
+    times_of_signals = [*sampled, *(output.times for output in experiment.outputs)]
     times_of_signals += [
         output.reference.times
         for output in experiment.outputs
@@ -79,13 +90,35 @@ def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> Signal
     gathered = np.concatenate([np.zeros(0, np.intp), *gather])
     by_time = np.argsort(gathered, kind="stable")
     ends = np.arange(1, len(times) + 1) * width
-    return on_times(experiment, times)._replace(
+    return _passing(on_times(experiment, times), experiment, sampled)._replace(
         gather=gathered,
         by_time=by_time,
         row_ends=np.searchsorted(gathered[by_time], ends),
         measured=np.concatenate([np.zeros(0), *(output.values for output in experiment.outputs)]),
         sigmas=np.concatenate([np.zeros(0), *(output.sigmas for output in experiment.outputs)]),
     )
+
+
+def _passing(grid: SignalGrid, experiment: Experiment, sampled: Sequence[FloatArray]) -> SignalGrid:
+    """Mark the times that a step may pass over, between two at which inputs have samples.
+
+    From each of these on, slopes are those of lines to the next.
+    """
+    times = grid.times
+    known = np.isin(times, np.concatenate([*sampled, times[[0, -1]]]))
+    stops = np.flatnonzero(known)
+    between = np.diff(stops) - 1
+    few = (between > 0) & (between <= MOST_PASSED)
+    if not sampled or not few.any():
+        return grid
+    begin, end = stops[:-1][few], stops[1:][few]
+    passed = ~known & np.append(np.repeat(few, between + 1), False)
+    slopes = grid.slopes.copy()
+    signals = (*experiment.inputs, *experiment.signals)
+    lines = np.flatnonzero([signal.interpolation == "linear" for signal in signals])
+    change = grid.inputs[np.ix_(end, lines)] - grid.inputs[np.ix_(begin, lines)]
+    slopes[np.ix_(begin, lines)] = change / (times[end] - times[begin])[:, None]
+    return grid._replace(passed=passed, slopes=slopes)
 
 
 def on_times(experiment: Experiment, times: FloatArray) -> SignalGrid:
@@ -102,6 +135,7 @@ def on_times(experiment: Experiment, times: FloatArray) -> SignalGrid:
         inputs=_columns([value for value, _ in inputs], len(times)),
         slopes=_columns([slope for _, slope in inputs], len(times)),
         jumps=jumps,
+        passed=np.zeros(len(times), np.bool_),
         gather=np.zeros(0, np.intp),
         measured=np.zeros(0),
         sigmas=np.zeros(0),

@@ -110,7 +110,7 @@ class Experiment(_HoldingStructure):
         *_fields(c_void_p, "strings", "texts"),
         ("n_strings", c_size_t),
         *_fields(Variables, "inputs", "continuous_inputs", "outputs"),
-        *_fields(c_void_p, "times", "intervals", "values", "slopes", "jumps"),
+        *_fields(c_void_p, "times", "intervals", "values", "slopes", "jumps", "passed"),
         *_fields(c_size_t, "n_times", "n_inputs", "n_outputs"),
         *_fields(c_void_p, "gather", "by_time", "row_ends", "measured", "sigmas"),
     ]
