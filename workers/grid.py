@@ -105,7 +105,10 @@ def _passing(grid: SignalGrid, experiment: Experiment, sampled: Sequence[FloatAr
     From each of these on, slopes are those of lines to the next.
     """
     times = grid.times
-    known = np.isin(times, np.concatenate([*sampled, times[[0, -1]]]))
+    known = np.zeros(len(times), np.bool_)
+    known[[0, -1]] = True
+    for own in sampled:
+        known[np.searchsorted(times, own[(own >= times[0]) & (own <= times[-1])])] = True
     stops = np.flatnonzero(known)
     between = np.diff(stops) - 1
     few = (between > 0) & (between <= MOST_PASSED)
