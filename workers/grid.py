@@ -19,6 +19,9 @@ from workers.messages import Experiment, FloatArray, Input, IntArray
 MOST_PASSED = 2
 """Times in a row that a step may pass over: with more of them, they and not the inputs would be
 what keeps steps short."""
+LEAST_PART = 1e-3
+"""Of the way to the next sample, that the first of them lies behind one: the slope of an input is
+known from there."""
 
 
 class SignalGrid(NamedTuple):
@@ -90,7 +93,8 @@ def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> Signal
     gathered = np.concatenate([np.zeros(0, np.intp), *gather])
     by_time = np.argsort(gathered, kind="stable")
     ends = np.arange(1, len(times) + 1) * width
-    return _passing(on_times(experiment, times), experiment, sampled)._replace(
+    return on_times(experiment, times)._replace(
+        passed=_passed(times, sampled),
         gather=gathered,
         by_time=by_time,
         row_ends=np.searchsorted(gathered[by_time], ends),
@@ -99,29 +103,17 @@ def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> Signal
     )
 
 
-def _passing(grid: SignalGrid, experiment: Experiment, sampled: Sequence[FloatArray]) -> SignalGrid:
-    """Mark the times that a step may pass over, between two at which inputs have samples.
-
-    From each of these on, slopes are those of lines to the next.
-    """
-    times = grid.times
+def _passed(times: FloatArray, sampled: Sequence[FloatArray]) -> npt.NDArray[np.bool_]:
+    """Return the times that a step may pass over, between two at which inputs have samples."""
     known = np.zeros(len(times), np.bool_)
     known[[0, -1]] = True
     for own in sampled:
         known[np.searchsorted(times, own[(own >= times[0]) & (own <= times[-1])])] = True
     stops = np.flatnonzero(known)
-    between = np.diff(stops) - 1
-    few = (between > 0) & (between <= MOST_PASSED)
-    if not sampled or not few.any():
-        return grid
-    begin, end = stops[:-1][few], stops[1:][few]
-    passed = ~known & np.append(np.repeat(few, between + 1), False)
-    slopes = grid.slopes.copy()
-    signals = (*experiment.inputs, *experiment.signals)
-    lines = np.flatnonzero([signal.interpolation == "linear" for signal in signals])
-    change = grid.inputs[np.ix_(end, lines)] - grid.inputs[np.ix_(begin, lines)]
-    slopes[np.ix_(begin, lines)] = change / (times[end] - times[begin])[:, None]
-    return grid._replace(passed=passed, slopes=slopes)
+    between, lengths = np.diff(stops) - 1, np.diff(times[stops])
+    parts = times[np.minimum(stops[:-1] + 1, len(times) - 1)] - times[stops[:-1]]
+    few = (between <= MOST_PASSED) & (parts >= LEAST_PART * lengths) if sampled else between < 0
+    return np.asarray(~known & np.append(np.repeat(few, between + 1), False))
 
 
 def on_times(experiment: Experiment, times: FloatArray) -> SignalGrid:

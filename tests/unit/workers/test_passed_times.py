@@ -76,10 +76,5 @@ def test_sparse_inputs_leave_steps_as_they_are():
     assert not build_grid(experiment(BESIDE, ends)).passed.any()
 
 
-def test_slopes_are_those_of_lines_between_samples():
-    """A time that is hardly later than a sample would spoil the slope from there on."""
-    late = SAMPLED[:-1] + 1e-12
-    grid = build_grid(experiment(late))
-    begin = np.searchsorted(grid.times, SAMPLED[:-1])
-    expected = np.diff(FORCE) / np.diff(SAMPLED)
-    np.testing.assert_allclose(grid.slopes[begin, 0], expected, rtol=1e-9, atol=1e-12)
+def test_a_time_that_is_hardly_later_than_a_sample_is_no_measure_of_a_slope():
+    assert not build_grid(experiment(SAMPLED[:-1] + 1e-12)).passed.any()
