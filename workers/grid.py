@@ -1,16 +1,27 @@
 """The times of a simulation: all inputs and all measurements of an experiment on one grid.
 
 A solver goes from one time of the grid to the next, so that it never steps across a kink of an
-input, and stands exactly on every time at which something was measured.
+input, and stands exactly on every time at which something was measured. Where what was measured
+lies between the samples of the inputs, which are about as dense, steps go from one of these to the
+next, and pass over it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from workers.messages import Experiment, FloatArray, Input, IntArray
+
+MOST_PASSED = 2
+"""Times in a row that a step may pass over: with more of them, they and not the inputs would be
+what keeps steps short."""
+LEAST_PART = 1e-3
+"""Of the way to the next sample, that the first of them lies behind one: the slope of an input is
+known from there."""
 
 
 class SignalGrid(NamedTuple):
@@ -28,6 +39,8 @@ class SignalGrid(NamedTuple):
         The slope of each in the interval that starts at this time; 0 where it is held.
     jumps : (n,)
         Whether a held input jumps at this time.
+    passed : (n,)
+        Whether a step may pass over this time, as no input or signal has a sample there.
     gather : (k,)
         Index of each measured value's simulated one in the flattened (n, recorded) outputs.
     measured : (k,)
@@ -45,6 +58,7 @@ class SignalGrid(NamedTuple):
     inputs: FloatArray
     slopes: FloatArray
     jumps: IntArray
+    passed: npt.NDArray[np.bool_]
     gather: IntArray
     measured: FloatArray
     sigmas: FloatArray
@@ -60,8 +74,8 @@ def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> Signal
     recorded = recorded or experiment.recorded
     start, stop = experiment.start, experiment.stop
     signals = (*experiment.inputs, *experiment.signals)
-    times_of_signals = [signal.times for signal in signals]
-    times_of_signals += [output.times for output in experiment.outputs]
+    sampled = [signal.times for signal in signals]
+    times_of_signals = [*sampled, *(output.times for output in experiment.outputs)]
     times_of_signals += [
         output.reference.times
         for output in experiment.outputs
@@ -80,12 +94,26 @@ def build_grid(experiment: Experiment, recorded: tuple[str, ...] = ()) -> Signal
     by_time = np.argsort(gathered, kind="stable")
     ends = np.arange(1, len(times) + 1) * width
     return on_times(experiment, times)._replace(
+        passed=_passed(times, sampled),
         gather=gathered,
         by_time=by_time,
         row_ends=np.searchsorted(gathered[by_time], ends),
         measured=np.concatenate([np.zeros(0), *(output.values for output in experiment.outputs)]),
         sigmas=np.concatenate([np.zeros(0), *(output.sigmas for output in experiment.outputs)]),
     )
+
+
+def _passed(times: FloatArray, sampled: Sequence[FloatArray]) -> npt.NDArray[np.bool_]:
+    """Return the times that a step may pass over, between two at which inputs have samples."""
+    known = np.zeros(len(times), np.bool_)
+    known[[0, -1]] = True
+    for own in sampled:
+        known[np.searchsorted(times, own[(own >= times[0]) & (own <= times[-1])])] = True
+    stops = np.flatnonzero(known)
+    between, lengths = np.diff(stops) - 1, np.diff(times[stops])
+    parts = times[np.minimum(stops[:-1] + 1, len(times) - 1)] - times[stops[:-1]]
+    few = (between <= MOST_PASSED) & (parts >= LEAST_PART * lengths) if sampled else between < 0
+    return np.asarray(~known & np.append(np.repeat(few, between + 1), False))
 
 
 def on_times(experiment: Experiment, times: FloatArray) -> SignalGrid:
@@ -102,6 +130,7 @@ def on_times(experiment: Experiment, times: FloatArray) -> SignalGrid:
         inputs=_columns([value for value, _ in inputs], len(times)),
         slopes=_columns([slope for _, slope in inputs], len(times)),
         jumps=jumps,
+        passed=np.zeros(len(times), np.bool_),
         gather=np.zeros(0, np.intp),
         measured=np.zeros(0),
         sigmas=np.zeros(0),

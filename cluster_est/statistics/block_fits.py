@@ -75,8 +75,8 @@ class BlockFits:
         third, fourth, variances = np.empty((3, len(bounds)))
         for own, at, q, _ in _polynomials(bounds, times):
             y = values[at]
-            found = np.einsum("bkp,bk->bp", q, y)
-            left = y - np.einsum("bkp,bp->bk", q, found)
+            found = np.matmul(q, y[:, :, None])[:, :, 0]
+            left = y - np.matmul(found[:, None, :], q)[:, 0]
             third[own], fourth[own] = found[:, 3], found[:, 4]
             variances[own] = (left**2).sum(axis=1) / (at.shape[1] - DEGREE - 1)
         return cls(bounds, third, fourth, variances)
@@ -130,16 +130,16 @@ def block_values(
     nodes = np.zeros((len(bounds), NODES))
     rows, columns, entries = [np.zeros(0, int)], [np.zeros(0, int)], [np.zeros(0)]
     for own, at, full, scaled in _polynomials(bounds, times):
-        q, t = full[:, :, :NODES], times[at]
-        found, u = np.linalg.eigh(np.einsum("bkp,bk,bkr->bpr", q, scaled, q))
+        q, t = full[:, :NODES], times[at]
+        found, u = np.linalg.eigh(np.matmul(q * scaled[:, None, :], np.swapaxes(q, 1, 2)))
         shown = np.swapaxes(u / (u[:, :1] / q[:, :1, :1]), 1, 2)  # q_j at each node
         centre, half = t.mean(axis=1)[:, None], 0.5 * (t[:, -1:] - t[:, :1])
         nodes[own] = centre + half * found
         if at_samples:
             nearest = np.abs(scaled[:, None, :] - found[:, :, None]).argmin(axis=2)
-            shown = np.take_along_axis(q, nearest[:, :, None], axis=1)
+            shown = np.swapaxes(np.take_along_axis(q, nearest[:, None, :], axis=2), 1, 2)
             nodes[own] = np.take_along_axis(t, nearest, axis=1)
-        weights = np.einsum("bsp,bkp->bsk", shown, q)
+        weights = np.matmul(shown, q)
         rows.append(np.repeat(NODES * own[:, None] + np.arange(NODES), at.shape[1]))
         columns.append(np.repeat(at[:, None, :], NODES, axis=1).ravel())
         entries.append(weights.ravel())
@@ -151,7 +151,10 @@ def block_values(
 def _polynomials(
     bounds: IntArray, times: FloatArray
 ) -> Iterator[tuple[IntArray, IntArray, FloatArray, FloatArray]]:
-    """Give blocks of one length: which, their samples, polynomials there, times from -1 to 1."""
+    """Give blocks of one length: which, their samples, polynomials there, times from -1 to 1.
+
+    Polynomials are (b, 5, k) for k samples.
+    """
     counts = np.diff(bounds)[:, 0]
     for count in np.unique(counts).tolist():
         same = np.flatnonzero(counts == count)
@@ -159,8 +162,24 @@ def _polynomials(
             at = bounds[own, :1] + np.arange(count)
             t = times[at]
             scaled = (t - t.mean(axis=1)[:, None]) / (0.5 * (t[:, -1:] - t[:, :1]))
-            q, _ = np.linalg.qr(scaled[:, :, None] ** np.arange(DEGREE + 1))
-            yield own, at, q, scaled
+            yield own, at, _orthonormal(scaled), scaled
+
+
+def _orthonormal(at: FloatArray) -> FloatArray:
+    """Polynomials that are orthonormal on samples (b, k) of each block, by their recurrence.
+
+    q_{p+1} is what is left of t q_p without its parts along q_p and q_{p-1}, over its norm: that is
+    the iteration of Lanczos, which a few degrees do not spoil (W. Gautschi,
+    SIAM J. Sci. Stat. Comput. 3 (1982) 289-317, doi:10.1137/0903018).
+    """
+    q = np.empty((len(at), DEGREE + 1, at.shape[1]))
+    q[:, 0] = at.shape[1] ** -0.5
+    for p in range(DEGREE):
+        new = at * q[:, p]
+        for known in (q[:, p], q[:, p - 1])[: p + 1]:
+            new -= np.einsum("bk,bk->b", new, known)[:, None] * known
+        q[:, p + 1] = new / np.sqrt(np.einsum("bk,bk->b", new, new))[:, None]
+    return q
 
 
 def unpredicted(values: FloatArray) -> float:

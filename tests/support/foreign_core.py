@@ -27,7 +27,16 @@ from fmus.variables import read_model
 from support import simulation_hashes
 
 from workers.core import build, library
-from workers.core.library import FUNCTIONS, TYPES, Batch, Effects, Experiment, Record, Settings
+from workers.core.library import (
+    FUNCTIONS,
+    TYPES,
+    Batch,
+    Effects,
+    Experiment,
+    Pieces,
+    Record,
+    Settings,
+)
 from workers.fmu.description import ModelDescription
 from workers.messages import Model
 
@@ -179,7 +188,7 @@ class ForeignCore:
                 m.fields(each, reals=4 * each.n_reals, elements=ELEMENT_SIZE * each.n_elements)
             row = 8 * t * e.n_inputs
             e.gather = e.by_time = e.row_ends = e.measured = e.sigmas = None  # of bounds
-            m.fields(e, times=8 * t, intervals=8 * t, values=row, slopes=row, jumps=t)
+            m.fields(e, times=8 * t, intervals=8 * t, values=row, slopes=row, jumps=t, passed=t)
             b.fmu, b.effects = self._component(m, b.fmu), effects
             b.experiment, b.settings = m.structure(e), m.structure(s)
             b.points = m.read(b.points, 8 * p * b.n_values)
@@ -192,12 +201,27 @@ class ForeignCore:
         r = Record.from_buffer_copy(Record.from_address(address))
         with Mirror(self._host) as m:
             row = 8 * r.n_times * r.n_inputs
-            n_coefficients = self._programs[r.program][4]
+            counts = self._programs[r.program]
             m.fields(
-                r, times=8 * r.n_times, values=row, slopes=row, coefficients=8 * n_coefficients
-            )
+                r, times=8 * r.n_times, values=row, slopes=row, coefficients=8 * counts[4],
+                linear=8 * counts[2] ** 2,
+            )  # fmt: skip
             r.outputs = m.write(r.outputs, 8 * r.n_times * r.n_outputs)
             return self._call("core_apply_to_outputs", m.structure(r)) & 0xFFFFFFFF
+
+    def core_refine(self, address: int) -> None:
+        r = Pieces.from_buffer_copy(Pieces.from_address(address))
+        with Mirror(self._host) as m:
+            t, u, y = 8 * r.n_times, 8 * r.n_inputs, 8 * r.n_outputs
+            m.fields(
+                r, times=t, lengths=t, values=t * r.n_inputs, slopes=t * r.n_inputs,
+                outputs=t * r.n_outputs, first=t - 8, smooth=r.n_times - 1,
+            )  # fmt: skip
+            rows = (r.n_times - 1) * r.pieces + 1
+            r.at, r.fine_outputs = m.write(r.at, 8 * rows), m.write(r.fine_outputs, y * rows)
+            r.fine_values = m.write(r.fine_values, u * rows)
+            r.fine_slopes = m.write(r.fine_slopes, u * rows)
+            self._call("core_refine", m.structure(r))
 
     def core_delay(self, *arguments: Any) -> int:
         return self._of_signal("core_delay", *arguments)

@@ -95,6 +95,7 @@ typedef struct {
     const double *times, *intervals; /* (t), (t) */
     const double *values, *slopes;   /* (t, u) inputs, then signals; 0 where one is held */
     const uint8_t *jumps;            /* (t) whether a held input jumps */
+    const uint8_t *passed;           /* (t) whether a step may pass over it */
     size_t n_times, n_inputs, n_outputs;
     const int64_t *gather, *by_time, *row_ends; /* see workers.grid, for an early end; or NULL */
     const double *measured, *sigmas;
@@ -231,9 +232,21 @@ typedef struct {
     const double *coefficients;
     double rate, decay; /* of the fastest own state; of one that follows linearly, or 0 */
     double *outputs;    /* (t, y), of which a column is changed */
+    const double *linear; /* (x, x) of several own states with x' = linear x + g(t), or NULL */
+    size_t every;         /* times from one at which the output is asked for to the next */
 } Record;
 
 EXPORT int core_apply_to_outputs(const Record *record);
+
+typedef struct {
+    const double *times, *lengths, *values, *slopes, *outputs; /* (t), (t), (t, u), (t, u), (t, y) */
+    const int64_t *first;  /* (t - 1) record that a cubic of an interval begins with */
+    const uint8_t *smooth; /* (t - 1) whether there is a cubic */
+    size_t n_times, n_inputs, n_outputs, pieces;
+    double *at, *fine_values, *fine_slopes, *fine_outputs; /* the same at all pieces */
+} Pieces;
+
+EXPORT void core_refine(const Pieces *pieces);
 
 /* Forms with memory: a signal (n) in, (at most room) out; returns the samples, or -1 for no
  * room. */

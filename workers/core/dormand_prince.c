@@ -1,4 +1,5 @@
-/* Dormand-Prince 5(4), adaptive, with a step that ends at every time of the grid.
+/* Dormand-Prince 5(4), adaptive, with a step that ends at every time of the grid, but for those
+ * that it may pass over: what is recorded there is interpolated.
  *
  * The default for model exchange. Because no step crosses a kink of an input, the error estimate is
  * right and the tolerance is met; because the last stage of a step is the first of the next, a step
@@ -94,9 +95,41 @@ ALWAYS void accept(const Model *c, const Shape s) {
     }
 }
 
+/* Times of the grid that steps pass over: up to, but not, `end`; the next one, and its outputs. */
+typedef struct {
+    size_t next, end;
+    double *y;
+} Passing;
+
+/* Record the outputs at times within a step that has just met the tolerance. */
+ALWAYS int record_passed(const Model *c, const Shape s, Work *w, const Interval *a, double time,
+                         double h, int final, Passing *passing) {
+    const size_t n = N_STATES;
+    double *const x = c->at.x, *const trial = c->at.trial, *const k = c->at.k;
+    memcpy(w->end, trial, n * sizeof *trial);
+    for (; passing->next < passing->end; passing->next++) {
+        const double at = c->times[passing->next], part = (at - time) / h;
+        if (!final && at > time + h) break;
+        FOR(j, n) trial[j] = x[j];
+        for (size_t stage = 0; stage < 7; stage++) {
+            double weight = 0.0;
+            for (int power = 3; power >= 0; power--)
+                weight = (weight + interpolant[stage][power]) * part;
+            FOR(j, n) trial[j] += h * weight * k[stage * n + j];
+        }
+        interpolate(c, s, a, at - a->begin);
+        TRY(set_model(c, s, w, at));
+        TRY(get_outputs(c, s, w, passing->y));
+        passing->y += c->n_outputs;
+    }
+    memcpy(trial, w->end, n * sizeof *trial);
+    return OK;
+}
+
 /* Step from where the FMU is up to `last` or a state event. Returns the code, EVENT for one. */
 ALWAYS int to_next_event(const Model *c, const Shape s, Work *w, size_t i, const Interval *a,
-                         double last, Stepping *now, const int quiet, Forward *forward) {
+                         double last, Stepping *now, const int quiet, Forward *forward,
+                         Passing *passing) {
     const double resolution = time_resolution(now->time, last), longest = w->batch->settings->step;
     int status = derivatives(c, s, c->at.k);
     if (now->proposed == 0.0 && status < DISCARD)
@@ -125,6 +158,10 @@ ALWAYS int to_next_event(const Model *c, const Shape s, Work *w, size_t i, const
             status = advance_sensitivities(w, i, time, h, forward);
             if (status >= DISCARD) return failed(SENSITIVITIES_FAILED, status);
         }
+        if (passing != NULL && passing->next < passing->end) {
+            status = record_passed(c, s, w, a, time, h, final, passing);
+            if (status >= DISCARD) return failed(OUTPUT_FAILED, status);
+        }
         accept(c, s);
         int code = quiet ? FINISHED : complete_step(w);
         if (!quiet && code == FINISHED && part <= 1.0) code = EVENT;
@@ -144,7 +181,7 @@ ALWAYS int adaptive_steps_of(Work *w, const Shape s, size_t i, Stepping *now, Fo
     for (int64_t repeated = 0;;) {
         const double begin = now->time, end = next_stop(w, last, resolution);
         int code = FINISHED;
-        if (end > begin) code = to_next_event(c, s, w, i, &a, end, now, 0, forward);
+        if (end > begin) code = to_next_event(c, s, w, i, &a, end, now, 0, forward, NULL);
         if (code == EVENT || (code == FINISHED && now->time >= w->next_event)) {
             if (forward != NULL) return HAS_EVENTS;
             repeated = now->time - begin <= resolution ? repeated + 1 : 0;
@@ -174,6 +211,7 @@ ALWAYS End simulate(Work *w, const double *point, double *y, const Shape s) {
     Own own;
     const Model copy = with_own(&w->model, s, &own), *const c = &copy;
     const double *const t = c->times;
+    const uint8_t *const passed = w->batch->experiment->passed;
     const size_t last = c->n_times - 1;
     const int64_t most = w->batch->settings->max_steps;
     const int bounded = w->bound < HUGE_VAL, quiet = is_quiet(c);
@@ -193,8 +231,12 @@ ALWAYS End simulate(Work *w, const double *point, double *y, const Shape s) {
         if (bounded && is_above_bound(w, i, y)) return (End){ENDED_EARLY, now.time, i};
         if (i == last) break;
         now.left = most;
+        Passing passing = {i + 1, i + 1, y + c->n_outputs};
+        while (passed[passing.end] && t[passing.end + 1] < quiet_end) passing.end++;
         if (LIKELY(t[i + 1] < quiet_end)) {
-            code = to_next_event(c, s, w, i, &a, t[i + 1], &now, 1, NULL);
+            code = to_next_event(c, s, w, i, &a, t[passing.end], &now, 1, NULL, &passing);
+            for (; code == FINISHED && i + 1 < passing.end; i++, y += c->n_outputs)
+                if (bounded && is_above_bound(w, i + 1, y + c->n_outputs)) code = ENDED_EARLY;
         } else {
             hand_over(c, s, w);
             code = adaptive_steps(w, i, &now, NULL);

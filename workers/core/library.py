@@ -110,7 +110,7 @@ class Experiment(_HoldingStructure):
         *_fields(c_void_p, "strings", "texts"),
         ("n_strings", c_size_t),
         *_fields(Variables, "inputs", "continuous_inputs", "outputs"),
-        *_fields(c_void_p, "times", "intervals", "values", "slopes", "jumps"),
+        *_fields(c_void_p, "times", "intervals", "values", "slopes", "jumps", "passed"),
         *_fields(c_size_t, "n_times", "n_inputs", "n_outputs"),
         *_fields(c_void_p, "gather", "by_time", "row_ends", "measured", "sigmas"),
     ]
@@ -226,7 +226,18 @@ class Record(_HoldingStructure):
         *_fields(c_size_t, "n_times", "n_inputs", "n_outputs", "column"),
         *_fields(c_void_p, "program", "coefficients"),
         *_fields(c_double, "rate", "decay"),
-        ("outputs", c_void_p),
+        *_fields(c_void_p, "outputs", "linear"),
+        ("every", c_size_t),
+    ]
+
+
+class Pieces(_HoldingStructure):
+    """A recorded simulation, and itself at the pieces of its intervals."""
+
+    _fields_ = [
+        *_fields(c_void_p, "times", "lengths", "values", "slopes", "outputs", "first", "smooth"),
+        *_fields(c_size_t, "n_times", "n_inputs", "n_outputs", "pieces"),
+        *_fields(c_void_p, "at", "fine_values", "fine_slopes", "fine_outputs"),
     ]
 
 
@@ -249,6 +260,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "core_sensitivities": (c_int, [_P, _P]),
     "core_is_known": (c_int, [_P, _P, c_size_t, c_uint32, _P]),
     "core_apply_to_outputs": (c_int, [_P]),
+    "core_refine": (None, [_P]),
     "core_delay": (c_int64, [_P, _P, c_size_t, c_double, _P, _P]),
     "core_backlash": (c_int64, [_P, _P, c_size_t, c_double, _P, _P]),
     "core_rate_limit": (c_int64, [_P, _P, c_size_t, c_int, c_double, c_double, _P, _P]),

@@ -196,11 +196,12 @@ static inline int has_reals(const Model *c) {
 int set_effective(Work *w, const Interval *a, double time);
 int several_steps(Work *w, size_t i, int64_t steps);
 
-/* An effect at an output under way: registers; own states, and their derivatives. */
+/* An effect at an output under way: registers; own states, and their derivatives; matrices of a
+ * step where several follow linearly. */
 typedef struct {
     const Record *record;
     const Program *p;
-    double *r, *x, *stages[4];
+    double *r, *x, *stages[4], *matrices[5], length;
 } OutputRun;
 
 /* Own states from grid time i to the next. */

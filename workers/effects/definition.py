@@ -87,6 +87,13 @@ class EffectDefinition:
         """
         return float(_decay(self)(*values))
 
+    def linear_rates(self, values: FloatArray) -> FloatArray:
+        """Return the matrix A of several own states with x' = A x + g(t), (states, states).
+
+        Empty where it has no or one own state, or where they follow signals in another way.
+        """
+        return np.array(_linear_rates(self)(*values), np.float64)
+
     def is_neutral(self, values: FloatArray) -> bool:
         """Return whether it provably does nothing with these values of its coefficients.
 
@@ -128,15 +135,34 @@ def _decay(definition: EffectDefinition) -> Callable[..., float]:
     return function
 
 
+@lru_cache(maxsize=512)
+def _linear_rates(definition: EffectDefinition) -> Callable[..., list[list[float]]]:
+    """Return the matrix of `EffectDefinition.linear_rates` as a function of the coefficients."""
+    several = len(definition.states) > 1 and _follows_linearly(definition)
+    rows = [[sp.diff(d, state) for state in definition.states] for d in definition.derivatives]
+    function: Callable[..., list[list[float]]] = sp.lambdify(
+        definition.coefficients, rows if several else [], "numpy"
+    )
+    return function
+
+
 def known_decay(definition: EffectDefinition) -> sp.Expr:
     """Return the rate a of one own state with x' = g(t) - a x, g linear in signals; 0 elsewhere."""
-    if len(definition.states) != 1:
+    if len(definition.states) != 1 or not _follows_linearly(definition):
         return sp.Integer(0)
     (derivative,), (state,) = definition.derivatives, definition.states
+    return -sp.diff(derivative, state)
+
+
+def _follows_linearly(definition: EffectDefinition) -> bool:
+    """Return whether the derivatives of all own states are linear in these and in signals."""
     constant = set(definition.coefficients)
-    moving = derivative.free_symbols - constant
-    linear = all(sp.diff(derivative, symbol).free_symbols <= constant for symbol in moving)
-    return -sp.diff(derivative, state) if linear and TIME_SYMBOL not in moving else sp.Integer(0)
+    moving = [(d, d.free_symbols - constant) for d in definition.derivatives]
+    return not any(TIME_SYMBOL in symbols for _, symbols in moving) and all(
+        sp.diff(derivative, symbol).free_symbols <= constant
+        for derivative, symbols in moving
+        for symbol in symbols
+    )
 
 
 def known_rates(definition: EffectDefinition, names: tuple[str, ...]) -> list[sp.Expr]:

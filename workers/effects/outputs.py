@@ -19,7 +19,7 @@ import sympy as sp
 
 from workers.core.assemble import Assignment, EffectArray, Locations, Registers, assemble
 from workers.core.failure import FINISHED
-from workers.core.library import LoadedProgram, Record, core
+from workers.core.library import LoadedProgram, Pieces, Record, core
 from workers.effects.definition import SIGNAL_SYMBOL, EffectDefinition, variable_symbol
 from workers.effects.signal_memory import MEMORIES, SampledSignal
 from workers.grid import SignalGrid
@@ -27,7 +27,6 @@ from workers.messages import FloatArray, IntArray
 
 PIECES = 8
 """Pieces of each interval; within one a straight line will do."""
-SHARES = np.arange(PIECES) / PIECES
 STENCIL = 4
 """Records that a cubic goes through."""
 UNEVEN_INTERVALS = 5.0
@@ -51,46 +50,22 @@ def refine(grid: SignalGrid, outputs: FloatArray) -> tuple[SignalGrid, FloatArra
     grid, outputs : ((n - 1) PIECES + 1, y)
         With the times of the simulation at every `PIECES`-th row, and its outputs there.
     """
-    passed = SHARES * grid.intervals[:-1, None]
-    at = grid.times[:-1, None] + passed
-    times = _with_end(at, grid.times)
-    inputs = _with_end(
-        grid.inputs[:-1, None] + passed[:, :, None] * grid.slopes[:-1, None], grid.inputs
-    )
-    slopes = _with_end(np.repeat(grid.slopes[:-1, None], PIECES, axis=1), grid.slopes)
-    refined = grid._replace(
-        times=times,
-        intervals=np.diff(times, append=times[-1:]),
-        inputs=np.ascontiguousarray(inputs),
-        slopes=np.ascontiguousarray(slopes),
-    )
-    return refined, np.ascontiguousarray(_with_end(_interpolated(grid, outputs, at), outputs))
-
-
-def _with_end(pieces: FloatArray, whole: FloatArray) -> FloatArray:
-    """Join the pieces of all intervals (n - 1, PIECES, ...) and the last row."""
-    rows = (whole.shape[0] - 1) * PIECES
-    return np.concatenate([pieces.reshape(rows, *whole.shape[1:]), whole[-1:]])
-
-
-def _interpolated(grid: SignalGrid, outputs: FloatArray, at: FloatArray) -> FloatArray:
-    """Return the outputs (n - 1, PIECES, y) at the start `at` of each piece."""
-    straight = outputs[:-1, None] + SHARES[:, None] * np.diff(outputs, axis=0)[:, None]
     first, smooth = _stencils(grid)
-    if not smooth.any():
-        return np.asarray(straight)
-    rows = first[smooth, None] + np.arange(STENCIL)
-    knots = grid.times[rows]
-    at = at[smooth]
-    weights = np.ones((*at.shape, STENCIL))
-    for j in range(STENCIL):
-        for m in range(STENCIL):
-            if m != j:
-                gap = (knots[:, j] - knots[:, m])[:, None]
-                weights[:, :, j] *= (at - knots[:, m, None]) / gap
-    straight[smooth] = np.einsum("ipj,ijy->ipy", weights, outputs[rows])
-    straight[:, 0] = outputs[:-1]
-    return np.asarray(straight)
+    count, width = outputs.shape
+    rows, columns = (count - 1) * PIECES + 1, grid.inputs.shape[1]
+    times, seen = np.empty(rows), np.empty((rows, width))
+    inputs, slopes = np.empty((2, rows, columns))
+    pieces = Pieces(n_times=count, n_inputs=columns, n_outputs=width, pieces=PIECES)
+    pieces.hold(
+        np.float64, times=grid.times, lengths=grid.intervals, values=grid.inputs,
+        slopes=grid.slopes, outputs=outputs, at=times, fine_values=inputs, fine_slopes=slopes,
+        fine_outputs=seen,
+    ).hold(np.int64, first=first).hold(np.bool_, smooth=smooth)  # fmt: skip
+    core().core_refine(addressof(pieces))
+    refined = grid._replace(
+        times=times, intervals=np.diff(times, append=times[-1:]), inputs=inputs, slopes=slopes
+    )
+    return refined, seen
 
 
 def _stencils(grid: SignalGrid) -> tuple[IntArray, npt.NDArray[np.bool_]]:
@@ -142,6 +117,7 @@ def apply_output_effect(
         n_inputs=len(inputs),
         n_outputs=len(recorded),
         column=column,
+        every=PIECES if definition.states else 1,
         program=program.address,
         rate=definition.fastest_rate(coefficients, signals),
         decay=definition.decay_rate(coefficients),
@@ -149,6 +125,8 @@ def apply_output_effect(
         np.float64, times=fine.times, values=fine.inputs, slopes=fine.slopes,
         coefficients=coefficients, outputs=seen,
     )  # fmt: skip
+    if (linear := definition.linear_rates(coefficients)).size:
+        record.hold(np.float64, linear=linear)
     if core().core_apply_to_outputs(addressof(record)) != FINISHED:
         raise MemoryError(f"effect at output {definition.site.target!r}")
     outputs[:, column] = seen[:: PIECES if definition.states else 1, column]

@@ -164,7 +164,7 @@ def _set_grid(structure: library.Experiment, grid: SignalGrid) -> None:
         slopes=grid.slopes, measured=grid.measured, sigmas=grid.sigmas,
     )  # fmt: skip
     structure.hold(np.int64, gather=grid.gather, by_time=grid.by_time, row_ends=grid.row_ends)
-    structure.hold(np.uint8, jumps=grid.jumps)
+    structure.hold(np.uint8, jumps=grid.jumps, passed=grid.passed)
 
 
 def _start_values(

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cluster_est.statistics.records import OutputRecord, StackedRecords
-from workers.messages import FloatArray
+from workers.messages import FloatArray, IntArray
 
 WHOLE_NUMBER_TOLERANCE = 0.01
 """Distance from a whole number, in steps, that the rounding of a table's digits may leave."""
@@ -202,17 +202,27 @@ def moving_samples(measured: Sequence[FloatArray]) -> list[npt.NDArray[np.bool_]
         half the mean of all blocks moves. So what moves all the time, or is nothing but noise,
         moves in most of its blocks.
     """
-    ranges = []
-    for signal in measured:
-        blocks = np.array_split(signal, max(1, len(signal) // BLOCK))
-        ranges.append([np.subtract(*np.quantile(block, [0.9, 0.1])) for block in blocks])
-    least = MOVES * float(np.mean(np.concatenate(ranges)))
-    found = []
-    for signal, own in zip(measured, ranges, strict=True):
-        parts = np.array_split(np.arange(len(signal)), len(own))
-        counts = [len(part) for part in parts]
-        found.append(np.repeat(np.array(own) >= least, counts))
-    return found
+    parts = [_block_ranges(signal) for signal in measured]
+    least = MOVES * float(np.mean(np.concatenate([ranges for ranges, _ in parts])))
+    return [np.repeat(ranges >= least, counts) for ranges, counts in parts]
+
+
+def _block_ranges(signal: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Over how much the middle 80 % of each block reach, and the samples of each block.
+
+    Blocks are of two lengths, the longer ones first, and all of a length are looked at together.
+    """
+    count = max(1, len(signal) // BLOCK)
+    length, longer = divmod(len(signal), count)
+    cut = longer * (length + 1)
+    ranges = [
+        np.subtract(*np.quantile(part.reshape(-1, width), [0.9, 0.1], axis=1))
+        for part, width in ((signal[:cut], length + 1), (signal[cut:], length))
+        if len(part)
+    ]
+    counts = np.full(count, length)
+    counts[:longer] += 1
+    return np.concatenate(ranges), counts
 
 
 def _variance(differences: FloatArray, order: int, step: float = 0.0) -> float:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import median_filter
 
 from cluster_est.statistics.noise.estimate import MEDIAN_OF_NORMAL
 from workers.messages import FloatArray
@@ -145,8 +146,7 @@ def _scores(
 def _scale(deviations: FloatArray, noise: float) -> FloatArray:
     """The noise around each sample, never less than that of the whole record."""
     padded = np.pad(deviations, 2 + AROUND, mode="symmetric" if len(deviations) else "constant")
-    window = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1)
-    local = np.median(window, axis=1) / MEDIAN_OF_NORMAL
+    local = median_filter(padded, 2 * AROUND + 1)[AROUND:-AROUND] / MEDIAN_OF_NORMAL
     return np.asarray(np.maximum(noise, local))
 
 

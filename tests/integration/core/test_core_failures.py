@@ -87,6 +87,7 @@ class Simulation:
             "one": np.array([0], np.uint32), "k": np.array([1], np.uint32),
             "values": np.cos(TIMES)[:, None].copy(), "slopes": np.zeros((len(TIMES), 1)),
             "intervals": np.diff(TIMES, append=TIMES[-1:]), "jumps": np.zeros(len(TIMES), np.uint8),
+            "passed": np.zeros(len(TIMES), np.uint8),
             "atols": np.full(1, 1e-6), "points": np.ones((1, 1)), "progress": np.zeros(4, np.int64),
             "codes": np.zeros(1, np.int64), "indices": np.zeros(1, np.int64),
             "steps": np.zeros(1, np.int64), "stopped": np.zeros(1),
@@ -99,8 +100,8 @@ class Simulation:
             c.Experiment(
                 stop=TIMES[-1], structure=none, numbers=k, inputs=one, continuous_inputs=one,
                 outputs=one, times=TIMES.ctypes.data, intervals=at["intervals"],
-                values=at["values"], slopes=at["slopes"], jumps=at["jumps"], n_times=len(TIMES),
-                n_inputs=1, n_outputs=1,
+                values=at["values"], slopes=at["slopes"], jumps=at["jumps"], passed=at["passed"],
+                n_times=len(TIMES), n_inputs=1, n_outputs=1,
             ),
             c.Settings(0.0, 1e-6, 1e-6, at["atols"], 1000, 0.0, 0.0),
             c.Effects(),

@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from support.problems.springs import FMU
 
 from workers.effects.definition import EffectDefinition, define
@@ -73,6 +74,35 @@ def test_a_very_fast_one_is_late_by_its_time_constant(tau):
     expected = np.sin(UNEVEN)[1:] - tau * slopes
     found = shown(defined("lag"), [tau], UNEVEN)
     np.testing.assert_allclose(found[1:], expected, atol=3e-3 * tau + 1e-15)
+
+
+def two_followed(times: FloatArray, signal: FloatArray, f: float, d: float) -> FloatArray:
+    """z' = f y, y' = f (signal - z) - 2 d f y, from rest at the signal, by the matrix exponential.
+
+    The signal and its slope are states beside them.
+    """
+    system = np.zeros((4, 4))
+    system[0, 1], system[1, :3], system[2, 3] = f, [-f, -2.0 * d * f, f], 1.0
+    x, z = np.array([signal[0], 0.0]), [signal[0]]
+    for (a, b), (one, other) in zip(pairwise(times), pairwise(signal), strict=True):
+        x = (expm(system * (b - a)) @ [*x, one, (other - one) / (b - a)])[:2]
+        z.append(x[0])
+    return np.array(z)
+
+
+@pytest.mark.parametrize(("f", "d"), [(3.0, 0.2), (300.0, 1.0), (1e3, 8.0), (1e7, 0.7)])
+def test_two_that_swing_follow_exactly(f, d):
+    """However fast one of them is, which substeps would follow in thousands."""
+    dense, fine = UNEVEN[:41], TRUE_TIMES[:4001:12]
+    fine = np.union1d(fine, dense)
+    expected = two_followed(fine, np.sin(fine), f, d)[np.searchsorted(fine, dense - 1e-9)]
+    np.testing.assert_allclose(shown(defined("mode"), [f, d], dense), expected, atol=3e-6)
+
+
+def test_two_that_swing_on_lines_are_exact():
+    times = np.cumsum([0.0, 0.5, 30.0, 0.4, 20.0, 0.3])
+    found = shown(defined("mode"), [40.0, 3.0], times)
+    np.testing.assert_allclose(found, two_followed(times, np.sin(times), 40.0, 3.0), atol=1e-10)
 
 
 def test_a_slow_one_keeps_its_digits():
