@@ -1,0 +1,59 @@
+"""Tests of the records, by name, at a fit that leaves more than noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cluster_est.errors import BudgetError, ClusterEstError
+from cluster_est.problem.costs import SumSquared
+from cluster_est.problem.process_noise import noise_names
+from cluster_est.problem.search_space import SearchSpace
+from cluster_est.results.observation import lack_normal_law
+from cluster_est.results.record_faults.fault import RecordFault
+from cluster_est.results.record_faults.fitted_records import AT_NOISE, FittedRecords
+from cluster_est.results.record_faults.odd_record import odd_record
+
+
+@dataclass(frozen=True)
+class RecordTest:
+    """A test of the records: its name, and what it finds."""
+
+    name: str
+    find: Callable[[FittedRecords], Sequence[RecordFault]]
+
+
+TESTS: tuple[RecordTest, ...] = (RecordTest("odd record", odd_record),)
+"""In this order; the first that finds something is believed."""
+
+
+def record_faults(fitted: FittedRecords) -> tuple[RecordFault, ...]:
+    """Look for faults of records where a fit leaves more than noise; nothing is done otherwise."""
+    if not _can_be_tested(fitted.space) or len(fitted.residuals) != fitted.records.size:
+        return ()
+    noise = fitted.noise(fitted.residuals, fitted.runs)
+    if np.all(fitted.levels(fitted.residuals, fitted.runs, noise) <= AT_NOISE):
+        return ()
+    for test in TESTS:
+        try:
+            found = tuple(test.find(fitted))
+        except BudgetError:
+            raise
+        except ClusterEstError:  # a hint is missing then, and nothing else
+            continue
+        if found:
+            return found
+    return ()
+
+
+def _can_be_tested(space: SearchSpace) -> bool:
+    """Whether residuals are plain distances of outputs over their noise."""
+    problem = space.problem
+    outputs = [o for e in space.experiments for o in problem.experiments[e].outputs]
+    compared = any(o.free_scale or o.free_offset for o in outputs)
+    priors = any(p.prior is not None for p in problem.parameters)
+    plain = problem.plain and isinstance(problem.cost, SumSquared) and not noise_names(problem)
+    gaps = any(problem.experiments[e].own_starts for e in space.experiments)
+    return plain and not (compared or priors or gaps or lack_normal_law(problem, space.experiments))
