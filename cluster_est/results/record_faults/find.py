@@ -12,8 +12,10 @@ from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import SearchSpace
 from cluster_est.results.observation import lack_normal_law
+from cluster_est.results.record_faults.all_records import clock_everywhere, unit_everywhere
 from cluster_est.results.record_faults.fault import RecordFault
 from cluster_est.results.record_faults.fitted_records import AT_NOISE, FittedRecords
+from cluster_est.results.record_faults.foreign_source import foreign_source
 from cluster_est.results.record_faults.odd_record import odd_record
 
 
@@ -25,7 +27,12 @@ class RecordTest:
     find: Callable[[FittedRecords], Sequence[RecordFault]]
 
 
-TESTS: tuple[RecordTest, ...] = (RecordTest("odd record", odd_record),)
+TESTS: tuple[RecordTest, ...] = (
+    RecordTest("odd record", odd_record),
+    RecordTest("foreign source", foreign_source),
+    RecordTest("clock of all records", clock_everywhere),
+    RecordTest("unit of all records", unit_everywhere),
+)
 """In this order; the first that finds something is believed."""
 
 
