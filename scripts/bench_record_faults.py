@@ -90,7 +90,8 @@ def cases(options: argparse.Namespace) -> Iterator[Case]:
     for make, own in numbers.items():
         held = [n // len(KINDS) % 2 == 1 if make is make_fault else n % 2 == 1 for n in own]
         chosen = [n for n, back in zip(own, held, strict=True) if back == options.held_back]
-        for number in options.only or chosen[:: options.every]:
+        chosen = [n for n in own if n in options.only] if options.only else chosen
+        for number in chosen[:: options.every]:
             yield make(number)
 
 

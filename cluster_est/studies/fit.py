@@ -22,6 +22,8 @@ from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.guarded import GuardedSteps
 from cluster_est.results.interpolation import preferred_interpolation
 from cluster_est.results.output_errors import Simulation
+from cluster_est.results.record_faults.fault import RecordFault
+from cluster_est.results.record_faults.find import faults_of_fit
 from cluster_est.results.residual_diagnostics import diagnose_residuals
 from cluster_est.results.result import Result
 from cluster_est.results.solver_error.measure import measure_solver_error
@@ -221,8 +223,23 @@ class Fit(Study[Result]):
                 lambda: diagnose_residuals(train, linear, after),
                 None,
             )
+            faults: tuple[RecordFault, ...] = ()
+            if whole and left is not None and not runner.interrupted:
+                faults = steps.do(
+                    "the faults of records",
+                    lambda: faults_of_fit(train, linear, after, environment.resources, runner),
+                    (),
+                )
             result = replace(
-                result, starts=starts, minima=minima, diagnostics=left, shooting=found.shooting
+                result,
+                starts=starts,
+                minima=minima,
+                diagnostics=left,
+                shooting=found.shooting,
+                record_faults=faults,
+                evaluations=runner.evaluations,
+                simulated=runner.simulations,
+                failures=runner.failures,
             )
             if whole and not runner.interrupted:
                 if problem.effects:

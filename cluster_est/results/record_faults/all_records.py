@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from cluster_est.methods.method import Solution
 from cluster_est.results.record_faults.changes import conversions, with_input
 from cluster_est.results.record_faults.fault import RecordFault, Sort, as_unit
 from cluster_est.results.record_faults.fitted_records import (
@@ -19,7 +20,6 @@ from cluster_est.results.record_faults.fitted_records import (
     FittedRecords,
     converted,
 )
-from cluster_est.methods.method import Solution
 from cluster_est.statistics.projection import OrthogonalProjection
 from workers.messages import Experiment, FloatArray
 

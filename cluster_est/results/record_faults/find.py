@@ -8,15 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from cluster_est.errors import BudgetError, ClusterEstError
+from cluster_est.methods.method import Solution
 from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import SearchSpace
 from cluster_est.results.observation import lack_normal_law
+from cluster_est.results.output_errors import Simulation
 from cluster_est.results.record_faults.all_records import clock_everywhere, unit_everywhere
 from cluster_est.results.record_faults.fault import RecordFault
 from cluster_est.results.record_faults.fitted_records import AT_NOISE, FittedRecords
 from cluster_est.results.record_faults.foreign_source import foreign_source
 from cluster_est.results.record_faults.odd_record import odd_record
+from cluster_est.results.residual_diagnostics import training_residuals
+from cluster_est.running.resources import Resources
+from cluster_est.running.runner import Runner
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,37 @@ def record_faults(fitted: FittedRecords) -> tuple[RecordFault, ...]:
         if found:
             return found
     return ()
+
+
+def faults_of_fit(
+    space: SearchSpace,
+    solution: Solution,
+    simulations: Sequence[Simulation],
+    resources: Resources,
+    runner: Runner,
+) -> tuple[RecordFault, ...]:
+    """Look for faults of records where a fit ended.
+
+    Parameters
+    ----------
+    space, solution
+        Of the training experiments, with a Jacobian.
+    simulations
+        Of every experiment of the problem at the estimates, with trajectories.
+    resources, runner
+        Of the fit, whose workers still stand ready.
+    """
+    if not _can_be_tested(space):
+        return ()
+    residuals = training_residuals(space, simulations)
+    if residuals is None:
+        return ()
+    jacobian = solution.jacobian
+    if jacobian is None or jacobian.shape[0] != len(residuals):
+        return ()
+    return record_faults(
+        FittedRecords(space.problem, space, solution.x, residuals, jacobian, runner, resources)
+    )
 
 
 def _can_be_tested(space: SearchSpace) -> bool:

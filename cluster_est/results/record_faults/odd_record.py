@@ -267,8 +267,10 @@ def as_fault(
             kind = "sign"
         elif unit:
             kind, size = "unit", factor
-        elif kind == "unit" or (kind == "gain" and abs(factor - 1.0) < LEAST_GAIN):
-            return None
-        elif kind == "offset" and abs(offset) < LEAST_GAIN * spread:
+        elif (
+            kind == "unit"
+            or (kind == "gain" and abs(factor - 1.0) < LEAST_GAIN)
+            or (kind == "offset" and abs(offset) < LEAST_GAIN * spread)
+        ):
             return None
     return RecordFault(kind, experiment, change.sort, change.variables, size, before, after, unit)
