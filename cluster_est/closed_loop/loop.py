@@ -33,7 +33,7 @@ from cluster_est.closed_loop.long_records import (
     thinned_records,
     with_slim_log,
 )
-from cluster_est.closed_loop.outliers import open_checked_workbench
+from cluster_est.closed_loop.outliers import open_checked_workbench, without_stand_ins
 from cluster_est.closed_loop.process_noise import (
     SpentSimulations,
     close_loop_under_noise,
@@ -143,6 +143,8 @@ def run_loop(request: LoopRequest) -> LoopResult:
     request = replace(request, problem=carried)
     if noise_names(request.problem):
         return close_loop_under_noise(request, begin)
+    said = request.problem.data_findings
+    request = replace(request, problem=without_stand_ins(request.problem))
     thin = thinned_records(request, request.rows)
     request = replace(request, problem=thin.problem, noise_of_samples=thin.noise)
     if thin.is_thinner:
@@ -177,10 +179,20 @@ def run_loop(request: LoopRequest) -> LoopResult:
         result, other = _confirmed_on_all_rows(request, thin, workbench, searched, starts, begin)
     seconds, error = time.monotonic() - begin, searched.error
     known = last if result.effects else error
-    said = (*error.notes, *(known.notes_with_effects if known is not error else ()))
-    notes = (*said, *result.notes, *expensive_structures(searched.found.path))
+    more = (*error.notes, *(known.notes_with_effects if known is not error else ()))
+    notes = (*more, *result.notes, *expensive_structures(searched.found.path))
     result = replace(result, notes=notes, seconds=seconds, failures_in_search=searched.failures)
-    return _with_interpolation(result, other or searched.interpolation)
+    return _with_data_findings(_with_interpolation(result, other or searched.interpolation), said)
+
+
+def _with_data_findings(result: LoopResult, said: Sequence[tuple[str, str]]) -> LoopResult:
+    """Say first which numbers are hardly measurements; those of outputs have been left out."""
+    if not said:
+        return result
+    sentences = [f"look at the records first: {what}; {do}" for what, do in said]
+    aside = "; such samples of outputs are in no fit, error or table here"
+    summary = f"{'; '.join(sentences)}{aside}; {result.summary}"
+    return replace(result, summary=summary)
 
 
 def _with_interpolation(result: LoopResult, other: PreferredInterpolation | None) -> LoopResult:

@@ -39,40 +39,15 @@ LEAST_STEPS = 0.5
 
 def unit_everywhere(fitted: FittedRecords) -> tuple[RecordFault, ...]:
     """Find a column that is in another unit in all records."""
-    noise = fitted.noise(fitted.residuals, fitted.runs)
+    noise = fitted.noise_here
     before = float(fitted.levels(fitted.residuals, fitted.runs, noise).max())
     if not before > OFF or not _relative(fitted.residuals, fitted.runs) > GROSS:
         return ()
-    values = fitted.space.physical(fitted.space.start)
-    positions = list(range(len(fitted.runs)))
-    entries, runs = _conversions_of_outputs(fitted), list(fitted.runs)
-    for name in dict.fromkeys(given.variable for run in fitted.runs for given in run.inputs):
-        for factor, offset in conversions():
-            entries.append(("inputs", name, factor, offset))
-            runs += [with_input(run, name, factor, offset) for run in fitted.runs]
-    rows = np.tile(values[positions], (len(runs) // len(positions), 1))
-    answers = fitted.simulate(runs, rows)
-    start = _joined(answers[: len(positions)])
-    if start is None:
-        return ()
-    ranked = []
-    for number, entry in enumerate(entries):
-        sort, name, factor, offset = entry
-        if sort == "outputs":
-            changed = [_converted(run, name, factor, offset) for run in fitted.runs]
-            residuals: FloatArray | None = _converted_residuals(fitted.runs, changed, start)
-        else:
-            block = number - sum(e[0] == "outputs" for e in entries) + 1
-            first = block * len(positions)
-            changed = fitted.runs
-            residuals = _joined(answers[first : first + len(positions)])
-        if residuals is not None:
-            ranked.append((_relative(residuals, changed), number))
-    usual = _relative(start, fitted.runs)
-    for error, number in sorted(ranked)[:MOST_REFITS]:
+    usual, ranked = _ranked_conversions(fitted)
+    for error, entry in ranked[:MOST_REFITS]:
         if error > BETTER * usual:
             break
-        fault = _confirmed_unit(fitted, entries[number], before)
+        fault = _confirmed_unit(fitted, entry, before)
         if fault is not None:
             return (fault,)
     return ()
@@ -81,9 +56,30 @@ def unit_everywhere(fitted: FittedRecords) -> tuple[RecordFault, ...]:
 Entry = tuple[Sort, str, float, float]
 
 
-def _conversions_of_outputs(fitted: FittedRecords) -> list[Entry]:
-    names = dict.fromkeys(o.variable for run in fitted.runs for o in run.outputs)
-    return [("outputs", name, *way) for name in names for way in conversions()]
+def _ranked_conversions(fitted: FittedRecords) -> tuple[float, list[tuple[float, Entry]]]:
+    """Return the error at the start values, and that with each conversion, the least first."""
+    count, runs = len(fitted.runs), list(fitted.runs)
+    inputs = dict.fromkeys(given.variable for run in fitted.runs for given in run.inputs)
+    of_inputs: list[Entry] = [("inputs", name, *way) for name in inputs for way in conversions()]
+    for _, name, factor, offset in of_inputs:
+        runs += [with_input(run, name, factor, offset) for run in fitted.runs]
+    values = fitted.space.physical(fitted.space.start)
+    answers = fitted.simulate(runs, np.tile(values, (len(of_inputs) + 1, 1)))
+    start = _joined(answers[:count])
+    if start is None:
+        return 0.0, []
+    found: list[tuple[float, Entry]] = []
+    for number, entry in enumerate(of_inputs, start=1):
+        residuals = _joined(answers[number * count : (number + 1) * count])
+        if residuals is not None:
+            found.append((_relative(residuals, fitted.runs), entry))
+    for name in dict.fromkeys(o.variable for run in fitted.runs for o in run.outputs):
+        for way in conversions():
+            changed = [_converted(run, name, *way) for run in fitted.runs]
+            residuals = _converted_residuals(fitted.runs, changed, start)
+            found.append((_relative(residuals, changed), ("outputs", name, *way)))
+    found.sort(key=lambda each: each[0])
+    return _relative(start, fitted.runs), found
 
 
 def _converted(run: Experiment, name: str, factor: float, offset: float) -> Experiment:
@@ -142,7 +138,7 @@ def _confirmed_unit(fitted: FittedRecords, entry: Entry, before: float) -> Recor
     after = _level(fitted, solution, runs)
     if not after <= AT_NOISE:
         return None
-    unit = as_unit(1.0 / factor, -offset / factor, sort, 0.0)
+    unit = as_unit(1.0 / factor, -offset / factor, 0.0)
     return RecordFault("unit", "", sort, (name,), 1.0 / factor, before, after, unit)
 
 
@@ -161,7 +157,7 @@ def clock_everywhere(fitted: FittedRecords) -> tuple[RecordFault, ...]:
     names = {o.variable for run in fitted.runs for o in run.outputs if len(o.times) > 3}
     if len(names) < 2:
         return ()
-    noise = fitted.noise(fitted.residuals, fitted.runs)
+    noise = fitted.noise_here
     before = float(fitted.levels(fitted.residuals, fitted.runs, noise).max())
     if not before > OFF:
         return ()

@@ -82,6 +82,10 @@ class OddRecord:
     project: Callable[[FloatArray], FloatArray] = field(repr=False)
     states: tuple[tuple[str, float], ...] = ()
 
+    def takes(self, residuals: FloatArray) -> bool:
+        """Return whether residuals are as many as those of the record, and finite."""
+        return len(residuals) == len(self.residuals) and bool(np.isfinite(residuals).all())
+
     def square(self, residuals: FloatArray) -> float:
         """Sum of squares behind the projection."""
         return float(np.add.reduce(self.project(residuals) ** 2))
@@ -144,13 +148,8 @@ def _scalar(
     wanted = [size for size in sizes if size not in known]
     for _ in range(ROUNDS):
         answers = yield [ask(size) for size in wanted]
-        for size, answer in zip(wanted, answers, strict=True):
-            if (
-                answer is not None
-                and len(answer) == len(record.residuals)
-                and np.isfinite(answer).all()
-            ):
-                known[size] = answer
+        pairs = zip(wanted, answers, strict=True)
+        known |= {size: each for size, each in pairs if each is not None and record.takes(each)}
         wanted = _steps(record, known, near=near)
         if not wanted:
             break
@@ -272,9 +271,7 @@ def _units(
         known = [
             (record.square(answer), number, answer)
             for number, answer in enumerate(answers)
-            if answer is not None
-            and len(answer) == len(record.residuals)
-            and np.isfinite(answer).all()
+            if answer is not None and record.takes(answer)
         ]
         if not known:
             return None
@@ -349,14 +346,7 @@ def _of_inputs(record: OddRecord) -> list[Entry]:
             entries.append(_as_it_is(turned, "sign", "inputs", (given.variable,), -1.0))
             entries.append(_late_input(record, given.variable))
         entries.append(_offset_of_input(record, given.variable))
-        entries.append(
-            _units(
-                record,
-                "inputs",
-                given.variable,
-                lambda factor, offset, name=given.variable: with_input(run, name, factor, offset),  # type: ignore[misc]
-            )  # fmt: skip
-        )
+        entries.append(_units_of_input(record, given.variable))
     for one, other in combinations(run.inputs, 2):
         places = {one.variable: other, other.variable: one}
         inputs = tuple(
@@ -368,6 +358,12 @@ def _of_inputs(record: OddRecord) -> list[Entry]:
         changed = replace(run, inputs=inputs)
         entries.append(_as_it_is(changed, "swapped", "inputs", (one.variable, other.variable)))
     return entries
+
+
+def _units_of_input(record: OddRecord, name: str) -> Entry:
+    return _units(
+        record, "inputs", name, lambda factor, offset: with_input(record.run, name, factor, offset)
+    )
 
 
 def with_input(

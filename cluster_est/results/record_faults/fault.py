@@ -83,13 +83,15 @@ class RecordFault:
             return f"look at the records first: {self.said}; {self.remedy}"
         if self.experiment:
             apart = (
-                f"{own} is the odd one: without it the others fit at the level of the noise, and it "
-                f"is off by {self.before:.2g} times the noise, {self.after:.2g} once it is mended"
+                f"{own} is the odd one: without it the others fit at the level of the noise, and "
+                f"it is off by {self.before:.2g} times the noise, {self.after:.2g} once mended"
             )
         else:
-            apart = f"mended, the residual falls from {self.before:.2g} to {self.after:.2g} times the noise"
+            fall = f"from {self.before:.2g} to {self.after:.2g} times the noise"
+            apart = f"mended, the residual falls {fall}"
         alike = f" ({' or '.join(self.others)} would look the same)" if self.others else ""
-        return f"look at the record of {own} first: {self.said}{alike}; {apart}; {self.remedy}"
+        where = f"the record of {own}" if self.experiment else "the records"
+        return f"look at {where} first: {self.said}{alike}; {apart}; {self.remedy}"
 
     @property
     def said(self) -> str:
@@ -103,7 +105,8 @@ class RecordFault:
             return f"{what} {name} has the wrong sign"
         if self.kind == "offset":
             unit = f" {self.unit}" if self.unit not in ("", "1") else ""
-            return f"{what} {name} is {abs(self.size):.4g}{unit} too {'high' if self.size > 0 else 'low'}"
+            where = "high" if self.size > 0.0 else "low"
+            return f"{what} {name} is {abs(self.size):.4g}{unit} too {where}"
         if self.kind == "unit":
             return f"{what} {name} looks as if it were in another unit: {self.unit}"
         late = "late" if self.size > 0.0 else "early"
@@ -120,8 +123,8 @@ class RecordFault:
             return f"it begins elsewhere than it says, at another {name}"
         low, high = self.frequencies
         return (
-            f"a periodic source that nobody measured acts on {name}, of {low:.4g} to {high:.4g} Hz, "
-            "another frequency in each record and in no input"
+            f"a periodic source that nobody measured acts on {name}, of {low:.4g} to {high:.4g} "
+            "Hz, another frequency in each record and in no input"
         )
 
     @property
@@ -135,7 +138,8 @@ class RecordFault:
         where = f" in experiment {self.experiment}" if self.experiment else ""
         column = "COLUMN"
         if self.kind in ("gain", "sign"):
-            return f"{dotted('columns', column)} = {{ factor = {1.0 / self.size:.4g} }}{where} mends it"
+            factor = f"{{ factor = {1.0 / self.size:.4g} }}"
+            return f"{dotted('columns', column)} = {factor}{where} mends it"
         if self.kind == "offset":
             return f"{dotted('columns', column)} = {{ offset = {-self.size:.4g} }}{where} mends it"
         if self.kind == "unit":
@@ -154,19 +158,16 @@ class RecordFault:
         return "measure it and name its column in signals, or find it and stop it"
 
 
-def as_unit(factor: float, offset: float, sort: Sort, spread: float) -> str:
+def as_unit(factor: float, offset: float, spread: float) -> str:
     """Return which unit a column seems to have; "" for none.
 
     Parameters
     ----------
     factor, offset
         What the column has: factor times what is meant, plus the offset.
-    sort
-        Not used for the comparison; units are the same for inputs and outputs.
     spread
         Standard deviation of the column, in which an offset must be large to be told.
     """
-    del sort
     for own, shift, words in UNIT_FACTORS:
         one, _, other = words.partition(" for ")
         turned = f"{other} for {one}" if other else f"the inverse of {words}"

@@ -80,6 +80,11 @@ class FittedRecords:
         """Physical values by label."""
         return self.space.estimates(self.x)
 
+    @cached_property
+    def noise_here(self) -> FloatArray:
+        """Of each output, where the fit stands; see `noise`."""
+        return self.noise(self.residuals, self.runs)
+
     def noise(self, residuals: FloatArray, runs: Sequence[Experiment]) -> FloatArray:
         """Return the noise of each output in units of sigma, no less than a sigma that is given."""
         outputs = [output for run in runs for output in run.outputs]
@@ -93,7 +98,7 @@ class FittedRecords:
     def levels(
         self, residuals: FloatArray, runs: Sequence[Experiment], noise: FloatArray
     ) -> FloatArray:
-        """Return the largest residual over noise of each experiment's outputs, as a mean square's root."""
+        """Return the largest root mean square residual of each experiment's outputs, over noise."""
         found = np.zeros(len(runs))
         for item in make_records(runs).items:
             if len(item.times):

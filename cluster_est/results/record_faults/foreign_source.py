@@ -55,7 +55,7 @@ class SpectralLine:
 
 def foreign_source(fitted: FittedRecords) -> tuple[RecordFault, ...]:
     """Find a line of another frequency in each record that is off, and in no input."""
-    noise = fitted.noise(fitted.residuals, fitted.runs)
+    noise = fitted.noise_here
     residuals = fitted.residuals
     before = fitted.levels(residuals, fitted.runs, noise)
     lines: dict[int, SpectralLine] = {}

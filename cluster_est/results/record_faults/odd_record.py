@@ -8,7 +8,8 @@ one column it is as near as the others.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,6 +28,9 @@ MOST_LEFT_OUT = 6
 SAME = 10.0
 """Difference of sums of squares over the noise up to which two changes explain the same. Theory:
 as strong evidence as `REFINEMENT.alternative`."""
+GROSS = 20.0
+"""Residual over noise from which on the fit may have been led astray: others begin at the start
+values, too."""
 LEAST_GAIN = 0.03
 """Distance of a gain from 1 that is worth a word: a calibration may be off by less."""
 PASSES = 3
@@ -45,7 +49,12 @@ class LeftOut:
     position: int
     space: SearchSpace
     solution: Solution = field(repr=False)
-    noise: FloatArray
+
+    @property
+    def is_known(self) -> bool:
+        """It could be simulated, and has derivatives."""
+        at = self.solution.at
+        return at is not None and at.ok and self.solution.jacobian is not None
 
     @property
     def residuals(self) -> FloatArray:
@@ -77,23 +86,19 @@ def _left_out(fitted: FittedRecords) -> list[LeftOut]:
         left = OrthogonalProjection(fitted.jacobian[others]).remove(fitted.residuals[others])
         promised.append((float(np.add.reduce(left**2)), position))
     chosen = sorted(position for _, position in sorted(promised)[:MOST_LEFT_OUT])
-    spaces = []
-    for position in chosen:
-        others = tuple(e for p, e in enumerate(fitted.train) if p != position)
-        spaces.append(make_space(fitted.problem, others, starts=fitted.estimates))
-        spaces.append(make_space(fitted.problem, others))
-    solutions = fitted.refit(spaces)
+    known = [fitted.estimates]
+    if fitted.levels(fitted.residuals, fitted.runs, fitted.noise_here).max() > GROSS:
+        known.append({})
+    kept = [tuple(e for p, e in enumerate(fitted.train) if p != left) for left in chosen]
+    spaces = [make_space(fitted.problem, each, starts=s) for each in kept for s in known]
+    solutions = iter(fitted.refit(spaces))
+    pairs = iter(spaces)
     found = []
-    for number, position in enumerate(chosen):
-        pair = list(zip(spaces, solutions, strict=True))[2 * number : 2 * number + 2]
-        known = [
-            (solution.cost, space, solution)
-            for space, solution in pair
-            if solution.at is not None and solution.at.ok and solution.jacobian is not None
-        ]
-        if known:
-            _, space, solution = min(known, key=lambda each: each[0])
-            found.append(LeftOut(position, space, solution, np.zeros(0)))
+    for position in chosen:
+        fits = [LeftOut(position, next(pairs), next(solutions)) for _ in known]
+        fits = [fit for fit in fits if fit.is_known]
+        if fits:
+            found.append(min(fits, key=lambda fit: fit.solution.cost))
     return found
 
 
@@ -227,50 +232,47 @@ def _known_starts(fitted: FittedRecords, run: Experiment) -> tuple[tuple[str, fl
 
 
 def _best(
-    run: Experiment, changes: list[MendedRecord], before: float, level: object
+    run: Experiment,
+    changes: list[MendedRecord],
+    before: float,
+    level: Callable[[FloatArray], float],
 ) -> RecordFault | None:
     """Return the plainest of the changes that explain most, if the record then fits."""
-    assert callable(level)
     known = [c for c in changes if np.isfinite(c.left)]
     if not known:
         return None
     least = min(c.left + SAME * c.unknowns for c in known)
-    same = [c for c in known if c.left + SAME * c.unknowns <= least + SAME]
     faults = []
-    for change in same:
-        after = float(level(change.residuals))
-        fault = None if after > AT_NOISE else as_fault(run.id, run, change, before, after)
+    for change in known:
+        if change.left + SAME * change.unknowns > least + SAME:
+            continue
+        after = level(change.residuals)
+        fault = None if after > AT_NOISE else as_fault(run, change, before, after)
         if fault is None:
             return None  # what explains as much is no fault of a record
         faults.append(fault)
     faults.sort(key=lambda each: PLAINEST.index(each.kind))
     first = faults[0]
-    others = tuple(dict.fromkeys(
-        each.said for each in faults[1:] if (each.kind, each.variables) != (first.kind, first.variables)
-    ))  # fmt: skip
-    return RecordFault(**{**first.__dict__, "others": others})
+    same = (first.kind, first.variables)
+    alike = [each.said for each in faults[1:] if (each.kind, each.variables) != same]
+    return replace(first, others=tuple(dict.fromkeys(alike)))
 
 
 def as_fault(
-    experiment: str, run: Experiment, change: MendedRecord, before: float, after: float
+    run: Experiment, change: MendedRecord, before: float, after: float
 ) -> RecordFault | None:
     """Return a change in words; None for one that is too small to be a fault."""
     kind, size, unit = change.kind, change.size, ""
-    signals = run.inputs if change.sort == "inputs" else run.outputs
-    values = next((s.values for s in signals if s.variable == change.variables[0]), np.zeros(1))
-    spread = float(np.std(change.factor * values))
     if kind in ("gain", "offset", "unit"):
+        signals = run.inputs if change.sort == "inputs" else run.outputs
+        values = next(s.values for s in signals if s.variable == change.variables[0])
+        spread = float(np.std(values))
         factor, offset = 1.0 / change.factor, -change.offset / change.factor
-        unit = as_unit(factor, offset, change.sort, float(np.std(values)))
-        size = offset if kind == "offset" else factor
-        if kind == "gain" and abs(factor + 1.0) <= LEAST_GAIN:
-            kind = "sign"
-        elif unit:
-            kind, size = "unit", factor
-        elif (
-            kind == "unit"
-            or (kind == "gain" and abs(factor - 1.0) < LEAST_GAIN)
-            or (kind == "offset" and abs(offset) < LEAST_GAIN * spread)
-        ):
+        unit = as_unit(factor, offset, spread)
+        small = abs(offset) < LEAST_GAIN * spread if kind == "offset" else kind == "unit"
+        if not unit and (small or (kind == "gain" and abs(factor - 1.0) < LEAST_GAIN)):
             return None
-    return RecordFault(kind, experiment, change.sort, change.variables, size, before, after, unit)
+        size = offset if kind == "offset" and not unit else factor
+        kind = "unit" if unit else kind
+        kind = "sign" if kind == "gain" and abs(factor + 1.0) <= LEAST_GAIN else kind
+    return RecordFault(kind, run.id, change.sort, change.variables, size, before, after, unit)
