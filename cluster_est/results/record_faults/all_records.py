@@ -139,7 +139,9 @@ def _confirmed_unit(fitted: FittedRecords, entry: Entry, before: float) -> Recor
     if not after <= AT_NOISE:
         return None
     unit = as_unit(1.0 / factor, -offset / factor, 0.0)
-    return RecordFault("unit", "", sort, (name,), 1.0 / factor, before, after, unit)
+    return RecordFault(
+        "unit", "", sort, (name,), 1.0 / factor, before, after, unit, factor=factor, offset=offset
+    )
 
 
 def _level(fitted: FittedRecords, solution: Solution, runs: list[Experiment]) -> float:

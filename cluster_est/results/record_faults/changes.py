@@ -420,7 +420,9 @@ def _of_start(record: OddRecord) -> list[Entry]:
 
 def _start_of(record: OddRecord, state: str, start: float) -> Entry:
     def make(size: float, residuals: FloatArray) -> MendedRecord:
-        return MendedRecord("initial state", "outputs", (state,), 1.0, 0.0, size, 1, residuals)
+        return MendedRecord(
+            "initial state", "outputs", (state,), 1.0, start + size, size, 1, residuals
+        )
 
     def ask(size: float) -> Experiment:
         values = {**dict(record.run.values), state: start + size}

@@ -62,6 +62,10 @@ class RecordFault:
         What else these data do not tell from it.
     frequencies
         Of a foreign source, the lowest and the highest.
+    factor, offset
+        Of the column, that mend it; the offset of an initial state is its value.
+    column
+        Of the table, where it is known.
     """
 
     kind: FaultKind
@@ -74,6 +78,9 @@ class RecordFault:
     unit: str = ""
     others: tuple[str, ...] = ()
     frequencies: tuple[float, float] = (math.nan, math.nan)
+    factor: float = 1.0
+    offset: float = 0.0
+    column: str = "COLUMN"
 
     @property
     def sentence(self) -> str:
@@ -136,25 +143,21 @@ class RecordFault:
     @property
     def _key(self) -> str:
         where = f" in experiment {self.experiment}" if self.experiment else ""
-        column = "COLUMN"
-        if self.kind in ("gain", "sign"):
-            factor = f"{{ factor = {1.0 / self.size:.4g} }}"
-            return f"{dotted('columns', column)} = {factor}{where} mends it"
-        if self.kind == "offset":
-            return f"{dotted('columns', column)} = {{ offset = {-self.size:.4g} }}{where} mends it"
-        if self.kind == "unit":
-            return f"give the unit by {dotted('columns', column)} = {{ factor, offset }}{where}"
+        if self.kind in ("gain", "sign", "offset", "unit"):
+            numbers = {"factor": self.factor, "offset": self.offset}
+            plain = {"factor": 1.0, "offset": 0.0}
+            given = [f"{k} = {v:.6g}" for k, v in numbers.items() if v != plain[k]]
+            key = dotted("columns", self.column)
+            return f"{key} = {{ {', '.join(given)} }}{where} mends it"
         if self.kind in ("delay", "clock"):
-            return f'correct the times of the column{where} (a column of its own: time = "COLUMN")'
+            return f"correct the times of the column{where} (with a column of their own, key time)"
         if self.kind == "swapped":
             pairs = ", ".join(dotted(self.sort, name) for name in self.variables)
             return f"exchange the columns of {pairs}{where}"
         if self.kind == "initial state":
-            state = self.variables[0]
-            return (
-                f"estimate it by {dotted('parameters', state)} = {{ start = NUMBER, per = "
-                f'"experiment" }}, or give {dotted("values", state)} = NUMBER{where}'
-            )
+            state, start = self.variables[0], f"{self.offset:.4g}"
+            free = f'{dotted("parameters", state)} = {{ start = {start}, per = "experiment" }}'
+            return f"{dotted('values', state)} = {start}{where} mends it, or estimate it by {free}"
         return "measure it and name its column in signals, or find it and stop it"
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,8 +56,15 @@ def record_faults(fitted: FittedRecords) -> tuple[RecordFault, ...]:
         except ClusterEstError:  # a hint is missing then, and nothing else
             continue
         if found:
-            return found
+            return tuple(_with_column(fitted, each) for each in found)
     return ()
+
+
+def _with_column(fitted: FittedRecords, fault: RecordFault) -> RecordFault:
+    """Name the column of the table, where it is known."""
+    key = f"{fault.sort}.{fault.variables[0]}"
+    column = fitted.problem.columns.get(key, fault.column)
+    return replace(fault, column=column)
 
 
 def faults_of_fit(

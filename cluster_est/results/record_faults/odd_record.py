@@ -275,4 +275,7 @@ def as_fault(
         size = offset if kind == "offset" and not unit else factor
         kind = "unit" if unit else kind
         kind = "sign" if kind == "gain" and abs(factor + 1.0) <= LEAST_GAIN else kind
-    return RecordFault(kind, run.id, change.sort, change.variables, size, before, after, unit)
+    return RecordFault(
+        kind, run.id, change.sort, change.variables, size, before, after, unit,
+        factor=change.factor, offset=change.offset,
+    )  # fmt: skip
