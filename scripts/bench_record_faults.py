@@ -50,7 +50,8 @@ WORDS = {
 """Words that only a sentence on this kind of fault has."""
 ANY = re.compile(r"\bthe record\b|\brecords\b.*\b(fault|first)|periodic source|far from all others")
 """Words of a sentence that claims a fault of a record."""
-SET_ASIDE = re.compile(r"are outliers")
+SET_ASIDE = re.compile(r"each alone among its neighbours")
+"""Words of a loop that sets samples aside."""
 SETS = (*KINDS, "clean", "effect")
 
 

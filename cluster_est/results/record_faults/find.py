@@ -32,6 +32,8 @@ class RecordTest:
     find: Callable[[FittedRecords], Sequence[RecordFault]]
 
 
+MOST_ENTRIES = 20_000_000
+"""Entries of a Jacobian that records are compared by."""
 TESTS: tuple[RecordTest, ...] = (
     RecordTest("foreign source", foreign_source),
     RecordTest("odd record", odd_record),
@@ -43,7 +45,9 @@ TESTS: tuple[RecordTest, ...] = (
 
 def record_faults(fitted: FittedRecords) -> tuple[RecordFault, ...]:
     """Look for faults of records where a fit leaves more than noise; nothing is done otherwise."""
-    if not _can_be_tested(fitted.space) or len(fitted.residuals) != fitted.records.size:
+    if not _can_be_tested(fitted.space) or not fitted.space.size:
+        return ()
+    if len(fitted.residuals) != fitted.records.size:
         return ()
     noise = fitted.noise_here
     if np.all(fitted.levels(fitted.residuals, fitted.runs, noise) <= AT_NOISE):
@@ -91,7 +95,7 @@ def faults_of_fit(
     if residuals is None:
         return ()
     jacobian = solution.jacobian
-    if jacobian is None or jacobian.shape[0] != len(residuals):
+    if jacobian is None or jacobian.shape[0] != len(residuals) or jacobian.size > MOST_ENTRIES:
         return ()
     return record_faults(
         FittedRecords(space.problem, space, solution.x, residuals, jacobian, runner, resources)

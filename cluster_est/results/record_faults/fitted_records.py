@@ -24,8 +24,12 @@ from workers.messages import Experiment, FloatArray, Output, ResetPolicy
 
 AT_NOISE = 1.3
 """Residual over noise up to which a record fits."""
+BY_CHANCE = 4.0
+"""Standard errors of a short record's residual that count as its noise."""
 OFF = 2.0
 """Residual over noise from which on a record does not."""
+LEAST_STEPS, STEPS_OF_SAMPLE = 20_000, 100
+"""Steps of a solver that a changed record may take: a change that is far off may make it stiff."""
 REFIT = LeastSquares(trials=1, max_iterations=15, ftol=1e-4, xtol=1e-5, differences="forward")
 
 Change = Callable[[Experiment], Experiment]
@@ -98,11 +102,16 @@ class FittedRecords:
     def levels(
         self, residuals: FloatArray, runs: Sequence[Experiment], noise: FloatArray
     ) -> FloatArray:
-        """Return the largest root mean square residual of each experiment's outputs, over noise."""
+        """Return the largest root mean square residual of each experiment's outputs, over noise.
+
+        Less for a short record, whose noise alone may be larger by chance.
+        """
         found = np.zeros(len(runs))
         for item in make_records(runs).items:
             if len(item.times):
                 size = float(np.sqrt(np.mean(residuals[item.rows] ** 2))) / noise[item.output]
+                chance = 1.0 + BY_CHANCE / np.sqrt(2.0 * len(item.times))
+                size *= AT_NOISE / max(AT_NOISE, chance)
                 found[item.experiment] = max(found[item.experiment], size)
         return found
 
@@ -150,8 +159,11 @@ class FittedRecords:
             If no process can be started.
         """
         self.count(len(runs))
+        samples = max((len(o.times) for run in runs for o in run.outputs), default=0)
+        solver = self.problem.model.solver
+        most = min(solver.max_steps, max(LEAST_STEPS, STEPS_OF_SAMPLE * samples))
         outcomes = simulate_with_solver(
-            self.problem, tuple(runs), values, self.problem.model.solver, "residuals",
+            self.problem, tuple(runs), values, replace(solver, max_steps=most), "residuals",
             self.resources, beside=self.runner,
         )  # fmt: skip
         return [each.residuals if each.ok else None for each in outcomes]

@@ -25,6 +25,11 @@ FEWEST_RECORDS = 3
 """Records of which one may be odd; of two, each is."""
 MOST_LEFT_OUT = 6
 """Records that are left out, those first whose absence the linear model promises most of."""
+MANY, FEW = 8, 2
+"""Records from which on one alone hardly moves a fit, so that the linear model is right, and the
+number that is left out then."""
+SUSPECTED = 20
+"""Records that the linear model is asked of; of more, those that are farthest off."""
 SAME = 10.0
 """Difference of sums of squares over the noise up to which two changes explain the same. Theory:
 as strong evidence as `REFINEMENT.alternative`."""
@@ -79,13 +84,14 @@ def odd_record(fitted: FittedRecords) -> tuple[RecordFault, ...]:
 
 def _left_out(fitted: FittedRecords) -> list[LeftOut]:
     """Fit the others without each record, from the estimates and from the start values."""
+    many = len(fitted.runs) > MANY
     promised = []
-    for position in range(len(fitted.runs)):
+    for position in _suspected(fitted) if many else range(len(fitted.runs)):
         rows = fitted.records.of_experiment(position)
         others = np.setdiff1d(np.arange(len(fitted.residuals)), rows)
         left = OrthogonalProjection(fitted.jacobian[others]).remove(fitted.residuals[others])
         promised.append((float(np.add.reduce(left**2)), position))
-    chosen = sorted(position for _, position in sorted(promised)[:MOST_LEFT_OUT])
+    chosen = sorted(position for _, position in sorted(promised)[: FEW if many else MOST_LEFT_OUT])
     known = [fitted.estimates]
     if fitted.levels(fitted.residuals, fitted.runs, fitted.noise_here).max() > GROSS:
         known.append({})
@@ -100,6 +106,12 @@ def _left_out(fitted: FittedRecords) -> list[LeftOut]:
         if fits:
             found.append(min(fits, key=lambda fit: fit.solution.cost))
     return found
+
+
+def _suspected(fitted: FittedRecords) -> list[int]:
+    """Return the records that are farthest off."""
+    levels = fitted.levels(fitted.residuals, fitted.runs, fitted.noise_here)
+    return [int(position) for position in np.argsort(-levels, kind="stable")[:SUSPECTED]]
 
 
 def _others(fitted: FittedRecords, left: LeftOut) -> list[Experiment]:
