@@ -150,7 +150,9 @@ class RecordFault:
             key = dotted("columns", self.column)
             return f"{key} = {{ {', '.join(given)} }}{where} mends it"
         if self.kind in ("delay", "clock"):
-            return f"correct the times of the column{where} (with a column of their own, key time)"
+            each = " for each output" if self.kind == "clock" else ""
+            key = dotted("columns", "COLUMN" if each else self.column)
+            return f"{key} = {{ late = {self.size:.6g} }}{where}{each} mends it"
         if self.kind == "swapped":
             pairs = ", ".join(dotted(self.sort, name) for name in self.variables)
             return f"exchange the columns of {pairs}{where}"

@@ -58,7 +58,7 @@ ODD = {
     "gain": (lambda pushed, y: (pushed, 1.3 * y), 1.3, "factor = 0.76"),
     "offset": (lambda pushed, y: (pushed, y + 0.04), 0.04, "offset = -0.0"),
     "sign": (lambda pushed, y: (pushed, -y), -1.0, "factor = -1"),
-    "delay": (late, 0.1, "correct the times"),
+    "delay": (late, 0.1, "{ late = 0."),
     "unit": (lambda pushed, y: (pushed, 1000.0 * y), 1000.0, "factor = 0.001"),
     "initial state": (elsewhere, 0.05, "values.x = 0.0"),
 }
