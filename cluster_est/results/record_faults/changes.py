@@ -11,12 +11,12 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import make_interp_spline
 
 from cluster_est.results.record_faults.fault import UNIT_FACTORS, FaultKind, Sort
 from workers.messages import Experiment, FloatArray
 
-ROUNDS = 4
+ROUNDS = 8
 GAINS = (0.25, 0.7, 1.4)
 SHIFTS = (-32.0, -16.0, -8.0, -4.0, -2.0, -1.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Samples by which times are moved."""
@@ -192,9 +192,10 @@ def _of_outputs(record: OddRecord) -> list[Entry]:
         entries.append(_as_it_is(turned, "sign", "outputs", (name,), -1.0))
         entries.append(_offset_of_output(record, name))
         entries.append(_units_of_output(record, name))
-        entries.append(_late(record, (name,), "delay"))
+        entries += [_late(record, (name,), "delay", smooth=smooth) for smooth in (True, False)]
     if len(names) > 1:
-        entries.append(_late(record, tuple(names), "clock"))
+        both = tuple(names)
+        entries += [_late(record, both, "clock", smooth=smooth) for smooth in (True, False)]
     for one, other in combinations(names, 2):
         first, second = (next(o for o in run.outputs if o.variable == n) for n in (one, other))
         if np.array_equal(first.times, second.times):
@@ -292,11 +293,16 @@ def conversions() -> list[tuple[float, float]]:
     return [*there, *back]
 
 
-def _late(record: OddRecord, names: tuple[str, ...], kind: FaultKind) -> Entry:
-    """Of outputs whose times are moved; samples that were not simulated then say nothing."""
+def _late(record: OddRecord, names: tuple[str, ...], kind: FaultKind, *, smooth: bool) -> Entry:
+    """Of outputs whose times are moved; samples that were not simulated then say nothing.
+
+    Between samples what was simulated is smooth, or has kinks where the inputs have.
+    """
     own = [(o, *_parts(record, o.variable)) for o in record.run.outputs if o.variable in names]
     own = [each for each in own if len(each[0].times) > 3]
-    courses = [CubicSpline(o.times, simulated) for o, _, _, _, simulated in own]
+    courses = [
+        make_interp_spline(o.times, simulated, 3 if smooth else 1) for o, _, _, _, simulated in own
+    ]
     step = max((float(np.median(np.diff(o.times))) for o, *_ in own), default=1.0)
     most = LARGEST_SHIFT * (record.run.stop - record.run.start)
 

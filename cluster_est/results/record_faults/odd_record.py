@@ -38,7 +38,7 @@ GROSS = 20.0
 values, too."""
 LEAST_GAIN = 0.03
 """Distance of a gain from 1 that is worth a word: a calibration may be off by less."""
-PASSES = 3
+PASSES = 6
 """Passes over the changes of a record with unknowns of its own, such as an initial state: what the
 fit found for these tried to make up for the fault."""
 PLAINEST = (
@@ -140,6 +140,8 @@ def _fault(fitted: FittedRecords, left: LeftOut) -> RecordFault | None:
         if searched is None:
             return None
         fault, step = searched
+        if fault is not None:
+            break
         x = x.copy()
         x[alone] = np.clip(x[alone] + step[alone], whole.lower[alone], whole.upper[alone])
     return fault
