@@ -11,6 +11,7 @@ points follows N. R. Kristensen, H. Madsen, S. B. Jorgensen, Comput. Chem. Eng. 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -25,7 +26,7 @@ from cluster_est.closed_loop.long_records import (
     search_and_keep,
     thinned_records,
 )
-from cluster_est.closed_loop.outliers import open_checked_workbench
+from cluster_est.closed_loop.outliers import open_checked_workbench, without_stand_ins
 from cluster_est.closed_loop.process_noise import close_loop_under_noise
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.closed_loop.workbench import LoopRequest, check_arguments
@@ -128,6 +129,8 @@ def run_loop(request: LoopRequest) -> LoopResult:
     request = replace(request, problem=carried)
     if noise_names(request.problem):
         return close_loop_under_noise(request, begin)
+    said = request.problem.data_findings
+    request = replace(request, problem=without_stand_ins(request.problem))
     thin = thinned_records(request, request.rows)
     found = (
         loop_on_thinned_records(request, thin, begin)
@@ -137,11 +140,11 @@ def run_loop(request: LoopRequest) -> LoopResult:
     result, searched = found.result, found.searched
     known = found.error if result.effects else searched.error
     with_effects = known.notes_with_effects if known is not searched.error else ()
-    said = (*searched.error.notes, *with_effects)
-    notes = (*said, *result.notes, *expensive_structures(searched.found.path))
+    more = (*searched.error.notes, *with_effects)
+    notes = (*more, *result.notes, *expensive_structures(searched.found.path))
     seconds, failures = time.monotonic() - begin, searched.failures
     result = replace(result, notes=notes, seconds=seconds, failures_in_search=failures)
-    return _with_interpolation(result, found.interpolation)
+    return _with_data_findings(_with_interpolation(result, found.interpolation), said)
 
 
 def _loop_on_all_rows(request: LoopRequest, begin: float) -> AccountedSearch:
@@ -154,6 +157,16 @@ def _loop_on_all_rows(request: LoopRequest, begin: float) -> AccountedSearch:
         result = account(fitter, answer, workbench.scope)
         error = searched.error_at(answer.found.current) if result.effects else searched.error
     return AccountedSearch(result, searched, error, searched.interpolation)
+
+
+def _with_data_findings(result: LoopResult, said: Sequence[tuple[str, str]]) -> LoopResult:
+    """Say first which numbers are hardly measurements; those of outputs have been left out."""
+    if not said:
+        return result
+    sentences = [f"look at the records first: {what}; {do}" for what, do in said]
+    aside = "; such samples of outputs are in no fit, error or table here"
+    summary = f"{'; '.join(sentences)}{aside}; {result.summary}"
+    return replace(result, summary=summary)
 
 
 def _with_interpolation(result: LoopResult, other: PreferredInterpolation | None) -> LoopResult:

@@ -18,7 +18,8 @@ from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.closed_loop.workbench import LoopRequest, LoopScope, LoopWorkbench, open_workbench
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
-from cluster_est.problem.tables.jumps import after_jumps
+from cluster_est.problem.tables.jumps import answers_to_inputs
+from cluster_est.problem.tables.stand_ins import is_missing, stand_ins
 from cluster_est.problem.thinning import LONG
 from cluster_est.results.output_errors import output_residuals
 from cluster_est.statistics.noise.estimate import estimate_noise
@@ -161,6 +162,20 @@ def without(problem: Problem, outliers: Sequence[OutliersOfOutput]) -> Problem:
     return with_outputs(problem, change)
 
 
+def without_stand_ins(problem: Problem) -> Problem:
+    """Return the problem without numbers that stand for no measurement, such as -9999.
+
+    A search that follows them finds nothing else.
+    """
+
+    def change(_: int, output: Output) -> Output:
+        found = () if output.ordinal else stand_ins(output.values)
+        kept = ~is_missing(output.values, [each.value for each in found])
+        return output.only(kept) if found and kept.any() else output
+
+    return with_outputs(problem, change) if problem.data_findings else problem
+
+
 def outliers_of_long_records(problem: Problem, most: int) -> list[OutliersOfOutput]:
     """Return outliers in records that are about to be thinned, which a filter would spread.
 
@@ -179,7 +194,7 @@ def outliers_of_long_records(problem: Problem, most: int) -> list[OutliersOfOutp
             }
             if not signals:
                 continue
-            jumps = {e: after_jumps(problem.experiments[e], name) for e in signals}
+            jumps = {e: answers_to_inputs(problem.experiments[e], name) for e in signals}
             noise = _noise_of_signals(list(signals.values()), EXACT)
             outliers = OutliersOfOutput(name, held_out, _of_sensor(signals, jumps, noise))
             if outliers.count and outliers.few:
@@ -226,7 +241,7 @@ def _outliers(fitter: Fitter, fitted: FittedModel) -> list[OutliersOfOutput]:
     for held_out, signals in ((False, training), (True, _held_out(fitter, fitted))):
         for name in dict.fromkeys(output for _, output in signals):
             own = {e: signal for (e, output), signal in signals.items() if output == name}
-            jumps = {e: after_jumps(fitter.problem.experiments[e], name) for e in own}
+            jumps = {e: answers_to_inputs(fitter.problem.experiments[e], name) for e in own}
             outliers = _in_records(own, jumps, noise.get(name, 0.0))
             found.append(OutliersOfOutput(name, held_out, outliers))
     return [each for each in found if each.count]
@@ -247,8 +262,8 @@ def _in_records(
 ) -> dict[int, IsolatedOutliers]:
     """The outliers of one sensor; once it is known to have some, what is common needs less.
 
-    Where more of them stand just after jumps of inputs than chance puts there, those are answers to
-    the jumps.
+    Where more of them stand just after jumps and pulses of inputs than chance puts there, those are
+    answers to these.
     """
     found = _of_sensor(signals, {}, noise)
     count = sum(int(each.mask.sum()) for each in found.values())

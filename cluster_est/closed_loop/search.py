@@ -67,6 +67,9 @@ from cluster_est.results.interpolation import (
     at_fit,
     compare_interpolations,
 )
+from cluster_est.results.record_faults.fault import RecordFault
+from cluster_est.results.record_faults.find import record_faults
+from cluster_est.results.record_faults.fitted_records import FittedRecords
 from cluster_est.running.resources import Resources
 from workers.messages import Experiment, FloatArray, Outcome
 
@@ -143,14 +146,38 @@ def search_for_effects(
         error_with_effects, fitter, declared=error, noise=noise, resources=resources
     )
     before = fitter.runner.failures
-    if error.hides_effects:
+    faults = _record_faults(fitter, base, resources)
+    if faults or error.hides_effects:
         found = without_search(fitter, settings, base)
-        ends = [(found, ReasonedVerdict(Verdict.UNEXPLAINED, error.refusal))]
+        why = "; ".join(each.sentence for each in faults) or error.refusal
+        ends = [(found, ReasonedVerdict(Verdict.UNEXPLAINED, why))]
     else:
         grown = grow(fitter, settings, base, lambda fit: with_effects(fit).explainable, reached)
         ends = [_judged(fitter, found) for found in answers(fitter, grown)]
     failed = fitter.runner.failures - before
     return SearchedModel(*ends[0], error, with_effects, failed, other, tuple(ends[1:]))
+
+
+def _record_faults(
+    fitter: Fitter, base: FittedModel, resources: Resources
+) -> tuple[RecordFault, ...]:
+    """Return what is wrong with a record, where that alone explains what the model leaves.
+
+    Then nothing is missing in the model that the data show, and no effect is looked for.
+    """
+    if fitter.predicts:
+        return ()
+    fitter.enter("the records")
+
+    def counted(simulations: int) -> None:
+        fitter.meter.full += simulations
+
+    return record_faults(
+        FittedRecords(
+            base.problem, base.space, base.x, base.residuals, base.jacobian, fitter.runner,
+            resources, counted,
+        )
+    )  # fmt: skip
 
 
 def _other_interpolation(

@@ -74,6 +74,7 @@ class ColumnSection(ConfigSection):
     factor: Finite = Field(1.0, description="the column is multiplied by it")
     offset: Finite = Field(0.0, description="and this is added, in the new unit")
     demean: bool = Field(False, description="subtract the mean of the used rows first")
+    late: Finite = Field(0.0, description="seconds by which its times are late; subtracted")
 
 
 class CurveSection(ConfigSection):

@@ -145,7 +145,7 @@ def _units(table: MeasuredTable, used: Sequence[str]) -> tuple[tuple[str, str], 
 
 def _changes(section: ExperimentSection) -> dict[str, ColumnChange]:
     return {
-        name: ColumnChange(each.factor, each.offset, each.demean)
+        name: ColumnChange(each.factor, each.offset, each.demean, each.late)
         for name, each in section.columns.items()
     }
 

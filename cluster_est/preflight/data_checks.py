@@ -8,14 +8,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from cluster_est.config.sections import Config
 from cluster_est.preflight.subject import CheckFinding, listed, note, passed
 from cluster_est.problem.costs import SumSquared
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.tables.gaps import RecordGap, gap_findings
-from cluster_est.problem.tables.jumps import after_jumps, jump_findings, samples_after
+from cluster_est.problem.tables.jumps import (
+    LEAST_NOISE_OF_RANGE,
+    answers_to_inputs,
+    jump_findings,
+)
 from cluster_est.problem.tables.stand_ins import stand_ins
 from cluster_est.problem.thinning import IN_PARTS, looked_at_in_parts, thinned
 from cluster_est.problem.variables import driven_or_constant, idle_inputs, stays
@@ -28,8 +31,6 @@ from workers.messages import Experiment, FloatArray, Output
 
 STEP_OVER_DEVIATION = math.sqrt(12.0)
 """A step over the standard deviation that rounding to it makes; see `quantisation_step`."""
-LEAST_NOISE_OF_RANGE = 0.01
-"""Share of an output's range that its noise counts as at least where outliers are looked for."""
 FEW_OUTLIERS = 0.01
 """Largest share of the samples that are outliers; more of them are how this signal is."""
 FEWEST_VALUES = 20
@@ -144,19 +145,8 @@ def _alone(experiment: Experiment, output: Output) -> int:
         float(estimate_noise(values, records, values)[0]),
         LEAST_NOISE_OF_RANGE * float(np.ptp(values)),
     )
-    excepted = _answers(experiment, output)
+    excepted = answers_to_inputs(experiment, output.variable)
     return int(isolated_outliers(values, noise, excepted=excepted).mask.sum())
-
-
-def _answers(experiment: Experiment, output: Output) -> npt.NDArray[np.bool_]:
-    """Return which samples of an output are just after a jump or a single pulse of an input."""
-    after = after_jumps(experiment, output.variable)
-    for given in experiment.inputs:
-        pulses = isolated_outliers(
-            given.values, LEAST_NOISE_OF_RANGE * float(np.ptp(given.values))
-        ).mask
-        after |= samples_after(output.times, given.times[pulses], before=1)
-    return after
 
 
 def _jumping(problem: Problem, description: ModelDescription) -> list[CheckFinding]:

@@ -96,6 +96,7 @@ def fit_facts(result: Result) -> dict[str, Any]:
         "residuals": None if diagnostics is None else residual_facts(diagnostics),
         "solver_error": solver_facts(result.solver_error),
         "interpolation": interpolation_facts(result.interpolation),
+        "record_faults": [dataclasses.asdict(each) for each in result.record_faults],
         "doubts": list(fit_doubts(result)),
         "notes": list(result.notes),
         "iterations": result.solution.iterations,
@@ -109,7 +110,8 @@ def fit_facts(result: Result) -> dict[str, Any]:
 def fit_notes(result: Result) -> tuple[str, ...]:
     """Sentences about the simulations, the residuals and the uncertainty."""
     problem = result.problem
-    notes = [*result.failed_steps, *problem.notes()]
+    notes = [*(each.sentence for each in result.record_faults)]
+    notes += [*result.failed_steps, *problem.notes()]
     notes += silent_notes(problem, problem.describe())
     notes += process_noise_notes(problem)
     values = {each.label: each.value for each in result.estimates}
@@ -167,6 +169,8 @@ def fit_doubts(result: Result) -> tuple[str, ...]:
         doubts.append(f"its held-out error is {held_out / training:.2g} times that of training")
     if worse_than_constants(result.errors):
         doubts.append("a constant would follow an output better")
+    if result.record_faults:
+        doubts.append("a record looks wrong")
     if result.problem.data_findings:
         doubts.append("its data have numbers that hardly are measurements")
     return tuple(doubts)

@@ -32,6 +32,7 @@ from cluster_est.results.fit_tables import (
 from cluster_est.results.interpolation import PreferredInterpolation
 from cluster_est.results.observation import observed_categories, observed_scales
 from cluster_est.results.output_errors import OutputError, Simulation
+from cluster_est.results.record_faults.fault import RecordFault
 from cluster_est.results.segments import ShootingSummary
 from cluster_est.results.shapes.effect_table import curve_table
 from cluster_est.results.solver_error.measure import SolverError
@@ -104,6 +105,8 @@ class Result:
     interpolation
         An input that the measurements prefer to be interpolated otherwise; None where there is
         none, or nothing tells.
+    record_faults
+        What is wrong with a record, where one change mends it; empty where nothing was found.
     shapes
         Of the effects that the problem declares.
     shooting
@@ -141,6 +144,7 @@ class Result:
     diagnostics: ResidualDiagnostics | None = field(default=None, repr=False)
     solver_error: SolverError | None = field(default=None, repr=False)
     interpolation: PreferredInterpolation | None = field(default=None, repr=False)
+    record_faults: tuple[RecordFault, ...] = ()
     shapes: tuple[EffectCurve, ...] = field(default=(), repr=False)
     shooting: ShootingSummary | None = field(default=None, repr=False)
     failed_steps: tuple[str, ...] = ()

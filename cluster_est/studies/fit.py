@@ -12,7 +12,7 @@ from typing_extensions import override
 
 from cluster_est.errors import ProblemError
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
-from cluster_est.methods.method import Method
+from cluster_est.methods.method import Method, Solution
 from cluster_est.problem.compatibility import check_observed_outputs, check_priors
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import check_process_noise
@@ -22,6 +22,7 @@ from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.guarded import GuardedSteps
 from cluster_est.results.interpolation import preferred_interpolation
 from cluster_est.results.output_errors import Simulation
+from cluster_est.results.record_faults.find import faults_of_fit
 from cluster_est.results.residual_diagnostics import diagnose_residuals
 from cluster_est.results.result import Result
 from cluster_est.results.solver_error.measure import measure_solver_error
@@ -222,13 +223,19 @@ class Fit(Study[Result]):
                 None,
             )
             result = replace(
-                result, starts=starts, minima=minima, diagnostics=left, shooting=found.shooting
+                result,
+                starts=starts,
+                minima=minima,
+                diagnostics=left,
+                shooting=found.shooting,
             )
             if whole and not runner.interrupted:
                 if problem.effects:
                     result = _with_shapes(runner, train, result, steps)
                 if solution.ending.success:
                     result = self._refined(runner, train, result, steps)
+                if left is not None:
+                    result = _with_record_faults(runner, train, linear, result, environment, steps)
             result = replace(
                 result, interrupted=runner.interrupted, search_seconds=time.monotonic() - begin
             )
@@ -286,6 +293,30 @@ class Fit(Study[Result]):
             "predictions", lambda: predicted_bands(runner, train.problem, posterior, own), ()
         )
         return replace(result, posterior=posterior, predictions=bands)
+
+
+def _with_record_faults(
+    runner: Runner,
+    train: SearchSpace,
+    solution: Solution,
+    result: Result,
+    environment: RunEnvironment,
+    steps: GuardedSteps,
+) -> Result:
+    """Add what is wrong with a record, where the residuals are more than noise."""
+    before = runner.evaluations, runner.simulations, runner.failures
+    faults = steps.do(
+        "the faults of records",
+        lambda: faults_of_fit(train, solution, result.simulations, environment.resources, runner),
+        (),
+    )
+    return replace(
+        result,
+        record_faults=faults,
+        evaluations=result.evaluations + runner.evaluations - before[0],
+        simulated=result.simulated + runner.simulations - before[1],
+        failures=result.failures + runner.failures - before[2],
+    )
 
 
 def _with_shapes(runner: Runner, train: SearchSpace, result: Result, steps: GuardedSteps) -> Result:

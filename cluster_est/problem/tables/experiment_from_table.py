@@ -177,7 +177,8 @@ def experiment_from_table(
     relative_sigma
         Likewise the part of each measured value that its noise has besides; only with sigma.
     columns
-        {column: {"factor": ..., "offset": ..., "demean": ...}}: changes of unit.
+        {column: {"factor": ..., "offset": ..., "demean": ..., "late": ...}}: changes of unit, and
+        seconds by which its times are late.
     rows
         (from, to): rows from (counted from 0) up to, not with, to.
     missing
@@ -310,13 +311,13 @@ def _changes(
 ) -> dict[str, ColumnChange]:
     known = [each.name for each in fields(ColumnChange)]
     given = {} if columns is None else columns
-    advice = "; write {column: {factor, offset, demean}}"
+    advice = "; write {column: {factor, offset, demean, late}}"
     check_kind(given, Mapping, f"{where}.columns", DataError, advice)
     found = {}
     for name, change in given.items():
         check_name(name, f"{where}.columns: a column", DataError)
         at = f"{where}.columns.{name}"
-        check_kind(change, Mapping, at, DataError, "; write {factor, offset, demean}")
+        check_kind(change, Mapping, at, DataError, "; write {factor, offset, demean, late}")
         for key, value in change.items():
             if key not in known:
                 raise DataError(f"{at}: unknown key {key}{nearest(str(key), known)}")

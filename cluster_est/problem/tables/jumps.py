@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from cluster_est.statistics.noise.outliers import isolated_outliers
 from cluster_est.toml import dotted, inline
 from workers.messages import Experiment, FloatArray, Input, Interpolation
 
@@ -34,6 +35,9 @@ LEAST_JUMPS_WHILE_MOVING = 2
 """A single one may be anything."""
 SAMPLES_AFTER_JUMP = 3
 """Samples from the jump of an input on, in which what is fast answers."""
+LEAST_NOISE_OF_RANGE = 0.01
+"""Share of a signal's range that its noise counts as at least where single samples are looked for
+that stand apart."""
 REGULAR = 0.1
 """Largest range of the times between changes, over their median, of a staircase."""
 
@@ -116,6 +120,20 @@ def after_jumps(experiment: Experiment, output: str) -> npt.NDArray[np.bool_]:
     after = np.zeros(len(times), bool)
     for given in experiment.inputs:
         after |= samples_after(times, jump_times(given))
+    return after
+
+
+def answers_to_inputs(experiment: Experiment, output: str) -> npt.NDArray[np.bool_]:
+    """Return which samples of an output are just after a jump or a single pulse of an input.
+
+    A peak that follows one, as of a flood after rain, is no fault of the sensor.
+    """
+    times = next(each.times for each in experiment.outputs if each.variable == output)
+    after = after_jumps(experiment, output)
+    for given in experiment.inputs:
+        noise = LEAST_NOISE_OF_RANGE * float(np.ptp(given.values))
+        pulses = isolated_outliers(given.values, noise).mask
+        after |= samples_after(times, given.times[pulses], before=1)
     return after
 
 

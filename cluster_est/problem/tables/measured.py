@@ -27,11 +27,15 @@ from workers.messages.signals import check_length, check_times, refuse_value
 
 @dataclass(frozen=True)
 class ColumnChange:
-    """A change of unit: (column - its mean, if `demean`) * factor + offset."""
+    """A change of unit and times: (column - its mean, if `demean`) * factor + offset.
+
+    A column that is `late` by some seconds was measured so much earlier than its times say.
+    """
 
     factor: float = 1.0
     offset: float = 0.0
     demean: bool = False
+    late: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -140,6 +144,10 @@ class MeasuredColumns:
         own = self.table.resolved(name)
         return next((c for n, c in self.changes.items() if self.table.resolved(n) == own), None)
 
+    def _late(self, name: str) -> float:
+        """Seconds by which the times of a column are late."""
+        return (self._change(name) or ColumnChange()).late
+
     def _used(self, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """The used ones of all rows."""
         if self.rows is None:
@@ -198,7 +206,7 @@ class MeasuredColumns:
         times = self.own_times(column, clock, times)
         values = self._values(times, column, f"{key}.{variable}")
         known = self._known(times, values, column)
-        return Input(variable, times[known], values[known], interpolation)
+        return Input(variable, times[known] - self._late(column), values[known], interpolation)
 
     def output(
         self,
@@ -213,7 +221,8 @@ class MeasuredColumns:
         times = self.own_times(column, clock, times)
         values = self._values(times, column, f"outputs.{variable}")
         measured = self._known(times, values, column)
-        return Output(variable, times[measured], values[measured], sigma, relative_sigma)
+        times = times[measured] - self._late(column)
+        return Output(variable, times, values[measured], sigma, relative_sigma)
 
     def empty_until(self, times: FloatArray, inputs: Sequence[str], others: Sequence[str]) -> float:
         """The time of the first row that is not empty, where a gap stands before it.

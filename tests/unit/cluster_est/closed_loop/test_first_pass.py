@@ -140,6 +140,26 @@ def test_outliers_that_follow_jumps_are_answers_to_them(
     assert 601 - len(found.before.problem.experiments[0].outputs[0].times) == count
 
 
+@pytest.mark.parametrize(("answers", "count"), [(True, 0), (False, 9)])
+def test_peaks_that_follow_pulses_of_an_input_are_no_outliers(
+    clean: Problem, answers: bool, count: int
+) -> None:
+    """Nine samples stand alone: each where the force has a pulse, as a flood after rain, or not."""
+    times = clean.experiments[0].outputs[0].times
+    pulses = 60 * np.arange(1, 10)
+    rain = np.sin(times)
+    rain[pulses] += 3.0
+    runs = [
+        replace(run, inputs=(replace(run.inputs[0], times=times, values=rain),))
+        for run in missing_effect_problem("mass_spring_damper").experiments
+    ]
+    driven = measured(replace(clean, experiments=tuple(runs)), NOISE)
+    off = np.zeros(601)
+    off[pulses + (0 if answers else np.array([*range(10, 28, 2)]))] = 15.0 * NOISE
+    found = closed(changed(driven, off, np.zeros(601)))
+    assert 601 - len(found.before.problem.experiments[0].outputs[0].times) == count
+
+
 @pytest.mark.parametrize(
     ("sigma", "expected"),
     [pytest.param(0.5, 0.5, id="given"), pytest.param(1.0, 10.0, id="not given")],

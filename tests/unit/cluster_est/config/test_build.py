@@ -30,6 +30,13 @@ def test_demeaning_takes_the_measured_rows_alone(tmp_path):
     np.testing.assert_array_equal(problem.experiments[0].outputs[0].values, [-9.0, 11.0])
 
 
+def test_a_late_column_was_measured_earlier_than_it_says(tmp_path):
+    change = {f"{A}.columns": {"position": {"late": 0.1}, "force": {"late": -0.1}}}
+    (run,) = build(tmp_path, change).experiments
+    assert run.outputs[0].times == pytest.approx([0.0, 0.1, 0.2])
+    assert run.inputs[0].times == pytest.approx([0.1, 0.2, 0.3, 0.4])
+
+
 def test_windows_that_are_held_out_are_an_experiment_of_their_own(tmp_path):
     train, test = build(tmp_path, {f"{A}.test_windows": [[0.15, 0.25]]}).experiments
     assert (train.id, train.role, test.id, test.role) == ("a", "train", "a (held out)", "test")

@@ -1,0 +1,184 @@
+"""A fault of a record, in a sentence, with the key of a config that mends it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from cluster_est.problem.display import readable_time
+from cluster_est.toml import dotted
+
+FaultKind = Literal[
+    "gain", "offset", "sign", "unit", "delay", "clock", "swapped", "initial state", "foreign source"
+]
+Sort = Literal["inputs", "outputs"]
+
+UNIT_FACTORS: tuple[tuple[float, float, str], ...] = (
+    (180.0 / math.pi, 0.0, "degrees for radians"),
+    (30.0 / math.pi, 0.0, "1/min for rad/s"),
+    (1000.0, 0.0, "thousandths, such as mm for m or mbar for bar"),
+    (1e6, 0.0, "millionths, such as um for m"),
+    (100.0, 0.0, "percent, or cm for m"),
+    (60.0, 0.0, "per minute for per second"),
+    (3600.0, 0.0, "per hour for per second"),
+    (3.6, 0.0, "km/h for m/s"),
+    (1e5, 0.0, "Pa for bar"),
+    (9.80665, 0.0, "newtons for kilograms of weight"),
+    (1.8, 0.0, "kelvins of Fahrenheit's scale"),
+    (1.0, 273.15, "K for degC"),
+    (1.8, 32.0, "degF for degC"),
+    (1.8, -459.67, "degF for K"),
+)
+"""What a column has where another unit was meant: factor times the number that was meant, plus an
+offset; each may be the other way round."""
+SAME_FACTOR = 0.03
+"""Distance of a gain from a unit's, as a part of it, that makes it that unit's."""
+SAME_OFFSET = 0.01
+"""Distance of an offset from a unit's, as a part of it."""
+
+
+@dataclass(frozen=True)
+class RecordFault:
+    """A fault of one record, or of all.
+
+    Attributes
+    ----------
+    kind
+        What is wrong.
+    experiment
+        Its id; "" for all records.
+    sort, variables
+        Inputs or outputs, and which of them.
+    size
+        A gain, an offset, seconds, the shift of an initial state, or a frequency in hertz: what the
+        column has over what it should have, or less that. NaN where it has none.
+    before, after
+        The largest root mean square residual of an output of the record over its noise, as it is,
+        and once the fault is mended.
+    unit
+        Of the quantity, or what it was taken for.
+    others
+        What else these data do not tell from it.
+    frequencies
+        Of a foreign source, the lowest and the highest.
+    factor, offset
+        Of the column, that mend it; the offset of an initial state is its value.
+    column
+        Of the table, where it is known.
+    """
+
+    kind: FaultKind
+    experiment: str
+    sort: Sort
+    variables: tuple[str, ...]
+    size: float
+    before: float
+    after: float
+    unit: str = ""
+    others: tuple[str, ...] = ()
+    frequencies: tuple[float, float] = (math.nan, math.nan)
+    factor: float = 1.0
+    offset: float = 0.0
+    column: str = "COLUMN"
+
+    @property
+    def sentence(self) -> str:
+        """Say what is wrong, how well it is known, and what mends it."""
+        own = f"experiment {self.experiment}" if self.experiment else "all experiments"
+        if self.kind == "foreign source":
+            return f"look at the records first: {self.said}; {self.remedy}"
+        if self.experiment:
+            apart = (
+                f"{own} is the odd one: without it the others fit at the level of the noise, and "
+                f"it is off by {self.before:.2g} times the noise, {self.after:.2g} once mended"
+            )
+        else:
+            fall = f"from {self.before:.2g} to {self.after:.2g} times the noise"
+            apart = f"mended, the residual falls {fall}"
+        alike = f" ({' or '.join(self.others)} would look the same)" if self.others else ""
+        where = f"the record of {own}" if self.experiment else "the records"
+        return f"look at {where} first: {self.said}{alike}; {apart}; {self.remedy}"
+
+    @property
+    def said(self) -> str:
+        """What is wrong, alone."""
+        name, what = " and ".join(self.variables), self.sort.removesuffix("s")
+        if self.kind == "gain":
+            how = "large" if abs(self.size) > 1.0 else "small"
+            factor = abs(self.size) if abs(self.size) > 1.0 else 1.0 / abs(self.size)
+            return f"{what} {name} looks {factor:.4g} times too {how}"
+        if self.kind == "sign":
+            return f"{what} {name} has the wrong sign"
+        if self.kind == "offset":
+            unit = f" {self.unit}" if self.unit not in ("", "1") else ""
+            where = "high" if self.size > 0.0 else "low"
+            return f"{what} {name} is {abs(self.size):.4g}{unit} too {where}"
+        if self.kind == "unit":
+            return f"{what} {name} looks as if it were in another unit: {self.unit}"
+        late = "late" if self.size > 0.0 else "early"
+        if self.kind == "delay":
+            return f"{what} {name} is {readable_time(abs(self.size))} {late}"
+        if self.kind == "clock":
+            return (
+                f"all outputs are equally {late} against the inputs, by "
+                f"{readable_time(abs(self.size))}: one clock offset"
+            )
+        if self.kind == "swapped":
+            return f"{self.sort} {name} look swapped"
+        if self.kind == "initial state":
+            return f"it begins elsewhere than it says, at another {name}"
+        low, high = self.frequencies
+        return (
+            f"a periodic source that nobody measured acts on {name}, of {low:.4g} to {high:.4g} "
+            "Hz, another frequency in each record and in no input"
+        )
+
+    @property
+    def remedy(self) -> str:
+        """The keys of a config that mend it."""
+        aside = 'or role = "test" leaves the record out of the fit' if self.experiment else ""
+        return ", ".join(filter(None, (self._key, aside)))
+
+    @property
+    def _key(self) -> str:
+        where = f" in experiment {self.experiment}" if self.experiment else ""
+        if self.kind in ("gain", "sign", "offset", "unit"):
+            numbers = {"factor": self.factor, "offset": self.offset}
+            plain = {"factor": 1.0, "offset": 0.0}
+            given = [f"{k} = {v:.6g}" for k, v in numbers.items() if v != plain[k]]
+            key = dotted("columns", self.column)
+            return f"{key} = {{ {', '.join(given)} }}{where} mends it"
+        if self.kind in ("delay", "clock"):
+            each = " for each output" if self.kind == "clock" else ""
+            key = dotted("columns", "COLUMN" if each else self.column)
+            return f"{key} = {{ late = {self.size:.6g} }}{where}{each} mends it"
+        if self.kind == "swapped":
+            pairs = ", ".join(dotted(self.sort, name) for name in self.variables)
+            return f"exchange the columns of {pairs}{where}"
+        if self.kind == "initial state":
+            state, start = self.variables[0], f"{self.offset:.4g}"
+            free = f'{dotted("parameters", state)} = {{ start = {start}, per = "experiment" }}'
+            return f"{dotted('values', state)} = {start}{where} mends it, or estimate it by {free}"
+        return "measure it and name its column in signals, or find it and stop it"
+
+
+def as_unit(factor: float, offset: float, spread: float) -> str:
+    """Return which unit a column seems to have; "" for none.
+
+    Parameters
+    ----------
+    factor, offset
+        What the column has: factor times what is meant, plus the offset.
+    spread
+        Standard deviation of the column, in which an offset must be large to be told.
+    """
+    for own, shift, words in UNIT_FACTORS:
+        one, _, other = words.partition(" for ")
+        turned = f"{other} for {one}" if other else f"the inverse of {words}"
+        for scale, move, said in ((own, shift, words), (1.0 / own, -shift / own, turned)):
+            near = abs(factor / scale - 1.0) <= SAME_FACTOR
+            moved = abs(offset - move) <= max(SAME_OFFSET * abs(move), 0.1 * spread)
+            if near and moved and (move == 0.0 or abs(move) > spread):
+                return said
+    return ""

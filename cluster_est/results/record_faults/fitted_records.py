@@ -1,0 +1,211 @@
+"""The records of a fit, and what simulates and fits them again with something changed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from cluster_est.executors import executor_class
+from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
+from cluster_est.methods.method import Solution
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.search_space import SearchSpace, make_space
+from cluster_est.results.solver_error.measure import simulate_with_solver
+from cluster_est.running.resources import Resources
+from cluster_est.running.runner import Runner
+from cluster_est.running.search_state import SearchRequest
+from cluster_est.statistics.noise.estimate import estimate_noise
+from cluster_est.statistics.records import StackedRecords, make_records
+from workers.messages import Experiment, FloatArray, Output, ResetPolicy
+
+AT_NOISE = 1.3
+"""Residual over noise up to which a record fits."""
+BY_CHANCE = 4.0
+"""Standard errors of a short record's residual that count as its noise."""
+OFF = 2.0
+"""Residual over noise from which on a record does not."""
+LEAST_STEPS, STEPS_OF_SAMPLE = 20_000, 100
+"""Steps of a solver that a changed record may take: a change that is far off may make it stiff."""
+REFIT = LeastSquares(trials=1, max_iterations=15, ftol=1e-4, xtol=1e-5, differences="forward")
+
+Change = Callable[[Experiment], Experiment]
+
+
+@dataclass(frozen=True)
+class FittedRecords:
+    """Training experiments where a fit stands.
+
+    Attributes
+    ----------
+    problem
+        Of the fit.
+    space
+        Of all training experiments.
+    x : (unknowns,)
+        The estimates.
+    residuals : (n,), jacobian : (n, unknowns)
+        Stacked; of the free unknowns, others have zeros.
+    runner, resources
+        Of the fit: for simulations of the records as they are, and of changed ones.
+    count
+        Told of the simulations of changed records.
+    """
+
+    problem: Problem
+    space: SearchSpace
+    x: FloatArray
+    residuals: FloatArray = field(repr=False)
+    jacobian: FloatArray = field(repr=False)
+    runner: Runner = field(repr=False)
+    resources: Resources = field(repr=False)
+    count: Callable[[int], None] = field(default=lambda _: None, repr=False)
+
+    @property
+    def train(self) -> tuple[int, ...]:
+        """Indices of the experiments."""
+        return self.space.experiments
+
+    @cached_property
+    def runs(self) -> list[Experiment]:
+        """The experiments."""
+        return [self.problem.experiments[e] for e in self.train]
+
+    @cached_property
+    def records(self) -> StackedRecords:
+        """Of the residuals."""
+        return make_records(self.runs)
+
+    @cached_property
+    def estimates(self) -> dict[str, float]:
+        """Physical values by label."""
+        return self.space.estimates(self.x)
+
+    @cached_property
+    def noise_here(self) -> FloatArray:
+        """Of each output, where the fit stands; see `noise`."""
+        return self.noise(self.residuals, self.runs)
+
+    def noise(self, residuals: FloatArray, runs: Sequence[Experiment]) -> FloatArray:
+        """Return the noise of each output in units of sigma, no less than a sigma that is given."""
+        outputs = [output for run in runs for output in run.outputs]
+        measured = np.concatenate([o.values / o.sigmas for o in outputs])
+        records = make_records(runs)
+        found = np.nan_to_num(estimate_noise(residuals, records, measured))
+        given = {o.variable for o in outputs if o.has_sigma}
+        least = [1.0 if name in given else 1e-300 for name in records.outputs]
+        return np.maximum(found, least)
+
+    def levels(
+        self, residuals: FloatArray, runs: Sequence[Experiment], noise: FloatArray
+    ) -> FloatArray:
+        """Return the largest root mean square residual of each experiment's outputs, over noise.
+
+        Less for a short record, whose noise alone may be larger by chance.
+        """
+        found = np.zeros(len(runs))
+        for item in make_records(runs).items:
+            if len(item.times):
+                size = float(np.sqrt(np.mean(residuals[item.rows] ** 2))) / noise[item.output]
+                chance = 1.0 + BY_CHANCE / np.sqrt(2.0 * len(item.times))
+                size *= AT_NOISE / max(AT_NOISE, chance)
+                found[item.experiment] = max(found[item.experiment], size)
+        return found
+
+    def refit(self, spaces: Sequence[SearchSpace]) -> list[Solution]:
+        """Fit the records as they are, some of them left out."""
+        return self.runner.run([SearchRequest("records", REFIT, space) for space in spaces])
+
+    def refit_changed(
+        self, change: Change, start: dict[str, float]
+    ) -> tuple[Solution, list[Experiment]]:
+        """Fit all records with something changed, in a process of its own.
+
+        Raises
+        ------
+        ClusterEstError
+            If no process can be started.
+        """
+        runs = [change(run) for run in self.runs]
+        problem = replace(self.problem, experiments=tuple(runs))
+        space = make_space(problem, tuple(range(len(runs))), starts=start)
+        reset: ResetPolicy = problem.model.reset
+        if reset == "auto":
+            reset = "instance"
+        if self.resources.instances is not None:
+            reset = self.runner.free_instances(1)
+        model = replace(problem.model, reset=reset, seats=self.resources.seats)
+        kind = executor_class("processes" if hasattr(os, "fork") else "local")
+        with kind.open(model, tuple(runs), 1, None, self.resources.limits) as pool:
+            runner = Runner(pool)
+            (found,) = runner.run([SearchRequest("records", REFIT, space)])
+            self.count(runner.simulations)
+        return found, runs
+
+    def simulate(self, runs: Sequence[Experiment], values: FloatArray) -> list[FloatArray | None]:
+        """Return the residuals of changed experiments, None where one fails.
+
+        Parameters
+        ----------
+        runs, values
+            A row of physical values for each.
+
+        Raises
+        ------
+        ClusterEstError
+            If no process can be started.
+        """
+        self.count(len(runs))
+        samples = max((len(o.times) for run in runs for o in run.outputs), default=0)
+        solver = self.problem.model.solver
+        most = min(solver.max_steps, max(LEAST_STEPS, STEPS_OF_SAMPLE * samples))
+        outcomes = simulate_with_solver(
+            self.problem, tuple(runs), values, replace(solver, max_steps=most), "residuals",
+            self.resources, beside=self.runner,
+        )  # fmt: skip
+        return [each.residuals if each.ok else None for each in outcomes]
+
+    def sensitivities(
+        self, position: int, space: SearchSpace, x: FloatArray
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """Return the residuals of one record and their derivatives by all unknowns of a space.
+
+        Parameters
+        ----------
+        position
+            Of the record among the training experiments.
+        space, x
+            Of all training experiments, and where.
+        """
+        acting = space.acting[position]
+        steps = 1e-3 * np.maximum(np.abs(x), space.typical)
+        steps = np.where(space.logarithmic, 1e-3, steps)
+        points = np.tile(x, (len(acting) + 1, 1))
+        for row, unknown in enumerate(acting.tolist(), start=1):
+            up = x[unknown] + steps[unknown] <= space.upper[unknown]
+            points[row, unknown] += steps[unknown] if up else -steps[unknown]
+        values = np.array([space.physical(point)[position] for point in points])
+        outcomes = self.runner.simulate(
+            values,
+            [self.train[position]] * len(points),
+            "residuals",
+            "records",
+            self.problem.effects,
+        )
+        if any(not each.ok or each.residuals is None for each in outcomes):
+            return None
+        residuals = [np.asarray(each.residuals) for each in outcomes]
+        matrix = np.zeros((len(residuals[0]), space.size))
+        for row, unknown in enumerate(acting.tolist(), start=1):
+            matrix[:, unknown] = (residuals[row] - residuals[0]) / (
+                points[row, unknown] - x[unknown]
+            )
+        return residuals[0], matrix
+
+
+def converted(output: Output, factor: float, offset: float) -> Output:
+    """Return an output whose column is multiplied by a factor, and shifted; its noise too."""
+    return replace(output, values=factor * output.values + offset, sigma=abs(factor) * output.sigma)
