@@ -212,8 +212,7 @@ def _parameter(
     return Parameter(
         label,
         start,
-        low,
-        high,
+        (low, high),
         scale or "linear",
         chosen.fixed,
         per=chosen.per,

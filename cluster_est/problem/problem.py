@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from cluster_est.errors import ProblemError
@@ -45,8 +45,9 @@ class Problem:
     model, experiments, cost
         What is simulated, from which measurements, and what is minimised.
     parameters
-        Parameters of the model, in the order of `model.parameters`, then the coefficients of the
-        effects, called "EFFECT.COEFFICIENT". Auxiliary ones may stand anywhere.
+        Parameters of the model, then the coefficients of the effects, called
+        "EFFECT.COEFFICIENT". Auxiliary ones may stand anywhere. A model without parameters of its
+        own gets these; another must name the same, in this order.
     effects
         Terms that are added to the model.
     constraints
@@ -85,6 +86,9 @@ class Problem:
         refuse_repeated("effect", [e.name for e in self.effects])
         names = [f"{e.name}.{c}" for e in self.effects for c in coefficient_names(e)]
         targets = [p.target for p in self.parameters if not p.auxiliary]
+        if not self.model.parameters:
+            own = tuple(target for target in targets if target not in names)
+            object.__setattr__(self, "model", replace(self.model, parameters=own))
         if targets != [*self.model.parameters, *names]:
             raise ProblemError(
                 "parameters: must be those of the model and then the coefficients of the effects, "
@@ -106,7 +110,7 @@ class Problem:
 
     def _check_kinds(self) -> None:
         """Refuse what is of another class than it must be, and make lists tuples."""
-        advice = "; make one with read_model(path, parameters)"
+        advice = "; make one with read_model(path)"
         check_kind(self.model, Model, "problem.model", ProblemError, advice)
         advice = "; import one from cluster_est.problem.costs"
         check_kind(self.cost, Cost, "problem.cost", ProblemError, advice)

@@ -163,7 +163,7 @@ def made_problem(model: LargeModel) -> ce.Problem:
         )
         experiments.append(replace(run, outputs=outputs))
     parameters = tuple(
-        ce.Parameter(name, 1.15 * value, 0.1 * value, 10.0 * value)
+        ce.Parameter(name, 1.15 * value, (0.1 * value, 10.0 * value))
         for name, value in written.parameters.items()
     )
     return ce.Problem(fmu, parameters, tuple(experiments))

@@ -31,8 +31,8 @@ def measured(law, interface="model_exchange") -> ce.Problem:
         inputs = (ce.Input("qd", TIMES, speed), ce.Input("qdd", TIMES, turning))
         outputs = (ce.Output("i", TIMES, current, sigma=NOISE),)
         runs.append(ce.Experiment(name, 0.0, float(TIMES[-1]), inputs, outputs, role=role))
-    parameters = tuple(ce.Parameter(name, 0.1, 0.0, 5.0) for name in ("J", "Fv"))
-    model = ce.read_model(FMU, ["J", "Fv"], interface=interface)
+    parameters = tuple(ce.Parameter(name, 0.1, (0.0, 5.0)) for name in ("J", "Fv"))
+    model = ce.read_model(FMU, interface=interface)
     return ce.Problem(model, parameters, tuple(runs))
 
 

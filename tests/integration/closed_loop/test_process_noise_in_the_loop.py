@@ -48,14 +48,14 @@ def record(seed: int, dry: float, role: str, samples: int = 300) -> ce.Experimen
 def problem(dry: float) -> ce.Problem:
     roles = ("train", "train", "train", "test")
     parameters = (
-        ce.Parameter("m", 1.0, 0.1, 10.0),
-        ce.Parameter("k", 25.0, 1.0, 200.0),
-        ce.Parameter("c", 0.4, 0.0, 10.0),
-        ce.Parameter("wind.q", 1.0, 0.01, 100.0, "log"),
-        ce.Parameter("wind.tau", 0.2, 0.01, 10.0, "log"),
+        ce.Parameter("m", 1.0, (0.1, 10.0)),
+        ce.Parameter("k", 25.0, (1.0, 200.0)),
+        ce.Parameter("c", 0.4, (0.0, 10.0)),
+        ce.Parameter("wind.q", 1.0, (0.01, 100.0), "log"),
+        ce.Parameter("wind.tau", 0.2, (0.01, 10.0), "log"),
     )
     return ce.Problem(
-        ce.read_model(ROOT / "configs" / "models" / "mass_spring_damper.fmu", list(TRUE)),
+        ce.read_model(ROOT / "configs" / "models" / "mass_spring_damper.fmu"),
         parameters,
         tuple(record(seed, dry, role) for seed, role in enumerate(roles)),
         effects=(ce.Effect("wind", "input F", "coloured_noise"),),

@@ -153,7 +153,7 @@ def test_a_switch_that_is_wide_is_one_friction_with_its_width():
     """It is not patched, and written to the config with an unknown width."""
     problem = measured_springs(
         pushed(lambda t, x, f: -2.0 * np.tanh(x[1] / 0.02)),
-        ce.Parameter("m", 1.1 * M, 0.1, 10.0),
+        ce.Parameter("m", 1.1 * M, (0.1, 10.0)),
         swing=12.0,
         noise=1e-4,
         random=np.random.default_rng(3),

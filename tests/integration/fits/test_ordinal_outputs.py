@@ -65,7 +65,7 @@ def test_what_an_order_says_nothing_of_is_named():
     problem = judged()
     sensor = shared_sensor("y")
     (scale,) = sensor.parameters
-    given = (*problem.parameters, replace(scale, lower=0.1, upper=10.0, start=2.0))
+    given = (*problem.parameters, replace(scale, bounds=(0.1, 10.0), start=2.0))
     found = ce.fit(replace(problem, parameters=given, effects=(sensor.effect,)))
     assert "sensor_y.scale has no effect on any residual" in found.notes
     free = tuple(replace(p, fixed=False) for p in problem.parameters)

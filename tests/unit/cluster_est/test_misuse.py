@@ -22,9 +22,9 @@ T = np.linspace(0.0, 1.0, 5)
 DRIVEN, MEASURED = ce.Input("F", T, T), ce.Output("y", T, T)
 RUN = ce.Experiment("a", 0.0, 1.0, [DRIVEN], [MEASURED])
 CONFIG = ROOT / "configs" / "mass_spring_damper.toml"
-MASS = ce.Parameter("m", 1.0, 0.1, 10.0)
+MASS = ce.Parameter("m", 1.0, (0.1, 10.0))
 SPRINGS = spring_problem(experiments=2, samples=40).problem
-MODEL = ce.read_model(FMU, ["m"])
+MODEL = ce.read_model(FMU)
 USUAL = {
     ce.Parameter: {"name": "m", "start": 1.0},
     ce.Problem: {"model": MODEL, "parameters": [MASS], "experiments": [RUN]},
@@ -76,10 +76,14 @@ REFUSED = [
     (ce.Parameter, {"start": "1"}, "m.start: must be a number.*'1'"),
     (ce.Parameter, {"start": 10**400}, "m.start: must be a finite number of a usual size.*1000"),
     (ce.Parameter, {"start": -1.0, "scale": "log"}, "m.scale: a log scale needs a positive start"),
-    (ce.Parameter, {"lower": 2.0, "upper": 0.5}, "m.bounds: the lower bound must be below"),
-    (ce.Parameter, {"lower": None}, "m.lower: must be a number, or infinite.*None"),
-    (ce.Parameter, {"lower": np.nan}, "m.bounds: the lower bound must be below the upper one"),
-    (ce.Parameter, {"lower": 3.0}, r"m.start: must lie in its bounds \[3, inf\].*1"),
+    (ce.Parameter, {"bounds": (2.0, 0.5)}, "m.bounds: the lower bound must be below"),
+    (ce.Parameter, {"bounds": (None, 1.0)}, "m.bounds: lower must be a number, or infinite.*None"),
+    (
+        ce.Parameter,
+        {"bounds": (np.nan, 1.0)},
+        "m.bounds: the lower bound must be below the upper one",
+    ),
+    (ce.Parameter, {"bounds": (3.0, np.inf)}, r"m.start: must lie in its bounds \[3, inf\].*1"),
     (ce.Parameter, {"scale": "logarithmic"}, "m.scale: must be 'linear' or 'log'.*'logarithmic'"),
     (ce.Parameter, {"per": 1}, 'm.per: must be "experiment" or "group:KEY".*1'),
     (ce.Parameter, {"variable": 1}, "m.variable: must be text.*1"),
@@ -91,7 +95,11 @@ REFUSED = [
     (ce.Problem, {"experiments": [RUN, RUN]}, "experiment id 'a'.*must appear once.*twice"),
     (ce.Problem, {"experiments": []}, "experiments: at least one must have role = .train"),
     (ce.Problem, {"parameters": {"m": 1.0}}, r"parameters\[0\]: must be a Parameter.*'m'"),
-    (ce.Problem, {"parameters": []}, "parameters: must be those of the model"),
+    (
+        ce.Problem,
+        {"model": replace(MODEL, parameters=("k",))},
+        "parameters: must be those of the mod",
+    ),
     (ce.Problem, {"cost": "huber"}, "problem.cost: must be a Cost.*'huber'.*import"),
     (ce.Problem, {"cost": COSTS["huber"]}, r"problem.cost: must be a Cost.*class.*HuberCost\("),
     (ce.fit, {"method": "leastsquares"}, "method.name.*'leastsquares'.*did you mean 'least_sq"),
@@ -125,7 +133,7 @@ REFUSED = [
     (ce.read_model, {"path": "no.fmu"}, r"model.fmu: no.fmu cannot be read.*No such file"),
     (ce.read_model, {"path": 3}, "model.fmu: must be a path.*3"),
     (ce.read_model, {"path": ROOT / "pyproject.toml"}, "must be an FMU, which is a zip file"),
-    (ce.read_model, {"parameters": ["q"]}, "model.parameters: mass_spring.*variable 'q'"),
+    (ce.Parameter, {"bounds": 3.0}, r"m.bounds: must be \(lower, upper\) but is 3"),
     (ce.read_model, {"structure": 3}, "model.structure: must be a dict.*3.*{name: value}"),
     (ce.read_model, {"structure": {"n": "a"}}, "model.structure.n: must be a whole number.*'a'"),
     (ce.read_model, {"solver": "ode45"}, "model.solver: must be 'dormand_prince', 'rk4', 'cvode'"),
