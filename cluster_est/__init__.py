@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     from cluster_est.problem.parameter import Parameter
     from cluster_est.problem.problem import Problem
     from cluster_est.problem.tables.files import read_table
+    from cluster_est.results.compare import compare
     from cluster_est.results.result import Result
+    from cluster_est.run_folder.saved_result import load
     from cluster_est.running.multistart import Multistart
     from cluster_est.running.resources import Budget, Resources
     from cluster_est.studies.fit import fit, simulate
@@ -73,10 +75,12 @@ __all__ = [
     "add_effect",
     "build_problem",
     "close_loop",
+    "compare",
     "design",
     "detect",
     "export",
     "fit",
+    "load",
     "locate",
     "read_config",
     "read_model",
@@ -106,7 +110,8 @@ _MODULES = {
     "cluster_est.studies.residual_function": ("residuals",),
     "cluster_est.studies.save_report_export": ("export", "report", "save"),
     "cluster_est.results.result": ("Result",),
-    "cluster_est.results.fit_tables": ("Estimate",),
+    "cluster_est.results.compare": ("compare",),
+    "cluster_est.run_folder.saved_result": ("load",),
     "cluster_est.running.multistart": ("Multistart",),
     "cluster_est.running.resources": ("Budget", "Resources"),
     "cluster_est.uncertainty": ("UncertaintySettings",),

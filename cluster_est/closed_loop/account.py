@@ -186,7 +186,7 @@ def account(
     failed = dict.fromkeys((*before.failed_steps, *after.failed_steps, *steps.failed))
     return LoopResult(
         verdict=judgement.verdict,
-        summary="; ".join([judgement.reason, *_disturbance(judgement.verdict, unexplained, begun)]),
+        message="; ".join([judgement.reason, *_disturbance(judgement.verdict, unexplained, begun)]),
         effects=named if keep else (),
         before=before,
         after=after,
@@ -329,7 +329,6 @@ def final_fit(
     """Fit to convergence, and simulate every experiment; `begin` as for `complete`."""
     space = fitter.space(start)
     (solution,) = fitter.runner.run([SearchRequest("final", method, space, fitter.seed)])
-    units = {n: v.unit for n, v in fitter.description.variables.items()}
     before = simulate_all(fitter.runner, start.problem, {})
     steps = GuardedSteps()
     known = steps.assessed(space, solution, lambda: examine(fitter.runner, space, solution))
@@ -339,7 +338,7 @@ def final_fit(
         solution,
         method,
         before,
-        units=units,
+        variables=fitter.description.variables,
         seed=fitter.seed,
         begin=begin,
         steps=steps,

@@ -190,8 +190,8 @@ def _with_interpolation(result: LoopResult, other: PreferredInterpolation | None
     """
     if other is None:
         return result
-    summary = f"{result.summary}; but the measurements prefer {other.key}: set it first"
-    return replace(result, summary=summary, notes=(other.sentence, *result.notes))
+    message = f"{result.message}; but the measurements prefer {other.key}: set it first"
+    return replace(result, message=message, notes=(other.sentence, *result.notes))
 
 
 def _confirmed_on_all_rows(

@@ -138,7 +138,7 @@ def _accounted(
     free = simulation_sentence(workbench.fitter, result.before, result.after) if kept else ""
     return replace(
         result,
-        summary="; ".join([result.summary, *said]),
+        message="; ".join([result.message, *said]),
         notes=tuple(
             filter(
                 None,

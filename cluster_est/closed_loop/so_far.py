@@ -59,8 +59,8 @@ def _result(
     changes = [error_changes(workbench, found, before, each) for each in (after, before)]
     result = account(workbench, found, judged, LastFits(before, after, changes[0], changes[1]))
     notes = filter(None, (NOT_THE_LAST, said, *result.notes))
-    summary = f"{rounds}: {result.summary}"
-    return replace(result, summary=summary, notes=tuple(notes), seconds=after.seconds)
+    message = f"{rounds}: {result.message}"
+    return replace(result, message=message, notes=tuple(notes), seconds=after.seconds)
 
 
 def _fit(fitter: Fitter, fitted: FittedModel, begin: float) -> Result:

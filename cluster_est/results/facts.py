@@ -96,6 +96,7 @@ def fit_facts(result: Result) -> dict[str, Any]:
         "residuals": None if diagnostics is None else residual_facts(diagnostics),
         "solver_error": solver_facts(result.solver_error),
         "interpolation": interpolation_facts(result.interpolation),
+        "criteria": dataclasses.asdict(result.criteria),
         "doubts": list(fit_doubts(result)),
         "notes": list(result.notes),
         "iterations": result.solution.iterations,

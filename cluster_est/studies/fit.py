@@ -185,7 +185,7 @@ class Fit(Study[Result]):
     ) -> Result:
         """Search, then find out what the solution is worth."""
         problem, steps = self.problem, GuardedSteps()
-        units = {name: each.unit for name, each in problem.describe().variables.items()}
+        variables = problem.describe().variables
         with environment.executor(problem) as executor:
             runner = environment.runner(executor)
             runner.interrupted, begin = interrupted, time.monotonic()
@@ -207,7 +207,7 @@ class Fit(Study[Result]):
                 solution,
                 self.method,
                 before,
-                units=units,
+                variables=variables,
                 seed=self.seed,
                 begin=begin,
                 steps=steps,

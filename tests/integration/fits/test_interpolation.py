@@ -131,5 +131,5 @@ def test_a_closed_loop_says_it_first(rows):
     found = ce.close_loop(problem, ONE, thinning=thinning)
     (said,) = [note for note in found.notes if "prefer input F to be held" in note]
     assert found.notes[0] == said
-    assert found.summary.endswith(f"but the measurements prefer {KEY % 'hold'}: set it first")
+    assert found.message.endswith(f"but the measurements prefer {KEY % 'hold'}: set it first")
     assert KEY % "hold" in said

@@ -158,7 +158,9 @@ def test_walkers_without_a_density_end_at_once_and_say_so():
 
 
 def test_points_that_cannot_be_simulated_have_no_density_and_are_counted():
-    rooted = lines((1.0, -10.0, 10.0), (0.1, -1.0, 10.0), lambda t, v, e: v[0] + np.sqrt(v[1]) * t)
+    rooted = lines(
+        (1.0, (-10.0, 10.0)), (0.1, (-1.0, 10.0)), lambda t, v, e: v[0] + np.sqrt(v[1]) * t
+    )
     found = drawn(rooted, steps=200)
     assert found.failures > 0
     assert found.values[:, :, 1].min() >= 0.0
