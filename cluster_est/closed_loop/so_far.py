@@ -78,7 +78,7 @@ def _fit(fitter: Fitter, fitted: FittedModel, begin: float) -> Result:
         solution,
         FINAL,
         simulate_all(runner, fitted.problem, {}),
-        units={n: v.unit for n, v in fitter.description.variables.items()},
+        variables=fitter.description.variables,
         seed=fitter.seed,
         begin=begin,
         steps=GuardedSteps(),

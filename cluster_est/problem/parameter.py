@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 from cluster_est.errors import ProblemError
+from cluster_est.problem.distribution_prior import as_prior
 from cluster_est.problem.priors import Prior
 from cluster_est.toml import dotted
 from workers.messages.checks import (
@@ -57,8 +58,8 @@ class Parameter:
     auxiliary
         Not a variable of the FMU: only expressions and constraints use it.
     prior
-        What is known of it before the measurements; with `per`, of each of its values. None for no
-        more than the bounds.
+        What is known of it before the measurements; with `per`, of each of its values. May be given
+        as a frozen distribution of `scipy.stats` with one mode. None for no more than the bounds.
     """
 
     name: str
@@ -101,6 +102,7 @@ class Parameter:
             )
 
         if self.prior is not None:
+            object.__setattr__(self, "prior", as_prior(self.prior, f"{where}.prior"))
             self._check_prior(where)
 
     def _check_prior(self, where: str) -> None:

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from cluster_est.errors import ProblemError
 from cluster_est.problem import display
-from cluster_est.results.view import ResultView, as_frame
+from cluster_est.results.view import ResultView
 from workers.messages.checks import check_kind
 
 if TYPE_CHECKING:
@@ -75,11 +75,11 @@ class Comparison:
 
     def to_frame(self) -> pd.DataFrame:
         """Return the models as a frame of pandas, which must be installed."""
-        return as_frame(pa.Table.from_pylist([vars(each) for each in self.models]))
+        return display.as_frame(pa.Table.from_pylist([vars(each) for each in self.models]))
 
     @property
     def _shown(self) -> display.DisplayTable:
-        head = ("model", "estimated", "AIC", "difference", "weight", "BIC", "difference")
+        numbers = ("AIC", "difference", "weight", "BIC", "difference")
         rows = [
             (
                 each.model, str(each.estimated), each.aic, each.aic_difference, each.aic_weight,
@@ -87,7 +87,7 @@ class Comparison:
             )
             for each in self.models
         ]  # fmt: skip
-        head = (*head, "training error", "held out")
+        head = ("model", "estimated", *numbers, "training error", "held out")
         return display.DisplayTable("Models", head, rows)
 
     def __repr__(self) -> str:

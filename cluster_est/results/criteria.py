@@ -71,8 +71,9 @@ class InformationCriteria:
         if not facts:
             return cls(why_not="the run was made before they were computed")
         known = {each.name for each in fields(cls)}
-        named = {key: value for key, value in facts.items() if key in known}
-        return cls(**{key: math.nan if value is None else value for key, value in named.items()})
+        named: dict[str, Any] = {key: value for key, value in facts.items() if key in known}
+        named = {key: math.nan if value is None else value for key, value in named.items()}
+        return cls(**named)
 
 
 def information_criteria(

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
     from cluster_est.results.view import ResultView
 
-MEASURED = {"color": "0.45", "marker": ".", "linestyle": "none", "markersize": 3.0}
-BEFORE = {"color": "tab:orange", "linewidth": 1.0, "linestyle": "--"}
-AFTER = {"color": "tab:blue", "linewidth": 1.5}
+MEASURED: dict[str, Any] = {"color": "0.45", "marker": ".", "linestyle": "none", "markersize": 3.0}
+BEFORE: dict[str, Any] = {"color": "tab:orange", "linewidth": 1.0, "linestyle": "--"}
+AFTER: dict[str, Any] = {"color": "tab:blue", "linewidth": 1.5}
 
 
 def new_axes(ax: Axes | None) -> Axes:
@@ -38,7 +38,8 @@ def new_axes(ax: Axes | None) -> Axes:
         raise ProblemError(
             "plot: needs matplotlib, which is not installed; pip install 'cluster-est[plot]'"
         ) from None
-    return pyplot.subplots(layout="constrained")[1]
+    made: Axes = pyplot.subplots(layout="constrained")[1]
+    return made
 
 
 def plot_curves(

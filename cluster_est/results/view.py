@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from cluster_est.errors import ProblemError
 from cluster_est.problem import display
 from cluster_est.results.criteria import InformationCriteria
 from cluster_est.results.fit_tables import Estimate
@@ -30,23 +29,6 @@ if TYPE_CHECKING:
 
 MOST_VALUES_IN_REPR = 6
 """Estimates that the short text of a result names."""
-
-
-def as_frame(table: pa.Table) -> pd.DataFrame:
-    """Return a table as a frame of pandas.
-
-    Raises
-    ------
-    ProblemError
-        If pandas is not installed.
-    """
-    try:
-        return table.to_pandas()
-    except ImportError:
-        raise ProblemError(
-            "to_frame: needs pandas, which is not installed; pip install pandas, or use table(), "
-            "which returns an Arrow table"
-        ) from None
 
 
 @by_content
@@ -78,7 +60,7 @@ class NamedMatrix:
 
     def to_frame(self) -> pd.DataFrame:
         """Return it as a frame of pandas, which must be installed."""
-        frame = as_frame(pa.table(dict(zip(self.names, self.values.T, strict=True))))
+        frame = display.as_frame(pa.table(dict(zip(self.names, self.values.T, strict=True))))
         return frame.set_axis(list(self.names), axis="index")
 
     @property
@@ -173,7 +155,7 @@ class ResultView(ABC):
 
     def to_frame(self, table: str = "parameters") -> pd.DataFrame:
         """Return one of `tables` as a frame of pandas, which must be installed."""
-        return as_frame(self.table(table))
+        return display.as_frame(self.table(table))
 
     def plot(
         self, experiment: str | None = None, output: str | None = None, *, ax: Axes | None = None

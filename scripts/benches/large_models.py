@@ -151,7 +151,7 @@ def made_problem(model: LargeModel) -> ce.Problem:
     effects = (ce.Effect("more", model.site, model.form),)
     curves = [
         [each.outcome.trajectory.at(f"y_{name}", times) for name in written.outputs]  # type: ignore[union-attr]
-        for each in ce.simulate(ce.Problem(fmu, tuple(true), tuple(runs), effects=effects))
+        for each in ce.simulate(ce.Problem(fmu, tuple(true), tuple(runs), effects=effects)).values()
     ]
     sigmas = NOISE * np.std(curves, axis=(0, 2))
     experiments = []

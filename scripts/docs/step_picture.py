@@ -132,7 +132,7 @@ def _simulated(measured: ce.Experiment, interface: Interface, solver: ce.Solver)
     problem = ce.read_problem(CONFIG)
     model = ce.read_model(FMU, interface=interface, solver=solver)
     problem = replace(problem, model=model, experiments=(measured,))
-    (simulation,) = ce.simulate(problem, values=TRUE)
+    (simulation,) = ce.simulate(problem, values=TRUE).values()
     trajectory = simulation.outcome.trajectory
     if trajectory is None:
         raise RuntimeError(simulation.outcome.message)

@@ -117,7 +117,8 @@ def test_what_a_run_shows_and_exports_reads_back_as_starts(tmp_path, own_fmu, ca
         resolved = ce.read_config(path)
         assert resolved.maps["spring"].start == pytest.approx(found, rel=1e-12)
         assert not resolved.values
-    before = ce.simulate(ce.read_problem(path))[0].outcome.trajectory.at("y", TIMES)
+    (simulation,) = ce.simulate(ce.read_problem(path)).values()
+    before = simulation.outcome.trajectory.at("y", TIMES)
     assert before == pytest.approx(moved(2.5, tuple(found)), abs=1e-5)
 
 
