@@ -64,7 +64,7 @@ def fitted(tmp_path_factory, own_fmu):
         (folder / "config.toml").write_text(to_toml(tree), encoding="utf-8")
         result = ce.fit(ce.read_problem(folder / "config.toml"))
         assert result.success
-        rows = {row["parameter"]: row["value"] for row in result.parameters.to_pylist()}
+        rows = {row["parameter"]: row["value"] for row in result.table("parameters").to_pylist()}
         errors = {e.parameter: e.std_error for e in result.estimates}
         own = np.array([errors.get(name, np.nan) for name in NAMES], float)
         return np.array([rows[name] for name in NAMES]), own, result
