@@ -58,11 +58,7 @@ def test_a_parameter_is_reached_by_its_name(result):
 def test_the_covariance_is_that_of_curve_fit(problem, result):
     """Of the same residuals, with derivatives of SciPy; the logarithm of k is what moves."""
     with ce.residuals(problem) as f:
-        start = f.x0
-        start[:] = [
-            math.log(v) if n == "k" else v
-            for n, v in zip(f.names, map(result.x.get, f.names), strict=True)
-        ]
+        start = np.array([math.log(result.x[n]) if n == "k" else result.x[n] for n in f.names])
         zeros = np.zeros(len(f(start)))
         x, found = scipy.optimize.curve_fit(
             lambda _, *x: -f(np.array(x)), zeros, zeros, start, method="trf"
