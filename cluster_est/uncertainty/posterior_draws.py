@@ -123,9 +123,9 @@ class PosteriorResult:
 
         Returns
         -------
-        DataTree
-            With the groups "posterior" and "sample_stats", whose `lp` is the log density in search
-            coordinates.
+        DataTree or InferenceData
+            As the version of ArviZ has it, with the groups "posterior" and "sample_stats", whose
+            `lp` is the log density in search coordinates.
 
         Raises
         ------
@@ -142,7 +142,10 @@ class PosteriorResult:
             ) from None
         draws = np.moveaxis(self.values, 1, 0)  # (walkers, steps, unknowns)
         values = {label: draws[:, :, i] for i, label in enumerate(self.labels)}
-        return arviz.from_dict({"posterior": values, "sample_stats": {"lp": self.log_densities.T}})
+        groups = {"posterior": values, "sample_stats": {"lp": self.log_densities.T}}
+        if hasattr(arviz, "InferenceData"):  # before version 1
+            return arviz.from_dict(**groups)
+        return arviz.from_dict(groups)
 
     @property
     def sentences(self) -> tuple[str, ...]:

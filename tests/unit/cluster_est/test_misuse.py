@@ -144,7 +144,7 @@ REFUSED = [
     (of_a_simulation, {"k": "1"}, "values.k: must be a number.*'1'"),
     (ce.read_problem, {"allow_code": "no"}, "allow_code: must be true or false.*'no'"),
     (of_an_export, {"experiment": 3}, "experiment: must be text.*3"),
-    (ce.close_loop, {"settings": {"effect": 3}}, "closed_loop.effect: .*did you mean 'effects'"),
+    (ce.close_loop, {"settings": {"effect": 3}}, "did you mean 'effects'"),
     (of_a_table, {"name": 3}, "table: must be text.*3"),
     (of_residuals, {"differences": "fwd"}, "must be 'forward' or 'central'.*'fwd'"),
     (of_residuals, {"at": "a"}, "x must be a list of numbers.*'a'"),
