@@ -104,6 +104,8 @@ def _from_columns(pairs: Sequence[tuple[str, Any]]) -> MeasuredTable:
     for name, column in pairs:
         if name in unusable:
             continue
+        if hasattr(column, "reset_index"):  # Arrow may ask for its values by their places
+            column = column.reset_index(drop=True)
         if isinstance(column, np.ndarray) and column.dtype.kind in "Mm":
             column = column.astype(f"{column.dtype.kind}8[ns]")  # not all units are Arrow's
         try:
@@ -173,7 +175,7 @@ def experiment_from_table(
     time
         Column with the time: seconds, timestamps, or durations. Timestamps, and numbers of seconds
         since 1970, count from the first used row. "DATE + CLOCK" joins two columns. Of a frame of
-        pandas "index" is an index of times without a name.
+        pandas, its index if this and `sample_time` are left out; "index" is one without a name.
     sample_time
         Seconds between rows, where there is no such column.
     inputs, signals
