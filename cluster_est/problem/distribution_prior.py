@@ -16,7 +16,7 @@ from workers.messages.checks import shown
 
 QUANTILES = np.linspace(0.0, 1.0, 2002)[1:-1]
 """Of the distribution, between which its mode is looked for."""
-STEP = 1e-4
+DERIVATIVE_STEP = 1e-4
 """Of derivatives of ln p, over the distance between the quartiles."""
 FARTHEST = 1e3
 """Residual where the density is 0: a search needs a finite one."""
@@ -57,7 +57,7 @@ class DistributionPrior(Prior):
 
     def _bend(self, steps: float) -> float:
         """Minus the second derivative of ln p at its mode; infinite or NaN where it has none."""
-        step = steps * STEP * self._spread
+        step = steps * DERIVATIVE_STEP * self._spread
         sides = self._log(self.centre + step) + self._log(self.centre - step)
         return max(2.0 * self._log(self.centre) - sides, 1e-300) / step**2
 
@@ -90,7 +90,7 @@ class DistributionPrior(Prior):
 
     @override
     def slope(self, value: float) -> float:
-        step = STEP * self._spread
+        step = DERIVATIVE_STEP * self._spread
         residual = self.residual(value)
         if abs(value - self.centre) > 10.0 * step and abs(residual) < FARTHEST:
             change = self._log(value + 0.1 * step) - self._log(value - 0.1 * step)

@@ -17,9 +17,14 @@ if TYPE_CHECKING:
 
     from cluster_est.results.view import ResultView
 
-MEASURED: dict[str, Any] = {"color": "0.45", "marker": ".", "linestyle": "none", "markersize": 3.0}
-BEFORE: dict[str, Any] = {"color": "tab:orange", "linewidth": 1.0, "linestyle": "--"}
-AFTER: dict[str, Any] = {"color": "tab:blue", "linewidth": 1.5}
+MEASURED_STYLE: dict[str, Any] = {
+    "color": "0.45",
+    "marker": ".",
+    "linestyle": "none",
+    "markersize": 3.0,
+}
+BEFORE_STYLE: dict[str, Any] = {"color": "tab:orange", "linewidth": 1.0, "linestyle": "--"}
+AFTER_STYLE: dict[str, Any] = {"color": "tab:blue", "linewidth": 1.5}
 
 
 def new_axes(ax: Axes | None) -> Axes:
@@ -49,10 +54,10 @@ def plot_curves(
     row = _chosen(view, experiment, output)
     ax = new_axes(ax)
     measured, simulated = (_part(view.table(name), row) for name in ("residuals", "trajectories"))
-    ax.plot(measured["time"], measured["measured"], label="measured", **MEASURED)
+    ax.plot(measured["time"], measured["measured"], label="measured", **MEASURED_STYLE)
     if "simulated_before" in simulated and np.isfinite(simulated["simulated_before"]).any():
-        ax.plot(simulated["time"], simulated["simulated_before"], label="before", **BEFORE)
-    ax.plot(simulated["time"], simulated["simulated"], label="simulated", **AFTER)
+        ax.plot(simulated["time"], simulated["simulated_before"], label="before", **BEFORE_STYLE)
+    ax.plot(simulated["time"], simulated["simulated"], label="simulated", **AFTER_STYLE)
     _name(ax, row, f"{row['output']} [{row['unit']}]" if row["unit"] else row["output"])
     ax.legend()
     return ax
@@ -66,7 +71,7 @@ def plot_residuals(
     ax = new_axes(ax)
     found = _part(view.table("residuals"), row)
     ax.axhline(0.0, color="0.8", linewidth=1.0)
-    ax.plot(found["time"], found["residual"], **MEASURED)
+    ax.plot(found["time"], found["residual"], **MEASURED_STYLE)
     _name(ax, row, f"(measured - simulated) / sigma of {row['output']}")
     return ax
 
@@ -93,7 +98,7 @@ def plot_profile(view: ResultView, label: str, ax: Axes | None) -> Axes:
         raise ProblemError(f"plot_profile: there is no profile of {label!r}{asked}")
     ax = new_axes(ax)
     own = [row for row in rows if row["label"] == row["unknown"] == label]
-    ax.plot([row["value"] for row in own], [row["root"] for row in own], marker=".", **AFTER)
+    ax.plot([row["value"] for row in own], [row["root"] for row in own], marker=".", **AFTER_STYLE)
     ends = next(r for r in view.table("intervals").to_pylist()
                 if (r["label"], r["source"]) == (label, "profile"))  # fmt: skip
     for end in ("lower", "upper"):

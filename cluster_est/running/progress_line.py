@@ -15,7 +15,7 @@ from cluster_est.running.interrupts import interrupt
 from cluster_est.running.resources import Note, RunSnapshot, SearchIteration, Show
 from workers.messages.checks import shown
 
-SECONDS_BETWEEN_REDRAWS = 0.2
+LEAST_REDRAW_SECONDS = 0.2
 
 SEARCH_TITLES = {
     "models": "fitting",
@@ -116,7 +116,7 @@ def progress_of(given: Show | bool | None) -> Iterator[Show | None]:
 
     def show(snapshot: RunSnapshot) -> None:
         nonlocal last
-        if time.monotonic() - last >= SECONDS_BETWEEN_REDRAWS:
+        if time.monotonic() - last >= LEAST_REDRAW_SECONDS:
             line.put(line_of(snapshot))
             last = time.monotonic()
 
