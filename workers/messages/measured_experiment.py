@@ -256,9 +256,10 @@ class Experiment:
     bounds
         What simulated signals must satisfy.
     cost_function
-        Returns what takes the place of all residuals of this experiment.
+        Returns what takes the place of all residuals of this experiment. May be given as a plain
+        function of a `SimulatedRun`, of which the workers get a copy.
     constraint_functions
-        Each returns a number that must be at most 0, or 0.
+        Each returns a number that must be at most 0, or 0. Likewise.
     record
         Name of the experiment whose values it shares where parameters have one per experiment,
         because both are parts of one record; "" if it has its own. A label too.

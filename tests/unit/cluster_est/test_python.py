@@ -115,6 +115,10 @@ def test_it_saves_and_reports_and_exports_itself(found, tmp_path):
     mine, theirs = (json.loads((at / "run.json").read_text()) for at in (saved, out))
     for name in ("verdict", "effects", "errors", "notes", "cost", "status"):
         assert mine[name] == theirs[name], name
+    loaded = ce.load(saved)
+    assert loaded.summary() == result.summary()
+    assert loaded.params == result.params
+    assert (loaded.message, loaded.criteria) == (result.message, result.after.criteria)
     assert "bias" in ce.report(result, tmp_path / "loop.html").read_text(encoding="utf-8")
     assert "bias" in ce.export(result, text=True).printed[0]
 
