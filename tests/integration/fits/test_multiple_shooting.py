@@ -293,7 +293,7 @@ FREE = with_outputs(springs(), lambda o: replace(o, free_offset=True))
         (springs(), {"segments": 3, "length": 1.0}, {}, "shooting: must have .* both"),
         (springs(), {"segments": 1}, {}, r"shooting\.segments: must be .*2"),
         (springs(), {"length": 0.0}, {}, r"shooting\.length: must be .*0"),
-        (springs(), {"parts": 3}, {}, "shooting: must have segments or length.*parts"),
+        (springs(), {"parts": 3}, {}, "unknown key method.shooting.parts"),
         (FREE, THREE, {}, "'e0'.*a free scale or offset"),
         (remembering("lag", "output y"), THREE, {}, "'late', which has a state of its own"),
         (remembering("delay", "input F"), THREE, {}, "'late', which depends on the past"),
