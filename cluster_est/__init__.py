@@ -22,18 +22,24 @@ if TYPE_CHECKING:
     from cluster_est.errors import ClusterEstError
     from cluster_est.experiment_design.design import design
     from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
+    from cluster_est.problem.costs import CauchyCost, HuberCost, SoftL1
     from cluster_est.problem.fmu_file import read_model
     from cluster_est.problem.parameter import Parameter
+    from cluster_est.problem.priors import LogNormalPrior, NormalPrior
     from cluster_est.problem.problem import Problem
     from cluster_est.problem.tables.files import read_table
+    from cluster_est.results.compare import compare
     from cluster_est.results.result import Result
+    from cluster_est.run_folder.saved_result import load
     from cluster_est.running.multistart import Multistart
     from cluster_est.running.resources import Budget, Resources
+    from cluster_est.sensitivity.analysis import analyse_sensitivity
+    from cluster_est.shooting.record_segments import Shooting
     from cluster_est.studies.fit import fit, simulate
     from cluster_est.studies.residual_function import residuals
     from cluster_est.studies.save_report_export import export, report, save
     from cluster_est.uncertainty import UncertaintySettings
-    from workers.messages import Effect, Experiment, Input, Model, Output, Solver
+    from workers.messages import Effect, Experiment, Input, Limits, Model, Output, Solver
 
 
 def _refuse_other_workers() -> None:
@@ -54,29 +60,39 @@ _refuse_other_workers()
 
 __all__ = [
     "Budget",
+    "CauchyCost",
     "ClusterEstError",
     "Effect",
     "Experiment",
+    "HuberCost",
     "Input",
     "LeastSquares",
+    "Limits",
+    "LogNormalPrior",
     "LoopResult",
     "LoopSettings",
     "Model",
     "Multistart",
+    "NormalPrior",
     "Output",
     "Parameter",
     "Problem",
     "Resources",
     "Result",
+    "Shooting",
+    "SoftL1",
     "Solver",
     "UncertaintySettings",
     "add_effect",
+    "analyse_sensitivity",
     "build_problem",
     "close_loop",
+    "compare",
     "design",
     "detect",
     "export",
     "fit",
+    "load",
     "locate",
     "read_config",
     "read_model",
@@ -89,28 +105,65 @@ __all__ = [
 ]
 
 _MODULES = {
-    "cluster_est.closed_loop.diagnostics": ("add_effect", "detect", "locate"),
+    "cluster_est.closed_loop.diagnostics": (
+        "add_effect",
+        "detect",
+        "locate",
+    ),
     "cluster_est.closed_loop.findings.result": ("LoopResult",),
     "cluster_est.closed_loop.loop": ("close_loop",),
     "cluster_est.closed_loop.settings": ("LoopSettings",),
-    "cluster_est.config.build": ("build_problem", "read_problem"),
+    "cluster_est.config.build": (
+        "build_problem",
+        "read_problem",
+    ),
     "cluster_est.config.reader": ("read_config",),
     "cluster_est.errors": ("ClusterEstError",),
     "cluster_est.experiment_design.design": ("design",),
-    "cluster_est.studies.fit": ("fit", "simulate"),
     "cluster_est.methods.least_squares.levenberg_marquardt": ("LeastSquares",),
+    "cluster_est.problem.costs": (
+        "CauchyCost",
+        "HuberCost",
+        "SoftL1",
+    ),
     "cluster_est.problem.fmu_file": ("read_model",),
     "cluster_est.problem.parameter": ("Parameter",),
+    "cluster_est.problem.priors": (
+        "LogNormalPrior",
+        "NormalPrior",
+    ),
     "cluster_est.problem.problem": ("Problem",),
     "cluster_est.problem.tables.files": ("read_table",),
-    "cluster_est.studies.residual_function": ("residuals",),
-    "cluster_est.studies.save_report_export": ("export", "report", "save"),
+    "cluster_est.results.compare": ("compare",),
     "cluster_est.results.result": ("Result",),
-    "cluster_est.results.fit_tables": ("Estimate",),
+    "cluster_est.run_folder.saved_result": ("load",),
     "cluster_est.running.multistart": ("Multistart",),
-    "cluster_est.running.resources": ("Budget", "Resources"),
+    "cluster_est.running.resources": (
+        "Budget",
+        "Resources",
+    ),
+    "cluster_est.sensitivity.analysis": ("analyse_sensitivity",),
+    "cluster_est.shooting.record_segments": ("Shooting",),
+    "cluster_est.studies.fit": (
+        "fit",
+        "simulate",
+    ),
+    "cluster_est.studies.residual_function": ("residuals",),
+    "cluster_est.studies.save_report_export": (
+        "export",
+        "report",
+        "save",
+    ),
     "cluster_est.uncertainty": ("UncertaintySettings",),
-    "workers.messages": ("Effect", "Experiment", "Input", "Model", "Output", "Solver"),
+    "workers.messages": (
+        "Effect",
+        "Experiment",
+        "Input",
+        "Limits",
+        "Model",
+        "Output",
+        "Solver",
+    ),
 }
 """Where each name stands. A module is imported when one of its names is first used."""
 

@@ -185,6 +185,32 @@ class Settings(ConfigSection):
         keys = "\n".join(f"{name}\n    {field.description}" for name, field in keys_of(cls))
         cls.__doc__ = f"{cls.__doc__}\n\nAttributes\n----------\n{keys}\n"
 
+    @classmethod
+    def of(cls, given: Any) -> Self:
+        """Return settings, from what Python may give in their place.
+
+        Parameters
+        ----------
+        given
+            Settings; None for the defaults; keys and values as in a config, {"n": 4}; or the value
+            of the first key alone, 4.
+
+        Raises
+        ------
+        ProblemError
+            As for new ones.
+        """
+        if isinstance(given, cls):
+            return given
+        if isinstance(given, Settings):
+            raise ProblemError(
+                f"{cls.section}: must be of {cls.__name__} but is {type(given).__name__}"
+            )
+        if given is None:
+            return cls()
+        first = next(iter(cls.model_fields))
+        return cls(**(given if isinstance(given, Mapping) else {first: given}))
+
     def __str__(self) -> str:
         return repr(self)
 

@@ -109,11 +109,11 @@ def run(case: Case, *, loop: bool) -> dict[str, Any]:
         if loop:
             begin = time.process_time()
             closed = close_loop(problem, resources)
-            first = closed.summary.partition(";")[0]
-            found |= {"loop": _told(case, record, (closed.summary, *closed.notes))}
+            first = closed.message.partition(";")[0]
+            found |= {"loop": _told(case, record, (closed.message, *closed.notes))}
             found |= {"first": _told(case, record, (first,))["named"], "verdict": closed.verdict}
             found |= {"effects": [each.equation for each in closed.effects]}
-            found |= {"loop_simulations": closed.simulated, "summary": closed.summary}
+            found |= {"loop_simulations": closed.simulated, "summary": closed.message}
             found |= {"loop_seconds": time.process_time() - begin}
     except ClusterEstError as error:
         found |= {"error": str(error)}

@@ -146,7 +146,7 @@ def simulate(options: Namespace) -> int:
         raise RunFolderError(f"--out: {out} must be a file but is a folder; choose another")
     problem = build_problem(config, options.config.parent, allow_code=options.allow_code)
     values = {} if options.run_folder is None else read_estimates(options.run_folder, problem)
-    simulations = run_simulate(problem, resources, values)
+    simulations = list(run_simulate(problem, resources, values).values())
     for simulation in simulations:
         if not simulation.outcome.ok:
             name = problem.experiments[simulation.experiment].id

@@ -256,7 +256,7 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
     failed = dict.fromkeys((*before.failed_steps, *after.failed_steps, *steps.failed))
     return LoopResult(
         verdict=judgement.verdict,
-        summary="; ".join([judgement.reason, *_disturbance(judgement.verdict, unexplained, begun)]),
+        message="; ".join([judgement.reason, *_disturbance(judgement.verdict, unexplained, begun)]),
         effects=named if keep else (),
         before=before,
         after=after,
@@ -440,7 +440,6 @@ def final_fit(
     """Fit to convergence, and simulate every experiment; `begin` as for `complete`."""
     space = fitter.space(start)
     (solution,) = fitter.runner.run([SearchRequest("final", method, space, fitter.seed)])
-    units = {n: v.unit for n, v in fitter.description.variables.items()}
     before = simulate_all(fitter.runner, start.problem, {})
     steps = GuardedSteps()
     known = steps.assessed(space, solution, lambda: examine(fitter.runner, space, solution))
@@ -450,7 +449,7 @@ def final_fit(
         solution,
         method,
         before,
-        units=units,
+        variables=fitter.description.variables,
         seed=fitter.seed,
         begin=begin,
         steps=steps,
@@ -496,7 +495,7 @@ def result_so_far(
     rounds = f"stopped after round {len(found.steps)} of at most {found.settings.max_effects}"
     return replace(
         result,
-        summary=f"{rounds}: {result.summary}",
+        message=f"{rounds}: {result.message}",
         notes=(*filter(None, (NOT_THE_LAST, said)), *result.notes),
         seconds=after.seconds,
     )
@@ -517,7 +516,7 @@ def _as_it_is(fitter: Fitter, fitted: FittedModel, begin: float) -> Result:
         solution,
         FINAL,
         simulate_all(runner, fitted.problem, {}),
-        units={n: v.unit for n, v in fitter.description.variables.items()},
+        variables=fitter.description.variables,
         seed=fitter.seed,
         begin=begin,
         steps=GuardedSteps(),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -99,8 +100,8 @@ class DetectionResult:
 
 def detect(
     problem: Problem,
-    resources: Resources | None = None,
-    settings: LoopSettings | None = None,
+    resources: Resources | Mapping[str, Any] | str | None = None,
+    settings: LoopSettings | Mapping[str, Any] | None = None,
     seed: int = 0,
 ) -> DetectionResult:
     """Fit a problem and ask whether its residual is more than noise.
@@ -138,8 +139,8 @@ def detect(
 
 def locate(
     problem: Problem,
-    resources: Resources | None = None,
-    settings: LoopSettings | None = None,
+    resources: Resources | Mapping[str, Any] | str | None = None,
+    settings: LoopSettings | Mapping[str, Any] | None = None,
     seed: int = 0,
 ) -> tuple[CandidateEvidence, ...]:
     """Fit a problem and rank what could be missing, and where, by a first small step.

@@ -11,9 +11,10 @@ points follows N. R. Kristensen, H. Madsen, S. B. Jorgensen, Comput. Chem. Eng. 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 from typing_extensions import override
 
@@ -37,7 +38,8 @@ from cluster_est.problem.thinning import ThinningSettings
 from cluster_est.results.interpolation import PreferredInterpolation
 from cluster_est.running.arguments import prepared
 from cluster_est.running.environment import RunEnvironment
-from cluster_est.running.resources import Note, Record, Resources, Show
+from cluster_est.running.progress_line import Callback
+from cluster_est.running.resources import Record, Resources, Show
 from cluster_est.running.study import Study, run_study
 from cluster_est.shooting.carried_states import with_carried_states
 
@@ -77,14 +79,14 @@ class ClosedLoop(Study[LoopResult]):
 
 def close_loop(
     problem: Problem,
-    resources: Resources | None = None,
-    settings: LoopSettings | None = None,
+    resources: Resources | Mapping[str, Any] | str | None = None,
+    settings: LoopSettings | Mapping[str, Any] | None = None,
     seed: int = 0,
-    thinning: ThinningSettings | None = None,
+    thinning: ThinningSettings | Mapping[str, Any] | int | None = None,
     *,
+    progress: Show | bool | None = None,
+    callback: Callback | None = None,
     record: Record | None = None,
-    show: Show | None = None,
-    note: Note | None = None,
 ) -> LoopResult:
     """Find what a model lacks, add it, and report the error before and after.
 
@@ -101,19 +103,17 @@ def close_loop(
         Starts every random generator; the result is the same for any number of workers.
     thinning
         Rows of long records that effects are looked for on.
-    record, show, note
-        Called for each simulation, whenever something came back, and for each iteration; see
-        `Runner`.
+    progress, callback, record
+        As for `fit`.
 
     Raises
     ------
     ClusterEstError
         If model, experiments and machine do not fit together, or the data cannot carry a search.
     """
-    settings = LoopSettings() if settings is None else settings
-    thinning = ThinningSettings() if thinning is None else thinning
-    study = ClosedLoop(prepared(problem), settings, seed, thinning)
-    return run_study(study, resources, record=record, show=show, note=note)
+    chosen, rows = LoopSettings.of(settings), ThinningSettings.of(thinning)
+    study = ClosedLoop(prepared(problem), chosen, seed, rows)
+    return run_study(study, resources, progress=progress, callback=callback, record=record)
 
 
 def run_loop(request: LoopRequest) -> LoopResult:
@@ -165,8 +165,8 @@ def _with_data_findings(result: LoopResult, said: Sequence[tuple[str, str]]) -> 
         return result
     sentences = [f"look at the records first: {what}; {do}" for what, do in said]
     aside = "; such samples of outputs are in no fit, error or table here"
-    summary = f"{'; '.join(sentences)}{aside}; {result.summary}"
-    return replace(result, summary=summary)
+    message = f"{'; '.join(sentences)}{aside}; {result.message}"
+    return replace(result, message=message)
 
 
 def _with_interpolation(result: LoopResult, other: PreferredInterpolation | None) -> LoopResult:
@@ -176,5 +176,5 @@ def _with_interpolation(result: LoopResult, other: PreferredInterpolation | None
     """
     if other is None:
         return result
-    summary = f"{result.summary}; but the measurements prefer {other.key}: set it first"
-    return replace(result, summary=summary, notes=(other.sentence, *result.notes))
+    message = f"{result.message}; but the measurements prefer {other.key}: set it first"
+    return replace(result, message=message, notes=(other.sentence, *result.notes))

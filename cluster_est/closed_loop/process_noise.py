@@ -146,7 +146,7 @@ def _with_noise(
     notes = (*searched.error.notes, *result.notes, free, NOT_LOOKED_FOR, _unsettled(passed))
     return replace(
         result,
-        summary="; ".join([result.summary, *said]),
+        message="; ".join([result.message, *said]),
         notes=(*filter(None, notes), *expensive_structures(searched.found.path)),
         failures_in_search=searched.failures,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -124,8 +125,8 @@ class LoopRequest:
 
 def checked_request(
     problem: Problem,
-    resources: Resources | None,
-    settings: LoopSettings | None,
+    resources: Resources | Mapping[str, Any] | str | None,
+    settings: LoopSettings | Mapping[str, Any] | None,
     seed: int,
 ) -> LoopRequest:
     """Return a request of what a user has handed over, checked as a config is.
@@ -136,9 +137,9 @@ def checked_request(
         If something is of the wrong kind or out of its range.
     """
     problem = prepared(problem)
-    settings = LoopSettings() if settings is None else settings
-    check_arguments(problem, settings, seed)
-    return LoopRequest(problem, RunEnvironment(checked_resources(resources)), settings, seed)
+    chosen = LoopSettings.of(settings)
+    check_arguments(problem, chosen, seed)
+    return LoopRequest(problem, RunEnvironment(checked_resources(resources)), chosen, seed)
 
 
 def check_arguments(problem: Problem, settings: LoopSettings, seed: int) -> None:

@@ -139,8 +139,7 @@ def _parameter(name: str, section: ParameterSection) -> Parameter:
     return Parameter(
         name,
         0.0 if section.start is None else section.start,
-        *section.bounds,
-        **section.model_dump(exclude={"start", "bounds", "prior"}),
+        **section.model_dump(exclude={"start", "prior"}),
         prior=build_prior(section.prior, f"{dotted('parameters', name)}.prior"),
     )
 

@@ -14,9 +14,9 @@ Designs, with SAS (2007).
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from typing_extensions import override
@@ -53,11 +53,12 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
 from cluster_est.results.result import Result
 from cluster_est.running.environment import RunEnvironment
-from cluster_est.running.resources import Note, Record, Resources, Show, one_blas_thread
+from cluster_est.running.progress_line import Callback
+from cluster_est.running.resources import Record, Resources, Show, one_blas_thread
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.running.study import Study, run_study
 from workers.messages import Experiment, FloatArray, Output
-from workers.messages.checks import check_kind, check_number
+from workers.messages.checks import check_number
 
 if TYPE_CHECKING:
     from cluster_est.closed_loop.findings.result import LoopResult
@@ -78,14 +79,14 @@ UNCONFIRMED = (
 
 def design(
     result: Result | LoopResult,
-    limits: ExperimentLimits,
-    resources: Resources | None = None,
-    settings: DesignSettings | None = None,
+    limits: ExperimentLimits | Mapping[str, Any],
+    resources: Resources | Mapping[str, Any] | str | None = None,
+    settings: DesignSettings | Mapping[str, Any] | None = None,
     seed: int = 0,
     *,
+    progress: Show | bool | None = None,
+    callback: Callback | None = None,
     record: Record | None = None,
-    show: Show | None = None,
-    note: Note | None = None,
 ) -> DesignResult:
     """Choose the next experiment: the input that tells most, within limits.
 
@@ -101,22 +102,19 @@ def design(
         What the experiment is chosen for, and how hard it is searched for.
     seed
         Starts the random generator; the result is the same for any number of workers.
-    record, show, note
-        Called for each simulation, whenever something came back, and for each iteration; see
-        `Runner`.
+    progress, callback, record
+        As for `fit`.
 
     Raises
     ------
     ClusterEstError
         If limits, models and machine do not fit together, or no input keeps the limits.
     """
-    settings = DesignSettings() if settings is None else settings
-    check_kind(limits, ExperimentLimits, "limits", ProblemError)
-    check_kind(settings, DesignSettings, "settings", ProblemError)
+    settings, limits = DesignSettings.of(settings), ExperimentLimits.of(limits)
     check_number(seed, "design.seed", ProblemError, least=0, whole=True)
     models = chosen_models(models_of(result), settings)
     study = Design(DesignRequest(models, limits, settings, seed))
-    return run_study(study, resources, record=record, show=show, note=note)
+    return run_study(study, resources, progress=progress, callback=callback, record=record)
 
 
 @dataclass(frozen=True)

@@ -215,8 +215,7 @@ def _parameter(
     return Parameter(
         label,
         start,
-        low,
-        high,
+        (low, high),
         scale or "linear",
         chosen.fixed,
         per=chosen.per,

@@ -1,4 +1,4 @@
-"""Plain tables for notebooks and `print`, and times, probabilities and lists as one writes them."""
+"""Tables for notebooks, `print` and pandas; times, probabilities and lists as one writes them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,14 @@ import html
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import pyarrow as pa
+
+from cluster_est.errors import ProblemError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MOST_PRINTED_ROWS = 50
 """Rows of a table; how many more there are is said."""
@@ -38,6 +46,23 @@ def plain(title: str, *tables: DisplayTable) -> str:
         if table.rows:
             lines += ["", table.title, *_aligned(table)]
     return "\n".join(lines)
+
+
+def as_frame(table: pa.Table) -> pd.DataFrame:
+    """Return a table as a frame of pandas.
+
+    Raises
+    ------
+    ProblemError
+        If pandas is not installed.
+    """
+    try:
+        return table.to_pandas()
+    except ImportError:
+        raise ProblemError(
+            "to_frame: needs pandas, which is not installed; pip install pandas, or use table(), "
+            "which returns an Arrow table"
+        ) from None
 
 
 def _aligned(table: DisplayTable) -> list[str]:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal, get_args
 
 from cluster_est.errors import ModelError
-from workers.fmu.description import describe, nearest
+from workers.fmu.description import describe
 from workers.messages import Interface, Model, ResetPolicy, Solver, SolverName
-from workers.messages.checks import as_pairs, as_path, as_tuple, check_choice, check_number
+from workers.messages.checks import as_pairs, as_path, check_choice, check_number
 
 
 def read_model(
     path: str | Path,
-    parameters: Sequence[str] = (),
     *,
     interface: Interface | Literal["auto"] = "auto",
     solver: Solver | SolverName | Literal["auto"] = "auto",
@@ -30,8 +29,6 @@ def read_model(
     ----------
     path
         Of the FMU.
-    parameters
-        Names of the variables that are estimated, in the order of the problem's parameters.
     interface
         "auto" prefers model exchange.
     solver
@@ -61,13 +58,6 @@ def read_model(
     for name, value in chosen.items():
         check_number(value, f"model.structure.{name}", ModelError, whole=True)
     description = describe(path.name, archive, chosen)
-    names = as_tuple(parameters, str, "model.parameters", ModelError)
-    for name in names:
-        if name not in description.variables:
-            raise ModelError(
-                f"model.parameters: {path.name} has no variable {name!r}"
-                f"{nearest(name, description.variables)}"
-            )
     found = choose_interface(interface, description.interfaces)
     if solver == "auto":
         solver = "dormand_prince" if found == "model_exchange" else "fmu"
@@ -79,8 +69,8 @@ def read_model(
         archive,
         found,
         solver,
-        names,
-        tuple(chosen.items()),
+        parameters=(),
+        structure=tuple(chosen.items()),
         reset=reset,
         environment=as_pairs(environment or {}, "model.environment", ModelError),
         working_folder=working_folder,

@@ -354,8 +354,7 @@ class ShapedCurve:
         name = parameter.name[len(self.name) + 1 :]
         if name not in self.form.curve_values or "bounds" in self.chosen.get(name, ()):
             return parameter
-        low, high = self.shape.bounds
-        return replace(parameter, lower=low, upper=high)
+        return replace(parameter, bounds=self.shape.bounds)
 
     def constraints(self) -> tuple[ParameterConstraint, ...]:
         """Constraints that keep a curve monotone; a characteristic, signal and curve together."""
@@ -398,8 +397,7 @@ def _auxiliary(unknown: TableUnknown) -> Parameter:
     return Parameter(
         unknown.name,
         unknown.start,
-        unknown.lower,
-        unknown.upper,
+        (unknown.lower, unknown.upper),
         auxiliary=True,
         prior=None if unknown.sd is None else NormalPrior(mean=0.0, sd=unknown.sd),
     )

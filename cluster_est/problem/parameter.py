@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from cluster_est.errors import ProblemError
+from cluster_est.problem.distribution_prior import as_prior
 from cluster_est.problem.priors import Prior
 from cluster_est.toml import dotted
 from workers.messages.checks import (
@@ -35,8 +37,8 @@ class Parameter:
         What the user calls it.
     start
         Where the estimation starts; the value itself if `fixed`.
-    lower, upper
-        Bounds, in the same physical unit as `start`.
+    bounds
+        (lower, upper), in the same physical unit as `start`; infinite where there is none.
     scale
         "log" for a positive value whose order of magnitude is in doubt: methods then see its
         logarithm.
@@ -56,14 +58,13 @@ class Parameter:
     auxiliary
         Not a variable of the FMU: only expressions and constraints use it.
     prior
-        What is known of it before the measurements; with `per`, of each of its values. None for no
-        more than the bounds.
+        What is known of it before the measurements; with `per`, of each of its values. May be given
+        as a frozen distribution of `scipy.stats` with one mode. None for no more than the bounds.
     """
 
     name: str
     start: float
-    lower: float = -math.inf
-    upper: float = math.inf
+    bounds: tuple[float, float] = (-math.inf, math.inf)
     scale: Scale = "linear"
     fixed: bool = False
     variable: str = ""
@@ -101,6 +102,7 @@ class Parameter:
             )
 
         if self.prior is not None:
+            object.__setattr__(self, "prior", as_prior(self.prior, f"{where}.prior"))
             self._check_prior(where)
 
     def _check_prior(self, where: str) -> None:
@@ -116,18 +118,27 @@ class Parameter:
 
     def _check_kinds(self, where: str) -> None:
         check_number(self.start, f"{where}.start", ProblemError)
-        for key in ("lower", "upper"):
-            bound = getattr(self, key)
-            if not is_number(bound) or (isinstance(bound, int) and not is_finite(bound)):
-                raise ProblemError(
-                    f"{where}.{key}: must be a number, or infinite for no bound, but is "
-                    f"{shown(bound)}"
-                )
+        self._check_bounds(where)
         check_choice(self.scale, get_args(Scale), f"{where}.scale", ProblemError)
         for key in ("variable", "unit", "expression"):
             check_text(getattr(self, key), f"{where}.{key}", ProblemError)
         for key in ("fixed", "auxiliary"):
             check_flag(getattr(self, key), f"{where}.{key}", ProblemError)
+
+    def _check_bounds(self, where: str) -> None:
+        given: Any = self.bounds
+        if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
+            raise ProblemError(
+                f"{where}.bounds: must be (lower, upper) but is {shown(given)}; write "
+                "bounds=(0.1, 10.0)"
+            )
+        for key, bound in zip(("lower", "upper"), given, strict=True):
+            if not is_number(bound) or (isinstance(bound, int) and not is_finite(bound)):
+                raise ProblemError(
+                    f"{where}.bounds: {key} must be a number, or infinite for no bound, but is "
+                    f"{shown(bound)}"
+                )
+        object.__setattr__(self, "bounds", tuple(given))
 
     def _check_derived(self, where: str) -> None:
         for key, used in (("fixed", self.fixed), ("per", self.per), ("scale", self.scale == "log")):
@@ -136,6 +147,16 @@ class Parameter:
                     f"{where}.{key}: must be left out where there is an expression, which says "
                     "all of the value; remove one of the two"
                 )
+
+    @property
+    def lower(self) -> float:
+        """The lower bound."""
+        return self.bounds[0]
+
+    @property
+    def upper(self) -> float:
+        """The upper bound."""
+        return self.bounds[1]
 
     @property
     def target(self) -> str:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 from cluster_est.errors import ProblemError
 from cluster_est.plug_in import check_options
 from cluster_est.problem import display
 from cluster_est.problem.costs import Cost, SumSquared
 from cluster_est.problem.formulas import Formula, ParameterConstraint
+from cluster_est.problem.given_cost import as_cost
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.tables.gaps import RecordGap, gap_findings
 from cluster_est.problem.tables.jumps import jump_findings
@@ -26,7 +29,7 @@ from cluster_est.problem.variables import (
     with_units,
 )
 from cluster_est.toml import dotted
-from workers.fmu.description import ModelDescription, describe_model
+from workers.fmu.description import ModelDescription, describe_model, nearest
 from workers.messages import Effect, Experiment, Model
 from workers.messages.checks import as_pairs, as_tuple, check_kind, check_text
 from workers.messages.types import by_content
@@ -34,7 +37,7 @@ from workers.simulation.fixed_step import communication_notes
 
 
 @by_content
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Problem:
     """One joint estimation: a model, what to estimate in it, and from what.
 
@@ -42,11 +45,15 @@ class Problem:
 
     Attributes
     ----------
-    model, experiments, cost
-        What is simulated, from which measurements, and what is minimised.
+    model, experiments
+        What is simulated, and from which measurements.
+    cost
+        What is minimised. May be given by its name, "huber", or as a function of all residuals that
+        returns a number; see `FunctionCost`.
     parameters
-        Parameters of the model, in the order of `model.parameters`, then the coefficients of the
-        effects, called "EFFECT.COEFFICIENT". Auxiliary ones may stand anywhere.
+        Parameters of the model, then the coefficients of the effects, called
+        "EFFECT.COEFFICIENT". Auxiliary ones may stand anywhere. A model without parameters of its
+        own gets these; another must name the same, in this order.
     effects
         Terms that are added to the model.
     constraints
@@ -85,6 +92,9 @@ class Problem:
         refuse_repeated("effect", [e.name for e in self.effects])
         names = [f"{e.name}.{c}" for e in self.effects for c in coefficient_names(e)]
         targets = [p.target for p in self.parameters if not p.auxiliary]
+        if not self.model.parameters:
+            own = tuple(target for target in targets if target not in names)
+            object.__setattr__(self, "model", replace(self.model, parameters=own))
         if targets != [*self.model.parameters, *names]:
             raise ProblemError(
                 "parameters: must be those of the model and then the coefficients of the effects, "
@@ -106,9 +116,10 @@ class Problem:
 
     def _check_kinds(self) -> None:
         """Refuse what is of another class than it must be, and make lists tuples."""
-        advice = "; make one with read_model(path, parameters)"
+        advice = "; make one with read_model(path)"
         check_kind(self.model, Model, "problem.model", ProblemError, advice)
-        advice = "; import one from cluster_est.problem.costs"
+        object.__setattr__(self, "cost", as_cost(self.cost))
+        advice = '; give one, its name such as "huber", or a function of residuals'
         check_kind(self.cost, Cost, "problem.cost", ProblemError, advice)
         check_options(self.cost, "cost.options", ProblemError)
         for key, kind in _PROBLEM_LISTS.items():
@@ -216,6 +227,54 @@ class Problem:
             for each in of_experiment(run)
         ]
         return stand_in_findings(found, [each for table in self.tables for each in table.missing])
+
+    def fix(self, *names: str) -> Problem:
+        """Return the problem with parameters kept at their starts, and without their priors.
+
+        Raises
+        ------
+        ProblemError
+            If there is no parameter of that name.
+        """
+        return self._changed({name: {"fixed": True, "prior": None} for name in names})
+
+    def free(self, name: str, *, bounds: tuple[float, float] | None = None) -> Problem:
+        """Return the problem with a parameter that is estimated, within other bounds if given.
+
+        Raises
+        ------
+        ProblemError
+            If there is no parameter of that name, or its start lies outside of the bounds.
+        """
+        change: dict[str, Any] = {"fixed": False}
+        return self._changed({name: change if bounds is None else change | {"bounds": bounds}})
+
+    def with_values(self, values: Mapping[str, float]) -> Problem:
+        """Return the problem with other starts; of a fixed parameter that is its value.
+
+        A parameter with a value for each experiment has one start for all of them.
+
+        Raises
+        ------
+        ProblemError
+            If there is no parameter of that name, or a start lies outside of its bounds.
+        """
+        advice = '; write {"k": 25.0}'
+        check_kind(values, Mapping, "with_values", ProblemError, advice)
+        return self._changed({name: {"start": value} for name, value in values.items()})
+
+    def _changed(self, changes: Mapping[str, Mapping[str, Any]]) -> Problem:
+        names = [p.name for p in self.parameters]
+        for name in changes:
+            if name not in names:
+                raise ProblemError(f"parameters: there is no {name!r}{nearest(str(name), names)}")
+        changed = (replace(p, **changes.get(p.name, {})) for p in self.parameters)
+        return replace(self, parameters=tuple(changed))
+
+    def __repr__(self) -> str:
+        free = ", ".join(p.name for p in self.parameters if _kind(p) not in ("fixed",))
+        count = len(self.experiments)
+        return f"Problem({self.model.name}: {free}; {count} experiment{'s' * (count != 1)})"
 
     def _repr_html_(self) -> str:
         """Show model, parameters and experiments in a display."""

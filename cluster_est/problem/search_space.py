@@ -398,8 +398,7 @@ def _of_part(parameter: Parameter, experiment: Experiment) -> Parameter:
             return Parameter(
                 parameter.name,
                 own.start,
-                own.lower,
-                own.upper,
+                (own.lower, own.upper),
                 variable=parameter.variable,
                 per="gap",
                 unit=parameter.unit,

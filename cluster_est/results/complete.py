@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +19,7 @@ from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest, assemble_evaluation, suited, with_priors
 from cluster_est.running.sizes import with_sizes
 from cluster_est.uncertainty import Uncertainty, assess
+from workers.fmu.variable import ModelVariable
 from workers.messages import FloatArray
 
 SAME_SIMULATION = 1e-5
@@ -36,7 +37,7 @@ def complete(
     method: Method,
     before: list[Simulation],
     *,
-    units: dict[str, str],
+    variables: Mapping[str, ModelVariable],
     seed: int,
     begin: float,
     steps: GuardedSteps,
@@ -55,8 +56,8 @@ def complete(
         For what belongs to test records alone.
     before
         Every experiment at the start values.
-    units
-        Of the FMU's variables.
+    variables
+        Of the FMU, for units and descriptions.
     seed, begin
         Of the run; `begin` is a reading of the monotonic clock.
     steps
@@ -67,7 +68,8 @@ def complete(
         Of experiments that are not simulated in one piece.
     """
     problem = train.problem
-    units = units | tables.coefficient_units(problem)
+    units = {name: each.unit for name, each in variables.items()}
+    units |= tables.coefficient_units(problem)
     test = make_space(problem, problem.indices("test"), train.estimates(solution.x))
     test_solution = None
     if test.size and not runner.interrupted:  # it has what no training record has
@@ -91,6 +93,12 @@ def complete(
         own = test_solution
         found = steps.assessed(test, own, lambda: assess(test, own)).intervals
         estimates += tables.estimates(test, own, "test", units, found)
+    estimates = [
+        replace(each, description=variables[each.variable].description)
+        if each.variable in variables
+        else each
+        for each in estimates
+    ]
     return Result(
         problem=problem,
         estimates=tuple(estimates),

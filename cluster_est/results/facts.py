@@ -97,6 +97,7 @@ def fit_facts(result: Result) -> dict[str, Any]:
         "solver_error": solver_facts(result.solver_error),
         "interpolation": interpolation_facts(result.interpolation),
         "record_faults": [dataclasses.asdict(each) for each in result.record_faults],
+        "criteria": dataclasses.asdict(result.criteria),
         "doubts": list(fit_doubts(result)),
         "notes": list(result.notes),
         "iterations": result.solution.iterations,

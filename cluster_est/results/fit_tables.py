@@ -1,15 +1,13 @@
-"""The tables of a fit: one class for the rows of each, and how they are made and shown."""
+"""The tables of a fit: one class for the rows of each, and how they are made."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
 from cluster_est.methods.method import TOLERANCE, OtherPoint, Solution
-from cluster_est.problem import display
 from cluster_est.problem.parameter import Parameter
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import SearchSpace
@@ -17,13 +15,13 @@ from cluster_est.problem.unknowns import scope_of
 from cluster_est.results.output_errors import Simulation
 from cluster_est.running.multistart import MultistartResult
 from cluster_est.running.search_state import assemble_evaluation
-from cluster_est.statistics.residual_findings import ResidualDiagnostics
 from cluster_est.uncertainty import ConfidenceInterval, Uncertainty
 from workers.fmu.description import describe_model
 from workers.messages import FloatArray
 from workers.messages.types import by_content
 
 
+@by_content
 @dataclass(frozen=True)
 class Estimate:
     """One estimated number, a row of parameters.parquet.
@@ -50,6 +48,8 @@ class Estimate:
     estimated_on
         "train", or "test" for a value that belongs to a test record alone; "known" if fixed,
         "derived" if it follows from others.
+    description
+        What the FMU says that it is; "" if nothing.
     """
 
     label: str
@@ -71,6 +71,17 @@ class Estimate:
     error_experiments: float
     difference_step: float
     estimated_on: str
+    description: str = ""
+
+    @property
+    def stderr(self) -> float:
+        """The standard error, by the name that SciPy and lmfit have for it."""
+        return self.std_error
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The ends of the 95 % interval, in the unit of `value`; NaN where there is none."""
+        return self.lower95, self.upper95
 
 
 @dataclass(frozen=True)
@@ -325,32 +336,3 @@ def coefficient_units(problem: Problem) -> dict[str, str]:
         pairs = zip(names, texts, strict=True)
         found |= {name: "" if effects.UNKNOWN_UNIT in unit else unit for name, unit in pairs}
     return found
-
-
-def fit_tables(
-    estimates: Sequence[Estimate],
-    errors: Sequence[Any],
-    diagnostics: ResidualDiagnostics | None = None,
-) -> tuple[display.DisplayTable, display.DisplayTable]:
-    """Estimates and errors, of a fit or of a closed loop, as a notebook shows them.
-
-    Where diagnostics deny the intervals, a word beside them says so.
-    """
-    too_narrow = diagnostics is not None and diagnostics.too_narrow
-    ends = ("95 % from", "to (too narrow)" if too_narrow else "to")
-    values = [
-        (e.label, e.value, e.unit, e.std_error, e.lower95, e.upper95, e.at_bound) for e in estimates
-    ]
-    fits = [(e.experiment, e.role, e.output, e.rmse_before, e.rmse_after, e.unit) for e in errors]
-    return (
-        display.DisplayTable(
-            "Parameters",
-            ("parameter", "value", "unit", "standard error", *ends, "at bound"),
-            values,
-        ),
-        display.DisplayTable(
-            "Root mean square errors",
-            ("experiment", "role", "output", "before", "after", "unit"),
-            fits,
-        ),
-    )

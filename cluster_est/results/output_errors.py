@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
+import pyarrow as pa
 
+from cluster_est.errors import ProblemError
+from cluster_est.problem import display
 from cluster_est.problem.problem import Problem
 from workers.messages import Experiment, FloatArray, Outcome, Output, Role, Trajectory
 from workers.messages.types import by_content
@@ -18,6 +22,9 @@ from workers.residuals.observed import (
 )
 from workers.residuals.ordinal import CategoryBounds, disparities
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 
 @by_content
 @dataclass(frozen=True)
@@ -26,6 +33,20 @@ class Simulation:
 
     experiment: int
     outcome: Outcome = field(repr=False)
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return time and outputs as a frame of pandas, which must be installed.
+
+        Raises
+        ------
+        ProblemError
+            If the simulation failed, with the reason.
+        """
+        found = self.outcome.trajectory
+        if found is None:
+            raise ProblemError(f"simulation: {self.outcome.status}: {self.outcome.message}")
+        columns = dict(zip(found.variables, found.values.T, strict=True))
+        return display.as_frame(pa.table({"time": found.times} | columns))
 
 
 @by_content

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from typing_extensions import override
 
 from cluster_est.errors import RunFolderError
 from cluster_est.methods.method import Solution
-from cluster_est.problem import display
 from cluster_est.problem.problem import Problem
+from cluster_est.results.criteria import InformationCriteria, information_criteria
 from cluster_est.results.curves import (
     posterior_table,
     prediction_table,
@@ -27,7 +29,6 @@ from cluster_est.results.fit_tables import (
     Estimate,
     PointValue,
     StartResult,
-    fit_tables,
 )
 from cluster_est.results.interpolation import PreferredInterpolation
 from cluster_est.results.observation import observed_categories, observed_scales
@@ -36,6 +37,7 @@ from cluster_est.results.record_faults.fault import RecordFault
 from cluster_est.results.segments import ShootingSummary
 from cluster_est.results.shapes.effect_table import curve_table
 from cluster_est.results.solver_error.measure import SolverError
+from cluster_est.results.view import ResultView, short_text
 from cluster_est.statistics.residual_findings import ResidualDiagnostics
 from cluster_est.uncertainty import (
     BootstrapResult,
@@ -58,8 +60,8 @@ from workers.messages.types import by_content
 
 
 @by_content
-@dataclass(frozen=True)
-class Result:
+@dataclass(frozen=True, repr=False)
+class Result(ResultView):
     """The result of a fit.
 
     Attributes
@@ -119,14 +121,14 @@ class Result:
         Of the method.
     """
 
-    problem: Problem = field(repr=False)
+    problem: Problem
     estimates: tuple[Estimate, ...]
     solution: Solution
     test_solution: Solution | None
     cost_before: float
     cost: float
     errors: tuple[OutputError, ...]
-    simulations: tuple[Simulation, ...] = field(repr=False)
+    simulations: tuple[Simulation, ...]
     evaluations: int
     simulated: int
     failures: int
@@ -136,21 +138,21 @@ class Result:
     starts: tuple[StartResult, ...] = ()
     minima: tuple[PointValue, ...] = ()
     front: tuple[PointValue, ...] = ()
-    uncertainty: Uncertainty | None = field(default=None, repr=False)
-    profiles: tuple[ProfileResult, ...] = field(default=(), repr=False)
-    bootstrap: BootstrapResult | None = field(default=None, repr=False)
-    posterior: PosteriorResult | None = field(default=None, repr=False)
-    predictions: tuple[PredictedBand, ...] = field(default=(), repr=False)
-    diagnostics: ResidualDiagnostics | None = field(default=None, repr=False)
-    solver_error: SolverError | None = field(default=None, repr=False)
-    interpolation: PreferredInterpolation | None = field(default=None, repr=False)
+    uncertainty: Uncertainty | None = None
+    profiles: tuple[ProfileResult, ...] = ()
+    bootstrap: BootstrapResult | None = None
+    posterior: PosteriorResult | None = None
+    predictions: tuple[PredictedBand, ...] = ()
+    diagnostics: ResidualDiagnostics | None = None
+    solver_error: SolverError | None = None
+    interpolation: PreferredInterpolation | None = None
     record_faults: tuple[RecordFault, ...] = ()
-    shapes: tuple[EffectCurve, ...] = field(default=(), repr=False)
-    shooting: ShootingSummary | None = field(default=None, repr=False)
+    shapes: tuple[EffectCurve, ...] = ()
+    shooting: ShootingSummary | None = None
     failed_steps: tuple[str, ...] = ()
     interrupted: bool = False
     seed: int = 0
-    before: tuple[Simulation, ...] = field(default=(), repr=False)
+    before: tuple[Simulation, ...] = ()
 
     @property
     def success(self) -> bool:
@@ -199,23 +201,8 @@ class Result:
         return self.solution.iterations
 
     @property
-    def parameters(self) -> pa.Table:
-        """The table of that name: estimates with intervals."""
-        return self.table("parameters")
-
-    @property
-    def residuals(self) -> pa.Table:
-        """The table of that name: measured, simulated and residual at each measured time."""
-        return self.table("residuals")
-
-    @property
-    def trajectories(self) -> pa.Table:
-        """The table of that name: every simulated value."""
-        return self.table("trajectories")
-
-    @property
+    @override
     def tables(self) -> tuple[str, ...]:
-        """Names of its tables, those of a run folder's files."""
         optional = (name for name, rows in self.optional_rows().items() if rows)
         wide = [name for name in ("shapes", "posterior", "predictions") if getattr(self, name)]
         return ("parameters", "errors", "residuals", "trajectories", *wide, *optional)
@@ -232,18 +219,12 @@ class Result:
         """Sentences on simulations, residuals, uncertainty and outputs that are not followed."""
         return fit_notes(self)
 
+    @override
     def facts(self) -> Mapping[str, Any]:
-        """Return what run.json says of it, besides what the run's folder knows itself."""
         return {"status": self.status} | fit_facts(self)
 
+    @override
     def table(self, name: str) -> pa.Table:
-        """One of `tables`, with the columns that it has in a run folder.
-
-        Raises
-        ------
-        RunFolderError
-            If this fit has no such table.
-        """
         check_text(name, "table", RunFolderError)
         if name == "residuals":
             return residual_table(self.problem, self.simulations, self.before)
@@ -290,18 +271,10 @@ class Result:
         squares = samples * np.array([e.normalised_after for e in rows]) ** 2
         return float(np.sqrt(squares.sum() / samples.sum())) if rows else np.nan
 
-    def __str__(self) -> str:
-        """Show estimates and errors as text."""
-        return display.plain(
-            self._title, *fit_tables(self.estimates, self.errors, self.diagnostics)
-        )
+    @cached_property
+    @override
+    def criteria(self) -> InformationCriteria:
+        return information_criteria(self.problem, self.fun, len(self.solution.x))
 
-    def _repr_html_(self) -> str:
-        """Show estimates and errors in a notebook."""
-        return display.section(
-            self._title, *fit_tables(self.estimates, self.errors, self.diagnostics)
-        )
-
-    @property
-    def _title(self) -> str:
-        return f"Result: {self.message}; cost {self.cost_before:.6g} before, {self.cost:.6g} after"
+    def __repr__(self) -> str:
+        return short_text("Result", f"{self.message}, cost={self.cost:.6g}", self.x)

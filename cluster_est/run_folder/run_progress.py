@@ -18,6 +18,7 @@ from typing import Any
 from cluster_est.closed_loop.settings import stage_title
 from cluster_est.errors import RunFolderError
 from cluster_est.methods.method import Progress
+from cluster_est.running.progress_line import SEARCH_TITLES
 from cluster_est.running.resources import RunSnapshot, SearchIteration
 from cluster_est.whole_files import MEND, SEAL, is_damaged, is_sealed, sealed
 
@@ -171,30 +172,13 @@ class ProgressTail:
             return None
 
 
-FIT_TITLES = {
-    "models": "fitting",
-    "candidates": "simulating inputs",
-    "refits": "fitting rivals to what each model predicts",
-    "before": "simulating at the start values",
-    "sample": "simulating between the bounds",
-    "train": "searching",
-    "screen": "screening the starts",
-    "starts": "evaluating the starts",
-    "derivatives": "finding the intervals",
-    "directions": "finding the intervals",
-    "test": "fitting the test records",
-    "after": "simulating at the estimates",
-}
-"""Texts for people, by the names of the searches of a fit or a sensitivity analysis in the log."""
-
-
 LEAST_PACE = 1.0
 """Seconds of an iteration: nobody waits for a shorter one."""
 
 
 def search_title(search: str) -> str:
     """Return what a person reads of a search, by its name in the log."""
-    return FIT_TITLES.get(search) or stage_title(search)
+    return SEARCH_TITLES.get(search) or stage_title(search)
 
 
 def what_is_done(search: str, phase: str, ended: int, searches: int) -> str:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from os import PathLike
+from typing import Any
 
 import numpy as np
 
@@ -51,17 +52,16 @@ def prepared(problem: Problem) -> Problem:
     return split_at_gaps(problem)
 
 
-def checked_resources(resources: Resources | None) -> Resources:
-    """Return what a user hands over, or the default, checked as a config is.
+def checked_resources(given: Resources | Mapping[str, Any] | str | None) -> Resources:
+    """Return what a user hands over, a name or keys, or the default, checked as a config is.
 
     Raises
     ------
     ProblemError
         If there is no such executor, or a number is out of its range.
     """
-    if resources is None:
-        return Resources()
-    advice = f"; write Resources({resources!r})" if isinstance(resources, str) else ""
+    resources: Resources = _named_resources(given)
+    advice = '; give Resources(...), or the name of an executor such as "processes"'
     check_kind(resources, Resources, "resources", ProblemError, advice)
     if resources.executor not in EXECUTORS:
         name = str(resources.executor)
@@ -80,6 +80,19 @@ def checked_resources(resources: Resources | None) -> Resources:
         if not (isinstance(limit, float) and limit == math.inf):
             check_number(limit, f"executor.limits.{key}", ProblemError, above=0.0)
     return resources
+
+
+def _named_resources(given: Any) -> Any:
+    """Return resources of a name or of keys; anything else as it is."""
+    if given is None or isinstance(given, str):
+        return Resources() if given is None else Resources(given)
+    if not isinstance(given, Mapping):
+        return given
+    known = [each.name for each in fields(Resources)]
+    for key in given:
+        if key not in known:
+            raise ProblemError(f"executor: there is no key {key!r}{nearest(str(key), known)}")
+    return Resources(**given)
 
 
 def method_of(method: Method | str) -> Method:

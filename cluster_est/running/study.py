@@ -7,11 +7,13 @@ arguments, a config from its sections, and a sweep makes many; all are checked a
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Generic, TypeVar
+from collections.abc import Mapping
+from typing import Any, Generic, TypeVar
 
 from cluster_est.running.arguments import checked_resources
 from cluster_est.running.environment import Monitor, RunEnvironment, SharedPools
-from cluster_est.running.resources import Note, Record, Resources, Show
+from cluster_est.running.progress_line import Callback, note_of, progress_of
+from cluster_est.running.resources import Record, Resources, Show
 
 Answer = TypeVar("Answer", covariant=True)
 
@@ -51,11 +53,11 @@ class Study(ABC, Generic[Answer]):
 
 def run_study(
     study: Study[Answer],
-    resources: Resources | None = None,
+    resources: Resources | Mapping[str, Any] | str | None = None,
     *,
+    progress: Show | bool | None = None,
+    callback: Callback | None = None,
     record: Record | None = None,
-    show: Show | None = None,
-    note: Note | None = None,
 ) -> Answer:
     """Check a study and run it on workers of its own.
 
@@ -65,9 +67,8 @@ def run_study(
         What to do.
     resources
         Where simulations run, and the budget.
-    record, show, note
-        Called for each simulation, whenever something came back, and for each iteration; see
-        `Runner`.
+    progress, callback, record
+        See `progress_of`, `note_of` and `Runner`.
 
     Raises
     ------
@@ -76,6 +77,7 @@ def run_study(
     """
     study.check()
     resources = checked_resources(resources)
-    with SharedPools() as pools:  # a cluster is joined once
+    note = note_of(callback)
+    with SharedPools() as pools, progress_of(progress) as show:  # a cluster is joined once
         environment = RunEnvironment(resources, Monitor(record, show, note), source=pools)
         return study.run(environment)

@@ -16,8 +16,9 @@ G. C. Verghese, M. Velez-Reyes, IEEE Trans. Power Syst. 14 (1999) 218-225, doi:1
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import qr
@@ -30,7 +31,8 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import SearchSpace, make_space
 from cluster_est.running.arguments import check_problem, prepared
 from cluster_est.running.environment import RunEnvironment
-from cluster_est.running.resources import Note, Record, Resources, Show, one_blas_thread
+from cluster_est.running.progress_line import Callback
+from cluster_est.running.resources import Record, Resources, Show, one_blas_thread
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.running.study import Study, run_study
@@ -156,15 +158,15 @@ class Sensitivity(Study[SensitivityResult]):
             return analyse_on(runner, space, self.settings, self.seed)
 
 
-def sensitivity(
+def analyse_sensitivity(
     problem: Problem,
-    resources: Resources | None = None,
-    settings: SensitivitySettings | None = None,
+    resources: Resources | Mapping[str, Any] | str | None = None,
+    settings: SensitivitySettings | Mapping[str, Any] | None = None,
     seed: int = 0,
     *,
+    progress: Show | bool | None = None,
+    callback: Callback | None = None,
     record: Record | None = None,
-    show: Show | None = None,
-    note: Note | None = None,
 ) -> SensitivityResult:
     """Rank unknowns by how much they move the cost and the outputs within their bounds.
 
@@ -179,18 +181,16 @@ def sensitivity(
         Design, and what is computed from it.
     seed
         Starts the random generator; the result is the same for any number of workers.
-    record, show, note
-        Called for each simulation, whenever something came back, and for each iteration; see
-        `Runner`.
+    progress, callback, record
+        As for `fit`.
 
     Raises
     ------
     ClusterEstError
         If model, experiments and machine do not fit together, or too few points can be simulated.
     """
-    settings = SensitivitySettings() if settings is None else settings
-    study = Sensitivity(prepared(problem), settings, seed)
-    return run_study(study, resources, record=record, show=show, note=note)
+    study = Sensitivity(prepared(problem), SensitivitySettings.of(settings), seed)
+    return run_study(study, resources, progress=progress, callback=callback, record=record)
 
 
 def analyse_on(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -22,7 +22,6 @@ from cluster_est.settings import Finite, Settings, sentence
 from cluster_est.toml import dotted
 from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Input, IntArray, Output
-from workers.messages.checks import shown
 
 LEAST_SAMPLES_OF_SEGMENT = 4
 """Least samples of a segment that is cut in halves."""
@@ -50,24 +49,6 @@ class Shooting(Settings):
                 "{ segments = 20 }, or { length = 0.5 } for seconds"
             )
         return self
-
-    @classmethod
-    def of(cls, given: Shooting | Mapping[str, Any] | None) -> Shooting | None:
-        """Return what is given, also as in a config: {"segments": 20}.
-
-        Raises
-        ------
-        ProblemError
-            If it is something else.
-        """
-        if given is None or isinstance(given, cls):
-            return given
-        if isinstance(given, Mapping) and set(given) <= {"segments", "length"}:
-            return cls(**given)
-        raise ProblemError(
-            f"method.shooting: must have segments or length but is {shown(given)}; write "
-            '{"segments": 20}, or {"length": 0.5} for seconds'
-        )
 
     def halved(self, problem: Problem) -> Shooting | None:
         """Return the settings for segments half as long; None if they had too few samples."""

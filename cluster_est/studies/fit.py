@@ -40,7 +40,8 @@ from cluster_est.running.multistart import (
     check_starts,
     search_from_starts,
 )
-from cluster_est.running.resources import Note, Record, Resources, Show, one_blas_thread
+from cluster_est.running.progress_line import Callback
+from cluster_est.running.resources import Record, Resources, Show, one_blas_thread
 from cluster_est.running.runner import Runner
 from cluster_est.running.sizes import with_sizes
 from cluster_est.running.study import Study, run_study
@@ -97,9 +98,7 @@ class Fit(Study[Result]):
     @override
     def check(self) -> None:
         check_problem(self.problem)
-        given = self.multistart
-        advice = f"; write Multistart({given!r})" if isinstance(given, int) else ""
-        check_kind(given, Multistart, "multistart", ProblemError, advice)
+        check_kind(self.multistart, Multistart, "multistart", ProblemError)
         check_kind(self.uncertainty, UncertaintySettings, "uncertainty", ProblemError)
         check_number(self.seed, "method.seed", ProblemError, least=0, whole=True)
         if self.shooting is not None:
@@ -186,7 +185,7 @@ class Fit(Study[Result]):
     ) -> Result:
         """Search, then find out what the solution is worth."""
         problem, steps = self.problem, GuardedSteps()
-        units = {name: each.unit for name, each in problem.describe().variables.items()}
+        variables = problem.describe().variables
         with environment.executor(problem) as executor:
             runner = environment.runner(executor)
             runner.interrupted, begin = interrupted, time.monotonic()
@@ -208,7 +207,7 @@ class Fit(Study[Result]):
                 solution,
                 self.method,
                 before,
-                units=units,
+                variables=variables,
                 seed=self.seed,
                 begin=begin,
                 steps=steps,
@@ -343,15 +342,15 @@ def _accepts(method: Method, space: SearchSpace) -> bool:
 def fit(
     problem: Problem,
     method: Method | str | None = None,
-    resources: Resources | None = None,
+    resources: Resources | Mapping[str, Any] | str | None = None,
     seed: int = 0,
     *,
+    multistart: Multistart | Mapping[str, Any] | int | None = None,
+    uncertainty: UncertaintySettings | Mapping[str, Any] | None = None,
+    shooting: Shooting | Mapping[str, Any] | int | None = None,
+    progress: Show | bool | None = None,
+    callback: Callback | None = None,
     record: Record | None = None,
-    show: Show | None = None,
-    note: Note | None = None,
-    multistart: Multistart | None = None,
-    uncertainty: UncertaintySettings | None = None,
-    shooting: Shooting | Mapping[str, Any] | None = None,
 ) -> Result:
     """Estimate all parameters of a problem from its training experiments, together.
 
@@ -365,19 +364,24 @@ def fit(
     method
         What picks the points, or its name as in a config ("sqp"); least squares if None.
     resources
-        Where simulations run, and the budget.
+        Where simulations run, and the budget; also "processes" or {"executor": "ray"}.
     seed
         Starts the method's random generator.
-    record, show, note
-        Called for each simulation, whenever something came back, and for each iteration; see
-        `Runner`.
     multistart
-        From how many starts; from the parameters' own if None.
+        From how many starts, 4 or {"n": 4}; from the parameters' own if None.
     uncertainty
-        Which intervals to compute by refits; none if None.
+        Which intervals to compute by refits, such as {"profiles": True}; none if None.
     shooting
         Segments of the records that the search goes through first, for models that are chaotic,
         unstable or drift, as {"segments": 20} or {"length": 0.5}; whole records alone if None.
+    progress
+        A line in a terminal or a notebook if None; False for none, or a function that is called
+        with a snapshot whenever something came back.
+    callback
+        Called with each iteration. If it raises StopIteration, the run ends as by Ctrl-C, with the
+        best point so far.
+    record
+        Called for each simulation; see `Runner`.
 
     Raises
     ------
@@ -388,17 +392,24 @@ def fit(
         prepared(problem),
         LeastSquares() if method is None else method_of(method),
         seed,
-        Multistart() if multistart is None else multistart,
-        UncertaintySettings() if uncertainty is None else uncertainty,
-        Shooting.of(shooting),
+        Multistart.of(multistart),
+        UncertaintySettings.of(uncertainty),
+        None if shooting is None else Shooting.of(shooting),
     )
-    return run_study(study, resources, record=record, show=show, note=note)
+    return run_study(study, resources, progress=progress, callback=callback, record=record)
 
 
 def simulate(
-    problem: Problem, resources: Resources | None = None, values: Mapping[str, float] | None = None
-) -> list[Simulation]:
+    problem: Problem,
+    resources: Resources | Mapping[str, Any] | str | None = None,
+    values: Mapping[str, float] | None = None,
+) -> dict[str, Simulation]:
     """Simulate every experiment once, at the start values or at values given by label.
+
+    Returns
+    -------
+    dict
+        By the experiment's id; `simulate(problem)["monday"].to_frame()` has times and outputs.
 
     Raises
     ------
@@ -410,4 +421,5 @@ def simulate(
     check_values(problem, values or {})
     problem.describe()
     with open_executor(problem, resources) as executor:
-        return simulate_all(Runner(executor), problem, dict(values or {}))
+        found = simulate_all(Runner(executor), problem, dict(values or {}))
+    return {problem.experiments[each.experiment].id: each for each in found}

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Self, get_args
+from typing import Any, ClassVar, Self, get_args
 
 import numpy as np
 from typing_extensions import override
@@ -25,7 +26,10 @@ from workers.messages.checks import check_choice, shown
 
 
 def residuals(
-    problem: Problem, resources: Resources | None = None, *, differences: Scheme = "forward"
+    problem: Problem,
+    resources: Resources | Mapping[str, Any] | str | None = None,
+    *,
+    differences: Scheme = "forward",
 ) -> ResidualFunction:
     """The residuals of the training experiments as a function of the unknowns.
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from cluster_est.errors import ProblemError
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
 from cluster_est.running.runner import Runner
@@ -112,6 +114,38 @@ class PosteriorResult:
         """Nearly independent draws: values, log densities, and how many steps lie between them."""
         step = int(max(1.0, self.slowest / 2.0)) if np.isfinite(self.slowest) else 1
         return self.values[::step], self.log_densities[::step], step
+
+    def to_arviz(self) -> Any:
+        """Return the draws as ArviZ has them: each walker is a chain, each unknown a variable.
+
+        The walkers of an ensemble move by each other, so that they are no independent chains:
+        judge mixing by `intervals`, and by ArviZ's ranks with care.
+
+        Returns
+        -------
+        DataTree or InferenceData
+            As the version of ArviZ has it, with the groups "posterior" and "sample_stats", whose
+            `lp` is the log density in search coordinates.
+
+        Raises
+        ------
+        ProblemError
+            If ArviZ is not installed, or there are no draws.
+        """
+        if not self:
+            raise ProblemError(f"posterior: there are no draws, because {self.why_not}")
+        try:
+            import arviz
+        except ImportError:
+            raise ProblemError(
+                "to_arviz: needs ArviZ, which is not installed; pip install 'cluster-est[arviz]'"
+            ) from None
+        draws = np.moveaxis(self.values, 1, 0)  # (walkers, steps, unknowns)
+        values = {label: draws[:, :, i] for i, label in enumerate(self.labels)}
+        groups = {"posterior": values, "sample_stats": {"lp": self.log_densities.T}}
+        if hasattr(arviz, "InferenceData"):  # before version 1
+            return arviz.from_dict(**groups)
+        return arviz.from_dict(groups)
 
     @property
     def sentences(self) -> tuple[str, ...]:

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Annotated, Any, ClassVar
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from cluster_est.settings import LARGEST_INTEGER, Count, Finite, Names, Positive, Settings
+
+
+def _named(given: Any) -> Any:
+    """All for true, none for false, a list of one for a name alone."""
+    if isinstance(given, bool):
+        return ("all",) if given else ()
+    return (given,) if isinstance(given, str) else given
+
+
+ProfiledNames = Annotated[Names, BeforeValidator(_named)]
 
 
 class UncertaintySettings(Settings):
@@ -14,11 +24,11 @@ class UncertaintySettings(Settings):
 
     section: ClassVar[str] = "uncertainty"
 
-    profiles: Names = Field(
+    profiles: ProfiledNames = Field(
         (),
         description='labels ("k", "x0[exp5]") or parameters whose likelihood profiles are taken; '
-        '"shared" for all that several experiments determine, or "all"; a profile costs some ten '
-        "fits that begin close to their minimum",
+        '"shared" for all that several experiments determine, "all" or true for all; a profile '
+        "costs some ten fits that begin close to their minimum",
     )
     bootstrap: Count = Field(
         0,

@@ -61,7 +61,8 @@ def bounded(problem: ce.Problem) -> ce.Problem:
     chosen = []
     for p in problem.parameters:
         upper = p.upper if np.isfinite(p.upper) else 5.0 * max(abs(p.start), 1.0)
-        chosen.append(replace(p, lower=p.lower if np.isfinite(p.lower) else 0.0, upper=upper))
+        lower = p.lower if np.isfinite(p.lower) else 0.0
+        chosen.append(replace(p, bounds=(lower, upper)))
     return replace(problem, parameters=tuple(chosen))
 
 

@@ -92,10 +92,10 @@ def repeated(
             inputs, outputs = (Input("F", times, force),), (Output("y", times, measured),)
             runs.append(Experiment(name, 0.0, float(times[-1]), inputs, outputs))
     parameters = (
-        Parameter("m", 1.0, 0.1, 10.0),
-        Parameter("k", 20.0, 1.0, 200.0, scale="log"),
-        Parameter("c", 1.0, 0.0, 10.0),
-        Parameter("x0", 0.0, -1.0, 1.0, variable="x", per="experiment"),
+        Parameter("m", 1.0, (0.1, 10.0)),
+        Parameter("k", 20.0, (1.0, 200.0), scale="log"),
+        Parameter("c", 1.0, (0.0, 10.0)),
+        Parameter("x0", 0.0, (-1.0, 1.0), variable="x", per="experiment"),
     )
     names = tuple(p.target for p in parameters)
     solver = Solver("rk4", step=0.01)

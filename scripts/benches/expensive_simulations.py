@@ -110,10 +110,10 @@ def made_problem(fmu: Path, seed: int) -> ce.Problem:
     names = [f"{letter}{i}" for i in range(TANKS) for letter in ("a", "b")]
     off = 1.0 + generator.choice([-1.0, 1.0], 2 * TANKS) * generator.uniform(0.1, 0.6, 2 * TANKS)
     parameters = tuple(
-        ce.Parameter(name, float(value * by), 0.1 * value, 10.0 * value)
+        ce.Parameter(name, float(value * by), (0.1 * value, 10.0 * value))
         for name, value, by in zip(names, true, off, strict=True)
     )
-    return ce.Problem(ce.read_model(fmu, names), parameters, (run,))
+    return ce.Problem(ce.read_model(fmu), parameters, (run,))
 
 
 class CountedCosts:

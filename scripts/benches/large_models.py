@@ -153,7 +153,7 @@ def made_problem(model: LargeModel) -> ce.Problem:
     effects = (ce.Effect("more", model.site, model.form),)
     curves = [
         [each.outcome.trajectory.at(f"y_{name}", times) for name in written.outputs]  # type: ignore[union-attr]
-        for each in ce.simulate(ce.Problem(fmu, tuple(true), tuple(runs), effects=effects))
+        for each in ce.simulate(ce.Problem(fmu, tuple(true), tuple(runs), effects=effects)).values()
     ]
     sigmas = NOISE * np.std(curves, axis=(0, 2))
     experiments = []
@@ -165,7 +165,7 @@ def made_problem(model: LargeModel) -> ce.Problem:
         )
         experiments.append(replace(run, outputs=outputs))
     parameters = tuple(
-        ce.Parameter(name, 1.15 * value, 0.1 * value, 10.0 * value)
+        ce.Parameter(name, 1.15 * value, (0.1 * value, 10.0 * value))
         for name, value in written.parameters.items()
     )
     return ce.Problem(fmu, parameters, tuple(experiments))

@@ -84,14 +84,14 @@ def made_problem(seed: int, *, noise: bool) -> ce.Problem:
         driven = ce.Input("F", times, force, "hold")
         runs.append(ce.Experiment(f"r{i}", 0.0, times[-1], (driven,), (output,), (("x", 0.1),)))
     parameters = [
-        ce.Parameter("m", 1.0, 0.1, 10.0),
-        ce.Parameter("k", 25.0, 1.0, 200.0),
-        ce.Parameter("c", 0.4, 0.0, 10.0),
+        ce.Parameter("m", 1.0, (0.1, 10.0)),
+        ce.Parameter("k", 25.0, (1.0, 200.0)),
+        ce.Parameter("c", 0.4, (0.0, 10.0)),
     ]
-    model = ce.read_model(FMU, list(TRUTH))
+    model = ce.read_model(FMU)
     effects: tuple[ce.Effect, ...] = ()
     if noise:
         effects = (ce.Effect("wind", "input F", "coloured_noise"),)
-        parameters.append(ce.Parameter("wind.q", 1.0, 0.01, 100.0, "log"))
-        parameters.append(ce.Parameter("wind.tau", 0.2, 0.01, 10.0, "log"))
+        parameters.append(ce.Parameter("wind.q", 1.0, (0.01, 100.0), "log"))
+        parameters.append(ce.Parameter("wind.tau", 0.2, (0.01, 10.0), "log"))
     return ce.Problem(model, tuple(parameters), tuple(runs), effects=effects)

@@ -124,10 +124,12 @@ def made_problem(made: PushedModel, missing: str, push: float, seed: int) -> ce.
         start = ((made.states[0], made.first),)
         role: Role = "train" if i < TRAINING else "test"
         runs.append(ce.Experiment(f"r{i}", 0.0, times[-1], given, measured, start, role=role))
-    parameters = [ce.Parameter(name, *start) for name, start in made.starts.items()]
-    parameters.append(ce.Parameter("push.q", 1.0, 0.001, 100.0, "log"))
-    parameters.append(ce.Parameter("push.tau", 0.2, 0.01, 10.0, "log"))
-    model = ce.read_model(FOLDER / made.file, list(made.parameters))
+    parameters = [
+        ce.Parameter(name, first, (low, high)) for name, (first, low, high) in made.starts.items()
+    ]
+    parameters.append(ce.Parameter("push.q", 1.0, (0.001, 100.0), "log"))
+    parameters.append(ce.Parameter("push.tau", 0.2, (0.01, 10.0), "log"))
+    model = ce.read_model(FOLDER / made.file)
     effects = (ce.Effect("push", f"input {made.driven}", "coloured_noise"),)
     return ce.Problem(model, tuple(parameters), tuple(runs), effects=effects)
 

@@ -84,10 +84,10 @@ def many_experiments(count: int) -> tuple[Problem, Callable[[Task], FloatArray]]
         formula(e, np.array([*shared, gains[e], offsets[e]])) + 0.05 * generator.normal(size=20)
         for e in range(count)
     ]
-    parameters = [Parameter("w", 0.6, 0.1, 2.0)]
-    parameters += [Parameter(f"a{k}", 0.1, -5.0, 5.0) for k in range(1, SHARED)]
-    parameters += [Parameter("gain", 1.0, 0.6, 1.4, per="experiment")]  # one in five at a bound
-    parameters += [Parameter("offset", 0.1, -10.0, 10.0, per="experiment")]
+    parameters = [Parameter("w", 0.6, (0.1, 2.0))]
+    parameters += [Parameter(f"a{k}", 0.1, (-5.0, 5.0)) for k in range(1, SHARED)]
+    parameters += [Parameter("gain", 1.0, (0.6, 1.4), per="experiment")]  # one in five at a bound
+    parameters += [Parameter("offset", 0.1, (-10.0, 10.0), per="experiment")]
 
     def residuals(task: Task) -> FloatArray:
         return measured[task.experiment] - formula(task.experiment, task.values)

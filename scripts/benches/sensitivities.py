@@ -67,5 +67,5 @@ def chain_problem(times: int, experiments: int) -> ce.Problem:
         outputs = tuple(ce.Output(name, grid, y, 0.01) for name, y in pairs)
         runs.append(ce.Experiment(run.id, 0.0, 20.0, (given,), outputs))
     starts = zip(RATES, TRUTH * np.linspace(0.6, 1.6, 10), strict=True)
-    parameters = tuple(ce.Parameter(n, v, lower=1e-3, upper=5.0) for n, v in starts)
+    parameters = tuple(ce.Parameter(n, v, bounds=(1e-3, 5.0)) for n, v in starts)
     return ce.Problem(model, parameters, tuple(runs))

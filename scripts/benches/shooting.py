@@ -153,8 +153,7 @@ def made_problem(system: System, seed: int) -> ce.Problem:
         ce.Parameter(
             name,
             true * generator.choice([0.5, 1.5]),
-            lower=min(0.05 * true, 20.0 * true),
-            upper=max(0.05 * true, 20.0 * true),
+            bounds=(min(0.05 * true, 20.0 * true), max(0.05 * true, 20.0 * true)),
         )
         for name, true in system.parameters.items()
     ]
@@ -162,7 +161,7 @@ def made_problem(system: System, seed: int) -> ce.Problem:
         ce.Parameter(f"{state}0", first.get(output, 0.0), variable=state)
         for state, output in system.states.items()
     ]
-    model = ce.read_model(MODELS / system.fmu, [p.target for p in parameters])
+    model = ce.read_model(MODELS / system.fmu)
     return ce.Problem(model, tuple(parameters), (experiment,))
 
 

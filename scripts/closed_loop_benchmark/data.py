@@ -268,7 +268,7 @@ def _solver(system: System) -> Solver:
 
 def _parameter(name: str, start: float) -> Parameter:
     low, high = sorted((start / WIDTH, start * WIDTH))
-    return Parameter(name, start, low, high, "log" if start > 0.0 else "linear")
+    return Parameter(name, start, (low, high), "log" if start > 0.0 else "linear")
 
 
 def _start(data: Data, state: str) -> Parameter:
@@ -278,8 +278,7 @@ def _start(data: Data, state: str) -> Parameter:
     return Parameter(
         name=f"{state}_start",
         start=float(guesses.mean()),
-        lower=float((guesses - room).min()),
-        upper=float((guesses + room).max()),
+        bounds=(float((guesses - room).min()), float((guesses + room).max())),
         variable=state,
         per="experiment",
     )

@@ -239,11 +239,11 @@ def true_values(data: Data) -> dict[str, float]:
 def _coefficient(effect: AddedEffect, name: str, value: float) -> Parameter:
     label = f"{effect.name}.{name}"
     if name in SCALES or effect.form in PLAYS:
-        return Parameter(label, value, value / 10.0, value * 10.0, "log")
+        return Parameter(label, value, (value / 10.0, value * 10.0), "log")
     # Where a varying parameter has its own value is a convention: it hides in the parameter.
     convention = name == "at" and effect.site.startswith("parameter")
     reach = 20.0 * abs(value)
-    return Parameter(label, value, value - reach, value + reach, fixed=convention)
+    return Parameter(label, value, (value - reach, value + reach), fixed=convention)
 
 
 def _noise(data: Data, problem: Problem) -> Refit:

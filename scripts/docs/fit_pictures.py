@@ -33,7 +33,7 @@ def shooting_picture() -> str:
     fitted = ce.fit(problem, shooting={"segments": SEGMENTS})
     path = fitted.simulations[0].outcome.trajectory
     assert path is not None
-    (whole,) = ce.simulate(problem)
+    (whole,) = ce.simulate(problem).values()
     begun = whole.outcome.trajectory
     assert begun is not None
     panels = [

@@ -130,9 +130,9 @@ def held(step: float) -> HeldInputSimulation:
 def _simulated(measured: ce.Experiment, interface: Interface, solver: ce.Solver) -> ce.Output:
     """The output of an experiment, simulated at its measured times."""
     problem = ce.read_problem(CONFIG)
-    model = ce.read_model(FMU, problem.model.parameters, interface=interface, solver=solver)
+    model = ce.read_model(FMU, interface=interface, solver=solver)
     problem = replace(problem, model=model, experiments=(measured,))
-    (simulation,) = ce.simulate(problem, values=TRUE)
+    (simulation,) = ce.simulate(problem, values=TRUE).values()
     trajectory = simulation.outcome.trajectory
     if trajectory is None:
         raise RuntimeError(simulation.outcome.message)

@@ -168,7 +168,7 @@ def test_an_executor_is_called_what_the_config_calls_it(name):
 
 
 def test_a_process_for_each_simulation_is_refused_where_there_is_but_this_one():
-    parameters = tuple(Parameter(p, 1.0, 0.1, 100.0) for p in SPRING.parameters)
+    parameters = tuple(Parameter(p, 1.0, (0.1, 100.0)) for p in SPRING.parameters)
     problem = Problem(replace(SPRING, reset="process"), parameters, EXPERIMENTS[:1])
     here = [name for name in EXECUTORS if executor_class(name).in_process]
     assert "local" in here

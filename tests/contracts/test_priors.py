@@ -57,7 +57,7 @@ class TestPrior:
 
     def test_a_centre_beyond_the_bounds_is_refused(self, prior):
         with pytest.raises(ProblemError, match=r"parameters.k.prior: must have its centre within"):
-            Parameter("k", 4.0, 3.0, 5.0, prior=prior)
+            Parameter("k", 4.0, (3.0, 5.0), prior=prior)
 
     def test_it_says_what_it_is(self, prior):
         assert prior.name in prior.said()
@@ -85,8 +85,8 @@ def test_sixty_eight_percent_of_a_log_normal_lie_within_its_factor():
         (lambda: LogNormalPrior(-1.0, 2.0), "prior.median: must be greater than 0"),
         (lambda: LogNormalPrior(1.0, 1.0), "prior.factor: must be greater than 1"),
         (lambda: with_prior(NORMAL, 1.0, fixed=True), "k.prior: must be left out.* fixed"),
-        (lambda: with_prior(LOG_NORMAL, 0.0, 0.0, 5.0), "k.start: must be above 0.*log-normal"),
-        (lambda: with_prior(LOG_NORMAL, 1.0, -1.0, 5.0), "k.bounds: must not be below 0.*-1"),
+        (lambda: with_prior(LOG_NORMAL, 0.0, (0.0, 5.0)), "k.start: must be above 0.*log-normal"),
+        (lambda: with_prior(LOG_NORMAL, 1.0, (-1.0, 5.0)), "k.bounds: must not be below 0.*-1"),
     ],
 )
 def test_a_mistake_is_met_with_a_sentence(make, said):

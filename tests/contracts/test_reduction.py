@@ -103,7 +103,7 @@ def decays(cost: str) -> Curves:
     noise = np.random.default_rng(5).normal(size=(2, 2, len(TIMES)))
     true = np.array([2.0, 0.7]), np.array([1.7, 0.9])
     measured = [formula(TIMES, true[e], e) + 0.1 * noise[e] for e in range(2)]
-    parameters = (Parameter("rise", 1.0, 0.1, 5.0), Parameter("rate", 0.3, 0.05, 3.0))
+    parameters = (Parameter("rise", 1.0, (0.1, 5.0)), Parameter("rate", 0.3, (0.05, 3.0)))
     return Curves(formula, parameters, TIMES, measured, cost=COSTS[cost]())
 
 
@@ -141,7 +141,7 @@ def test_a_method_goes_the_same_way(entry, cost):
         outputs = heights if entry.method.name == "nsga2" else heights[:1]
         return np.array([np.full(16, np.sqrt(height)) for height in outputs])
 
-    parameters = (Parameter("x", -1.2, -2.0, 2.0), Parameter("y", 1.0, -1.5, 2.5))
+    parameters = (Parameter("x", -1.2, (-2.0, 2.0)), Parameter("y", 1.0, (-1.5, 2.5)))
     outputs = 2 if entry.method.name == "nsga2" else 1
     measured = [np.zeros((outputs, 16))]
     curves = Curves(formula, parameters, np.arange(16.0), measured, cost=COSTS[cost]())

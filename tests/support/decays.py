@@ -60,7 +60,7 @@ def decay_problem(fmu: Path, solver: str = "dormand_prince", upper: float = 3.0)
     model = Model(fmu.name, fmu.read_bytes(), "model_exchange", chosen, ("k",))
     output = Output("y", TIMES, np.exp(-RATE * TIMES))
     runs = tuple(Experiment(name, 0.0, 2.0, (), (output,)) for name in RECORDS)
-    return Problem(model, (Parameter("k", 0.7, 0.01, upper),), runs)
+    return Problem(model, (Parameter("k", 0.7, (0.01, upper)),), runs)
 
 
 def write_decay(folder: Path, fmu: Path, noise: float = 0.0) -> Path:

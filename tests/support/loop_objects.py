@@ -60,7 +60,7 @@ def made_experiments(
 def made_problem(*lengths: int, **more: Any) -> Problem:
     """A problem of such experiments."""
     model = Model("none", b"", "model_exchange", Solver("rk4"), ("k",))
-    return Problem(model, (Parameter("k", 1.0, 0.0, 10.0),), made_experiments(*lengths, **more))
+    return Problem(model, (Parameter("k", 1.0, (0.0, 10.0)),), made_experiments(*lengths, **more))
 
 
 def made_fitter(problem: Problem) -> SimulationFitter:

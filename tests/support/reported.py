@@ -19,7 +19,7 @@ def fitted_run(folder: Path, **options) -> Path:
     *others, last = problem.experiments
     problem = replace(problem, experiments=(*others, replace(last, role="test")))
     written = RunFolder(folder, RunIdentity(RunKind.FIT, problem, f"# {HOSTILE}\n", "hash", 0))
-    result = fit(problem, record=written.record, show=written.show, note=written.note)
+    result = fit(problem, record=written.record, progress=written.show, callback=written.note)
     written.write(result)
     return folder
 

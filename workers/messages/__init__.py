@@ -9,7 +9,6 @@ from workers.messages.measured_experiment import (
     Experiment,
     OwnStart,
     SignalBound,
-    UserFunction,
 )
 from workers.messages.model import Effect, Model, Seats, Solver
 from workers.messages.signals import Input, Output
@@ -38,6 +37,7 @@ from workers.messages.types import (
     Want,
     content_hash,
 )
+from workers.messages.user_function import UserFunction
 
 __all__ = [
     "REDUCTIONS",

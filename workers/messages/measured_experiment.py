@@ -6,7 +6,7 @@ Besides outputs it may be compared with a curve, bounds and functions.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, get_args
@@ -23,7 +23,6 @@ from workers.messages.checks import (
     check_name,
     check_number,
     check_once,
-    check_text,
     is_finite,
     is_number,
     shown,
@@ -46,6 +45,7 @@ from workers.messages.types import (
     by_content,
     content_hash,
 )
+from workers.messages.user_function import UserFunction, as_user_function
 
 
 @by_content
@@ -178,41 +178,6 @@ class SignalBound:
         return tuple(f"{self.name} {s}" for s, values in sides.items() if np.isfinite(values).any())
 
 
-@dataclass(frozen=True)
-class UserFunction:
-    """A Python function of the user's, which runs on the workers.
-
-    Attributes
-    ----------
-    module, name
-        Where it stands.
-    source
-        The module's text, where it is a file of the user's; empty if the module is installed.
-    equality
-        For a constraint: whether what it returns must be 0, else at most 0.
-    label
-        What tables call it; `name` if empty.
-
-    Raises
-    ------
-    DataError
-        If it has no module or no name, or something is no text.
-    """
-
-    module: str
-    name: str
-    source: str = field(default="", repr=False)
-    equality: bool = False
-    label: str = ""
-
-    def __post_init__(self) -> None:
-        check_name(self.module, "function.module", DataError)
-        check_name(self.name, "function.name", DataError)
-        for key in ("source", "label"):
-            check_text(getattr(self, key), f"function {self.name!r}.{key}", DataError)
-        check_flag(self.equality, f"function {self.name!r}.equality", DataError)
-
-
 def _own_times(values: object, where: str) -> FloatArray:
     """At least one time, as a copy that cannot be written to."""
     times = kept_floats(values, f"{where}.times")
@@ -291,9 +256,10 @@ class Experiment:
     bounds
         What simulated signals must satisfy.
     cost_function
-        Returns what takes the place of all residuals of this experiment.
+        Returns what takes the place of all residuals of this experiment. May be given as a plain
+        function of a `SimulatedRun`, of which the workers get a copy.
     constraint_functions
-        Each returns a number that must be at most 0, or 0.
+        Each returns a number that must be at most 0, or 0. Likewise.
     record
         Name of the experiment whose values it shares where parameters have one per experiment,
         because both are parts of one record; "" if it has its own. A label too.
@@ -345,6 +311,8 @@ class Experiment:
         where = f"experiment {self.id!r}"
         for key, kind in _EXPERIMENT_LISTS.items():
             given = getattr(self, key)
+            if key == "constraint_functions" and isinstance(given, Sequence):
+                given = [as_user_function(each, f"{where}.{key}") for each in given]
             object.__setattr__(self, key, as_tuple(given, kind, f"{where}.{key}", DataError))
         for key in ("values", "groups"):
             given = getattr(self, key)
@@ -358,10 +326,9 @@ class Experiment:
         if self.curve is not None:
             check_kind(self.curve, Curve, f"{where}.curve", DataError)
         if self.cost_function is not None:
-            advice = "; write UserFunction(module, name)"
-            check_kind(
-                self.cost_function, UserFunction, f"{where}.cost_function", DataError, advice
-            )
+            function = as_user_function(self.cost_function, f"{where}.cost_function")
+            check_kind(function, UserFunction, f"{where}.cost_function", DataError)
+            object.__setattr__(self, "cost_function", function)
         check_number(self.log_spread, f"{where}.log_spread", DataError)
         _check_interval(self, where)
 
@@ -441,6 +408,7 @@ class Experiment:
         for function in (self.cost_function, *self.constraint_functions):
             if function is not None:
                 signals += ["function", function.module, function.name, function.source]
+                signals += [function.pickled] if function.pickled else []
                 signals += [repr((function.equality, function is self.cost_function))]
         if self.log_spread:
             signals += ["log_spread", repr(self.log_spread)]

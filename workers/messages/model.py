@@ -199,7 +199,7 @@ class Model:
         if isinstance(self.archive, str | PathLike):
             raise ModelError(
                 f"model.archive: must be the bytes of an FMU but is the path {shown(self.archive)};"
-                " use cluster_est.read_model(path, parameters)"
+                " use cluster_est.read_model(path)"
             )
         check_kind(self.archive, bytes, "model.archive", ModelError)
         check_choice(self.interface, get_args(Interface), "model.interface", ModelError)

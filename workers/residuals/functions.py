@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import pickle
 import sys
 import types
 from collections.abc import Callable
@@ -141,12 +142,16 @@ def load(function: UserFunction) -> Callable[[SimulatedRun], Any]:
     """
     where = f"{function.module}:{function.name}"
     try:
-        module = _from_source(function) if function.source else _imported(function.module)
-        found = getattr(module, function.name)
+        if function.pickled:
+            found = pickle.loads(function.pickled)
+        else:
+            module = _from_source(function) if function.source else _imported(function.module)
+            found = getattr(module, function.name)
     except (Exception, SystemExit) as error:  # whatever the user's module raises
         raise ModelError(
             f"{where}: must be a function that can be imported but cannot be "
-            f"({type(error).__name__}: {error}); correct it, or put its file beside the config"
+            f"({type(error).__name__}: {error}); correct it, install on each worker what it "
+            "imports, or put its file beside the config"
         ) from error
     if not callable(found):
         raise ModelError(f"{where}: must be a function but is a {type(found).__name__}")

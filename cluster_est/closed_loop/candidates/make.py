@@ -94,8 +94,7 @@ class EffectCandidate:
                 Parameter(
                     f"{self.effect.name}.{coefficient.name}",
                     start,
-                    low,
-                    high,
+                    (low, high),
                     "log" if log and not coefficient.held else "linear",
                     fixed=coefficient.held,
                 )

@@ -5,11 +5,12 @@ from __future__ import annotations
 import dataclasses
 import enum
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pyarrow as pa
+from typing_extensions import override
 
 from cluster_est.closed_loop.findings.competing_models import (
     CompetingModel,
@@ -28,13 +29,14 @@ from cluster_est.closed_loop.findings.effects import (
 from cluster_est.closed_loop.findings.unexplained import UnexplainedResidual
 from cluster_est.closed_loop.screening.screen import CandidateEvidence
 from cluster_est.closed_loop.selection.rounds import ComparedStructure
-from cluster_est.problem import display
 from cluster_est.problem.problem import Problem
+from cluster_est.results.criteria import InformationCriteria
 from cluster_est.results.facts import fit_facts
-from cluster_est.results.fit_tables import EffectCurve, Estimate, fit_tables
+from cluster_est.results.fit_tables import EffectCurve, Estimate
 from cluster_est.results.output_errors import OutputError
 from cluster_est.results.result import Result
 from cluster_est.results.shapes.effect_table import curve_table
+from cluster_est.results.view import ResultView, short_text
 from workers.messages import FloatArray, Role
 from workers.messages.types import by_content
 
@@ -48,13 +50,13 @@ class ErrorScale(enum.StrEnum):
 
 
 @by_content
-@dataclass(frozen=True)
-class LoopResult:
+@dataclass(frozen=True, repr=False)
+class LoopResult(ResultView):
     """The result of a closed loop.
 
     Attributes
     ----------
-    verdict, summary
+    verdict, message
         In a word and in a paragraph.
     effects
         Those that were added; empty unless the verdict is "found" or "partial".
@@ -101,12 +103,12 @@ class LoopResult:
     """
 
     verdict: Verdict
-    summary: str
+    message: str
     effects: tuple[NamedEffect, ...]
-    before: Result = field(repr=False)
-    after: Result = field(repr=False)
+    before: Result
+    after: Result
     errors: tuple[ErrorChange, ...]
-    findings: tuple[CandidateEvidence, ...] = field(repr=False)
+    findings: tuple[CandidateEvidence, ...]
     rejected: tuple[NamedEffect, ...]
     noise: dict[str, float]
     sites: tuple[str, ...]
@@ -116,13 +118,13 @@ class LoopResult:
     evaluations: int
     failures: int
     seconds: float
-    curves: tuple[EffectCurve, ...] = field(default=(), repr=False)
+    curves: tuple[EffectCurve, ...] = ()
     errors_over: ErrorScale = ErrorScale.SIGMA
-    structures: tuple[ComparedStructure, ...] = field(default=(), repr=False)
+    structures: tuple[ComparedStructure, ...] = ()
     unexplained: tuple[UnexplainedResidual, ...] = ()
     failures_in_search: int = 0
     resampled: str = ""
-    competing: tuple[CompetingModel, ...] = field(default=(), repr=False)
+    competing: tuple[CompetingModel, ...] = ()
     process_noise: tuple[NoiseChange, ...] = ()
 
     def rms(self, role: Role, when: Literal["before", "after"]) -> float:
@@ -150,11 +152,6 @@ class LoopResult:
     def success(self) -> bool:
         """The last fit reached a solution; `verdict` says what was found."""
         return self.after.success
-
-    @property
-    def message(self) -> str:
-        """The summary."""
-        return self.summary
 
     @property
     def x(self) -> dict[str, float]:
@@ -197,18 +194,12 @@ class LoopResult:
         return self.after.seconds
 
     @property
+    @override
     def tables(self) -> tuple[str, ...]:
-        """Names of its tables, those of a run folder's files."""
         return ("effects", "findings", "structures", "shapes", *self.after.tables)
 
+    @override
     def table(self, name: str) -> pa.Table:
-        """Return one of `tables`, with the columns that it has in a run folder.
-
-        Raises
-        ------
-        RunFolderError
-            If there is no such table.
-        """
         if name == "effects":
             return _effect_table(self.effects)
         if name == "findings":
@@ -223,8 +214,8 @@ class LoopResult:
             return _error_table(self.errors, self.before.errors, self.after.errors)
         return self.final.table(name)
 
+    @override
     def facts(self) -> Mapping[str, Any]:
-        """Return what run.json says of it, besides what the run's folder knows itself."""
         return fit_facts(self.after) | {
             "status": "done",
             "cost_before": self.before.cost,
@@ -235,7 +226,7 @@ class LoopResult:
             "seconds": self.seconds,
             "errors_over": self.errors_over.value,
             "verdict": self.verdict.value,
-            "summary": self.summary,
+            "summary": self.message,
             "effects": [_effect_facts(effect) for effect in self.effects],
             "likely": likely_sentence(self.structures),
             "resampled": self.resampled,
@@ -253,39 +244,12 @@ class LoopResult:
         }
 
     @property
-    def parameters(self) -> pa.Table:
-        """The table of that name: with the effects, and before."""
-        return self.table("parameters")
+    @override
+    def criteria(self) -> InformationCriteria:
+        return self.after.criteria
 
-    @property
-    def residuals(self) -> pa.Table:
-        """The table of that name, with the effects."""
-        return self.final.residuals
-
-    @property
-    def trajectories(self) -> pa.Table:
-        """The table of that name, with the effects."""
-        return self.final.trajectories
-
-    def __str__(self) -> str:
-        """Return the text for `print`."""
-        return display.plain(self._title, *self._display)
-
-    def _repr_html_(self) -> str:
-        """Return the HTML for a notebook."""
-        return display.section(self._title, *self._display)
-
-    @property
-    def _title(self) -> str:
-        return f"Closed loop: {self.verdict}. {self.summary}"
-
-    @property
-    def _display(self) -> tuple[display.DisplayTable, ...]:
-        effects = [(e.name, e.words or e.family, e.equation) for e in self.effects]
-        return (
-            display.DisplayTable("Effects", ("name", "words", "equation"), effects),
-            *fit_tables(self.after.estimates, self.errors),
-        )
+    def __repr__(self) -> str:
+        return short_text("LoopResult", str(self.verdict), self.x)
 
 
 EFFECT_COLUMNS = pa.schema(

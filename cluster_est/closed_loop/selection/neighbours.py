@@ -348,7 +348,8 @@ def _with_free_widths(contender: RefittedCandidate) -> FitStart:
         if parameter.name not in ranges:
             return parameter
         narrowest, widest = ranges[parameter.name]
-        return replace(parameter, start=widest, fixed=False, lower=narrowest, scale="log")
+        bounds = narrowest, parameter.upper
+        return replace(parameter, start=widest, fixed=False, bounds=bounds, scale="log")
 
     parameters = tuple(released(p) for p in start.problem.parameters)
     return FitStart(replace(start.problem, parameters=parameters), start.values, start.added)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -76,10 +76,8 @@ def table_of(given: Any, where: str) -> MeasuredTable:
     if hasattr(given, "items"):
         pairs = [(str(name), column) for name, column in given.items()]
         index: Any = getattr(given, "index", None)
-        if getattr(index, "name", None) is not None:  # of pandas
-            pairs.insert(0, (str(index.name), index.to_series()))
-        elif getattr(getattr(index, "dtype", None), "kind", "") in ("M", "m"):
-            pairs.insert(0, (INDEX, index.to_series()))
+        if (name := _index_name(given)) is not None:
+            pairs.insert(0, (name, index.to_series()))
         return _from_columns(pairs)
     if hasattr(given, "__arrow_c_stream__") or isinstance(given, pa.RecordBatch):
         return named_columns("the table", pa.table(given))
@@ -87,6 +85,15 @@ def table_of(given: Any, where: str) -> MeasuredTable:
         f"{where}: the table must be of pandas, polars or pyarrow, a dict of columns or a path but "
         f"is {type(given).__name__!r}; convert it"
     )
+
+
+def _index_name(given: Any) -> str | None:
+    """The name of a frame's index, where that says more than the numbers of its rows."""
+    index: Any = getattr(given, "index", None)
+    if getattr(index, "name", None) is not None:  # of pandas
+        return str(index.name)
+    is_time = getattr(getattr(index, "dtype", None), "kind", "") in ("M", "m", "f")
+    return INDEX if is_time else None
 
 
 def _from_columns(pairs: Sequence[tuple[str, Any]]) -> MeasuredTable:
@@ -97,6 +104,8 @@ def _from_columns(pairs: Sequence[tuple[str, Any]]) -> MeasuredTable:
     for name, column in pairs:
         if name in unusable:
             continue
+        if hasattr(column, "reset_index"):  # Arrow may ask for its values by their places
+            column = column.reset_index(drop=True)
         if isinstance(column, np.ndarray) and column.dtype.kind in "Mm":
             column = column.astype(f"{column.dtype.kind}8[ns]")  # not all units are Arrow's
         try:
@@ -137,6 +146,7 @@ def experiment_from_table(
     role: Role = "train",
     groups: Mapping[str, str] | None = None,
     gaps: GapRule = "split",
+    cost_function: Callable[[Any], Any] | None = None,
 ) -> Experiment:
     """Make an experiment from a measured table.
 
@@ -165,7 +175,7 @@ def experiment_from_table(
     time
         Column with the time: seconds, timestamps, or durations. Timestamps, and numbers of seconds
         since 1970, count from the first used row. "DATE + CLOCK" joins two columns. Of a frame of
-        pandas "index" is an index of times without a name.
+        pandas, its index if this and `sample_time` are left out; "index" is one without a name.
     sample_time
         Seconds between rows, where there is no such column.
     inputs, signals
@@ -194,6 +204,10 @@ def experiment_from_table(
     gaps
         "split" lets what is behind a gap in which inputs may have moved begin with initial states
         of its own, which a fit estimates; "bridge" draws inputs through.
+    cost_function
+        A function of a `SimulatedRun` (`times`, `simulated[NAME]`, `measured[NAME]`, `sigma[NAME]`,
+        `values[NAME]`) that returns residuals, or one number with the cost "total", in place of
+        those of the outputs. It runs on the workers, which are sent a copy.
 
     Raises
     ------
@@ -213,6 +227,8 @@ def experiment_from_table(
     for name, part in parts.items():
         if part > 0.0 and sigmas[name] == 1.0:
             raise DataError(relative_without_sigma(where, name))
+    if time is None and sample_time is None:
+        time = _index_name(table)
     _check_times(time, sample_time, start, stop, where)
     changes, absent = _changes(columns, where), _missing(missing, where)
     reader = MeasuredColumns(_table(table, where), where, _rows(rows, where), changes, absent)
@@ -241,6 +257,7 @@ def experiment_from_table(
         groups={} if groups is None else groups,  # type: ignore[arg-type]
         signals=driving["signals"],
         gaps=gaps,
+        cost_function=cost_function,  # type: ignore[arg-type]
     )
 
 

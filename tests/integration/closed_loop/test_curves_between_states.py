@@ -62,10 +62,10 @@ def experiment(number):
 
 @pytest.mark.slow
 def test_the_curve_is_found_between_the_masses_and_held_out_errors_fall_close_to_the_noise():
-    model = ce.read_model(FMU, ["k_spring", "c_damper"], solver="dormand_prince")
+    model = ce.read_model(FMU, solver="dormand_prince")
     parameters = (
-        ce.Parameter("k_spring", 1.2 * SPRING, 0.1 * SPRING, 10.0 * SPRING),
-        ce.Parameter("c_damper", 1.2 * DAMPER, 0.1 * DAMPER, 10.0 * DAMPER),
+        ce.Parameter("k_spring", 1.2 * SPRING, (0.1 * SPRING, 10.0 * SPRING)),
+        ce.Parameter("c_damper", 1.2 * DAMPER, (0.1 * DAMPER, 10.0 * DAMPER)),
     )
     runs = tuple(experiment(number) for number in range(len(ROLES)))
     only = ce.LoopSettings(forms=("table",))

@@ -62,7 +62,7 @@ def test_a_curve_is_found_at_its_place(amplifier):
     assert place in (("input F", "characteristic", ()), ("der(v)", "table", ("F",)))
     assert "table of F from low to high: k" in effect.equation
     assert "criterion falls by" in effect.evidence[0]
-    assert "a shape that no form of the library has" in amplifier.summary
+    assert "a shape that no form of the library has" in amplifier.message
     assert amplifier.rms("test", "before") > 10.0
     assert amplifier.rms("test", "after") < 1.5
 

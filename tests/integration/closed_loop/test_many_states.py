@@ -61,7 +61,7 @@ def problem(built_fmu):
         ce.Solver("dormand_prince"),
         tuple(TRUE),
     )
-    parameters = tuple(ce.Parameter(n, 0.8 * v, 0.1 * v, 10.0 * v) for n, v in TRUE.items())
+    parameters = tuple(ce.Parameter(n, 0.8 * v, (0.1 * v, 10.0 * v)) for n, v in TRUE.items())
     return ce.Problem(model, parameters, tuple(experiment(e) for e in range(len(ROLES))))
 
 

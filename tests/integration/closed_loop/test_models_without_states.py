@@ -31,8 +31,8 @@ def measured(law, interface="model_exchange") -> ce.Problem:
         inputs = (ce.Input("qd", TIMES, speed), ce.Input("qdd", TIMES, turning))
         outputs = (ce.Output("i", TIMES, current, sigma=NOISE),)
         runs.append(ce.Experiment(name, 0.0, float(TIMES[-1]), inputs, outputs, role=role))
-    parameters = tuple(ce.Parameter(name, 0.1, 0.0, 5.0) for name in ("J", "Fv"))
-    model = ce.read_model(FMU, ["J", "Fv"], interface=interface)
+    parameters = tuple(ce.Parameter(name, 0.1, (0.0, 5.0)) for name in ("J", "Fv"))
+    model = ce.read_model(FMU, interface=interface)
     return ce.Problem(model, parameters, tuple(runs))
 
 
@@ -75,7 +75,7 @@ def test_two_terms_are_found_together():
     assert {effect.form for effect in result.effects} == set(LAWS)
     for effect in result.effects:
         assert effect.coefficients[0].value == pytest.approx(LAWS[effect.form][0], rel=0.03)
-    assert "the effects close 100%" in result.summary
+    assert "the effects close 100%" in result.message
     assert any("are functions of qd at output i" in note for note in result.notes)
 
 

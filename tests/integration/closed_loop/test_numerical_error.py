@@ -100,8 +100,8 @@ def test_a_communication_step_that_is_too_long_is_no_missing_effect():
     assert found.verdict is Verdict.UNEXPLAINED
     assert found.effects == ()
     assert found.after is found.before
-    assert "the communication step of 0.1 s has an error of" in found.summary
-    assert "set model.step = 0.0" in found.summary
+    assert "the communication step of 0.1 s has an error of" in found.message
+    assert "set model.step = 0.0" in found.message
     assert any("no effect was looked for" in note for note in found.notes)
 
 

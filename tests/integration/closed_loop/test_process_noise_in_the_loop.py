@@ -48,14 +48,14 @@ def record(seed: int, dry: float, role: str, samples: int = 300) -> ce.Experimen
 def problem(dry: float) -> ce.Problem:
     roles = ("train", "train", "train", "test")
     parameters = (
-        ce.Parameter("m", 1.0, 0.1, 10.0),
-        ce.Parameter("k", 25.0, 1.0, 200.0),
-        ce.Parameter("c", 0.4, 0.0, 10.0),
-        ce.Parameter("wind.q", 1.0, 0.01, 100.0, "log"),
-        ce.Parameter("wind.tau", 0.2, 0.01, 10.0, "log"),
+        ce.Parameter("m", 1.0, (0.1, 10.0)),
+        ce.Parameter("k", 25.0, (1.0, 200.0)),
+        ce.Parameter("c", 0.4, (0.0, 10.0)),
+        ce.Parameter("wind.q", 1.0, (0.01, 100.0), "log"),
+        ce.Parameter("wind.tau", 0.2, (0.01, 10.0), "log"),
     )
     return ce.Problem(
-        ce.read_model(ROOT / "configs" / "models" / "mass_spring_damper.fmu", list(TRUE)),
+        ce.read_model(ROOT / "configs" / "models" / "mass_spring_damper.fmu"),
         parameters,
         tuple(record(seed, dry, role) for seed, role in enumerate(roles)),
         effects=(ce.Effect("wind", "input F", "coloured_noise"),),
@@ -80,7 +80,7 @@ def test_the_friction_takes_the_place_of_noise(rubbing):
     assert change.after == pytest.approx(PUSH, rel=0.3)
     assert change.before > 1.2 * change.after
     assert 0.0 < change.variance_left < 0.7
-    assert "process noise wind: standard deviation" in rubbing.summary
+    assert "process noise wind: standard deviation" in rubbing.message
     assert rubbing.facts()["process_noise"][0]["after"] == change.after
 
 
@@ -107,7 +107,7 @@ def test_nothing_but_the_noise_is_none():
         ce.close_loop(problem(0.0), scarce, SETTINGS)
     assert found.verdict == "none"
     assert found.effects == found.process_noise == ()
-    assert "process noise wind: standard deviation" in found.summary
+    assert "process noise wind: standard deviation" in found.message
     assert found.after is found.before
 
 

@@ -60,7 +60,7 @@ def test_a_wave_that_cannot_be_believed_is_not_added(frequency, ways):
     found = ce.close_loop(pushed_by_waves(frequency, ways), settings=WAVES)
     assert found.verdict == Verdict.UNEXPLAINED
     assert found.effects == ()
-    assert "sinusoids or drifts in time" in found.summary
+    assert "sinusoids or drifts in time" in found.message
 
 
 def gusts(seed: int, size: float) -> np.ndarray:
@@ -76,8 +76,8 @@ def test_a_drift_that_would_leave_more_than_noise_is_not_added():
     found = ce.close_loop(problem, settings=settings("der(v)", "drift", "coulomb"))
     assert found.verdict == Verdict.UNEXPLAINED
     assert found.effects == ()
-    assert "drifts or waves in time would close a part of the gap" in found.summary
-    assert "if it is a disturbance that nobody measured" in found.summary
+    assert "drifts or waves in time would close a part of the gap" in found.message
+    assert "if it is a disturbance that nobody measured" in found.message
     assert any("they are too narrow" in note for note in found.notes)
     assert any("the largest part" in note or "spread over all" in note for note in found.notes)
     (left,) = found.unexplained
@@ -96,7 +96,7 @@ def test_what_was_found_beside_such_a_drift_is_judged_without_it():
     )
     found = ce.close_loop(problem, settings=few)
     assert found.verdict == Verdict.UNEXPLAINED
-    assert "drift at der(v) would leave more than noise and was not added" in found.summary
+    assert "drift at der(v) would leave more than noise and was not added" in found.message
     assert [(effect.form, effect.site) for effect in found.rejected] == [("dead_zone", "input F")]
 
 
@@ -122,7 +122,7 @@ def test_a_column_that_varies_with_what_nothing_explains_is_named(tmp_path):
     problem = replace(problem, tables=tuple(sources))
     found = ce.close_loop(problem, settings=settings("der(v)", "coulomb", "cubic"))
     assert found.verdict == Verdict.UNEXPLAINED
-    assert "column 'gust_N' is not used and varies with it" in found.summary
+    assert "column 'gust_N' is not used and varies with it" in found.message
     assert [len(each.columns) for each in found.unexplained] == [1]
 
 
@@ -153,7 +153,7 @@ def test_a_switch_that_is_wide_is_one_friction_with_its_width():
     """It is not patched, and written to the config with an unknown width."""
     problem = measured_springs(
         pushed(lambda t, x, f: -2.0 * np.tanh(x[1] / 0.02)),
-        ce.Parameter("m", 1.1 * M, 0.1, 10.0),
+        ce.Parameter("m", 1.1 * M, (0.1, 10.0)),
         swing=12.0,
         noise=1e-4,
         random=np.random.default_rng(3),

@@ -186,7 +186,7 @@ def test_the_communication_step_that_results_depend_on(own_fmu, name, verdict, f
 def test_the_bounds_are_tried(own_fmu):
     problem = bare_problem(own_fmu("dahlquist", 2))
     known = problem.parameters[0]
-    given = Parameter(known.name, known.start, lower=0.1, upper=20.0)
+    given = Parameter(known.name, known.start, bounds=(0.1, 20.0))
     page = looked_at(replace(problem, parameters=(given,)))
     assert "lower and upper bounds" in line(page, "bounds").found
 
@@ -229,7 +229,7 @@ def test_an_effect_does_not_make_a_check_reset_the_instance(own_fmu):
     """It simulates twice, because SymPy is imported at first: the second time in a new one."""
     problem = bare_problem(own_fmu("reset_crashes", 2))
     gain = Effect("gain", "output y", "gain")
-    strength = Parameter("gain.k", 0.1, -1.0, 1.0)
+    strength = Parameter("gain.k", 0.1, (-1.0, 1.0))
     whole = replace(problem, effects=(gain,), parameters=(*problem.parameters, strength))
     page = run_checks(whole, Resources(), MINUTE)
     assert line(page, "simulates").verdict == "ok"
@@ -317,7 +317,7 @@ def spring(tmp_path_factory):
     offers = 'providesDirectionalDerivative="true"'
     path.write_bytes(spoiled_fmu(xml={"<ModelExchange ": f"<ModelExchange {offers} "}))
     problem = bare_problem(path)
-    given = [Parameter(p.name, p.start, 0.1, 50.0) for p in problem.parameters]
+    given = [Parameter(p.name, p.start, (0.1, 50.0)) for p in problem.parameters]
     return replace(problem, parameters=tuple(given))
 
 
@@ -431,7 +431,7 @@ def test_an_input_that_is_held_anyway_makes_no_ramps(tmp_path, name):
     steps = np.repeat([0.0, 1.0, 0.0, 1.0], 10)
     columns = {"t": times, "u": steps, "y": np.sin(times)}
     run = ce.Experiment.from_table(columns, id="a", time="t", inputs=["u"], outputs=["y"])
-    problem = ce.Problem(ce.read_model(fmu, ["k"]), [ce.Parameter("k", 1.0)], [run])
+    problem = ce.Problem(ce.read_model(fmu), [ce.Parameter("k", 1.0)], [run])
     assert any("makes ramps" in each or "make ramps" in each for each in problem.notes()) is noted
     with_hole = replace(run.inputs[0], times=np.delete(times, 5), values=np.delete(steps, 5))
     holed = replace(problem, experiments=(replace(run, inputs=(with_hole,)),))

@@ -61,7 +61,7 @@ def problem(*runs):
     outputs = {"current": "dc_motor", "speed": "dc_motor", "y": "pendulum"}
     fmu = outputs.get(runs[0].outputs[0].variable, "thermal_two_node")
     starts = STARTS[fmu]
-    model = ce.read_model(MODELS / f"{fmu}.fmu", list(starts))
+    model = ce.read_model(MODELS / f"{fmu}.fmu")
     few = replace(model.solver, max_steps=1000)  # what is read as much longer ends at once
     model = replace(model, solver=few)
     return ce.Problem(model, [ce.Parameter(*each) for each in starts.items()], list(runs))

@@ -166,7 +166,7 @@ def test_residuals_are_those_of_the_time_base_the_windows_and_the_weights(build)
         (np.interp(TIMES[places], TIMES[y_at], y[y_at]) - AT_START[0][places]) / (0.1 / 6.0),
         (held - AT_START[1][places]) / (1.0 / 1.5),
     ]
-    (found,) = simulate(problem)
+    (found,) = simulate(problem).values()
     np.testing.assert_allclose(found.outcome.residuals, np.concatenate(expected), atol=1e-5)
 
 

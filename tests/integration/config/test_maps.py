@@ -64,7 +64,7 @@ def fitted(tmp_path_factory, own_fmu):
         (folder / "config.toml").write_text(to_toml(tree), encoding="utf-8")
         result = ce.fit(ce.read_problem(folder / "config.toml"))
         assert result.success
-        rows = {row["parameter"]: row["value"] for row in result.parameters.to_pylist()}
+        rows = {row["parameter"]: row["value"] for row in result.table("parameters").to_pylist()}
         errors = {e.parameter: e.std_error for e in result.estimates}
         own = np.array([errors.get(name, np.nan) for name in NAMES], float)
         return np.array([rows[name] for name in NAMES]), own, result
@@ -117,7 +117,8 @@ def test_what_a_run_shows_and_exports_reads_back_as_starts(tmp_path, own_fmu, ca
         resolved = ce.read_config(path)
         assert resolved.maps["spring"].start == pytest.approx(found, rel=1e-12)
         assert not resolved.values
-    before = ce.simulate(ce.read_problem(path))[0].outcome.trajectory.at("y", TIMES)
+    (simulation,) = ce.simulate(ce.read_problem(path)).values()
+    before = simulation.outcome.trajectory.at("y", TIMES)
     assert before == pytest.approx(moved(2.5, tuple(found)), abs=1e-5)
 
 

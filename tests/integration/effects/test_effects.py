@@ -147,15 +147,18 @@ def test_an_equation_of_the_users_own(shown):
 
 
 PARAMETERS = (
-    Parameter("m", 1.0, 0.1, 10.0),
-    Parameter("k", 25.0, 1.0, 100.0),
-    Parameter("c", 0.8, 0.0, 10.0),
+    Parameter("m", 1.0, (0.1, 10.0)),
+    Parameter("k", 25.0, (1.0, 100.0)),
+    Parameter("c", 0.8, (0.0, 10.0)),
 )
 
 
 def test_a_declared_effect_is_fitted_together_with_the_parameters():
     measured = solve(pushed(lambda t, x, f: -0.5 * np.tanh(x[1] / 0.01)))[:, 0]
-    coefficients = Parameter("friction.k", 0.0, 0.0), Parameter("friction.width", 0.01, fixed=True)
+    coefficients = (
+        Parameter("friction.k", 0.0, (0.0, np.inf)),
+        Parameter("friction.width", 0.01, fixed=True),
+    )
     problem = Problem(EXACT, PARAMETERS, (driven(measured),))
     declared = replace(
         problem,

@@ -45,7 +45,7 @@ def spring(kind, truth, how, noise=0.02, seed=1):
         )
     solver = ce.Solver("dormand_prince")
     model = ce.Model(FMU.name, FMU.read_bytes(), "model_exchange", solver, ("m", "k", "c"))
-    starts = {"m": (1.0, 0.1, 10.0), "k": (25.0, 1.0, 200.0), "c": (0.5, 0.0, 10.0)}
+    starts = {"m": (1.0, (0.1, 10.0)), "k": (25.0, (1.0, 200.0)), "c": (0.5, (0.0, 10.0))}
     return ce.Problem(model, [ce.Parameter(name, *g) for name, g in starts.items()], runs)
 
 
@@ -110,7 +110,7 @@ def test_a_poor_fit_names_the_record_and_the_time_of_a_jump():
         (ce.Output("current", times, current, 0.005),),
         values=(("R", resistance), ("L", inductance), ("b", friction)),
     )  # fmt: skip
-    parameters = [ce.Parameter("K", 0.04, 0.01, 0.2), ce.Parameter("J", 4e-4, 1e-5, 1e-2)]
+    parameters = [ce.Parameter("K", 0.04, (0.01, 0.2)), ce.Parameter("J", 4e-4, (1e-5, 1e-2))]
     found = ce.fit(ce.Problem(model, parameters, [run]), resources=ONE)
     (other,) = interpolation_sentences(found)
     assert "prefer input V to be held" in other
@@ -131,5 +131,5 @@ def test_a_closed_loop_says_it_first(rows):
     found = ce.close_loop(problem, ONE, thinning=thinning)
     (said,) = [note for note in found.notes if "prefer input F to be held" in note]
     assert found.notes[0] == said
-    assert found.summary.endswith(f"but the measurements prefer {KEY % 'hold'}: set it first")
+    assert found.message.endswith(f"but the measurements prefer {KEY % 'hold'}: set it first")
     assert KEY % "hold" in said

@@ -65,7 +65,7 @@ def test_what_an_order_says_nothing_of_is_named():
     problem = judged()
     sensor = shared_sensor("y")
     (scale,) = sensor.parameters
-    given = (*problem.parameters, replace(scale, lower=0.1, upper=10.0, start=2.0))
+    given = (*problem.parameters, replace(scale, bounds=(0.1, 10.0), start=2.0))
     found = ce.fit(replace(problem, parameters=given, effects=(sensor.effect,)))
     assert "sensor_y.scale has no effect on any residual" in found.notes
     free = tuple(replace(p, fixed=False) for p in problem.parameters)
@@ -105,7 +105,7 @@ def test_the_tables_hold_categories_and_what_is_nearest_in_them():
     assert [row["samples"] for row in rows] == [50, 50, 50]
     assert rows[0]["lower"] == -np.inf
     assert rows[0]["upper"] < rows[1]["lower"] < rows[1]["upper"] < rows[2]["lower"]
-    table = result.residuals.to_pylist()
+    table = result.table("residuals").to_pylist()
     own = [row for row in table if row["experiment"] == "e1"]
     spread = np.std([row["simulated"] for row in own])
     for row in own:

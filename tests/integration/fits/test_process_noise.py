@@ -52,15 +52,15 @@ COLOURED = ce.Effect("noise", "input F", "coloured_noise")
 
 
 def spring(experiments, q: float = 0.5, effect: ce.Effect = DIFFUSION, **model) -> ce.Problem:
-    read = ce.read_model(MODELS / "mass_spring_damper.fmu", ["m", "k", "c"], **model)
+    read = ce.read_model(MODELS / "mass_spring_damper.fmu", **model)
     parameters = [
-        ce.Parameter("m", 1.0, 0.1, 10.0),
-        ce.Parameter("k", 25.0, 1.0, 200.0),
-        ce.Parameter("c", 0.4, 0.0, 10.0),
-        ce.Parameter("noise.q", q, 0.0, 100.0),
+        ce.Parameter("m", 1.0, (0.1, 10.0)),
+        ce.Parameter("k", 25.0, (1.0, 200.0)),
+        ce.Parameter("c", 0.4, (0.0, 10.0)),
+        ce.Parameter("noise.q", q, (0.0, 100.0)),
     ]
     if effect is COLOURED:
-        parameters.append(ce.Parameter("noise.tau", 0.05, 1e-3, 10.0, "log"))
+        parameters.append(ce.Parameter("noise.tau", 0.05, (1e-3, 10.0), "log"))
     return ce.Problem(read, tuple(parameters), tuple(experiments), effects=(effect,))
 
 
@@ -157,7 +157,7 @@ def test_a_nonlinear_model_is_filtered_along_its_own_linearisation():
     measured = np.array(path) + sigma * generator.normal(size=len(times))
     output = ce.Output("y", times, measured, sigma=sigma)
     run = ce.Experiment("a", 0.0, times[-1], (), (output,), {"angle": 1.5})
-    model = ce.read_model(MODELS / "pendulum.fmu", ["J", "G", "b"])
+    model = ce.read_model(MODELS / "pendulum.fmu")
     parameters = tuple(ce.Parameter(name, value) for name, value in values.items())
     effect = ce.Effect("n", "der(speed)", "diffusion")
     problem = ce.Problem(model, parameters, (run,), effects=(effect,))
@@ -201,7 +201,7 @@ def test_output_errors_on_the_same_data_are_worse(fitted):
 def test_an_ornstein_uhlenbeck_force_has_a_strength_and_a_time(fitted):
     problem = spring(fitted.problem.experiments, 1.0, COLOURED)
     *_, q, tau = problem.parameters
-    q = replace(q, lower=1e-3, upper=1e3, scale="log")
+    q = replace(q, bounds=(1e-3, 1e3), scale="log")
     coloured = ce.fit(replace(problem, parameters=(*problem.parameters[:3], q, tau)))
     assert coloured.success
     # white noise at the derivative is one of no time: its strength is q tau / m
@@ -217,7 +217,7 @@ def test_its_names_are_those_of_the_library():
 def with_effect(effect: ce.Effect, own: str) -> ce.Problem:
     """One more, besides the noise, with a coefficient of its own."""
     problem = spring([shaken(1)])
-    own = ce.Parameter(f"{effect.name}.{own}", 0.1, 0.01, 1.0)
+    own = ce.Parameter(f"{effect.name}.{own}", 0.1, (0.01, 1.0))
     more = {"effects": (*problem.effects, effect), "parameters": (*problem.parameters, own)}
     return replace(problem, **more)
 

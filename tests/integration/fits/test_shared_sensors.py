@@ -123,7 +123,7 @@ def test_a_held_out_part_has_the_scale_of_its_record(shared):
         tall.append(np.column_stack([seen, np.ones(len(times))]))
     best = np.linalg.lstsq(tall[0], train.outputs[0].values)[0]
     expected = held_out.outputs[0].values - tall[1] @ best
-    rows = result.residuals.to_pylist()
+    rows = result.table("residuals").to_pylist()
     own = [r["measured"] - r["simulated"] for r in rows if r["experiment"] == held_out.id]
     np.testing.assert_allclose(own, expected, atol=1e-6)
     (error,) = [e for e in result.errors if e.experiment == held_out.id]

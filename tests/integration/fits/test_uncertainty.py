@@ -29,10 +29,10 @@ def free_springs(solver, scale="log"):
             ce.Experiment(f"e{e}", 0.0, float(TIMES[-1]), (), (ce.Output("y", TIMES, measured),))
         )
     parameters = (
-        ce.Parameter("m", 1.0, 0.1, 10.0),
-        ce.Parameter("k", 24.0, 1.0, 200.0, scale=scale),
-        ce.Parameter("c", 0.5, 0.0, 10.0),
-        ce.Parameter("x0", 0.1, -1.0, 1.0, variable="x", per="experiment"),
+        ce.Parameter("m", 1.0, (0.1, 10.0)),
+        ce.Parameter("k", 24.0, (1.0, 200.0), scale=scale),
+        ce.Parameter("c", 0.5, (0.0, 10.0)),
+        ce.Parameter("x0", 0.1, (-1.0, 1.0), variable="x", per="experiment"),
         ce.Parameter("rate", 1.0, expression="k / m", auxiliary=True),
     )
     names = tuple(p.target for p in parameters if not p.auxiliary)

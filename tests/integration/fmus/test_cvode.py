@@ -284,9 +284,9 @@ def test_a_stiff_model_is_fitted(built_fmu):
     names = ("k1", "k3", "drain")
     model = Model("r", built_fmu("robertson_fed"), "model_exchange", Solver("cvode"), names)
     parameters = (
-        Parameter("k1", 0.1, 1e-3, 1.0, scale="log"),
-        Parameter("k3", 3e3, 1e2, 1e6, scale="log"),
-        Parameter("drain", 0.05, 0.0, 1.0),
+        Parameter("k1", 0.1, (1e-3, 1.0), scale="log"),
+        Parameter("k3", 3e3, (1e2, 1e6), scale="log"),
+        Parameter("drain", 0.05, (0.0, 1.0)),
     )
     result = fit(Problem(model, parameters, (replace(driven, outputs=measured),)))
     found = [estimate.value for estimate in result.estimates]

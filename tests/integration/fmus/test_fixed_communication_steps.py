@@ -119,7 +119,7 @@ def test_a_fit_finds_the_rate_and_says_what_it_did(own_fmu):
     fmu = own_fmu("fixed_step", 2)
     output = Output("y", TIMES, np.exp(-0.8 * TIMES))
     runs = [Experiment(name, 0.0, 1.99, (), (output,)) for name in "ab"]
-    rate = (Parameter("k", 1.0, 0.1, 3.0),)
+    rate = (Parameter("k", 1.0, (0.1, 3.0)),)
     (note,) = Problem(decay(fmu), rate, (runs[0], measured([0.0, 0.2], name="c"))).notes()
     assert re.search(r"every 0\.1 s; experiment 'a' has times between", note)
     problem = Problem(decay(fmu), rate, tuple(runs))
@@ -171,7 +171,7 @@ def test_the_step_is_the_configured_one_or_the_fmus_own_or_one_that_fits_all_tim
     outcome = outcome_of(fmu, times, step)
     assert outcome.steps == steps
     np.testing.assert_allclose(-outcome.residuals, np.exp(times[0] - np.array(times)), atol=1e-8)
-    rate = (Parameter("k", 1.0, 0.1, 3.0),)
+    rate = (Parameter("k", 1.0, (0.1, 3.0)),)
     assert Problem(decay(fmu, step), rate, (measured(np.array(times)),)).notes() == ()
 
 

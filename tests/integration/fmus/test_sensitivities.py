@@ -203,7 +203,7 @@ def test_ten_parameters_reach_the_same_minimum_in_fewer_simulations(own_fmu, ask
     factors = np.linspace(0.8, 1.3, 10)
     scales = ["linear"] * 5 + ["log"] * 5
     parameters = tuple(
-        Parameter(name, value * factor, lower=1e-3, upper=5.0, scale=scale)
+        Parameter(name, value * factor, bounds=(1e-3, 5.0), scale=scale)
         for name, value, factor, scale in zip(RATES, truth, factors, scales, strict=True)
     )
     problem = problem_of(own_fmu, ask, "chain", parameters, truth, ("x1", "x2", "x3", "x4", "x5"))
@@ -216,8 +216,8 @@ def test_ten_parameters_reach_the_same_minimum_in_fewer_simulations(own_fmu, ask
 
 def test_local_tied_and_logarithmic_parameters(own_fmu, ask):
     parameters = (
-        Parameter("mu", 1.0, lower=0.1, upper=10.0, scale="log"),
-        Parameter("x0", 1.8, lower=0.0, upper=4.0, per="experiment"),
+        Parameter("mu", 1.0, bounds=(0.1, 10.0), scale="log"),
+        Parameter("x0", 1.8, bounds=(0.0, 4.0), per="experiment"),
         Parameter("x1", 0.0, expression="0.2 * x0 * mu"),
     )
     problem = problem_of(own_fmu, ask, "van_der_pol", parameters, [1.3, 2.0, 0.52], ("y",))
@@ -246,7 +246,9 @@ def problem(own_fmu):
     model = Model(archive.name, archive.read_bytes(), "model_exchange", SOLVERS[0], ("k", "c"))
     times = np.linspace(0.0, 1.0, 3)
     run = Experiment("a", 0.0, 1.0, (), (Output("y", times, 0.0 * times, 1.0),))
-    return Problem(model, (Parameter("k", 1.0, 0.1, 5.0), Parameter("c", 1.0, 0.1, 5.0)), (run,))
+    return Problem(
+        model, (Parameter("k", 1.0, (0.1, 5.0)), Parameter("c", 1.0, (0.1, 5.0))), (run,)
+    )
 
 
 def found_at(problem, cost):

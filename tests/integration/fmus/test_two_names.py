@@ -15,8 +15,8 @@ DECAY = np.exp(-TIMES)
 
 
 def problem(path, names, outputs=("y",), **given):
-    parameters = tuple(ce.Parameter(name, 1.0, 0.1, 10.0) for name in names)
-    model = ce.read_model(path, names)
+    parameters = tuple(ce.Parameter(name, 1.0, (0.1, 10.0)) for name in names)
+    model = ce.read_model(path)
     measured = tuple(ce.Output(name, TIMES, DECAY) for name in outputs)
     inputs = given.pop("inputs", ())
     experiment = ce.Experiment("a", 0.0, 2.0, inputs, measured, **given)

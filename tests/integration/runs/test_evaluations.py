@@ -30,7 +30,7 @@ def test_a_jacobian_costs_shared_plus_local_simulations_for_each_experiment():
 
 def test_failed_simulations_are_outcomes_with_a_reason_and_the_fit_goes_on():
     truth = spring_problem(noise=0.01)
-    heavy = Parameter("m", 4.0, -5.0, 20.0)
+    heavy = Parameter("m", 4.0, (-5.0, 20.0))
     parameters = (heavy, *truth.problem.parameters[1:])
     result, rows = logged(replace(truth.problem, parameters=parameters), LeastSquares())
     failed = [outcome for _, outcome in rows if not outcome.ok]
@@ -44,7 +44,7 @@ def test_failed_simulations_are_outcomes_with_a_reason_and_the_fit_goes_on():
 
 def test_a_start_that_cannot_be_simulated_is_a_result_and_no_exception():
     truth = spring_problem()
-    bad = replace(truth.problem.parameters[0], start=-1.0, lower=-2.0)
+    bad = replace(truth.problem.parameters[0], start=-1.0, bounds=(-2.0, 10.0))
     result = fit(replace(truth.problem, parameters=(bad, *truth.problem.parameters[1:])))
     assert not result.success
     assert result.solution.ending is Ending.START_FAILED

@@ -131,7 +131,7 @@ def test_it_ends_with_the_run_and_keeps_the_report_fresh(begun):
     watcher.start()
     while not seen:  # the first look is at a run that goes on
         watcher.join(0.01)
-    begun.write(fit(problem, record=begun.record, show=begun.show, note=begun.note))
+    begun.write(fit(problem, record=begun.record, progress=begun.show, callback=begun.note))
     watcher.join(60.0)
     assert not watcher.is_alive()
     assert (seen[0].status, seen[-1].status) == ("running", "done")

@@ -45,13 +45,13 @@ def spring_problem(
         given, seen = Input("F", times, force), Output("y", times, measured)
         runs.append(Experiment(f"e{e}", 0.0, float(times[-1]), (given,), (seen,)))
     parameters = [
-        Parameter("m", 1.0, 0.1, 10.0),
-        Parameter("k", 20.0, 1.0, 200.0, scale="log"),
-        Parameter("c", 1.0, 0.0, 10.0),
-        Parameter("x0", 0.0, -1.0, 1.0, variable="x", per="experiment"),
+        Parameter("m", 1.0, (0.1, 10.0)),
+        Parameter("k", 20.0, (1.0, 200.0), scale="log"),
+        Parameter("c", 1.0, (0.0, 10.0)),
+        Parameter("x0", 0.0, (-1.0, 1.0), variable="x", per="experiment"),
     ]
     if "v0" in local:
-        parameters.append(Parameter("v0", 0.0, -5.0, 5.0, variable="v", per="experiment"))
+        parameters.append(Parameter("v0", 0.0, (-5.0, 5.0), variable="v", per="experiment"))
     chosen = solver or Solver("dormand_prince", rtol=1e-10)
     names = tuple(p.target for p in parameters)
     model = Model(FMU.name, FMU.read_bytes(), interface, chosen, names)  # type: ignore[arg-type]

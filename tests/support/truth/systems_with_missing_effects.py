@@ -100,7 +100,7 @@ def missing_effect_problem(
         last = float(times[-1])
         runs.append(Experiment(f"e{e}", 0.0, last, given, seen, system.values, signals=more))
     parameters = tuple(
-        Parameter(n, v, v / 10.0, v * 10.0, per="experiment" if n in local else None)
+        Parameter(n, v, (v / 10.0, v * 10.0), per="experiment" if n in local else None)
         for n, v in system.parameters.items()
     )
     path = ROOT / system.folder / f"{name}.fmu"

@@ -43,9 +43,9 @@ def fitted(method, cost="sse", unit=(1.0, 1.0, 1.0), output=1.0, bounds=WIDE, of
         return output * (gain * np.exp(-rate * times) + shift)
 
     parameters = (
-        Parameter("gain", 1.0 * unit[0], 0.0, np.inf),
-        Parameter("rate", 1.0 * unit[1], 0.01 * unit[1], 20.0 * unit[1]),
-        Parameter("offset", 0.0, bounds[0] * unit[2], bounds[1] * unit[2]),
+        Parameter("gain", 1.0 * unit[0], (0.0, np.inf)),
+        Parameter("rate", 1.0 * unit[1], (0.01 * unit[1], 20.0 * unit[1])),
+        Parameter("offset", 0.0, (bounds[0] * unit[2], bounds[1] * unit[2])),
     )
     measured = [output * (2.0 * np.exp(-0.7 * TIMES) + offset + NOISE)]
     curves = Curves(decay, parameters, TIMES, measured, cost=COSTS[cost]())

@@ -135,7 +135,7 @@ def test_inputs_swing_further_about_their_means(bench):
 
 def test_a_fit_that_cannot_be_simulated_is_none(bench):
     heavy, *others = bench.fitter.problem.parameters
-    light = replace(heavy, start=-1.0, lower=-2.0, upper=-0.5)
+    light = replace(heavy, start=-1.0, bounds=(-2.0, -0.5))
     broken = replace(bench.fitter.problem, parameters=(light, *others))
     good = FitStart(bench.fitter.problem, {})
     method = LeastSquares(max_iterations=2)

@@ -91,7 +91,7 @@ def test_known_values_win_over_formulas_and_go_into_them():
 
 def test_fixed_logarithmic_and_kept_sources():
     parameters = [
-        Parameter("k", 20.0, 1.0, 100.0, scale="log"),
+        Parameter("k", 20.0, (1.0, 100.0), scale="log"),
         Parameter("m", 5.0, fixed=True),
         derived("c", "k / m"),
     ]
@@ -107,7 +107,10 @@ def test_fixed_logarithmic_and_kept_sources():
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
 def test_another_start_stays_within_the_bounds_and_changes_no_other_value(a, b):
-    parameters = [Parameter("k", 2.0, 0.1, 7.0, scale="log"), Parameter("m", 1.0, 0.3, 0.7 + 0.6)]
+    parameters = [
+        Parameter("k", 2.0, (0.1, 7.0), scale="log"),
+        Parameter("m", 1.0, (0.3, 0.7 + 0.6)),
+    ]
     space = make_space(unloaded_problem(parameters), (0,))
     x = space.lower + np.array([a, b]) * (space.upper - space.lower)
     x = np.clip(x, space.lower, space.upper)
@@ -143,7 +146,7 @@ def test_a_formula_says_all_of_a_value(changes, key):
 
 
 def test_the_start_of_a_derived_parameter_is_nowhere_looked_at():
-    low = Parameter("c", 0.0, 5.0, 6.0, expression="k")
+    low = Parameter("c", 0.0, (5.0, 6.0), expression="k")
     space = make_space(unloaded_problem([Parameter("k", 2.0), low]), (0,))
     assert space.physical(space.start).tolist() == [[2.0, 2.0]]
 

@@ -40,7 +40,7 @@ def cases(draw):
     """A problem with parameters of all kinds, and a point of its space."""
     kinds = draw(st.lists(st.sampled_from(PER), min_size=2, max_size=4))
     parameters = [
-        Parameter(f"p{i}", 1.5, 0.5, 4.0, draw(st.sampled_from(["linear", "log"])), per=per)
+        Parameter(f"p{i}", 1.5, (0.5, 4.0), draw(st.sampled_from(["linear", "log"])), per=per)
         for i, per in enumerate(kinds)
     ]
     count = draw(st.integers(1, 6))
@@ -98,7 +98,7 @@ def test_slopes_are_the_derivatives_even_at_the_bounds(case):
 
 
 def test_slopes_do_not_depend_on_the_size_of_an_unknown():
-    parameters = [Parameter("big", 1e9, 0.0, 2e9), Parameter("small", 1e-9, 0.0, 2e-9)]
+    parameters = [Parameter("big", 1e9, (0.0, 2e9)), Parameter("small", 1e-9, (0.0, 2e-9))]
     problem = unloaded_problem(parameters, constraints=["big * small <= 1", "big^2 <= 1"])
     space = make_space(problem, (0,))
     slopes = space.parameter_constraint_jacobian(space.start)
@@ -115,8 +115,8 @@ def test_a_violation_is_counted_in_its_scale():
 def test_bounds_of_what_follows_become_constraints():
     parameters = [
         Parameter("k", 2.0),
-        Parameter("c", 0.0, -5.0, 20.0, expression="3 * k"),
-        Parameter("d", 0.0, 0.0, expression="k - 1"),
+        Parameter("c", 0.0, (-5.0, 20.0), expression="3 * k"),
+        Parameter("d", 0.0, (0.0, np.inf), expression="k - 1"),
         Parameter("free", 0.0, expression="k"),
     ]
     space = make_space(unloaded_problem(parameters), (0,))

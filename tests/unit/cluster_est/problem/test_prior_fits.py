@@ -18,8 +18,8 @@ TIMES = np.linspace(0.0, 1.0, 400)
 COLUMNS = np.column_stack([np.ones(len(TIMES)), TIMES])
 MEANS, SDS = np.array([1.5, -0.4]), np.array([0.02, 0.05])
 PRIORS = (
-    Parameter("a", 1.0, -10.0, 10.0, prior=NormalPrior(MEANS[0], SDS[0])),
-    Parameter("b", 0.0, -10.0, 10.0, prior=NormalPrior(MEANS[1], SDS[1])),
+    Parameter("a", 1.0, (-10.0, 10.0), prior=NormalPrior(MEANS[0], SDS[0])),
+    Parameter("b", 0.0, (-10.0, 10.0), prior=NormalPrior(MEANS[1], SDS[1])),
 )
 
 
@@ -126,7 +126,7 @@ def test_a_prior_on_one_value_hides_no_other_that_the_measurements_do_not_tell()
         noise = 1e-9 * np.sin(1e6 * values[1])  # of a simulation
         return 300.0 + values[0] * times + noise
 
-    a, b = (Parameter(name, 1.0, -10.0, 10.0) for name in "ab")
+    a, b = (Parameter(name, 1.0, (-10.0, 10.0)) for name in "ab")
     own = (replace(a, prior=NormalPrior(0.5, 100.0)), b)
     records = [noisy(TIMES, (0.7, 1.0), 0) + np.random.default_rng(0).normal(size=len(TIMES))]
     known, free = (found_in(noisy, given, records)[1] for given in (own, unknown(own)))
@@ -135,8 +135,8 @@ def test_a_prior_on_one_value_hides_no_other_that_the_measurements_do_not_tell()
 
 def test_the_jacobian_of_the_priors_is_that_of_their_residuals():
     own = (
-        Parameter("a", 1.0, 0.01, 10.0, "log", prior=NormalPrior(1.5, 0.2)),
-        Parameter("b", 0.5, 0.0, 10.0, per="experiment", prior=LogNormalPrior(1.0, 3.0)),
+        Parameter("a", 1.0, (0.01, 10.0), "log", prior=NormalPrior(1.5, 0.2)),
+        Parameter("b", 0.5, (0.0, 10.0), per="experiment", prior=LogNormalPrior(1.0, 3.0)),
     )
     space = Curves(line, own, TIMES, measured(2)).space()
     x, step = space.start + 0.1, 1e-6

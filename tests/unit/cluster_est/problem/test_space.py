@@ -22,7 +22,7 @@ def spaces(draw):
     kinds = draw(st.lists(st.sampled_from(PER), min_size=1, max_size=6))
     parameters = [
         Parameter(
-            f"p{i}", 1.0 + i, 0.1, 100.0, draw(st.sampled_from(["linear", "log"])), per=per,
+            f"p{i}", 1.0 + i, (0.1, 100.0), draw(st.sampled_from(["linear", "log"])), per=per,
             fixed=draw(st.integers(0, 4)) == 0,
         )
         for i, per in enumerate(kinds)
@@ -100,7 +100,7 @@ def test_values_given_by_label_are_kept_instead_of_searched(space):
 
 @given(st.floats(1e-300, 1e300))
 def test_log_scale_goes_there_and_back(value):
-    parameter = Parameter("p", value, 0.0, scale="log")
+    parameter = Parameter("p", value, (0.0, math.inf), scale="log")
     space = make_space(unloaded_problem([parameter], 1), (0,))
     assert space.start[0] == math.log(value)
     assert space.lower[0] == -math.inf
@@ -130,10 +130,10 @@ def test_residuals_stand_experiment_after_experiment():
 @pytest.mark.parametrize(
     ("parameter", "size"),
     [
-        (Parameter("p", -3.0, -50.0, 100.0), 3.0),
-        (Parameter("p", 0.0, -4.0, 1.0), 0.5),
-        (Parameter("p", 0.0, -4.0), 1.0),
-        (Parameter("p", 7.0, 1.0, 1e6, "log"), 1.0),
+        (Parameter("p", -3.0, (-50.0, 100.0)), 3.0),
+        (Parameter("p", 0.0, (-4.0, 1.0)), 0.5),
+        (Parameter("p", 0.0, (-4.0, math.inf)), 1.0),
+        (Parameter("p", 7.0, (1.0, 1e6), "log"), 1.0),
     ],
     ids=["its own size", "a tenth of its range", "nothing is known", "a logarithm"],
 )
@@ -142,7 +142,10 @@ def test_a_noticeable_change(parameter, size):
 
 
 def test_a_search_begins_at_what_is_known_and_within_the_bounds():
-    parameters = [Parameter("p", 2.0, 0.5, 10.0, per="experiment"), Parameter("q", 3.0, 1.0, 9.0)]
+    parameters = [
+        Parameter("p", 2.0, (0.5, 10.0), per="experiment"),
+        Parameter("q", 3.0, (1.0, 9.0)),
+    ]
     space = make_space(unloaded_problem(parameters, 2), (0, 1), starts={"p[e1]": 4.0, "q": 99.0})
     assert [unknown.label for unknown in space.unknowns] == ["p[e0]", "p[e1]", "q"]
     assert space.start.tolist() == [2.0, 4.0, 9.0]

@@ -26,8 +26,8 @@ def spring(rows: int, *, sigma: float = NOISE, colour: float = 0.0) -> Problem:
         (Input("F", times, force, "hold"),),
         (Output("y", times, np.sin(3.0 * times) + NOISE * noise, sigma),),
     )
-    model = read_model(ROOT / "configs" / "models" / "mass_spring_damper.fmu", ("m",))
-    return Problem(model, (Parameter("m", 1.2, 0.1, 10.0),), (run,))
+    model = read_model(ROOT / "configs" / "models" / "mass_spring_damper.fmu")
+    return Problem(model, (Parameter("m", 1.2, (0.1, 10.0)),), (run,))
 
 
 @pytest.mark.parametrize("most", [None, MOST_ROWS])

@@ -122,9 +122,9 @@ STARTS = {f"e{e}": TRUTH.values[f"x0[e{e}]"] for e in range(5)}
 
 def at_the_truth(**starts):
     """The springs from their true parameters; initial positions only as they are given."""
-    parameters = [ce.Parameter(name, value, 0.0, 100.0) for name, value in TRUE.items()]
+    parameters = [ce.Parameter(name, value, (0.0, 100.0)) for name, value in TRUE.items()]
     if starts:
-        parameters.append(ce.Parameter("x", 0.0, -1.0, 1.0, fixed=True))
+        parameters.append(ce.Parameter("x", 0.0, (-1.0, 1.0), fixed=True))
     runs = tuple(
         replace(run, values=(("x", starts[run.id]),) if run.id in starts else ())
         for run in TRUTH.problem.experiments

@@ -26,7 +26,7 @@ def spring(solver, *, sigma=1.0, interface="model_exchange"):
     output, known = ce.Output("y", TIMES, measured, sigma), (("x", 1.0), ("m", TRUE["m"]))
     run = ce.Experiment("e", 0.0, float(TIMES[-1]), (), (output,), values=known)
     model = ce.Model(FMU.name, FMU.read_bytes(), interface, solver, ("m", "k", "c", "x"))
-    given = {"m": (1.0,), "k": (28.0, 1.0, 100.0), "c": (0.5, 0.0, 10.0), "x": (0.0,)}
+    given = {"m": (1.0,), "k": (28.0, (1.0, 100.0)), "c": (0.5, (0.0, 10.0)), "x": (0.0,)}
     return ce.Problem(model, [ce.Parameter(name, *g) for name, g in given.items()], [run])
 
 

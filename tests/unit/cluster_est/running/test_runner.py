@@ -29,8 +29,8 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 def space_of(experiments: Sequence[int] = range(COUNT)) -> SearchSpace:
     """Decays of different sizes with one rate."""
-    rate = Parameter("rate", 0.5, 0.0, 20.0)
-    size = Parameter("size", 2.0, -10.0, 10.0, per="experiment")
+    rate = Parameter("rate", 0.5, (0.0, 20.0))
+    size = Parameter("size", 2.0, (-10.0, 10.0), per="experiment")
     return make_space(unloaded_problem([rate, size], COUNT), tuple(experiments))
 
 

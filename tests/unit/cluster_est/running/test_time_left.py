@@ -29,7 +29,7 @@ def shown(
     **how: Budget | int,
 ) -> list[RunSnapshot]:
     """What a display is told of searches whose simulations take so many seconds each."""
-    problem = unloaded_problem([Parameter("a", 1.0, -500.0, 500.0)], experiments)
+    problem = unloaded_problem([Parameter("a", 1.0, (-500.0, 500.0))], experiments)
     space = make_space(problem, tuple(range(experiments)))
     executor = VirtualExecutor(lambda task: task.values, lambda *_: seconds, workers)
     snapshots: list[RunSnapshot] = []

@@ -32,14 +32,14 @@ def levels(count=12, seed=3):
     generator = np.random.default_rng(seed)
     centres = 5.0 + generator.normal(size=count)
     measured = [c + 0.01 * generator.normal(size=len(TIMES)) for c in centres]
-    return Curves(level, (Parameter("level", 1.0, -100.0, 100.0),), TIMES, measured)
+    return Curves(level, (Parameter("level", 1.0, (-100.0, 100.0)),), TIMES, measured)
 
 
 def lines(slopes):
     """A slope of all, and a level of each experiment."""
     measured = [slope * TIMES + 10.0 * e for e, slope in enumerate(slopes)]
     parameters = (
-        Parameter("slope", 1.0, 0.1, 10.0, scale="log"),
+        Parameter("slope", 1.0, (0.1, 10.0), scale="log"),
         Parameter("level", 1.0, per="experiment"),
     )
     return Curves(line, parameters, TIMES, measured)

@@ -164,7 +164,7 @@ def test_settings_choose_forms_and_sites():
 
 
 def declaring(effect):
-    strength = Parameter(f"{effect.name}.k", 0.1, 0.0, 1.0)
+    strength = Parameter(f"{effect.name}.k", 0.1, (0.0, 1.0))
     return replace(SPRING, effects=(effect,), parameters=(*SPRING.parameters, strength))
 
 
@@ -345,7 +345,7 @@ def test_states_that_effects_bring_are_nothing_to_depend_on():
     with opened(problem) as bench:
         start = unfitted(bench).start
         lagged = Effect("lag", "input F", "lag")
-        tau = Parameter("lag.tau", 0.1, 0.01, 1.0)
+        tau = Parameter("lag.tau", 0.1, (0.01, 1.0))
         grown = replace(problem, effects=(lagged,), parameters=(*problem.parameters, tau))
         courses = bench.fitter.trajectories(unfitted(bench, replace(start, problem=grown)))
     assert set(courses[0].signals) == {"x", "v", "F", "extra", "y"}

@@ -124,7 +124,7 @@ def two_strengths(truth, noise=0.3, collinear=0.0):
     problem = made_problem(40, 40)
     added = made_candidate("a", "table")
     names = [f"a.{strength}" for strength in added.strengths[:2]]
-    more = tuple(Parameter(name, 0.0, -10.0, 10.0) for name in names)
+    more = tuple(Parameter(name, 0.0, bounds=(-10.0, 10.0)) for name in names)
     model = replace(problem.model, parameters=("k", *names))
     problem = replace(problem, model=model, parameters=(*problem.parameters, *more))
     space = make_space(problem, (0, 1))

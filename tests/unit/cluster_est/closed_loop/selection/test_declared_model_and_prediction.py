@@ -119,7 +119,7 @@ def test_what_belongs_to_the_left_out_experiment_follows_the_rest():
 def test_a_step_of_a_logarithm_is_bounded_by_itself_not_by_the_value():
     """A parameter of 1e-6: its logarithm is -14, half of which would be a factor of 1000."""
     plain = made_problem(20, 20, 20)
-    small = replace(plain.parameters[0], scale="log", start=1e-6, lower=1e-12, upper=1.0)
+    small = replace(plain.parameters[0], scale="log", start=1e-6, bounds=(1e-12, 1.0))
     problem = replace(plain, parameters=(small,))
     asked = []
 
@@ -174,7 +174,7 @@ def test_values_of_each_experiment_grow_along(pendulum):
     """Starting angles of their own, which the shortened ones know under other names."""
     angle = replace(
         pendulum.parameters[0], name="angle0", variable="angle", per="experiment",
-        start=0.3, lower=-2.0, upper=2.0,
+        start=0.3, bounds=(-2.0, 2.0),
     )  # fmt: skip
     runs = tuple(replace(e, values=()) for e in pendulum.experiments)
     model = replace(pendulum.model, parameters=(*pendulum.model.parameters, "angle"))
@@ -189,6 +189,6 @@ def test_values_of_each_experiment_grow_along(pendulum):
 
 def test_a_model_that_cannot_be_simulated_says_so(pendulum):
     mass, *others = pendulum.parameters
-    broken = replace(mass, start=-1.0, lower=-2.0, upper=-0.5)
+    broken = replace(mass, start=-1.0, bounds=(-2.0, -0.5))
     with pytest.raises(ProblemError, match="cannot be simulated"):
         detect(replace(pendulum, parameters=(broken, *others)), settings=SETTINGS)

@@ -29,12 +29,12 @@ def many(experiments, bounded=False, noise=0.05):
         for e in range(experiments)
     ]
     shared = [
-        Parameter(name, start=1.2 * value, lower=0.01, upper=10.0)
+        Parameter(name, start=1.2 * value, bounds=(0.01, 10.0))
         for name, value in zip("abwcd", SHARED, strict=True)
     ]
     gain = Parameter("gain", 1.0, *((0.6, 1.4) if bounded else (0.01, 10.0)), per="experiment")
     edge = 0.8 if bounded else 10.0
-    offset = Parameter("offset", 0.1, -edge, edge, per="experiment")
+    offset = Parameter("offset", 0.1, (-edge, edge), per="experiment")
     return Curves(formula, (*shared, gain, offset), TIMES, measured)
 
 

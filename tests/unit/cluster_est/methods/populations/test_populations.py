@@ -94,7 +94,7 @@ def two_objectives(experiments=1, cost=None, outputs=("y", "z"), **more):
     made = tuple(Output(name, times, 0.0 * times) for name in outputs)
     parts = [made] if experiments == 1 else [(output,) for output in made]
     chosen = tuple(Experiment(f"e{i}", 0.0, 9.0, (), part, **more) for i, part in enumerate(parts))
-    parameters = tuple(Parameter(f"x{i}", 1.5, -2.0, 3.0) for i in range(len(A)))
+    parameters = tuple(Parameter(f"x{i}", 1.5, (-2.0, 3.0)) for i in range(len(A)))
     model = Model("none", b"", "model_exchange", Solver("rk4"), tuple(p.name for p in parameters))
     return Problem(model, parameters, chosen, cost or SumSquared())
 
@@ -205,7 +205,7 @@ class TestPopulation:
     def test_needs_bounds_unless_it_is_cmaes(self, method):
         half = replace(ROSENBROCK, lower=(-2.0, -2.0), upper=(2.5, np.inf))
         problem = two_objectives()
-        first = Parameter("x0", 1.5, 0.0, 3.0, scale="log")
+        first = Parameter("x0", 1.5, (0.0, 3.0), scale="log")
         scaled = make_space(replace(problem, parameters=(first, *problem.parameters[1:])), (0,))
         if method.name == "cmaes":
             assert half.solve(Cmaes()).cost == pytest.approx(0.0, abs=1e-10)

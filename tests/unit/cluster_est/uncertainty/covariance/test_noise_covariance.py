@@ -42,8 +42,8 @@ def lines(seed, phi, count=4, spread=0.0):
         for e in range(count)
     ]
     parameters = (
-        Parameter("slope", 1.0, -100.0, 100.0),
-        Parameter("offset", 0.0, -100.0, 100.0, per="experiment"),
+        Parameter("slope", 1.0, (-100.0, 100.0)),
+        Parameter("offset", 0.0, (-100.0, 100.0), per="experiment"),
     )
     return Curves(line, parameters, TIMES, measured)
 

@@ -32,9 +32,9 @@ def decays(count=4, noise=0.02, seed=0, scale="linear", **options):
         for e in range(count)
     ]
     parameters = (
-        Parameter("rate", 1.0, 0.01, 10.0, scale=scale),
-        Parameter("gain", 1.0, -10.0, 10.0),
-        Parameter("offset", 0.1, -5.0, 5.0, per="experiment"),
+        Parameter("rate", 1.0, (0.01, 10.0), scale=scale),
+        Parameter("gain", 1.0, (-10.0, 10.0)),
+        Parameter("offset", 0.1, (-5.0, 5.0), per="experiment"),
     )
     return Curves(decay, parameters, TIMES, measured, **options)
 
@@ -121,7 +121,7 @@ class TestSharedAndLocal:
 class TestHeld:
     def test_an_unknown_at_a_bound_is_held_and_its_side_named(self):
         curves = decays()
-        bounded = (replace(curves.parameters[0], lower=0.9), *curves.parameters[1:])
+        bounded = (replace(curves.parameters[0], bounds=(0.9, np.inf)), *curves.parameters[1:])
         _, space, solution = replace(curves, parameters=bounded).solve()
         found = assess(space, solution)
         assert [i.at_bound for i in found.intervals] == ["lower", "", "", "", "", ""]
@@ -178,7 +178,7 @@ class TestCosts:
             both(times, (0.8, 2.0), e) + scatter * generator.normal(size=(2, size))
             for e in range(count)
         ]
-        parameters = (Parameter("rate", 1.0, 0.01, 10.0), Parameter("gain", 1.0, -10.0, 10.0))
+        parameters = (Parameter("rate", 1.0, (0.01, 10.0)), Parameter("gain", 1.0, (-10.0, 10.0)))
         return Curves(both, parameters, times, measured, cost=cost)
 
     def solved(self, curves):
@@ -283,8 +283,8 @@ class TestDerived:
 
         measured = [only_ratio(TIMES, (1.0, 2.0), 0) + 0.01 * np.sin(40.0 * TIMES)]
         parameters = (
-            Parameter("k", 1.0, 0.1, 10.0),
-            Parameter("m", 1.0, 0.1, 10.0),
+            Parameter("k", 1.0, (0.1, 10.0)),
+            Parameter("m", 1.0, (0.1, 10.0)),
             Parameter("ratio", 1.0, expression="k / m", auxiliary=True),
             Parameter("product", 1.0, expression="k * m", auxiliary=True),
         )

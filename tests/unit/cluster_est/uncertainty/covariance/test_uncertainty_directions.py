@@ -26,8 +26,7 @@ def curves(formula, truth, starts=None, count=1, scale="linear", per=()):
         Parameter(
             NAMES[i],
             value,
-            1e-3 if scale == "log" else -100.0,
-            100.0,
+            (1e-3 if scale == "log" else -100.0, 100.0),
             scale=scale,
             per="experiment" if NAMES[i] in per else None,
         )
@@ -169,7 +168,7 @@ def test_local_unknowns_of_one_experiment_alone(room):
 
     problem = curves(sometimes, (2.0, 3.0, 1.0), count=3, per=("a", "b"))
     *ab, c = problem.parameters
-    problem = replace(problem, parameters=(*ab, replace(c, lower=c.start - room)))
+    problem = replace(problem, parameters=(*ab, replace(c, bounds=(c.start - room, c.upper))))
     found = examined(problem)
     (direction,) = found.directions
     assert direction.labels == ("a[e1]", "b[e1]")
@@ -293,7 +292,7 @@ def test_a_direction_that_cannot_be_measured_does_not_keep_others_from_it():
         return a * b * np.exp(-c * times) + 1e-6 * np.sin(1e7 * a)
 
     problem = curves(kinked, (2.0, 3.0, 1.0, 0.0))
-    bounded = (*problem.parameters[:3], Parameter("d", 0.0, 0.0, 100.0))
+    bounded = (*problem.parameters[:3], Parameter("d", 0.0, (0.0, 100.0)))
     problem = replace(problem, parameters=bounded)
     runner, space = problem.runner(), problem.space()
     solution = linearise(runner, space, Solution(space.start, 1.0, Ending.CONVERGED))

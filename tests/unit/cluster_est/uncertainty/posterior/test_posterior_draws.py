@@ -41,7 +41,7 @@ def measured(seed=0):
     return [1.4 - 0.5 * TIMES + np.random.default_rng(seed).normal(size=len(TIMES))]
 
 
-def lines(a=(1.0, -10.0, 10.0), b=(0.0, -10.0, 10.0), formula=line, **options):
+def lines(a=(1.0, (-10.0, 10.0)), b=(0.0, (-10.0, 10.0)), formula=line, **options):
     """Noise around a line; starts and bounds of its two parameters."""
     own = (Parameter("a", *a), Parameter("b", *b))
     return declared(formula, own, TIMES, measured(), **options)
@@ -52,14 +52,14 @@ def level(times, values, experiment):
 
 
 def levels(*, upper=10.0, prior=None, **options):
-    own = (Parameter("a", 1.0, -10.0, upper, prior=prior),)
+    own = (Parameter("a", 1.0, (-10.0, upper), prior=prior),)
     return declared(level, own, TIMES, measured(), **options)
 
 
 def test_a_linear_gaussian_problem_has_the_posterior_of_linear_algebra():
     means, sds = np.array([1.5, -0.4]), np.array([0.2, 0.3])
     own = tuple(
-        Parameter(name, 1.0, -50.0, 50.0, prior=NormalPrior(float(m), float(s)))
+        Parameter(name, 1.0, (-50.0, 50.0), prior=NormalPrior(float(m), float(s)))
         for name, m, s in zip("ab", means, sds, strict=True)
     )
     records = measured()
@@ -86,7 +86,7 @@ def test_a_linear_gaussian_problem_has_the_posterior_of_linear_algebra():
 def test_ten_unknowns_of_any_size_have_their_own_spread(size):
     """Of a standard normal in each direction, which moves along differences must not change."""
     times = np.arange(10.0)
-    own = tuple(Parameter(f"p{i}", 0.0, -10.0 * size, 10.0 * size) for i in range(10))
+    own = tuple(Parameter(f"p{i}", 0.0, (-10.0 * size, 10.0 * size)) for i in range(10))
 
     def each(times, values, experiment):
         return np.asarray(values) / size
@@ -99,7 +99,7 @@ def test_ten_unknowns_of_any_size_have_their_own_spread(size):
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2, 3))])
 def test_walkers_of_a_value_that_the_bounds_alone_hold_are_spread_between_them(seed):
-    own = (Parameter("a", 0.5, 0.0, 1.0),)
+    own = (Parameter("a", 0.5, (0.0, 1.0)),)
     faint = declared(lambda t, values, e: 1.4 + 0.002 * values[0] * t, own, TIMES, measured())
     found = drawn(faint, steps=600, seed=seed)
     assert found.mixed
@@ -116,7 +116,7 @@ LOGNORMAL = LogNormalPrior(2.0, 1.3), lognorm(np.log(1.3), scale=2.0)
 @pytest.mark.parametrize("scale", ["linear", "log"])
 @pytest.mark.parametrize(("prior", "distribution"), [NORMAL, LOGNORMAL])
 def test_what_no_measurement_tells_is_drawn_from_its_prior(prior, distribution, scale):
-    own = (Parameter("b", 1.5, 0.001, 50.0, scale, prior=prior),)
+    own = (Parameter("b", 1.5, (0.001, 50.0), scale, prior=prior),)
     flat = declared(lambda t, values, e: 1.4 + 0.0 * values[0] * t, own, TIMES, measured())
     found = drawn(flat, steps=1000)
     assert found.mixed
@@ -142,7 +142,7 @@ def test_chains_that_are_too_short_have_no_interval_and_say_how_long_they_must_b
 
 def test_walkers_in_two_minima_have_no_interval():
     records = [9.0 + 0.5 * np.random.default_rng(0).normal(size=len(TIMES))]
-    own = (Parameter("a", 3.0, -10.0, 10.0),)
+    own = (Parameter("a", 3.0, (-10.0, 10.0)),)
     either = declared(lambda t, values, e: values[0] ** 2 + 0.0 * t, own, TIMES, records)
     found = drawn(either, steps=400, wide=4.0)
     assert not found.mixed
@@ -158,7 +158,9 @@ def test_walkers_without_a_density_end_at_once_and_say_so():
 
 
 def test_points_that_cannot_be_simulated_have_no_density_and_are_counted():
-    rooted = lines((1.0, -10.0, 10.0), (0.1, -1.0, 10.0), lambda t, v, e: v[0] + np.sqrt(v[1]) * t)
+    rooted = lines(
+        (1.0, (-10.0, 10.0)), (0.1, (-1.0, 10.0)), lambda t, v, e: v[0] + np.sqrt(v[1]) * t
+    )
     found = drawn(rooted, steps=200)
     assert found.failures > 0
     assert found.values[:, :, 1].min() >= 0.0

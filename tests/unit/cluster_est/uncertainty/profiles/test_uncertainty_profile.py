@@ -48,8 +48,8 @@ def michaelis_menten(times, values, experiment):
 
 def puromycin(lower=0.0, upper=10.0):
     parameters = (
-        Parameter("velocity", 200.0, 0.0, 1000.0),
-        Parameter("affinity", 0.075, lower, upper),
+        Parameter("velocity", 200.0, (0.0, 1000.0)),
+        Parameter("affinity", 0.075, (lower, upper)),
     )
     return Curves(michaelis_menten, parameters, np.arange(1.0, 13.0), [VELOCITY])
 
@@ -130,9 +130,9 @@ class TestEnds:
             own = (velocity, Parameter("affinity", *given))
             return profiled(replace(puromycin(), parameters=own, **changes), "affinity")[0]
 
-        plain = with_affinity(0.075, 0.0, 10.0)
-        large = with_affinity(1e5, 0.0, 1e7, formula=scaled, measured=[1e3 * VELOCITY])
-        log = with_affinity(0.1, 1e-6, 10.0, "log")
+        plain = with_affinity(0.075, (0.0, 10.0))
+        large = with_affinity(1e5, (0.0, 1e7), formula=scaled, measured=[1e3 * VELOCITY])
+        log = with_affinity(0.1, (1e-6, 10.0), "log")
         ends = np.array([plain.lower, plain.upper])
         np.testing.assert_allclose([large.lower, large.upper], 1e6 * ends, rtol=1e-4)
         np.testing.assert_allclose([log.lower, log.upper], ends, rtol=2e-4)
@@ -157,7 +157,7 @@ class TestOpen:
             return values[0] * values[1] * np.exp(-times)
 
         measured = [product(TIMES, (2.0, 3.0), 0) + 0.01 * np.cos(40.0 * TIMES)]
-        parameters = (Parameter("a", 1.5, 0.1), Parameter("b", 2.5, 0.0))
+        parameters = (Parameter("a", 1.5, (0.1, np.inf)), Parameter("b", 2.5, (0.0, np.inf)))
         (found,) = profiled(Curves(product, parameters, TIMES, measured), "a")
         assert (found.open_lower, found.open_upper) == ("bound", "flat")
         assert found.upper == np.inf
@@ -233,7 +233,7 @@ def test_a_better_minimum_is_reported():
         a, b = values
         return np.array([a**2 - 1.0, 0.5 * (a - 1.0), 2.0 * (b - a)])
 
-    parameters = (Parameter("a", -1.0, -3.0, 3.0), Parameter("b", -1.0, -3.0, 3.0))
+    parameters = (Parameter("a", -1.0, (-3.0, 3.0)), Parameter("b", -1.0, (-3.0, 3.0)))
     curves = Curves(twofold, parameters, np.arange(1.0, 4.0), [np.zeros(3)])
     (found,) = profiled(curves, "b", rise=20.0, steps=8)
     assert found.value < 0.0
@@ -246,7 +246,7 @@ def test_a_better_minimum_is_reported():
 
 def test_a_profile_with_a_kink_is_closed_in_on():
     """b makes up for a until it meets its bound; from there on the cost rises steeply."""
-    parameters = (Parameter("a", 1.0, 0.0, 100.0), Parameter("b", 1.0, 0.0, 5.0))
+    parameters = (Parameter("a", 1.0, (0.0, 100.0)), Parameter("b", 1.0, (0.0, 5.0)))
     measured = [TIMES + 0.1 * np.sin(50.0 * TIMES)]
     kinked = Curves(lambda t, v, e: 100.0 * (v[0] - v[1]) + t, parameters, TIMES, measured)
     (found,) = profiled(kinked, "a")

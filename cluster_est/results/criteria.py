@@ -1,0 +1,156 @@
+"""Information criteria of a fit: AIC, AICc and BIC, where its cost is a likelihood.
+
+With L the largest likelihood of n measured values and k estimated numbers,
+
+    AIC = 2 k - 2 ln L,    AICc = AIC + 2 k (k + 1) / (n - k - 1),    BIC = k ln n - 2 ln L:
+
+H. Akaike, IEEE Trans. Automat. Control 19 (1974) 716-723, doi:10.1109/TAC.1974.1100705; C. M.
+Hurvich, C.-L. Tsai, Biometrika 76 (1989) 297-307, doi:10.1093/biomet/76.2.297; G. Schwarz, Ann.
+Statist. 6 (1978) 461-464, doi:10.1214/aos/1176344136.
+
+The noise is taken for normal and white. Where residuals are autocorrelated, n counts values that
+say nothing new, and all three prefer models that are too large: look at held-out data first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+import numpy as np
+
+from cluster_est.problem.costs import GaussianLikelihood, SumSquared
+from cluster_est.problem.problem import Problem
+from cluster_est.problem.process_noise import noise_names
+from workers.messages import FloatArray, Output
+from workers.messages.types import content_hash
+
+
+@dataclass(frozen=True)
+class InformationCriteria:
+    """What a fit is worth against others of the same measured values: smaller is better.
+
+    Attributes
+    ----------
+    log_likelihood
+        ln L, a density of the measured values in their units. NaN where `why_not` says why.
+    observations, estimated
+        n and k; k counts the estimated noise levels too.
+    aic, aicc, bic
+        See the module. `aicc` is infinite where n is no larger than k + 1.
+    data
+        A hash of the measured training values: criteria compare fits of the same values alone.
+    why_not
+        The reason why there are none; "" if there are.
+    """
+
+    log_likelihood: float = math.nan
+    observations: int = 0
+    estimated: int = 0
+    aic: float = math.nan
+    aicc: float = math.nan
+    bic: float = math.nan
+    data: str = ""
+    why_not: str = ""
+
+    @classmethod
+    def of(cls, log_likelihood: float, observations: int, estimated: int, data: str = "") -> Self:
+        """Return the criteria that follow from a likelihood."""
+        n, k = observations, estimated
+        aic = 2.0 * k - 2.0 * log_likelihood
+        left = n - k - 1
+        aicc = aic + 2.0 * k * (k + 1) / left if left > 0 else math.inf
+        bic = k * math.log(n) - 2.0 * log_likelihood
+        return cls(log_likelihood, n, k, aic, aicc, bic, data)
+
+    @classmethod
+    def from_facts(cls, facts: Mapping[str, Any] | None) -> Self:
+        """Return those of run.json, where null stands for NaN."""
+        if not facts:
+            return cls(why_not="the run was made before they were computed")
+        known = {each.name for each in fields(cls)}
+        named: dict[str, Any] = {key: value for key, value in facts.items() if key in known}
+        named = {key: math.nan if value is None else value for key, value in named.items()}
+        return cls(**named)
+
+
+def information_criteria(
+    problem: Problem, residuals: FloatArray | None, unknowns: int
+) -> InformationCriteria:
+    """Return the criteria of a fit; without numbers, and with a reason, where they mean nothing.
+
+    Three kinds of noise are known. With a sigma for every output and the cost "sse",
+
+        -2 ln L = sum of r^2 + sum of ln(2 pi sigma^2).
+
+    Without any sigma, "sse" takes one for all outputs, which is estimated, sigma^2 = S / n with S
+    the sum of squares: -2 ln L = n ln(2 pi S / n) + n. The cost "likelihood" estimates one for
+    each output.
+
+    Parameters
+    ----------
+    problem
+        Model, training experiments and cost.
+    residuals
+        (measured - simulated) / sigma of the training experiments; None where one failed.
+    unknowns
+        How many numbers were estimated.
+    """
+    outputs = [o for e in problem.indices("train") for o in problem.experiments[e].outputs]
+    why_not = _why_not(problem, outputs)
+    count = sum(len(output.times) for output in outputs)
+    if not why_not and (residuals is None or len(residuals) != count or not count):
+        why_not = "not every training experiment could be simulated"
+    if why_not or residuals is None:
+        return InformationCriteria(why_not=why_not)
+    sigmas = np.concatenate([output.sigmas for output in outputs])
+    levels = float(np.add.reduce(np.log(2.0 * math.pi * sigmas**2)))
+    names = np.concatenate([np.full(len(o.times), o.variable) for o in outputs])
+    if isinstance(problem.cost, SumSquared) and any(output.has_sigma for output in outputs):
+        deviance, noise = float(np.add.reduce(residuals**2)) + levels, 0
+    else:
+        alike = isinstance(problem.cost, SumSquared)
+        groups = [residuals] if alike else [residuals[names == n] for n in dict.fromkeys(names)]
+        deviance, noise = levels + sum(map(_estimated_noise, groups)), len(groups)
+    if not math.isfinite(deviance):
+        return InformationCriteria(why_not="the residuals are 0: there is no noise to compare with")
+    data = _hash_of(problem)
+    return InformationCriteria.of(-0.5 * deviance, count, unknowns + noise, data)
+
+
+def _estimated_noise(residuals: FloatArray) -> float:
+    """-2 ln L of values with the noise level that suits them best, without ln(2 pi sigma^2)."""
+    square = float(np.mean(residuals**2))
+    return len(residuals) * (math.log(square) + 1.0) if square > 0.0 else -math.inf
+
+
+def _why_not(problem: Problem, outputs: Iterable[Output]) -> str:
+    """Why the cost at a fit is no likelihood of the measured values alone; "" if it is."""
+    given = [output.has_sigma for output in outputs]
+    sums = isinstance(problem.cost, SumSquared)
+    reasons = {
+        f"the cost {problem.cost.name!r} is no likelihood of normal noise": not (
+            sums or isinstance(problem.cost, GaussianLikelihood)
+        ),
+        "curves, cost functions and constraints are no measured values": not problem.plain,
+        "priors count besides the measured values": any(p.prior for p in problem.parameters),
+        "process noise makes another likelihood of innovations": bool(noise_names(problem)),
+        "an output has a free scale or offset, a detection limit or an order": any(
+            not output.is_plain for output in outputs
+        ),
+        "sigma is given for some outputs alone": sums and any(given) and not all(given),
+    }
+    return next((reason for reason, holds in reasons.items() if holds), "")
+
+
+def _hash_of(problem: Problem) -> str:
+    """A hash of what was measured in the training experiments, whatever sigma says of it."""
+    parts: list[str | bytes] = []
+    for e in problem.indices("train"):
+        experiment = problem.experiments[e]
+        for output in experiment.outputs:
+            parts += [experiment.id, output.variable]
+            parts += [output.times.tobytes(), output.values.tobytes()]
+    return content_hash(parts)
