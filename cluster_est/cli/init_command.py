@@ -7,10 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
+from cluster_est.cli.answer import Answer
 from cluster_est.cli.parent_process import ExitCode
-from cluster_est.cli.printing import say
 from cluster_est.config.config_text import override
 from cluster_est.config.experiment_keys import ExperimentDefaultsSection
 from cluster_est.errors import ConfigError
@@ -23,7 +21,7 @@ from cluster_est.whole_files import write_output
 from workers.fmu.description import nearest
 
 
-def init(options: Namespace) -> int:
+def init(options: Namespace, answer: Answer) -> int:
     """Write a first config, and say what to fill in or to do next."""
     out = options.out or Path(f"{options.fmu.stem}.toml")
     if out.is_dir():
@@ -36,24 +34,29 @@ def init(options: Namespace) -> int:
     found = draft(options.fmu, options.data, read_mapping(options.map), reading)
     text = write(found, out.parent)
     write_output(out, text.encode())
-    console = Console()
     for run in {run.columns.path: run for run in found.runs}.values():
         for note in run.columns.notes:
-            say(console, f"{run.columns.path}: {note}")
-    for number, line in open_lines(text):
-        say(console, f"{out}, line {number}: fill in {line.partition('  # ')[0]}")
-    for name in dict.fromkeys(name for run in found.runs for name in run.missing_inputs):
+            answer.say(f"{run.columns.path}: {note}")
+    open_ = open_lines(text)
+    missing = list(dict.fromkeys(name for run in found.runs for name in run.missing_inputs))
+    answer.add(
+        out=out,
+        to_fill_in=[{"line": number, "text": line} for number, line in open_],
+        missing_inputs=missing,
+    )
+    for number, line in open_:
+        answer.say(f"{out}, line {number}: fill in {line.partition('  # ')[0]}")
+    for name in missing:
         where = ", ".join(repr(run.id) for run in found.runs if name in run.missing_inputs)
         lines = enumerate(text.splitlines(), 1)
         place = next(
             (n for n, line in lines if f'{dotted("inputs", name)} = "COLUMN"' in line), None
         )
-        say(
-            console,
+        answer.say(
             f"{out}{f', line {place}' if place else ''}: no column of {where} is like input "
             f"{name!r}; name one there, or it keeps its start value",
         )
-    say(console, f"{out} is written; look through it, then: cluster-est check {out}")
+    answer.say(f"{out} is written; look through it, then: cluster-est check {out}")
     return ExitCode.DONE
 
 

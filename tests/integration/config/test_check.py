@@ -6,13 +6,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rich.console import Console
 from support.described import real, write_fmu
 from support.problems.springs import FMU, ROOT
 from support.spoiled import spoiled_fmu, write_input
 
 import cluster_est as ce
 from cluster_est.cli import main
+from cluster_est.cli.answer import PrintedAnswer
 from cluster_est.cli.check_command import print_page
 from cluster_est.errors import ModelError
 from cluster_est.preflight.all_checks import costs, run_checks
@@ -410,7 +410,7 @@ def test_with_more_time_each_check_has_more(spring):
 )
 def test_the_last_line_counts_what_was_done(capsys, verdicts, end):
     found = tuple(CheckFinding(CheckVerdict(each), "x", "y") for each in verdicts)
-    print_page(Console(), CheckPage(found, ()))
+    print_page(PrintedAnswer(), CheckPage(found, ()))
     assert capsys.readouterr().out.splitlines()[-1] == end
 
 
