@@ -36,7 +36,7 @@ EXAMPLES = {
     ),
     "fit": (
         "fit first.toml --out runs/first",
-        "fit first.toml --out runs/far multistart.starts=20 executor.workers=8",
+        "fit first.toml --out runs/far multistart.n=20 executor.workers=8",
         "fit first.toml --out runs/nightly --overwrite --fail-if 'rmse_test > 1.5 or too_narrow'",
     ),
     "close-loop": (
