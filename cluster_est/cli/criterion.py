@@ -21,7 +21,7 @@ ALLOWED = (
     "names with dots, numbers, texts in quotes, null, true, false, < <= > >= == !=, in, and, or, "
     "not, and parentheses"
 )
-_CONSTANTS = {"null": None, "true": True, "false": False}
+_LITERALS = {"null": None, "true": True, "false": False}
 _ORDERS: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
     ast.Lt: operator.lt,
     ast.LtE: operator.le,
@@ -133,7 +133,7 @@ class Criterion:
     def _check_name(self, node: ast.expr, field: DocumentField | None) -> None:
         first = str(_path(node, self._wrong)[0])
         words = field.words() if field is not None else ()
-        if first in self._fields or first in _CONSTANTS or first in words:
+        if first in self._fields or first in _LITERALS or first in words:
             return
         meant = nearest(first, [*words, *self._fields])
         meant = f"{meant} I" if meant.endswith("?") else "; i"
@@ -189,8 +189,8 @@ class Criterion:
     def _looked_up(self, node: ast.expr, document: Mapping[str, Any]) -> Any:
         """Return what a name stands for: a constant, a field or a part of one, or a word."""
         path: Sequence[str | int] = _path(node, self._wrong)
-        if len(path) == 1 and path[0] in _CONSTANTS:
-            return _CONSTANTS[str(path[0])]
+        if len(path) == 1 and path[0] in _LITERALS:
+            return _LITERALS[str(path[0])]
         if path[0] not in self._fields:
             return path[0]  # a word of the field that it is compared with
         value: Any = document

@@ -12,7 +12,7 @@ from cluster_est.cli.parent_process import ExitCode
 from cluster_est.config.config_text import override
 from cluster_est.config.experiment_keys import ExperimentDefaultsSection
 from cluster_est.errors import ConfigError
-from cluster_est.preflight.draft import draft
+from cluster_est.preflight.draft import ConfigDraft, draft
 from cluster_est.preflight.draft_text import open_lines, write
 from cluster_est.problem.tables.measured_table import Reading
 from cluster_est.settings import checked
@@ -46,18 +46,38 @@ def init(options: Namespace, answer: Answer) -> int:
     )
     for number, line in open_:
         answer.say(f"{out}, line {number}: fill in {line.partition('  # ')[0]}")
+    for key, column in _by_unit(found).items():
+        answer.say(
+            f"{out}{_place(text, f'{key} = ')}: {key} is {column!r}, the only column in such a "
+            "unit; correct that if it is another"
+        )
     for name in missing:
         where = ", ".join(repr(run.id) for run in found.runs if name in run.missing_inputs)
-        lines = enumerate(text.splitlines(), 1)
-        place = next(
-            (n for n, line in lines if f'{dotted("inputs", name)} = "COLUMN"' in line), None
-        )
+        place = _place(text, f'{dotted("inputs", name)} = "COLUMN"')
         answer.say(
-            f"{out}{f', line {place}' if place else ''}: no column of {where} is like input "
-            f"{name!r}; name one there, or it keeps its start value",
+            f"{out}{place}: no column of {where} is like input {name!r}; name one there, or it "
+            "keeps its start value",
         )
     answer.say(f"{out} is written; look through it, then: cluster-est check {out}")
     return ExitCode.DONE
+
+
+def _by_unit(found: ConfigDraft) -> dict[str, str]:
+    """Return the columns that were told by their unit alone, by the keys of their variables."""
+    return {
+        dotted(kind, match.variable.name): match.column.name
+        for run in found.runs
+        for kind, matches in (("inputs", run.inputs), ("outputs", run.outputs))
+        for match in matches
+        if match.by_unit and match.column is not None
+    }
+
+
+def _place(text: str, begins: str) -> str:
+    """Return the first line of a config with a text in it, as part of a sentence."""
+    lines = enumerate(text.splitlines(), 1)
+    place = next((number for number, line in lines if begins in line), None)
+    return "" if place is None else f", line {place}"
 
 
 def read_reading(texts: Sequence[str]) -> Reading:
