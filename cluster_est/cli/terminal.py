@@ -31,6 +31,11 @@ SECONDS_OF_LINES, SHARE_OF_LINES = 30.0, 0.05
 HINT_SECONDS = 20.0
 """Seconds in which all workers were busy and as many simulations again were waiting."""
 
+BUILDS_CORE = (
+    "compiling the simulation core, once on this machine; it takes about 10 s, longer where other "
+    "programs keep the processor busy"
+)
+
 EXIT_CODES = {
     RunStatus.DONE: ExitCode.DONE,
     RunStatus.NOT_CONVERGED: ExitCode.NO_SOLUTION,
@@ -185,8 +190,9 @@ def build_core(answer: Answer) -> None:
         If it cannot be built.
     """
     if not is_built():
-        answer.complain("building the simulation core, once on this machine")
-        built()
+        answer.complain(BUILDS_CORE)
+        with alive("compiling the simulation core"):
+            built()
 
 
 def run_as_told(run: ConfiguredStudy, out: Path, options: Namespace, answer: Answer) -> RunEnd:

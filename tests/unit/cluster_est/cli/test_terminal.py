@@ -25,7 +25,7 @@ def test_building_the_core_is_announced_where_it_is_not_there(monkeypatch, capsy
     monkeypatch.setattr(terminal, "is_built", lambda: there)
     monkeypatch.setattr(terminal, "built", lambda: built.append(capsys.readouterr().err))
     terminal.build_core(PrintedAnswer())
-    expected = [] if there else ["cluster-est: building the simulation core, once on this machine"]
+    expected = [] if there else [f"cluster-est: {terminal.BUILDS_CORE}"]
     assert [said.strip() for said in built] == expected
     assert capsys.readouterr().err == ""
 
