@@ -1,14 +1,18 @@
 import re
 import shlex
 import tomllib
+from pathlib import Path
 
 import pytest
+from support.run_folders import SPRING
 
+from cluster_est.cli.criterion import Criterion
 from cluster_est.cli.entry_point import COMMANDS
 from cluster_est.cli.forms_command import EVERY_FORM, SITES, config_block
 from cluster_est.cli.parent_process import ExitCode
 from cluster_est.cli.parser import EXAMPLES, EXIT_CODES, FIRST_EXAMPLES, UsageError, parse
 from cluster_est.config.config_text import unfilled
+from cluster_est.config.reader import read_config
 from cluster_est.config.sections import EffectSection
 from cluster_est.problem.declared_effects import DeclaredCoefficient, DeclaredEffect, make_effect
 from workers.effects.kinds import GridScale
@@ -21,7 +25,10 @@ def test_every_help_has_examples_that_can_be_given(command, capsys):
     shown = capsys.readouterr().out
     for example in EXAMPLES[command]:
         assert f"\n  cluster-est {example}\n" in shown
-        assert parse(shlex.split(example)).command in (command, "show")
+        options = parse(shlex.split(example))
+        assert options.command in (command, "show")
+        assert all(Criterion(each, options.command) for each in options.fail_if)
+        read_config(Path(SPRING), getattr(options, "overrides", []))  # keys that there are
     assert any(example.split()[0] == command for example in EXAMPLES[command])
 
 
