@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ from rich.text import Text
 from support.problems.springs import ROOT
 from support.run_folders import SPRING, leave_as_killed
 
-from cluster_est.cli import main, watch_command
+from cluster_est.cli import entry_point, main, watch_command
 from cluster_est.cli.answer import PrintedAnswer
 from cluster_est.cli.document import COMMON, FIELDS, fields_of
 from cluster_est.cli.entry_point import COMMANDS
@@ -169,6 +170,31 @@ def test_so_are_arguments_that_cannot_be_understood(arguments, command, message,
     assert message in said.err
     fields = {field.name for field in COMMON} if command is None else fields_of(command)
     assert document.keys() == set(fields)
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "message"),
+    [
+        (KeyboardInterrupt(), "interrupted", "interrupted"),
+        (MemoryError("of an array"), "no solution", "there is not enough memory (MemoryError"),
+        (PermissionError(13, "not allowed", "x"), "bad input", "x: the system refuses it"),
+        (ZeroDivisionError("of a fault"), "no solution", "ZeroDivisionError: of a fault"),
+    ],
+    ids=lambda each: type(each).__name__ if isinstance(each, BaseException) else "",
+)
+def test_so_is_whatever_ends_a_command(error, status, message, capsys, monkeypatch):
+    def command(options, answer):
+        answer.add(forms=[])
+        raise error
+
+    monkeypatch.setattr(entry_point, "run_command", command)
+    with (
+        pytest.raises(ZeroDivisionError) if isinstance(error, ZeroDivisionError) else nullcontext()
+    ):
+        main(["forms", "--json"])
+    document = json.loads(capsys.readouterr().out)
+    assert (document["status"], document["forms"]) == (status, [])
+    assert document["message"].startswith(message)
 
 
 NOISY = """
