@@ -11,11 +11,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import PurePath
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from cluster_est.cli.answer import Answer
 from cluster_est.cli.parent_process import ExitCode
-from cluster_est.run_folder.run_files import RunStatus, StoredRun
+
+if TYPE_CHECKING:
+    from cluster_est.run_folder.run_files import StoredRun
 
 FieldKind = Literal["text", "number", "whole number", "true or false", "list", "object"]
 
@@ -25,6 +27,8 @@ def _statuses() -> tuple[str, ...]:
 
 
 def _run_statuses() -> tuple[str, ...]:
+    from cluster_est.run_folder.run_files import RunStatus  # --help does not wait for pyarrow
+
     return tuple(each.value for each in RunStatus)
 
 
@@ -54,7 +58,7 @@ class DocumentField:
     words: Callable[[], tuple[str, ...]] = tuple
 
 
-COMMON = (
+COMMON_FIELDS = (
     DocumentField("command", "text", "the command"),
     DocumentField("version", "text", "of cluster-est; null where it is not installed"),
     DocumentField("status", "text", "the exit code in words", _statuses),
@@ -93,11 +97,11 @@ _OF_RUN = (
     DocumentField("tables", "object", "rows of the run's other tables that `show` prints, by name"),
     DocumentField("facts", "object", "all that run.json says"),
 )
-_OUT = DocumentField("out", "text", "what was written")
+_WRITTEN = DocumentField("out", "text", "what was written")
 
 FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
     "init": (
-        _OUT,
+        _WRITTEN,
         DocumentField("to_fill_in", "list", "open lines of the config: `line` and `text`"),
         DocumentField("missing_inputs", "list", "inputs that no column is like"),
     ),
@@ -121,11 +125,11 @@ FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
     "sensitivity": _OF_RUN,
     "design": (
         *_OF_RUN,
-        _OUT,
+        _WRITTEN,
         DocumentField("block", "text", "what the config needs for the next experiment"),
     ),
     "simulate": (
-        _OUT,
+        _WRITTEN,
         DocumentField("rows", "whole number", "of the table that was written"),
         DocumentField("experiments", "list", "each: `id`, `status` and `message`"),
     ),
@@ -134,7 +138,7 @@ FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
         DocumentField("iteration_rows", "list", "with --iterations or --search: rows of it"),
         DocumentField("failed", "list", "with --failures: what failed, with its `number`"),
     ),
-    "report": (_OUT,),
+    "report": (_WRITTEN,),
     "watch": (
         DocumentField("run", "text", "folder of the run"),
         DocumentField("run_status", "text", "of the run", _run_statuses),
@@ -154,7 +158,7 @@ FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
     ),
     "export": (DocumentField("files", "list", "what was written"),),
     "sweep": (
-        _OUT,
+        _WRITTEN,
         DocumentField("ran", "whole number", "runs that this call did"),
         DocumentField("runs", "list", "rows of summary.parquet"),
         DocumentField("counts", "object", "how many runs have each status"),
@@ -172,12 +176,12 @@ FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
     ),
     "forms": (DocumentField("forms", "list", "each form at each kind of site"),),
 }
-"""The fields of each command beside `COMMON`."""
+"""The fields of each command beside `COMMON_FIELDS`."""
 
 
 def fields_of(command: str) -> dict[str, DocumentField]:
     """Return the fields of a command's document by name."""
-    return {each.name: each for each in (*COMMON, *FIELDS[command])}
+    return {each.name: each for each in (*COMMON_FIELDS, *FIELDS[command])}
 
 
 def status_of(code: int) -> str:

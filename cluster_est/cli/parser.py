@@ -14,7 +14,7 @@ from typing_extensions import override
 from workers.effects.kinds import SiteKind
 from workers.fmu.description import nearest
 
-EXIT_CODES = (
+CODES_IN_WORDS = (
     "0 done; 1 ran, but reached no solution; 2 bad input; 3 a criterion of --fail-if is met; "
     "130 interrupted"
 )
@@ -155,7 +155,7 @@ def make_parser() -> argparse.ArgumentParser:
         description="Estimate the parameters and initial states of an FMU from many measured "
         "experiments at once.",
         epilog=f"KEY=VALUE overrides a key of the config, as in method.options.trials=8.\n"
-        f"Exit codes: {EXIT_CODES}.\n\n{_listed(FIRST_EXAMPLES)}",
+        f"Exit codes: {CODES_IN_WORDS}.\n\n{_listed(FIRST_EXAMPLES)}",
     )
     parser.add_argument("--version", action=_ShowVersion, nargs=0, help="show the version and exit")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")

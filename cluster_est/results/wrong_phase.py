@@ -22,9 +22,9 @@ LEAST_CYCLES, OTHER_CYCLES = 2.5, 0.5
 """Cycles in a record from which on it swings, and by which a simulation has others."""
 LEAST_SHARE, BAND = 0.5, 1.25
 """Share of the variance that lies in one band of frequencies, and its ends over its middle."""
-STILL = 0.3
+HARDLY_MOVING = 0.3
 """Spread of a simulation over that of the measurement below which it hardly moves."""
-MOST_SAMPLES = 8192
+MOST_TRANSFORMED_SAMPLES = 8192
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Swing:
 
 def swing_of(times: FloatArray, values: FloatArray) -> Swing | None:
     """Return the oscillation of a signal; None if no band of frequencies has half its variance."""
-    count = min(len(times), MOST_SAMPLES)
+    count = min(len(times), MOST_TRANSFORMED_SAMPLES)
     long = float(times[-1] - times[0]) if count > 3 else 0.0
     if long <= 0.0 or not np.isfinite(values).all():
         return None
@@ -114,7 +114,7 @@ def _wrong(
     own = swing_of(output.times, simulated)
     if own is not None and abs(own.cycles - measured.cycles) > OTHER_CYCLES:
         yield error / spread, measured, f"swings with {own.period:.3g} s"
-    elif float(np.std(simulated)) < STILL * spread:
+    elif float(np.std(simulated)) < HARDLY_MOVING * spread:
         yield error / spread, measured, "hardly moves"
 
 

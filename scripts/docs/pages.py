@@ -20,7 +20,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 import cluster_est as ce
-from cluster_est.cli.document import COMMON, FIELDS, DocumentField
+from cluster_est.cli.document import COMMON_FIELDS, FIELDS, DocumentField
 from cluster_est.cli.forms_command import (
     EVERY_FORM,
     SITES,
@@ -28,7 +28,7 @@ from cluster_est.cli.forms_command import (
     coefficient_in_words,
     equations,
 )
-from cluster_est.cli.parser import EXIT_CODES, make_parser
+from cluster_est.cli.parser import CODES_IN_WORDS, make_parser
 from cluster_est.config.limits_file import LimitsSections
 from cluster_est.config.sections import Config
 from cluster_est.settings import Settings, keys_of
@@ -87,10 +87,10 @@ def commands_page() -> str:
     """Every command with its arguments, as argparse knows them, and the fields of its document."""
     parts = [
         "# Command line",
-        f"Exit codes: {EXIT_CODES}.",
+        f"Exit codes: {CODES_IN_WORDS}.",
         "[From scripts](from_scripts.md) says how programs use `--json` and `--fail-if`. The "
         "document of every command has these fields:",
-        _fields(COMMON),
+        _fields(COMMON_FIELDS),
     ]
     for name, parser in _commands().items():
         usage = re.sub(r"\s+", " ", parser.format_usage().removeprefix("usage: ").strip())

@@ -16,7 +16,7 @@ from support.run_folders import SPRING, leave_as_killed
 
 from cluster_est.cli import entry_point, main, watch_command
 from cluster_est.cli.answer import PrintedAnswer
-from cluster_est.cli.document import COMMON, FIELDS, fields_of
+from cluster_est.cli.document import COMMON_FIELDS, FIELDS, fields_of
 from cluster_est.cli.entry_point import COMMANDS
 from cluster_est.toml import to_toml
 
@@ -168,7 +168,7 @@ def test_so_are_arguments_that_cannot_be_understood(arguments, command, message,
     assert (document["command"], document["exit_code"]) == (command, 2)
     assert document["message"] == message
     assert message in said.err
-    fields = {field.name for field in COMMON} if command is None else fields_of(command)
+    fields = {field.name for field in COMMON_FIELDS} if command is None else fields_of(command)
     assert document.keys() == set(fields)
 
 

@@ -10,7 +10,7 @@ from cluster_est.cli.criterion import Criterion
 from cluster_est.cli.entry_point import COMMANDS
 from cluster_est.cli.forms_command import EVERY_FORM, SITES, config_block
 from cluster_est.cli.parent_process import ExitCode
-from cluster_est.cli.parser import EXAMPLES, EXIT_CODES, FIRST_EXAMPLES, UsageError, parse
+from cluster_est.cli.parser import CODES_IN_WORDS, EXAMPLES, FIRST_EXAMPLES, UsageError, parse
 from cluster_est.config.config_text import unfilled
 from cluster_est.config.reader import read_config
 from cluster_est.config.sections import EffectSection
@@ -37,8 +37,8 @@ def test_the_help_of_the_program_has_examples_and_every_exit_code(capsys):
         parse(["--help"])
     shown = " ".join(capsys.readouterr().out.split())
     assert all(f"cluster-est {example}" in shown for example in FIRST_EXAMPLES)
-    assert f"Exit codes: {EXIT_CODES}." in shown
-    assert {int(each) for each in re.findall(r"(\d+) ", EXIT_CODES)} == set(ExitCode)
+    assert f"Exit codes: {CODES_IN_WORDS}." in shown
+    assert {int(each) for each in re.findall(r"(\d+) ", CODES_IN_WORDS)} == set(ExitCode)
 
 
 def test_an_option_that_is_none_is_refused():
