@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
-from rich.console import Console
-
+from cluster_est.cli.answer import Answer
 from cluster_est.cli.parent_process import ExitCode
-from cluster_est.cli.printing import number, print_table, say
-from cluster_est.cli.terminal import build_core, complain
+from cluster_est.cli.printing import number
+from cluster_est.cli.terminal import build_core
 from cluster_est.config.choices import build_resources
 from cluster_est.errors import ModelError
 from cluster_est.preflight.all_checks import SECONDS, run_checks
 from cluster_est.preflight.data_checks import long_records, sigma_findings
-from cluster_est.preflight.subject import CheckPage, bare_problem, passed
+from cluster_est.preflight.subject import CheckPage, CheckVerdict, bare_problem, passed
 from cluster_est.preflight.unit_checks import unit_findings
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.search_space import make_space
@@ -26,21 +27,27 @@ from cluster_est.running.resources import Resources
 from cluster_est.studies.configured import read_study
 
 
-def print_page(console: Console, page: CheckPage) -> None:
+def print_page(answer: Answer, page: CheckPage) -> None:
     """A line for each check, and below it what can be done."""
+    counts = Counter(each.verdict for each in page.findings)
+    answer.add(
+        checks=[vars(each) for each in page.findings],
+        problems=counts[CheckVerdict.PROBLEM],
+        check_notes=counts[CheckVerdict.NOTE],
+        not_done=counts[CheckVerdict.NOT_DONE],
+    )
     if not page.findings:
         return
-    say(console, "")
+    answer.say("")
     verdicts = max(len(each.verdict) for each in page.findings)
     names = max(len(each.check) for each in page.findings)
     for each in page.findings:
-        say(console, f"{each.verdict:{verdicts}}  {each.check:{names}}  {each.found}")
+        answer.say(f"{each.verdict:{verdicts}}  {each.check:{names}}  {each.found}")
         if each.do:
-            say(console, f"{'':{verdicts}}  {'':{names}}  -> {each.do}")
-    say(console, "")
-    problems = sum(each.verdict == "problem" for each in page.findings)
-    left = sum(each.verdict == "not done" for each in page.findings)
-    notes = sum(each.verdict == "note" for each in page.findings)
+            answer.say(f"{'':{verdicts}}  {'':{names}}  -> {each.do}")
+    answer.say("")
+    problems, notes = counts[CheckVerdict.PROBLEM], counts[CheckVerdict.NOTE]
+    left = counts[CheckVerdict.NOT_DONE]
     said = _counted(problems, "problem") if problems else "no problem was found"
     if notes:
         say_what = "says" if notes == 1 else "say"
@@ -50,71 +57,96 @@ def print_page(console: Console, page: CheckPage) -> None:
         said = f"{left} of {len(page.findings)} checks {are} not done; in the others {said}"
     elif left:
         said = "nothing was checked yet"
-    say(console, said)
+    answer.say(said)
 
 
 def _counted(count: int, what: str) -> str:
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
-def print_model(console: Console, problem: Problem, more: str) -> None:
+def print_model(answer: Answer, problem: Problem, more: str) -> None:
     """Print the model, the faults of its description, and how it is simulated."""
     model = problem.model
-    say(
-        console,
+    answer.say(
         f"{model.name}: {model.interface.replace('_', ' ')}, solver {model.solver.name}; {more}",
     )
+    answer.add(
+        model={
+            "name": model.name,
+            "interface": model.interface,
+            "solver": model.solver.name,
+        }
+    )
     for warning in (*problem.describe().warnings, *problem.model_notes()):
-        say(console, warning)
+        answer.say(warning)
 
 
-def print_check(console: Console, problem: Problem, simulations: Sequence[Simulation]) -> None:
+def print_check(answer: Answer, problem: Problem, simulations: Sequence[Simulation]) -> None:
     """Unknowns, experiments and one simulation of each."""
     train = make_space(problem, problem.indices("train"))
-    say(
-        console,
+    answer.say(
         f"{train.size} unknowns; a forward Jacobian costs {len(train.colours)} points x "
         f"{len(train.experiments)} experiments",
     )
-    rows = []
-    for simulation in simulations:
-        experiment, outcome = problem.experiments[simulation.experiment], simulation.outcome
-        rows.append(
-            (
-                experiment.id,
-                experiment.role,
-                f"{experiment.start:g} .. {experiment.stop:g}",
-                str(experiment.size),
-                number(outcome.seconds * 1e3),
-                outcome.message or str(outcome.status),
-            )
-        )
-    print_table(console, ["experiment", "role", "seconds", "samples", "ms", "simulated"], rows)
+    experiments = [_simulated(problem, each) for each in simulations]
+    answer.rows(
+        experiments,
+        ("experiment", "id"),
+        ("role", "role"),
+        ("seconds", lambda row: f"{row['start']:g} .. {row['stop']:g}"),
+        ("samples", "samples"),
+        ("ms", lambda row: number(row["seconds"] * 1e3)),
+        ("simulated", lambda row: row["message"] or row["status"]),
+    )
+    answer.add(unknowns=train.size, experiments=experiments)
     if train.constraint_names:
-        kinds = ["= 0" if equal else "<= 0" for equal in train.equality]
-        values = [number(value) for value in constraints_at_start(train, list(simulations))]
-        named = zip(train.constraint_names, kinds, values, strict=True)
-        print_table(console, ["constraint", "must be", "at the start"], named)
+        values = constraints_at_start(train, list(simulations))
+        named = zip(train.constraint_names, train.equality, values, strict=True)
+        constraints = [
+            {"constraint": name, "equality": bool(equal), "value": float(value)}
+            for name, equal, value in named
+        ]
+        answer.rows(
+            constraints,
+            ("constraint", "constraint"),
+            ("must be", lambda row: "= 0" if row["equality"] else "<= 0"),
+            ("at the start", lambda row: number(row["value"])),
+        )
+        answer.add(constraints=constraints)
 
 
-def check(options: Namespace) -> int:
+def _simulated(problem: Problem, simulation: Simulation) -> dict[str, Any]:
+    experiment, outcome = problem.experiments[simulation.experiment], simulation.outcome
+    return {
+        "id": experiment.id,
+        "role": experiment.role,
+        "start": experiment.start,
+        "stop": experiment.stop,
+        "samples": experiment.size,
+        "seconds": outcome.seconds,
+        "status": str(outcome.status),
+        "message": outcome.message,
+    }
+
+
+def check(options: Namespace, answer: Answer) -> int:
     """Read everything, try the FMU out in processes of its own, print a page; change nothing."""
-    console, path = Console(), options.config
+    path = options.config
     seconds = SECONDS if options.seconds is None else options.seconds
     if path.suffix.lower() == ".fmu":
         bare = bare_problem(path)
-        print_model(console, bare, "its own start values")
-        build_core()
+        print_model(answer, bare, "its own start values")
+        build_core(answer)
         page = run_checks(bare, Resources(), seconds, declared=False)
-        print_page(console, page)
+        print_page(answer, page)
         return _verdict(page)
     run = read_study(path, options.overrides, RunKind.FIT, allow_code=options.allow_code)
     config, problem = run.config, run.identity.problem
     resources = build_resources(config)
     for sentence in resources.notes():
-        complain(sentence)
-    print_model(console, problem, f"method {config.method.name}")
-    build_core()
+        answer.complain(sentence)
+    print_model(answer, problem, f"method {config.method.name}")
+    build_core(answer)
     page = run_checks(problem, resources, seconds)
     declared = [
         *sigma_findings(config, problem.describe()),
@@ -124,8 +156,8 @@ def check(options: Namespace) -> int:
     ]
     page = replace(page, findings=(*page.findings, *declared))
     if page.simulations:
-        print_check(console, problem, page.simulations)
-    print_page(console, page)
+        print_check(answer, problem, page.simulations)
+    print_page(answer, page)
     return _verdict(page)
 
 

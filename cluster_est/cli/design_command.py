@@ -9,10 +9,9 @@ from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.csv as pacsv
-from rich.console import Console
 
+from cluster_est.cli.answer import Answer
 from cluster_est.cli.printed_runs import print_any_run
-from cluster_est.cli.printing import say
 from cluster_est.cli.terminal import EXIT_CODES, build_core, run_as_told, say_report
 from cluster_est.errors import RunFolderError
 from cluster_est.experiment_design.design_sentences import STEM, TABLE
@@ -22,7 +21,7 @@ from cluster_est.studies.configured_design import read_design
 from cluster_est.whole_files import write_output
 
 
-def design(options: Namespace) -> int:
+def design(options: Namespace, answer: Answer) -> int:
     """Choose an input, write it as a table, and its run folder beside that."""
     out, folder = options.out, options.out.with_suffix("")
     _check_free(options)
@@ -34,19 +33,22 @@ def design(options: Namespace) -> int:
         options.predict,
         allow_code=options.allow_code,
     )
-    build_core()
-    end = run_as_told(run, folder, options)
+    build_core(answer)
+    end = run_as_told(run, folder, options, answer)
     if end.stopped:
+        answer.add(run=folder, run_status=end.status, message=end.stopped)
         return EXIT_CODES[end.status]
     content = io.BytesIO()
     pacsv.write_csv(read_run_columns(folder / "next_input.parquet"), content)
     write_output(out, content.getvalue())
-    print_any_run(Console(), folder)
-    say_report(folder)
-    say(Console(), f"next experiment: {out}; write what you measure into its empty columns, and")
-    say(Console(), "add it to the config:\n")
+    print_any_run(answer, folder)
+    say_report(answer, folder)
+    answer.say(f"next experiment: {out}; write what you measure into its empty columns, and")
+    answer.say("add it to the config:\n")
     block = read_facts(folder)["design"]["block"]
-    say(Console(), block.replace(TABLE, _path_from(run, out)).replace(STEM, out.stem))
+    block = block.replace(TABLE, _path_from(run, out)).replace(STEM, out.stem)
+    answer.say(block)
+    answer.add(out=out, block=block)
     return EXIT_CODES[end.status]
 
 

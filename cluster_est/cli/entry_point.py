@@ -11,11 +11,13 @@ in files.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import io
+import os
 import sys
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from importlib.abc import MetaPathFinder
 from pathlib import Path
@@ -23,9 +25,11 @@ from types import ModuleType
 from typing import Any, TextIO
 
 import numpy as np
-from rich.console import Console
 from typing_extensions import override
 
+from cluster_est.cli.answer import Answer, DocumentAnswer, PrintedAnswer
+from cluster_est.cli.criterion import Criterion
+from cluster_est.cli.document import as_text, document_of
 from cluster_est.cli.parent_process import (
     ExitCode,
     address_space,
@@ -33,7 +37,7 @@ from cluster_est.cli.parent_process import (
     interrupts_can_be_raised,
     tell_of_fmu,
 )
-from cluster_est.cli.parser import parse
+from cluster_est.cli.parser import UsageError, parse
 from cluster_est.config.config_text import with_lines
 from cluster_est.errors import ClusterEstError
 from cluster_est.running.interrupts import terminations
@@ -80,11 +84,12 @@ COMMANDS = {
     "export": "folder_commands",
     "sweep": "run_commands",
     "replay": "replay_command",
+    "forms": "forms_command",
 }
 """The module of `cluster_est.cli` in which each command is a function of its name."""
 
 
-def run_command(options: Namespace) -> int:
+def run_command(options: Namespace, answer: Answer) -> int:
     """Run the command that was asked for, and return its exit code.
 
     Its module is imported now: who shows a run need not wait for what a fit needs.
@@ -92,7 +97,7 @@ def run_command(options: Namespace) -> int:
     start_arrow()
     name: str = options.command
     module = import_module(f"cluster_est.cli.{COMMANDS[name]}")
-    return int(getattr(module, name.replace("-", "_"))(options))
+    return int(getattr(module, name.replace("-", "_"))(options, answer))
 
 
 LONGEST_LINE = 2000
@@ -133,29 +138,39 @@ class _Outlet(io.FileIO):
 
 
 class LenientStreams:
-    """Takes the place of both streams of this process, where it has them."""
+    """Takes the place of both streams of this process, where it has them.
 
-    def __init__(self) -> None:
+    Where a document is asked for, `document_to` alone leads to standard output; what else is
+    written there, as by an FMU in this process or by Ray, goes to standard error.
+    """
+
+    def __init__(self, *, with_document: bool = False) -> None:
         self._outlets: list[_Outlet] = []
+        self.document_to: TextIO | None = None
+        if with_document:
+            with contextlib.suppress(AttributeError, OSError, ValueError):  # no file of the system
+                kept = os.dup(sys.stdout.fileno())
+                self.document_to = self._leading_to(kept, "ascii", "strict")
+                os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
         sys.stdout, sys.stderr = self._around(sys.stdout), self._around(sys.stderr)
 
     def _around(self, stream: TextIO) -> TextIO:
         try:
             stream.flush()
-            outlet = _Outlet(stream.fileno())
+            return self._leading_to(stream.fileno(), stream.encoding, stream.errors)
         except (AttributeError, OSError, ValueError):  # none, or no file of the system
             return stream
+
+    def _leading_to(self, descriptor: int, encoding: str, errors: str | None) -> TextIO:
+        outlet = _Outlet(descriptor)
         self._outlets.append(outlet)
         return io.TextIOWrapper(
-            io.BufferedWriter(outlet),
-            encoding=stream.encoding,
-            errors=stream.errors,
-            line_buffering=True,
+            io.BufferedWriter(outlet), encoding=encoding, errors=errors, line_buffering=True
         )
 
     def lost(self) -> str:
         """Say, as part of a sentence, why something could not be printed; "" if nobody reads it."""
-        for stream in filter(None, (sys.stdout, sys.stderr)):
+        for stream in filter(None, (sys.stdout, sys.stderr, self.document_to)):
             stream.flush()
         refused = [each.refused for each in self._outlets if each.refused is not None]
         reasons = [error.strerror or str(error) for error in refused if error.errno != errno.EPIPE]
@@ -168,32 +183,68 @@ STANDARD_OUTPUT_LOST = (
 )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit code."""
-    options = parse(arguments)
-    interrupts_can_be_raised()
-    errors = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
+def main(arguments: Sequence[str] | None = None, document_to: TextIO | None = None) -> int:
+    """Run a command and return its exit code; its document goes to standard output by default."""
+    given = sys.argv[1:] if arguments is None else [*arguments]
     try:
+        options = parse(given)
+    except UsageError as error:
+        sys.stderr.write(f"{error.usage}{error.prog}: error: {error}\n")
+        if "--json" in given:
+            refused = DocumentAnswer()
+            refused.add(message=str(error))
+            command = next((each for each in error.prog.split()[1:]), None)
+            _write(document_of(command, refused, ExitCode.BAD_INPUT), document_to)
+        raise SystemExit(int(ExitCode.BAD_INPUT)) from None
+    interrupts_can_be_raised()
+    answer = DocumentAnswer() if options.json else PrintedAnswer()
+    code = ExitCode.NO_SOLUTION
+    try:
+        criteria = [Criterion(each, options.command) for each in options.fail_if]
         # who meets what is not finite says so in a sentence
         with terminations(), np.errstate(all="ignore"):
-            return run_command(options)
+            code = ExitCode(run_command(options, answer))
+        code = _judge(options.command, answer, code, criteria)
     except ClusterEstError as error:
-        errors.print(f"cluster-est: {readable(_placed(str(error), options))}")
-        return ExitCode.BAD_INPUT
+        answer.fail(readable(_placed(str(error), options)))
+        code = ExitCode.BAD_INPUT
     except OSError as error:
-        errors.print(f"cluster-est: {readable(_refused(error))}")
-        return ExitCode.BAD_INPUT
+        answer.fail(readable(_refused(error)))
+        code = ExitCode.BAD_INPUT
     except KeyboardInterrupt:
-        errors.print("cluster-est: interrupted")
-        return ExitCode.INTERRUPTED
+        answer.fail("interrupted")
+        code = ExitCode.INTERRUPTED
     except Exception as error:
         if not isinstance(error, MemoryError) and address_space() == np.inf:
+            answer.add(message=f"{type(error).__name__}: {error}")
             raise
-        errors.print(f"cluster-est: {_short_of_memory(error)}")
-        return ExitCode.NO_SOLUTION
+        answer.fail(_short_of_memory(error))
     finally:
         if said := caches.notice():
-            errors.print(f"cluster-est: {said}")
+            answer.complain(said)
+        if options.json:
+            _write(document_of(options.command, answer, code), document_to)
+    return code
+
+
+def _judge(command: str, answer: Answer, code: ExitCode, criteria: Sequence[Criterion]) -> ExitCode:
+    """Return the exit code with regard to --fail-if; a command that failed keeps its own."""
+    if not criteria:
+        return code
+    document = document_of(command, answer, code)
+    judged = [each.judge(document) for each in criteria]
+    answer.add(criteria=[vars(each) for each in judged])
+    for each in judged:
+        if each.met:
+            answer.complain(each.sentence)
+    met = any(each.met for each in judged)
+    return ExitCode.CRITERION_MET if met and code == ExitCode.DONE else code
+
+
+def _write(document: Mapping[str, Any], to: TextIO | None) -> None:
+    stream = sys.stdout if to is None else to
+    stream.write(f"{as_text(document)}\n")
+    stream.flush()
 
 
 def _refused(error: OSError) -> str:
@@ -233,9 +284,9 @@ def _placed(message: str, options: Namespace) -> str:
 def run() -> None:
     """Run a command as a program: end with its exit code, whatever still runs in threads."""
     before_first_instance(tell_of_fmu)
-    streams = LenientStreams()
+    streams = LenientStreams(with_document="--json" in sys.argv[1:])
     try:
-        code = main()
+        code = main(document_to=streams.document_to)
         lost = streams.lost()
         if lost:
             print(f"cluster-est: {STANDARD_OUTPUT_LOST.format(lost)}", file=sys.stderr)

@@ -2,41 +2,43 @@
 
 from __future__ import annotations
 
+import sys
 from argparse import Namespace
 
-from rich.console import Console
-
+from cluster_est.cli.answer import Answer
 from cluster_est.cli.parent_process import ExitCode
 from cluster_est.cli.printed_runs import print_any_run
-from cluster_est.cli.printing import print_iterations, say
+from cluster_est.cli.printing import print_iterations
 
 
-def show(options: Namespace) -> int:
+def show(options: Namespace, answer: Answer) -> int:
     """Print the tables of a run, what failed in it, or one search's iterations."""
     run_folder = options.run_folder
     if options.failures:
         from cluster_est.cli.replay_command import print_failures
 
-        print_failures(Console(), run_folder)
+        print_failures(answer, run_folder)
     elif options.iterations or options.search is not None:
-        print_iterations(Console(), run_folder, options.search)
+        print_iterations(answer, run_folder, options.search)
     else:
-        print_any_run(Console(), run_folder)
+        print_any_run(answer, run_folder)
     return ExitCode.DONE
 
 
-def report(options: Namespace) -> int:
+def report(options: Namespace, answer: Answer) -> int:
     """Write the report of a run or of a sweep."""
     # not everybody wants to wait for Jinja
     from cluster_est.html_report.page import write_report
     from cluster_est.html_report.sweep_page import is_sweep, write_sweep_report
 
     write = write_sweep_report if is_sweep(options.run_folder) else write_report
-    say(Console(), f"report: {write(options.run_folder, options.out)}")
+    written = write(options.run_folder, options.out)
+    answer.add(out=written)
+    answer.say(f"report: {written}")
     return ExitCode.DONE
 
 
-def export(options: Namespace) -> int:
+def export(options: Namespace, answer: Answer) -> int:
     """Write what a run has found, in the forms that are asked for."""
     from cluster_est.model_export.write import ExportRequest
     from cluster_est.model_export.write import export as run_export  # SymPy takes long to import
@@ -52,9 +54,10 @@ def export(options: Namespace) -> int:
         allow_code=options.allow_code,
     )
     for printed in written.printed:
-        say(Console(), printed)
+        answer.say(printed)
     for note in written.notes:
-        say(Console(stderr=True), f"cluster-est: {note}")
+        answer.complain(note)
+    answer.add(files=written.files)
     for path in written.files:
-        say(Console(stderr=True), f"{path}")
+        print(path, file=sys.stderr)
     return ExitCode.DONE

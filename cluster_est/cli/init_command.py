@@ -7,14 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
+from cluster_est.cli.answer import Answer
 from cluster_est.cli.parent_process import ExitCode
-from cluster_est.cli.printing import say
 from cluster_est.config.config_text import override
 from cluster_est.config.experiment_keys import ExperimentDefaultsSection
 from cluster_est.errors import ConfigError
-from cluster_est.preflight.draft import draft
+from cluster_est.preflight.draft import ConfigDraft, draft
 from cluster_est.preflight.draft_text import open_lines, write
 from cluster_est.problem.tables.measured_table import Reading
 from cluster_est.settings import checked
@@ -23,7 +21,7 @@ from cluster_est.whole_files import write_output
 from workers.fmu.description import nearest
 
 
-def init(options: Namespace) -> int:
+def init(options: Namespace, answer: Answer) -> int:
     """Write a first config, and say what to fill in or to do next."""
     out = options.out or Path(f"{options.fmu.stem}.toml")
     if out.is_dir():
@@ -36,25 +34,50 @@ def init(options: Namespace) -> int:
     found = draft(options.fmu, options.data, read_mapping(options.map), reading)
     text = write(found, out.parent)
     write_output(out, text.encode())
-    console = Console()
     for run in {run.columns.path: run for run in found.runs}.values():
         for note in run.columns.notes:
-            say(console, f"{run.columns.path}: {note}")
-    for number, line in open_lines(text):
-        say(console, f"{out}, line {number}: fill in {line.partition('  # ')[0]}")
-    for name in dict.fromkeys(name for run in found.runs for name in run.missing_inputs):
+            answer.say(f"{run.columns.path}: {note}")
+    open_ = open_lines(text)
+    missing = list(dict.fromkeys(name for run in found.runs for name in run.missing_inputs))
+    answer.add(
+        out=out,
+        to_fill_in=[{"line": number, "text": line} for number, line in open_],
+        missing_inputs=missing,
+    )
+    for number, line in open_:
+        answer.say(f"{out}, line {number}: fill in {line.partition('  # ')[0]}")
+    for key, column in _by_unit(found).items():
+        answer.say(
+            f"{out}{_place(text, f'{key} = ')}: {key} is {column!r}, the only column in such a "
+            "unit; correct that if it is another"
+        )
+    for name in missing:
         where = ", ".join(repr(run.id) for run in found.runs if name in run.missing_inputs)
-        lines = enumerate(text.splitlines(), 1)
-        place = next(
-            (n for n, line in lines if f'{dotted("inputs", name)} = "COLUMN"' in line), None
+        place = _place(text, f'{dotted("inputs", name)} = "COLUMN"')
+        answer.say(
+            f"{out}{place}: no column of {where} is like input {name!r}; name one there, or it "
+            "keeps its start value",
         )
-        say(
-            console,
-            f"{out}{f', line {place}' if place else ''}: no column of {where} is like input "
-            f"{name!r}; name one there, or it keeps its start value",
-        )
-    say(console, f"{out} is written; look through it, then: cluster-est check {out}")
+    answer.say(f"{out} is written; look through it, then: cluster-est check {out}")
     return ExitCode.DONE
+
+
+def _by_unit(found: ConfigDraft) -> dict[str, str]:
+    """Return the columns that were told by their unit alone, by the keys of their variables."""
+    return {
+        dotted(kind, match.variable.name): match.column.name
+        for run in found.runs
+        for kind, matches in (("inputs", run.inputs), ("outputs", run.outputs))
+        for match in matches
+        if match.by_unit and match.column is not None
+    }
+
+
+def _place(text: str, begins: str) -> str:
+    """Return the first line of a config with a text in it, as part of a sentence."""
+    lines = enumerate(text.splitlines(), 1)
+    place = next((number for number, line in lines if begins in line), None)
+    return "" if place is None else f", line {place}"
 
 
 def read_reading(texts: Sequence[str]) -> Reading:

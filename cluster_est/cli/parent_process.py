@@ -197,4 +197,6 @@ class ExitCode(enum.IntEnum):
     """It ran, but did not reach a solution."""
     BAD_INPUT = 2
     """Something must be corrected first; a sentence says what."""
+    CRITERION_MET = 3
+    """It would have ended with 0, but for a criterion of `--fail-if`."""
     INTERRUPTED = 130

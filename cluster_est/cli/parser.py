@@ -7,9 +7,112 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, NoReturn, TypeAlias, get_args
 
+from typing_extensions import override
+
+from workers.effects.kinds import SiteKind
 from workers.fmu.description import nearest
+
+CODES_IN_WORDS = (
+    "0 done; 1 ran, but reached no solution; 2 bad input; 3 a criterion of --fail-if is met; "
+    "130 interrupted"
+)
+FIRST_EXAMPLES = (
+    "init model.fmu monday.csv tuesday.csv --out first.toml",
+    "check first.toml",
+    "fit first.toml --out runs/first",
+    "close-loop first.toml --out runs/loop",
+)
+EXAMPLES = {
+    "init": (
+        "init model.fmu monday.csv tuesday.csv --out first.toml",
+        "init model.fmu log.csv --map F='Load cell (kN)' --read decimal=, --out first.toml",
+    ),
+    "check": (
+        "check first.toml",
+        "check model.fmu",
+        "check first.toml --seconds 60 --json --fail-if 'check_notes > 0'",
+    ),
+    "fit": (
+        "fit first.toml --out runs/first",
+        "fit first.toml --out runs/far multistart.n=20 executor.workers=8",
+        "fit first.toml --out runs/nightly --overwrite --fail-if 'rmse_test > 1.5 or too_narrow'",
+    ),
+    "close-loop": (
+        "close-loop first.toml --out runs/loop",
+        "close-loop first.toml --out runs/loop --resume --json --fail-if 'verdict != none'",
+    ),
+    "sensitivity": ("sensitivity first.toml --out runs/sensitivity",),
+    "design": (
+        "design runs/first --limits limits.toml --out next.csv",
+        "design runs/first --limits limits.toml --out next.csv --predict tuesday",
+    ),
+    "simulate": (
+        "simulate first.toml --out start.parquet",
+        "simulate first.toml --out curves.csv --run runs/first",
+    ),
+    "show": (
+        "show runs/first",
+        "show runs/first --iterations",
+        "show runs/first --json --fail-if 'parameters.k.value > 40'",
+    ),
+    "report": ("report runs/first", "report runs/first --out first.html"),
+    "watch": ("watch runs/first", "watch runs/first --html --every 5", "watch runs/first --json"),
+    "export": (
+        "export runs/loop --fmu repaired.fmu",
+        "export runs/first --ssv found.ssv --csv found.csv",
+        "export runs/loop --modelica",
+    ),
+    "sweep": (
+        "sweep sweep.toml --out runs/sweep",
+        "sweep sweep.toml --out runs/sweep --retry-failed --fail-if 'worst_rmse_test > 1.5'",
+    ),
+    "replay": ("show runs/first --failures", "replay runs/first 17"),
+    "forms": ("forms", "forms coulomb", "forms --site input"),
+}
+"""Lines for the help of each command."""
+
+
+class UsageError(Exception):
+    """Arguments that cannot be understood.
+
+    Parameters
+    ----------
+    said
+        What is wrong with them.
+    prog, usage
+        Of the command, or of the program.
+    """
+
+    def __init__(self, said: str, prog: str, usage: str) -> None:
+        super().__init__(said)
+        self.prog, self.usage = prog, usage
+
+
+class _Formatter(argparse.HelpFormatter):
+    """Breaks lines between words, but for those that are indented: examples."""
+
+    @override
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        parts = (
+            line
+            if line.startswith(" ")
+            else super(_Formatter, self)._fill_text(line, width, indent)
+            for line in text.splitlines()
+        )
+        return "\n".join(parts)
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that raises what is wrong with the arguments."""
+
+    def __init__(self, **how: Any) -> None:
+        super().__init__(formatter_class=_Formatter, **how)
+
+    @override
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(message, self.prog, self.format_usage())
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -47,12 +150,12 @@ def _suggest(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> None:
 
 def make_parser() -> argparse.ArgumentParser:
     """Make the parser; `command` of what it returns names the command."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="cluster-est",
         description="Estimate the parameters and initial states of an FMU from many measured "
         "experiments at once.",
-        epilog="KEY=VALUE overrides a key of the config, as in method.options.trials=8. "
-        "Exit codes: 0 done, 1 no solution, 2 bad input, 130 interrupted.",
+        epilog=f"KEY=VALUE overrides a key of the config, as in method.options.trials=8.\n"
+        f"Exit codes: {CODES_IN_WORDS}.\n\n{_listed(FIRST_EXAMPLES)}",
     )
     parser.add_argument("--version", action=_ShowVersion, nargs=0, help="show the version and exit")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
@@ -90,7 +193,7 @@ def make_parser() -> argparse.ArgumentParser:
     simulate.add_argument(
         "--run", dest="run_folder", type=Path, help="take the values from this run's estimates"
     )
-    show = _with_run(commands.add_parser("show", help="print a run's parameters and errors"))
+    show = _with_run(_command(commands, "show", "print a run's parameters and errors"))
     show.add_argument("--iterations", action="store_true", help="print the iteration table instead")
     show.add_argument("--failures", action="store_true", help="list what failed, for replay")
     show.add_argument("--search", help="of this search, such as 'start 3'; without: of the best")
@@ -105,15 +208,41 @@ def make_parser() -> argparse.ArgumentParser:
     _add_export(commands)
     _add_sweep(commands)
     _add_replay(commands)
+    _add_forms(commands)
+    for command in commands.choices.values():
+        _add_for_programs(command)
     parser.set_defaults(commands=tuple(commands.choices))
     return parser
 
 
-Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
 
 
 def _command(commands: Commands, name: str, summary: str) -> argparse.ArgumentParser:
-    return commands.add_parser(name, help=summary, description=summary[0].upper() + summary[1:])
+    described = summary[0].upper() + summary[1:]
+    examples = _listed(EXAMPLES[name])
+    return commands.add_parser(name, help=summary, description=described, epilog=examples)
+
+
+def _listed(examples: Sequence[str]) -> str:
+    lines = (f"  cluster-est {each}" for each in examples)
+    return "\n".join(["Examples:", *lines])
+
+
+def _add_for_programs(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--json",
+        action="store_true",
+        help="print one JSON document, with the same sentences and all digits",
+    )
+    command.add_argument(
+        "--fail-if",
+        metavar="EXPRESSION",
+        action="append",
+        default=[],
+        help="end with exit code 3 if this is true of the fields of the JSON document, as in "
+        "--fail-if 'rmse_test > 1.5'; may be given several times",
+    )
 
 
 def _with_config(
@@ -211,7 +340,9 @@ def _add_existing(command: argparse.ArgumentParser) -> None:
 
 
 def _add_watch(commands: Commands) -> None:
-    summary = "follow a run from another terminal or machine, by its folder alone"
+    summary = (
+        "follow a run from another terminal or machine, by its folder alone; with --json look once"
+    )
     watch = _with_run(_command(commands, "watch", summary))
     watch.add_argument("--html", action="store_true", help="keep RUN/report.html fresh too")
     watch.add_argument(
@@ -264,6 +395,19 @@ def _add_export(commands: Commands) -> None:
         "--experiment", metavar="ID", help="whose values, where parameters have one for each"
     )
     _add_moved_config(export)
+
+
+def _add_forms(commands: Commands) -> None:
+    summary = "list the forms that an effect may have, where, and with which coefficients"
+    forms = _command(commands, "forms", summary)
+    forms.add_argument(
+        "form", metavar="FORM", nargs="?", help="describe this one, with a block for a config"
+    )
+    forms.add_argument(
+        "--site",
+        choices=get_args(SiteKind),
+        help="only those at sites of this kind",
+    )
 
 
 def _add_moved_config(command: argparse.ArgumentParser) -> None:

@@ -7,43 +7,36 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
+from cluster_est.cli.answer import Answer, Cell
+from cluster_est.cli.document import run_fields
 from cluster_est.cli.printing import (
     SHOWN,
-    Cell,
     at_bound,
     interval,
     number,
     numbers,
-    print_rows,
     print_run,
-    print_table,
-    say,
-    tell,
 )
 from cluster_est.experiment_design.design_sentences import times
 from cluster_est.problem.display import NO_ALTERNATIVE, percent
 from cluster_est.run_folder.run_files import Rows, StoredRun, read_stored_run
 
 
-def print_design(console: Console, run: StoredRun) -> None:
+def print_design(answer: Answer, run: StoredRun) -> None:
     """Print what was chosen, and what it is expected to tell.
 
     `run` has the tables "probabilities", "evidence", "precision" and
     "prediction_precision".
     """
     facts = run.facts
-    tell(console, f"next experiment: {facts['design']['summary']}")
-    say(
-        console,
+    answer.tell(f"next experiment: {facts['design']['summary']}")
+    answer.say(
         f"run {run.path}: {facts['simulations']} simulations ({facts['failures']} failed), "
         f"{facts['seconds']:.1f} s",
     )
     models = run.tables["probabilities"]
     if models:
-        print_rows(
-            console,
+        answer.rows(
             models,
             ("if this is right, its probability", "model"),
             ("now", _percents("before")),
@@ -51,8 +44,7 @@ def print_design(console: Console, run: StoredRun) -> None:
             ("after a random input", _percents("random")),
         )
         first = models[0]["model"]
-        print_rows(
-            console,
+        answer.rows(
             [row for row in run.tables["evidence"] if row["true_model"] == first],
             (f"rival of {first}", "rival"),
             ("expected to be less likely by", lambda row: times(row["evidence"])),
@@ -62,8 +54,7 @@ def print_design(console: Console, run: StoredRun) -> None:
         ("after it", numbers("std_error_after", "")),
         ("after a random input", numbers("random", "")),
     )
-    print_rows(
-        console,
+    answer.rows(
         run.tables["precision"],
         ("parameter", "label"),
         ("unit", "unit"),
@@ -72,8 +63,7 @@ def print_design(console: Console, run: StoredRun) -> None:
         *then,
     )
     if run.tables["prediction_precision"]:
-        print_rows(
-            console,
+        answer.rows(
             run.tables["prediction_precision"],
             ("predicted", "output"),
             ("of", "experiment"),
@@ -82,29 +72,27 @@ def print_design(console: Console, run: StoredRun) -> None:
             *then,
         )
     for note in facts["notes"][1:]:
-        say(console, f"note: {note}")
-    say(console, f"tables: {run.path}/*.parquet")
+        answer.say(f"note: {note}")
+    answer.say(f"tables: {run.path}/*.parquet")
 
 
 def _percents(key: str) -> Cell:
     return lambda row: "" if math.isnan(row[key]) else percent(row[key])
 
 
-def print_sensitivity(console: Console, run: StoredRun) -> None:
+def print_sensitivity(answer: Answer, run: StoredRun) -> None:
     """Print the unknowns by what they move, which go together, and what to know.
 
     `run` has the table "ranking".
     """
     facts = run.facts
     found = facts["sensitivity"]
-    say(
-        console,
+    answer.say(
         f"run {run.path}: {found['method']}, {found['groups']} groups of points, "
         f"{facts['simulations']} simulations ({facts['failures']} failed), "
         f"{facts['seconds']:.1f} s",
     )
-    print_rows(
-        console,
+    answer.rows(
         run.tables["ranking"],
         ("parameter", "label"),
         (found["ranks"], numbers("value", "none")),
@@ -114,8 +102,8 @@ def print_sensitivity(console: Console, run: StoredRun) -> None:
         ("estimate", lambda row: _together(row["position"], row["together"])),
     )
     for note in facts.get("notes") or []:
-        say(console, f"note: {note}")
-    say(console, f"tables: {run.path}/*.parquet")
+        answer.say(f"note: {note}")
+    answer.say(f"tables: {run.path}/*.parquet")
 
 
 def _index(value: float | None) -> str:
@@ -139,7 +127,7 @@ SAME_PREDICTION = 0.1
 """Times the noise below which two predictions count as the same."""
 
 
-def print_any_run(console: Console, run_folder: Path) -> None:
+def print_any_run(answer: Answer, run_folder: Path) -> None:
     """Print a run of any kind.
 
     Raises
@@ -148,42 +136,42 @@ def print_any_run(console: Console, run_folder: Path) -> None:
         If there is no run.
     """
     run = read_stored_run(run_folder, SHOWN)
+    answer.add(**run_fields(run))
     if run.facts.get("sensitivity"):
-        print_sensitivity(console, run)
+        print_sensitivity(answer, run)
     elif run.facts.get("design"):
-        print_design(console, run)
+        print_design(answer, run)
     elif run.facts.get("verdict"):
-        print_loop(console, run)
+        print_loop(answer, run)
     else:
-        print_run(console, run)
+        print_run(answer, run)
 
 
-def print_loop(console: Console, run: StoredRun) -> None:
+def print_loop(answer: Answer, run: StoredRun) -> None:
     """Verdict, effects, parameters, errors before and after, and what to know."""
     facts = run.facts
-    tell(console, f"verdict: {facts['verdict']}: {facts['summary']}")
-    say(
-        console,
+    answer.tell(f"verdict: {facts['verdict']}: {facts['summary']}")
+    answer.say(
         f"run {run.path}: {facts['simulations']} simulations ({_failed(facts)}), "
         f"{facts['seconds']:.1f} s",
     )
     narrow = facts["verdict"] == "unexplained"  # they do not allow for what is missing
     for effect in facts["effects"]:
-        _print_effect(console, effect, too_narrow=narrow)
+        _print_effect(answer, effect, too_narrow=narrow)
     choices = [facts[key] for key in ("likely", "resampled") if facts.get(key)]
     for said in ["", *choices] if choices else []:
-        tell(console, said)
-    _print_parameters(console, run.tables["parameters"], too_narrow=narrow)
-    _print_errors(console, run.tables["errors"], facts)
+        answer.tell(said)
+    _print_parameters(answer, run.tables["parameters"], too_narrow=narrow)
+    _print_errors(answer, run.tables["errors"], facts)
     for note in facts["notes"]:
-        say(console, f"note: {note}")
-    _print_rest(console, facts)
+        answer.say(f"note: {note}")
+    _print_rest(answer, facts)
     if facts["effects"]:
-        say(console, "")
-        say(console, "to name what was found in the config, so that cluster-est fit estimates it:")
-        say(console, "")
-        say(console, "\n".join(effect["config"] for effect in facts["effects"]))
-    say(console, f"tables: {run.path}/*.parquet")
+        answer.say("")
+        answer.say("to name what was found in the config, so that cluster-est fit estimates it:")
+        answer.say("")
+        answer.say("\n".join(effect["config"] for effect in facts["effects"]))
+    answer.say(f"tables: {run.path}/*.parquet")
 
 
 def _failed(facts: Facts) -> str:
@@ -195,25 +183,25 @@ def _failed(facts: Facts) -> str:
     return f"{failed} failed, {which} while effects were tried"
 
 
-def _print_effect(console: Console, effect: Facts, *, too_narrow: bool) -> None:
-    say(console, "")
-    say(console, f"effect {effect['name']} ({effect['words']}) at {effect['site']}")
-    tell(console, f"  {effect['sentence']}")
+def _print_effect(answer: Answer, effect: Facts, *, too_narrow: bool) -> None:
+    answer.say("")
+    answer.say(f"effect {effect['name']} ({effect['words']}) at {effect['site']}")
+    answer.tell(f"  {effect['sentence']}")
     narrow = " (too narrow)" if too_narrow else ""
     for name, row in effect["parameters"].items():
         held = " (held)" if row["fixed"] else f"   95 %{narrow}: {_range(row)}"
         unit = f" {row['unit']}" if row["unit"] not in ("", "1") else ""
-        say(console, f"  {name} = {number(row['value'])}{unit}{held}")
+        answer.say(f"  {name} = {number(row['value'])}{unit}{held}")
     for sentence in effect["evidence"]:
-        say(console, f"  {sentence}")
+        answer.say(f"  {sentence}")
     for other in effect["alternatives"]:
-        tell(console, f"  cannot be told apart from: {_alternative(other)}")
+        answer.tell(f"  cannot be told apart from: {_alternative(other)}")
     if any(_differs(other) for other in effect["alternatives"]):
-        say(console, "  (an experiment that stays where they differ most would tell them apart)")
+        answer.say("  (an experiment that stays where they differ most would tell them apart)")
     elif effect["alternatives"]:
-        say(console, "  (nothing in these data tells them apart)")
+        answer.say("  (nothing in these data tells them apart)")
     else:
-        tell(console, f"  {NO_ALTERNATIVE}")
+        answer.tell(f"  {NO_ALTERNATIVE}")
 
 
 def _range(row: Facts) -> str:
@@ -246,11 +234,10 @@ def _alternative(other: Facts) -> str:
     return text
 
 
-def _print_parameters(console: Console, rows: Rows, *, too_narrow: bool) -> None:
+def _print_parameters(answer: Answer, rows: Rows, *, too_narrow: bool) -> None:
     """Print values and intervals; the last ones with a word where the residuals deny them."""
     found = "95 % interval (too narrow)" if too_narrow else "95 % interval"
-    print_rows(
-        console,
+    answer.rows(
         rows,
         ("parameter", "label"),
         ("before", numbers("value_before", "")),
@@ -268,7 +255,7 @@ def _before(row: dict[str, Any]) -> str:
     return "" if math.isnan(low) or math.isnan(high) else f"{low:.5g} .. {high:.5g}"
 
 
-def _print_errors(console: Console, rows: Rows, facts: Facts) -> None:
+def _print_errors(answer: Answer, rows: Rows, facts: Facts) -> None:
     lines = [
         [
             *(row[name] for name in ("experiment", "role", "output")),
@@ -284,8 +271,8 @@ def _print_errors(console: Console, rows: Rows, facts: Facts) -> None:
             pair = number(total["before"], UNKNOWN_NUMBER), number(total["after"], UNKNOWN_NUMBER)
             lines.append(["all", role, *[""] * 5, *pair])
     header = ["experiment", "role", "output", "samples", "RMSE before", "after", "unit"]
-    print_table(console, [*header, f"over {facts['errors_over']} before", "after"], lines)
-    say(console, "")
+    answer.table([*header, f"over {facts['errors_over']} before", "after"], lines)
+    answer.say("")
 
 
 def _error(row: dict[str, Any], name: str) -> str:
@@ -300,11 +287,10 @@ def _over_noise(row: dict[str, Any], when: str) -> str:
     return number(row[f"normalised_{when}"], UNKNOWN_NUMBER)
 
 
-def _print_rest(console: Console, facts: Facts) -> None:
+def _print_rest(answer: Answer, facts: Facts) -> None:
     """Print the effects that did not pass, the noise and the open sites."""
     for effect in facts["rejected"]:
-        say(
-            console,
+        answer.say(
             f"not accepted: {effect['form']} at {effect['site']}: {effect['equation']}; it shows "
             "where to look, not what is missing",
         )
@@ -312,5 +298,5 @@ def _print_rest(console: Console, facts: Facts) -> None:
         f"{name} {number(value, UNKNOWN_NUMBER)}" for name, value in facts["noise"].items()
     )
     if noise:
-        say(console, f"noise estimated from the residuals: {noise}")
-    say(console, f"open sites: {', '.join(facts['sites'])}")
+        answer.say(f"noise estimated from the residuals: {noise}")
+    answer.say(f"open sites: {', '.join(facts['sites'])}")

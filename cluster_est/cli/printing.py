@@ -1,16 +1,13 @@
-"""A run in a terminal: sentences, numbers, tables without lines, and the tables of a fit."""
+"""A fit as sentences and tables, and how numbers are written."""
 
 from __future__ import annotations
 
 import math
-import textwrap
 from collections import Counter
-from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
+from cluster_est.cli.answer import Answer, Cell
 from cluster_est.errors import RunFolderError
 from cluster_est.run_folder.run_files import Rows, StoredRun, left_alone, read_stored_run
 
@@ -21,20 +18,19 @@ SHOWN = (
 """Tables of a run that its summary is printed from."""
 
 
-def print_run(console: Console, run: StoredRun) -> None:
+def print_run(answer: Answer, run: StoredRun) -> None:
     """Print a run's outcome, parameters and errors; `run` has the tables `SHOWN`."""
     facts, tables = run.facts, run.tables
     cut = facts["status"] == "interrupted"
     missing = "not simulated" if cut else "failed"
-    say(console, f"run {run.path}: {facts['status']}")
+    answer.say(f"run {run.path}: {facts['status']}")
     if facts.get("message"):
-        say(console, f"  {facts['message']}")
+        answer.say(f"  {facts['message']}")
     alone = left_alone(run.path, facts["status"])
     if alone:
-        say(console, f"  {alone}")
+        answer.say(f"  {alone}")
     if {"cost_before", "cost", "iterations", "evaluations", "simulations"} <= facts.keys():
-        say(
-            console,
+        answer.say(
             f"  cost {number(facts['cost_before'], missing)} -> "
             f"{number(facts['cost'], missing)} in "
             f"{facts['iterations']} iterations, {facts['evaluations']} evaluations, "
@@ -43,18 +39,18 @@ def print_run(console: Console, run: StoredRun) -> None:
         )
     if run.ended:
         narrow = bool((facts.get("residuals") or {}).get("too_narrow"))
-        _print_parameters(console, tables["parameters"], too_narrow=narrow, interrupted=cut)
-        _print_errors(console, tables["errors"], missing)
-        _print_constraints(console, tables["constraints"])
-        _print_intervals(console, tables["intervals"])
-        _print_front(console, tables["front"])
-        _print_minima(console, tables["starts"], tables["minima"])
+        _print_parameters(answer, tables["parameters"], too_narrow=narrow, interrupted=cut)
+        _print_errors(answer, tables["errors"], missing)
+        _print_constraints(answer, tables["constraints"])
+        _print_intervals(answer, tables["intervals"])
+        _print_front(answer, tables["front"])
+        _print_minima(answer, tables["starts"], tables["minima"])
         for note in facts.get("notes") or []:
-            say(console, f"note: {note}")
-        say(console, f"tables: {run.path}/*.parquet")
+            answer.say(f"note: {note}")
+        answer.say(f"tables: {run.path}/*.parquet")
 
 
-def print_iterations(console: Console, run_folder: Path, search: str | None) -> None:
+def print_iterations(answer: Answer, run_folder: Path, search: str | None) -> None:
     """Print the iteration table of one search, of the best start if none is named.
 
     Raises
@@ -73,8 +69,8 @@ def print_iterations(console: Console, run_folder: Path, search: str | None) -> 
 
         raise RunFolderError(f"{run_folder}: has no search {search!r}{nearest(search, names)}")
     chosen = [row for row in rows if row["search"] == search]
-    print_rows(
-        console,
+    answer.add(run=run_folder, iteration_rows=chosen)
+    answer.rows(
         chosen,
         ("iteration", lambda row: row["ending"] or str(row["iteration"])),
         ("F-count", "evaluations"),
@@ -95,13 +91,12 @@ def _blank(key: str) -> Cell:
     return lambda row: "" if row[key] is None or math.isnan(row[key]) else f"{row[key]:.6g}"
 
 
-def _print_parameters(console: Console, rows: Rows, *, too_narrow: bool, interrupted: bool) -> None:
+def _print_parameters(answer: Answer, rows: Rows, *, too_narrow: bool, interrupted: bool) -> None:
     """Print values and intervals; the latter with a word where the residuals deny them."""
     # without a single interval in a run that was cut short, none was computed
     computed = not interrupted or not all(math.isnan(row["lower95"]) for row in rows)
     column = "95 % interval (too narrow)" if too_narrow else "95 % interval"
-    print_rows(
-        console,
+    answer.rows(
         rows,
         ("parameter", "label"),
         ("value", numbers("value")),
@@ -113,9 +108,8 @@ def _print_parameters(console: Console, rows: Rows, *, too_narrow: bool, interru
     )
 
 
-def _print_errors(console: Console, rows: Rows, missing: str) -> None:
-    print_rows(
-        console,
+def _print_errors(answer: Answer, rows: Rows, missing: str) -> None:
+    answer.rows(
         rows,
         *((name, name) for name in ("experiment", "role", "output", "samples")),
         ("RMSE before", numbers("rmse_before", missing)),
@@ -125,10 +119,9 @@ def _print_errors(console: Console, rows: Rows, missing: str) -> None:
     )
 
 
-def _print_constraints(console: Console, rows: Rows) -> None:
+def _print_constraints(answer: Answer, rows: Rows) -> None:
     if rows:
-        print_rows(
-            console,
+        answer.rows(
             rows,
             ("constraint", "constraint"),
             ("must be", "kind"),
@@ -138,11 +131,10 @@ def _print_constraints(console: Console, rows: Rows) -> None:
         )
 
 
-def _print_intervals(console: Console, rows: Rows) -> None:
+def _print_intervals(answer: Answer, rows: Rows) -> None:
     """Intervals that took refits."""
     if rows:
-        print_rows(
-            console,
+        answer.rows(
             rows,
             ("parameter", "label"),
             ("from", "source"),
@@ -152,17 +144,17 @@ def _print_intervals(console: Console, rows: Rows) -> None:
         )
 
 
-def _print_front(console: Console, rows: Rows) -> None:
+def _print_front(answer: Answer, rows: Rows) -> None:
     """The ends of a front of several objectives, and how many points lie between."""
     objectives = {row["point"]: row["objectives"] for row in rows}
     if objectives:
         columns = list(zip(*objectives.values(), strict=True))
         spans = ", ".join(f"{min(c):.5g} .. {max(c):.5g}" for c in columns)
-        say(console, "")
-        say(console, f"front of {len(objectives)} points, objectives {spans}: front.parquet")
+        answer.say("")
+        answer.say(f"front of {len(objectives)} points, objectives {spans}: front.parquet")
 
 
-def _print_minima(console: Console, starts: Rows, minima: Rows) -> None:
+def _print_minima(answer: Answer, starts: Rows, minima: Rows) -> None:
     """Print the number of starts that reached each minimum."""
     if not starts:
         return
@@ -171,20 +163,7 @@ def _print_minima(console: Console, starts: Rows, minima: Rows) -> None:
     rows = [(str(point), number(cost), str(counts[point])) for point, cost in costs.items()]
     if counts[-1]:
         rows.append(("none", "", str(counts[-1])))
-    print_table(console, ["minimum", "cost", f"starts of {len(starts)}"], rows)
-
-
-Cell = Callable[[dict[str, Any]], str]
-"""What stands in a column of a row."""
-
-
-def print_rows(console: Console, rows: Rows, *columns: tuple[str, str | Cell]) -> None:
-    """A table of rows: for each column its name, and a key of the rows or what makes its cells."""
-    print_table(
-        console,
-        [name for name, _ in columns],
-        [[str(row[of]) if isinstance(of, str) else of(row) for _, of in columns] for row in rows],
-    )
+    answer.table(["minimum", "cost", f"starts of {len(starts)}"], rows)
 
 
 def numbers(key: str, missing: str = "failed") -> Cell:
@@ -195,35 +174,6 @@ def numbers(key: str, missing: str = "failed") -> Cell:
 def at_bound(row: dict[str, Any]) -> str:
     """Whether a value stands at a bound."""
     return f"at its {row['at_bound']} bound" if row["at_bound"] else ""
-
-
-def print_table(console: Console, header: list[str], rows: Iterable[Iterable[str]]) -> None:
-    """A table without lines; no cell is cut, however narrow the terminal."""
-    lines = [header, *([*row] for row in rows)]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    say(console, "")
-    for line in lines:
-        cells = (cell.ljust(width) for cell, width in zip(line, widths, strict=True))
-        say(console, "  ".join(cells).rstrip())
-
-
-def say(console: Console, text: str) -> None:
-    """One line, however narrow the terminal."""
-    console.print(text, markup=False, highlight=False, soft_wrap=True)
-
-
-def tell(console: Console, text: str) -> None:
-    """A sentence: broken between words in a terminal, one line elsewhere."""
-    if console.is_terminal and len(text) > console.width:
-        indent = " " * (len(text) - len(text.lstrip()) + 4)
-        text = textwrap.fill(
-            text,
-            console.width,
-            subsequent_indent=indent,
-            break_long_words=False,
-            break_on_hyphens=False,
-        )
-    say(console, text)
 
 
 def _percent(share: float) -> str:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from argparse import Namespace
 from pathlib import Path
+from typing import Any
 
-from rich.console import Console
-
+from cluster_est.cli.answer import Answer
 from cluster_est.cli.parent_process import ExitCode
-from cluster_est.cli.printing import number, print_table, say
+from cluster_est.cli.printing import number
 from cluster_est.run_folder.log_segment import logged_cost
 from cluster_est.run_folder.logged_simulation import (
     LoggedSimulation,
@@ -22,51 +22,67 @@ from cluster_est.run_folder.logged_simulation import replay as run_replay
 from workers.messages import Outcome
 
 
-def replay(options: Namespace) -> int:
+def replay(options: Namespace, answer: Answer) -> int:
     """Run one logged simulation again, in a process of its own that shows the FMU's messages."""
     logged = read_logged(options.run_folder, options.number)
     question = prepare(options.run_folder, logged, options.config, allow_code=options.allow_code)
-    print_question(Console(), logged, question)
+    print_question(answer, logged, question)
     outcome = run_replay(question)
-    print_answer(Console(), logged, outcome)
+    print_answer(answer, logged, outcome)
     return ExitCode.NO_SOLUTION if outcome.failed else ExitCode.DONE
 
 
-def print_question(console: Console, logged: LoggedSimulation, question: ReplayRequest) -> None:
+def print_question(answer: Answer, logged: LoggedSimulation, question: ReplayRequest) -> None:
     """Who asked for it, its values and effects, and what came of it then."""
-    say(console, f"evaluation {logged.number}: experiment {logged.experiment}")
-    say(
-        console,
+    answer.say(f"evaluation {logged.number}: experiment {logged.experiment}")
+    answer.say(
         f"  asked by search {logged.search}, point {logged.evaluation}, for: {logged.purpose}",
     )
     rows = [(name, repr(value)) for name, value in question.named_values]
-    print_table(console, ["parameter", "value"], rows)
+    answer.add(
+        logged={
+            "number": logged.number,
+            "experiment": logged.experiment,
+            "search": logged.search,
+            "point": logged.evaluation,
+            "purpose": logged.purpose,
+            "effects": logged.effects,
+        },
+        values=dict(question.named_values),
+        then=_outcome(logged.status, logged.message, logged.cost),
+        same_inputs=question.same,
+    )
+    answer.table(["parameter", "value"], rows)
     for effect in question.task.effects:
         what = effect.form or effect.equation
-        say(console, f"effect {effect.name} at {effect.site}: {what}")
-    say(console, "")
-    say(console, f"then: {_ending(logged.status, logged.message, logged, logged.cost)}")
+        answer.say(f"effect {effect.name} at {effect.site}: {what}")
+    answer.say("")
+    answer.say(f"then: {_ending(logged.status, logged.message, logged, logged.cost)}")
     if not question.same:
-        say(
-            console,
+        answer.say(
             "note: the FMU, its solver, the data, their weights or the effects are not those of "
             "the run any more",
         )
-    say(console, "what the FMU says, if anything:")
+    answer.say("what the FMU says, if anything:")
 
 
-def print_answer(console: Console, logged: LoggedSimulation, outcome: Outcome) -> None:
+def print_answer(answer: Answer, logged: LoggedSimulation, outcome: Outcome) -> None:
     """Print the outcome, and whether it is the same as in the log."""
     cost = logged_cost(outcome, logged.want)
-    say(console, f"now: {_ending(str(outcome.status), outcome.message, logged, cost)}")
-    say(console, comparison(logged, outcome))
+    answer.add(now=_outcome(str(outcome.status), outcome.message, cost))
+    answer.say(f"now: {_ending(str(outcome.status), outcome.message, logged, cost)}")
+    answer.say(comparison(logged, outcome))
+
+
+def _outcome(status: str, message: str, cost: float) -> dict[str, Any]:
+    return {"status": status, "message": message, "cost": cost}
 
 
 def _ending(status: str, message: str, logged: LoggedSimulation, cost: float) -> str:
     return f"{status}: {message}" if message else f"{status}, sum of {logged.summed} {number(cost)}"
 
 
-def print_failures(console: Console, run_folder: Path) -> None:
+def print_failures(answer: Answer, run_folder: Path) -> None:
     """Every simulation of a run that failed, with the ID that `replay` takes.
 
     Raises
@@ -75,12 +91,17 @@ def print_failures(console: Console, run_folder: Path) -> None:
         If there is no log.
     """
     failed = read_failures(run_folder)
+    answer.add(run=run_folder, failed=[_failed(each) for each in failed])
     if not failed:
-        say(console, f"run {run_folder}: no simulation failed")
+        answer.say(f"run {run_folder}: no simulation failed")
         return
-    print_table(
-        console,
+    answer.table(
         ["ID", "search", "purpose", "experiment", "status", "message"],
         [(str(f.number), f.search, f.purpose, f.experiment, f.status, f.message) for f in failed],
     )
-    say(console, f"to run one again: cluster-est replay {run_folder} ID")
+    answer.say(f"to run one again: cluster-est replay {run_folder} ID")
+
+
+def _failed(each: LoggedSimulation) -> dict[str, Any]:
+    named = ("number", "search", "evaluation", "purpose", "experiment", "status", "message")
+    return {name: getattr(each, name) for name in named}

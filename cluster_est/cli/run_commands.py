@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import sys
 from argparse import Namespace
 from collections import Counter
 from functools import partial
@@ -12,16 +13,16 @@ from typing import Any
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 from pyarrow import feather
-from rich.console import Console
 
+from cluster_est.cli.answer import Answer, Cell
+from cluster_est.cli.document import verdicts
 from cluster_est.cli.parent_process import ExitCode
 from cluster_est.cli.printed_runs import print_any_run
-from cluster_est.cli.printing import Cell, number, print_rows, say
+from cluster_est.cli.printing import number
 from cluster_est.cli.terminal import (
     EXIT_CODES,
     alive,
     build_core,
-    complain,
     run_as_told,
     say_report,
     terminal_listener,
@@ -32,16 +33,18 @@ from cluster_est.config.reader import read_config
 from cluster_est.errors import RunFolderError
 from cluster_est.problem.problem import Problem
 from cluster_est.results.curves import residual_table, trajectory_table
+from cluster_est.results.output_errors import Simulation
 from cluster_est.run_folder.run_files import (
     SWEEP_SUMMARY_FILE,
     Rows,
+    RunStatus,
     check_has_estimates,
     read_run_table,
 )
 from cluster_est.run_folder.run_identity import RunKind
 from cluster_est.studies.configured import read_study
 from cluster_est.studies.fit import simulate as run_simulate
-from cluster_est.sweep.matrix import SUCCESS
+from cluster_est.sweep.matrix import NOT_RUN, SUCCESS
 from cluster_est.sweep.sweep import sweep as run_sweep
 from cluster_est.whole_files import write_output
 
@@ -56,13 +59,13 @@ OF_STUDIES = {
 """Columns of a sweep's table that only some studies have."""
 
 
-def print_sweep(console: Console, out: Path, rows: Rows, ran: int) -> None:
+def print_sweep(answer: Answer, out: Path, rows: Rows, ran: int) -> None:
     """Print the number of runs that are done, and a line for each."""
     counts = Counter(row["status"] for row in rows)
+    answer.add(**sweep_fields(out, rows, ran))
     listed = ", ".join(f"{count} {status}" for status, count in counts.items())
-    say(console, f"sweep {out}: {len(rows)} runs: {listed}; {ran} of them in this call")
-    print_rows(
-        console,
+    answer.say(f"sweep {out}: {len(rows)} runs: {listed}; {ran} of them in this call")
+    answer.rows(
         rows,
         ("run", "run"),
         ("status", "status"),
@@ -75,7 +78,24 @@ def print_sweep(console: Console, out: Path, rows: Rows, ran: int) -> None:
         ("seconds", lambda row: "" if row.get("seconds") is None else f"{row['seconds']:.1f}"),
         ("", _why),
     )
-    say(console, f"table: {out / SWEEP_SUMMARY_FILE}")
+    answer.say(f"table: {out / SWEEP_SUMMARY_FILE}")
+
+
+def sweep_fields(out: Path, rows: Rows, ran: int) -> dict[str, Any]:
+    """Return the fields of a sweep; each status and verdict has a count, be it 0."""
+    worst = {
+        f"worst_{name}": max((r[name] for r in rows if r.get(name) is not None), default=None)
+        for name in ("rmse_train", "rmse_test")
+    }
+    statuses = (NOT_RUN, *(each.value for each in RunStatus))
+    return worst | {
+        "out": out,
+        "ran": ran,
+        "runs": rows,
+        "counts": {each: sum(r["status"] == each for r in rows) for each in statuses},
+        "verdicts": {each: sum(r.get("verdict") == each for r in rows) for each in verdicts()},
+        "doubtful": sum(bool(row["doubts"]) for row in rows),
+    }
 
 
 def _known(key: str) -> Cell:
@@ -92,55 +112,57 @@ def _why(row: dict[str, Any]) -> str:
     return str(said)
 
 
-def fit(options: Namespace) -> int:
+def fit(options: Namespace, answer: Answer) -> int:
     """Estimate, write the run folder, print the tables."""
-    return _run(options, RunKind.FIT)
+    return _run(options, answer, RunKind.FIT)
 
 
-def close_loop(options: Namespace) -> int:
+def close_loop(options: Namespace, answer: Answer) -> int:
     """Find what the model lacks, write the run folder, print what was found."""
-    return _run(options, RunKind.CLOSED_LOOP)
+    return _run(options, answer, RunKind.CLOSED_LOOP)
 
 
-def sensitivity(options: Namespace) -> int:
+def sensitivity(options: Namespace, answer: Answer) -> int:
     """Rank what is estimated by how much it matters, write the run folder, print the ranking."""
-    return _run(options, RunKind.SENSITIVITY)
+    return _run(options, answer, RunKind.SENSITIVITY)
 
 
-def _run(options: Namespace, kind: RunKind) -> int:
+def _run(options: Namespace, answer: Answer, kind: RunKind) -> int:
     with alive(f"reading {options.config}"):
         run = read_study(options.config, options.overrides, kind, allow_code=options.allow_code)
-    build_core()
-    end = run_as_told(run, options.out, options)
-    if not end.stopped:
-        print_any_run(Console(), options.out)
-        say_report(options.out)
+    build_core(answer)
+    end = run_as_told(run, options.out, options, answer)
+    if end.stopped:
+        answer.add(run=options.out, run_status=end.status, message=end.stopped)
+    else:
+        print_any_run(answer, options.out)
+        say_report(answer, options.out)
     return EXIT_CODES[end.status]
 
 
-def sweep(options: Namespace) -> int:
+def sweep(options: Namespace, answer: Answer) -> int:
     """Do what a sweep still lacks, and print a line for each of its runs."""
-    build_core()
+    build_core(answer)
     swept = run_sweep(
         options.sweep,
         options.out,
-        lambda text: say(Console(stderr=True), text),
-        terminal_listener(),
+        lambda text: print(text, file=sys.stderr),
+        terminal_listener(answer),
         retry_failed=options.retry_failed,
         allow_code=options.allow_code,
     )
-    print_sweep(Console(), options.out, swept.rows, swept.ran)
+    print_sweep(answer, options.out, swept.rows, swept.ran)
     if swept.interrupted:
         return ExitCode.INTERRUPTED
     return ExitCode.DONE if swept.success else ExitCode.NO_SOLUTION
 
 
-def simulate(options: Namespace) -> int:
+def simulate(options: Namespace, answer: Answer) -> int:
     """Simulate every experiment and write one table of trajectories."""
     config, out = read_config(options.config, options.overrides), options.out
     resources = build_resources(config)
     for sentence in resources.notes():
-        complain(sentence)
+        answer.complain(sentence)
     writer = _table_writer(out)
     if out.is_dir():
         raise RunFolderError(f"--out: {out} must be a file but is a folder; choose another")
@@ -151,11 +173,8 @@ def simulate(options: Namespace) -> int:
         if not simulation.outcome.ok:
             name = problem.experiments[simulation.experiment].id
             outcome = simulation.outcome
-            Console(stderr=True, soft_wrap=True).print(
-                f"cluster-est: experiment {name!r}: {outcome.status}: {outcome.message}",
-                markup=False,
-                highlight=False,
-            )
+            answer.complain(f"experiment {name!r}: {outcome.status}: {outcome.message}")
+    answer.add(experiments=[_simulated(problem, each) for each in simulations])
     good = tuple(s for s in simulations if s.outcome.ok)
     if not good:
         return ExitCode.NO_SOLUTION
@@ -165,8 +184,18 @@ def simulate(options: Namespace) -> int:
     content = io.BytesIO()
     writer(table.sort_by(order), content)
     write_output(out, content.getvalue())
-    Console(soft_wrap=True).print(f"{out}: {table.num_rows} rows", markup=False, highlight=False)
+    answer.add(out=out, rows=table.num_rows)
+    answer.say(f"{out}: {table.num_rows} rows")
     return ExitCode.DONE if len(good) == len(simulations) else ExitCode.NO_SOLUTION
+
+
+def _simulated(problem: Problem, simulation: Simulation) -> dict[str, Any]:
+    outcome = simulation.outcome
+    return {
+        "id": problem.experiments[simulation.experiment].id,
+        "status": str(outcome.status),
+        "message": outcome.message,
+    }
 
 
 def read_estimates(run_folder: Path, problem: Problem) -> dict[str, float]:

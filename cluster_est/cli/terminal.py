@@ -15,8 +15,8 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from cluster_est.cli.answer import Answer
 from cluster_est.cli.parent_process import ExitCode
-from cluster_est.cli.printing import say
 from cluster_est.run_folder.context import ExistingRun
 from cluster_est.run_folder.run_files import RunStatus
 from cluster_est.run_folder.run_progress import left_of_step, pace_of, what_is_done
@@ -30,6 +30,11 @@ SECONDS_OF_LINES, SHARE_OF_LINES = 30.0, 0.05
 """Least time between two printed lines: seconds, and share of the time that the run has taken."""
 HINT_SECONDS = 20.0
 """Seconds in which all workers were busy and as many simulations again were waiting."""
+
+BUILDS_CORE = (
+    "compiling the simulation core, once on this machine; it takes about 10 s, longer where other "
+    "programs keep the processor busy"
+)
 
 EXIT_CODES = {
     RunStatus.DONE: ExitCode.DONE,
@@ -176,12 +181,7 @@ def _left(snapshot: RunSnapshot, budget: Budget, rate: float) -> str:
     return f"at most {max(0.0, min(limits)):.0f} s left" if limits else ""
 
 
-def complain(text: str) -> None:
-    """Print a sentence beside the output, with the program's name."""
-    say(Console(stderr=True), f"cluster-est: {text}")
-
-
-def build_core() -> None:
+def build_core(answer: Answer) -> None:
     """Build the simulation core where this machine has none yet, once for all workers.
 
     Raises
@@ -190,30 +190,31 @@ def build_core() -> None:
         If it cannot be built.
     """
     if not is_built():
-        complain("building the simulation core, once on this machine")
-        built()
+        answer.complain(BUILDS_CORE)
+        with alive("compiling the simulation core"):
+            built()
 
 
-def run_as_told(run: ConfiguredStudy, out: Path, options: Namespace) -> RunEnd:
+def run_as_told(run: ConfiguredStudy, out: Path, options: Namespace, answer: Answer) -> RunEnd:
     """Do a run as the arguments of its command say, and complain where it has no result."""
     existing = ExistingRun.OVERWRITE if options.overwrite else ExistingRun.REFUSE
     existing = ExistingRun.RESUME if options.resume else existing
     to = Destination(out, existing, report=not options.no_report)
-    end = do_run(run, to, terminal_listener())
+    end = do_run(run, to, terminal_listener(answer))
     if end.stopped:
-        complain(end.stopped)
+        answer.complain(end.stopped)
     return end
 
 
-def say_report(run_folder: Path) -> None:
+def say_report(answer: Answer, run_folder: Path) -> None:
     """Say where the report of a run stands, if it has one."""
     if (run_folder / "report.html").is_file():
-        say(Console(), f"report: {run_folder / 'report.html'}")
+        answer.say(f"report: {run_folder / 'report.html'}")
 
 
-def terminal_listener() -> Listener:
+def terminal_listener(answer: Answer) -> Listener:
     """Make a listener that prints to standard error, and shows a line while a run goes on."""
-    return Listener(complain, _progress, alive)
+    return Listener(answer.complain, _progress, alive)
 
 
 @contextmanager

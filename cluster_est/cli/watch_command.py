@@ -10,13 +10,14 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from rich.console import Console, Group
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from cluster_est.cli.answer import Answer
 from cluster_est.cli.parent_process import ExitCode
 from cluster_est.errors import RunFolderError
 from cluster_est.html_report.activity import ActivityTail, FailureGroup
@@ -38,11 +39,53 @@ QUIET_SECONDS = 30.0
 """Seconds after which a sentence says that nothing comes."""
 
 
-def watch(options: Namespace) -> int:
-    """Follow a run until it ends."""
-    with WatchTable(Console()) as table:
-        follow(options.run_folder, options.every, table.show, html=options.html)
+def watch(options: Namespace, answer: Answer) -> int:
+    """Follow a run until it ends; look once where a document is asked for."""
+    if options.json:
+        follower = RunFollower(options.run_folder)
+        view = follower.look()
+        view = replace(view, message=view.message or left_alone(options.run_folder, view.status))
+        if options.html:
+            view = replace(view, problem=_refresh(follower, max(options.every, HTML_SECONDS)))
+        for part in rendered(view).renderables:
+            if isinstance(part, Text):
+                answer.say(part.plain)
+    else:
+        with WatchTable(Console()) as table:
+            view = follow(options.run_folder, options.every, table.show, html=options.html)
+    answer.add(**_fields(options.run_folder, view))
     return ExitCode.DONE
+
+
+def _fields(run_folder: Path, view: RunView) -> dict[str, Any]:
+    """Return the fields of a view; what only the run itself says is None without it."""
+    state = view.state
+    return {
+        "run": run_folder,
+        "run_status": view.status,
+        "doing": None if state is None or view.ended else _now(state),
+        "seconds": None if state is None else state.seconds,
+        "evaluations": None if state is None else state.evaluations,
+        "workers": None if state is None else state.workers,
+        "busy": None if state is None else state.busy,
+        "simulations": view.simulations,
+        "failures": view.failed,
+        "searches": [
+            {
+                "search": each.last.search,
+                "iteration": each.last.iteration,
+                "evaluations": each.last.evaluations,
+                "best": each.best,
+                "cost": each.last.cost,
+                "ending": each.last.ending,
+            }
+            for each in view.searches
+        ],
+        "failure_reasons": [
+            {"count": each.count, "status": each.status, "message": each.message}
+            for each in view.failures
+        ],
+    }
 
 
 class WatchTable:
@@ -296,8 +339,8 @@ class RunFollower:
         return (rows - before) / (now - then) if now > then else math.nan
 
 
-def follow(path: Path, every: float, show: Callable[[RunView], None], *, html: bool) -> None:
-    """Show a run until it ends, and keep its report fresh if `html`.
+def follow(path: Path, every: float, show: Callable[[RunView], None], *, html: bool) -> RunView:
+    """Show a run until it ends, keep its report fresh if `html`, and return the last view.
 
     Raises
     ------
@@ -315,7 +358,7 @@ def follow(path: Path, every: float, show: Callable[[RunView], None], *, html: b
         show(replace(view, problem=problem))
         if view.ended:
             follower.check()
-            return
+            return view
         time.sleep(every)
 
 

@@ -29,18 +29,26 @@ from ray._raylet import GcsClient
 try:
     client = GcsClient(address=sys.argv[1])
     said = {"is": json.loads(client.internal_kv_get(b"CLUSTER_METADATA", b"cluster", timeout=5))}
+    nodes = client.get_all_node_info(timeout=5).values()
+    said["nodes"] = {n.raylet_socket_name: n.node_manager_address for n in nodes if not n.state}
 except Exception as error:
     said = {"failed": type(error).__name__, "why": str(error)}
 print(json.dumps(said))
 """
-"""Prints what the head says of itself. Ray may end a process that gets no answer."""
+"""Prints what the head says of itself and of the nodes that are alive, whose state is 0. Ray may
+end a process that gets no answer."""
 
 
 def why_not_joined(address: str) -> str:
     """Return why a cluster cannot be joined at HOST:PORT; "" if nothing is known against it."""
+    if address == "auto" or "//" in address:
+        return ""  # Ray knows what that is
     host, _, port = address.rpartition(":")
-    if not host or "//" in address or not port.isdigit():
-        return ""  # "auto" and what else Ray knows
+    if not host or not port.isdigit():
+        return (
+            f'it must be "auto", "local" or HOST:PORT, as in "10.0.0.1:6379", but is {address!r}; '
+            'the port is that of "ray start --head --port"'
+        )
     try:
         socket.create_connection((host.strip("[]"), int(port)), SECONDS_TO_CONNECT).close()
     except (OSError, OverflowError) as error:
@@ -66,9 +74,10 @@ def why_not_joined(address: str) -> str:
 
 def _judged(address: str, said: dict[str, dict[str, str] | str]) -> str:
     """Return what is wrong with what the head says of itself, or with the question."""
-    cluster = said.get("is")
+    cluster, nodes = said.get("is"), said.get("nodes")
     if isinstance(cluster, dict):
-        return _other_version(address, cluster)
+        found = _other_version(address, cluster)
+        return found or (_no_node_here(address, nodes) if isinstance(nodes, dict) else "")
     if said["failed"] == "AuthenticationError":
         return (
             f"the Ray cluster at {address!r} must be given its token, which is missing here or "
@@ -99,11 +108,34 @@ def _other_version(address: str, cluster: dict[str, str]) -> str:
     return ""
 
 
+def _no_node_here(address: str, nodes: dict[str, str]) -> str:
+    """Return that no node of a cluster is on this machine; "" if one is, or it cannot be seen.
+
+    A node answers programs of its own machine at a socket in its file system. Without one Ray
+    would try for a minute.
+    """
+    if any(not name.startswith("/") or Path(name).exists() for name in nodes):
+        return ""
+    if not nodes:
+        return (
+            f"the head of the Ray cluster at {address!r} answers, but no node of it is alive; stop "
+            'it there with "ray stop", and start it again'
+        )
+    others = ", ".join([*dict.fromkeys(nodes.values())][:MOST_NAMED_NODES])
+    return (
+        f"this machine must be a node of the Ray cluster at {address!r}, whose nodes are {others}, "
+        f'but is none; give "ray start --address={address}" here first (with --num-cpus=0 if it '
+        "shall not simulate), or submit the fit to the cluster with ray job submit"
+    )
+
+
 _PACKAGES = Path(__file__).parents[2]
 """The folder of this package and `workers`, which Ray's workers import from in any case."""
 _ALONE = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
 _started_in: list[str] = []
 """The folder of this program when it started Ray; nothing without a Ray of its own."""
+
+MOST_NAMED_NODES = 4
 
 LOCAL_STARTS = 3
 """Starts of Ray on this machine: it gives up after 15 seconds, too few where much else runs."""
@@ -156,7 +188,8 @@ def _meant_by(address: str) -> str:
     if address != "auto":
         return address
     with contextlib.suppress(Exception):  # without one Ray says so, or finds it otherwise
-        return str(ray._private.services.get_ray_address_from_environment(address, None))
+        found = ray._private.services.get_ray_address_from_environment(address, None)
+        return address if found is None else str(found)
     return address
 
 
@@ -217,9 +250,15 @@ def _not_connected(address: str | None, line: str, *, local: bool) -> str:
             f"executor: Ray did not start on this machine ({line}); try again when it is less "
             'busy, or set executor.name to "processes"'
         )
+    if address == "auto":
+        return (
+            f"executor.address: no Ray cluster was found on this machine ({line}); join one with "
+            '"ray start --address=HOST:PORT", or remove the key to use this machine alone'
+        )
     return (
-        f"executor.address: no Ray cluster answers at {address!r} ({line}); start one, or remove "
-        "the key to use this machine"
+        f"executor.address: the Ray cluster at {address!r} could not be joined ({line}), though "
+        "nothing else is known against it; check that its nodes and this machine reach each other "
+        "at all of Ray's ports, or remove the key to use this machine alone"
     )
 
 

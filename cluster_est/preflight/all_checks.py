@@ -27,6 +27,7 @@ from cluster_est.preflight.subject import (
     CheckFinding,
     CheckPage,
     CheckSubject,
+    CheckVerdict,
     TimeBudget,
     fault,
     listed,
@@ -141,7 +142,7 @@ def costs(subject: CheckSubject) -> list[CheckFinding]:
     """Return the median time of a simulation, and the memory that each leaves behind."""
     seconds = max(
         min(MOST_SECONDS, subject.budget.left / 3.0),
-        min(ENOUGH * subject.simulation_seconds, subject.budget.left / 4.0),
+        min(ENOUGH * subject.simulation_seconds, 0.75 * subject.share * subject.budget.left),
     )
     probe = CostProbe(*subject.probe_arguments, seconds)
     found = subject.ask(probe, 10)
@@ -205,7 +206,9 @@ def _shown(seconds: float) -> str:
 def _memory(subject: CheckSubject, found: SimulationCost) -> CheckFinding:
     if found.leak is None or (found.count < LEAST_COUNT and found.leak < 50.0 * LEAK):
         said = f"{found.count} simulations are too few to see a leak"
-        do = "give it more time with --seconds"
+        budget, needed = subject.budget, 2.0 * LEAST_COUNT * subject.simulation_seconds
+        enough = float(f"{budget.seconds - budget.left + needed:.1g}")
+        do = f"give it more time, --seconds {max(enough, 2.0 * budget.seconds):g}"
         return not_done("memory", said, do)
     if found.leak < LEAK:
         return passed("memory", f"no leak in {found.count} simulations")
@@ -222,6 +225,8 @@ SECONDS = 4.0
 """Time for all checks, once there is a process for them."""
 LEAST_MOVEMENT = 0.01
 """Share of its largest range by which an output must move to tell something of the parameters."""
+SHARE_OF_LEFTOVER = 1.0
+"""Share of the time left when all checks are done, for one that had too little."""
 LOADING, FIRST_SIMULATION = 0.6, 0.6
 """Shares of the time left for loading the FMU, and for one simulation."""
 
@@ -322,10 +327,22 @@ def _probe_findings(subject: CheckSubject, simulations: list[Simulation]) -> lis
     )
     findings, policy, earlier = repeatable(subject)
     subject = replace(subject, reset_policy=policy or "reset", repeats=policy is not None)
-    for check in CHECKS:
-        findings += check(subject)
+    found = [check(subject) for check in CHECKS]
+    for check, own in zip(CHECKS, found, strict=True):
+        findings += _done_again(check, own, subject)
     findings += later(subject, earlier)
     return findings + misread_units(subject, simulations)
+
+
+def _done_again(
+    check: Callable[[CheckSubject], list[CheckFinding]],
+    own: list[CheckFinding],
+    subject: CheckSubject,
+) -> list[CheckFinding]:
+    """Return what a check finds in the time left over, where it had too little of its share."""
+    if all(each.verdict is not CheckVerdict.NOT_DONE for each in own):
+        return own
+    return check(replace(subject, share=SHARE_OF_LEFTOVER))
 
 
 def _most_telling(simulations: list[Simulation]) -> Simulation:

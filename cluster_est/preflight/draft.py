@@ -13,6 +13,7 @@ from cluster_est.preflight.draft_sources import DraftSource, KnownParameter, sou
 from cluster_est.preflight.table_column import TableColumn, split_unit
 from cluster_est.preflight.table_columns import ColumnMatch, TableColumns, match, read_columns, same
 from cluster_est.problem.tables.measured_table import MOST_NAMED_COLUMNS, Reading
+from cluster_est.problem.tables.units import conversion
 from workers.fmu.description import ModelDescription, describe, nearest
 from workers.fmu.variable import ModelVariable
 from workers.messages import Role
@@ -233,11 +234,12 @@ def _run(
     asked = [description.variables[name] for name in known if name not in own]
     taken = {column.name for column in known.values()}
     free = [column for column in columns.signals if column.name not in taken]
-    together = match([*inputs, *numbers], free, known)
+    others = [v for v in description.variables.values() if _computed(v) and v.name not in own]
+    named = {column.name for column in same([*asked, *others], free).values()}
+    together = match([*inputs, *numbers], free, known, named)
     given = {each.name for m in together for each in (m.column, m.similar) if each is not None}
     left = [column for column in free if column.name not in given]
     _refuse_spoiled([m.variable for m in together if m.column is None], columns)
-    others = [v for v in description.variables.values() if _computed(v) and v.name not in own]
     further = [
         ColumnMatch(description.variables[n], column)
         for n, column in same([*asked, *(v for v in others if v not in asked)], left, known).items()
@@ -290,7 +292,11 @@ MOST_LISTED_VARIABLES = 60
 GUESSED_BOUND_FACTOR = 10.0
 """Guessed bounds are the start over and times this."""
 
-_CONSTANTS = {"g", "pi", "e", "R_gas", "gravity", "c_light", "k_B", "sigma_SB", "T_ref", "p_ref"}
+_CONSTANTS = {
+    "g": "m/s2", "gravity": "m/s2", "pi": "1", "e": "1", "R_gas": "J/(mol.K)", "c_light": "m/s",
+    "k_B": "J/K", "sigma_SB": "W/(m2.K4)", "T_ref": "K", "p_ref": "Pa",
+}  # fmt: skip
+"""Constants of nature and reference values, with a unit to which theirs can be converted."""
 _SETTINGS = re.compile(
     r"(?i)(^|[._])(eps\w*|tol\w*|\w*_small|\w*_nominal|sample\w*|n_\w+|use_\w+|delay_buffer)$"
 )
@@ -360,7 +366,8 @@ def _why_not(variable: ModelVariable, start: float) -> str:
     """Return why a parameter is none of the likely ones; "" if it is one."""
     if variable.size > 1:
         return "one element of an array"
-    if variable.name in _CONSTANTS:
+    unit = _CONSTANTS.get(variable.name)
+    if unit is not None and (not variable.unit or conversion(variable.unit, unit) is not None):
         return "named like a constant of nature"
     if _INITIAL.search(variable.name):
         return "named like an initial value; estimate it where the experiments begin differently"

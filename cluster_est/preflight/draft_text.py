@@ -232,7 +232,8 @@ def _input(match: ColumnMatch, columns: tuple[TableColumn, ...], unusable: str) 
     key = dotted("inputs", variable.name)
     if match.column is not None:
         value = _held(match.column, inline(match.column.name))
-        yield f"{key} = {value}{said(variable, _why_held(match.column))}"
+        why = (_why_taken(match), _why_held(match.column))
+        yield f"{key} = {value}{said(variable, '; '.join(filter(None, why)))}"
     elif match.similar is not None:
         value = _held(match.similar, _guess(match.similar))
         why = (_why_held(match.similar), _choices(columns))
@@ -253,13 +254,18 @@ def _why_held(column: TableColumn) -> str:
     return 'it jumps; "linear" if it does not' if column.jumps else ""
 
 
+def _why_taken(match: ColumnMatch) -> str:
+    """Say why a column of another name is taken."""
+    return "the only column in such a unit" if match.by_unit else ""
+
+
 def _outputs(run: DraftExperiment) -> Iterator[str]:
     certain = [m for m in (*run.outputs, *run.further) if m.column is not None]
     for match in run.outputs:
         variable = match.variable
         key = dotted("outputs", variable.name)
         if match.column is not None:
-            yield f"{key} = {inline(match.column.name)}{said(variable)}"
+            yield f"{key} = {inline(match.column.name)}{said(variable, _why_taken(match))}"
         elif certain and match.similar is not None:
             value = inline(match.similar.name)
             yield f"# {key} = {value}{said(variable, 'only similar: uncomment if it is')}"

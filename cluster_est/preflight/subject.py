@@ -144,6 +144,8 @@ class CheckSubject:
         True if a config declares the parameters to be estimated.
     trajectory : (times, outputs)
         Of the experiment in a process of its own, if known.
+    share
+        Of the time left that a probe may take where that is more than it needs.
     """
 
     problem: Problem
@@ -160,6 +162,7 @@ class CheckSubject:
     repeats: bool = True
     declared: bool = True
     trajectory: FloatArray | None = None
+    share: float = PROBE_SHARE_OF_TIME
 
     @property
     def probe_arguments(self) -> tuple[int, FloatArray, ResetPolicy]:
@@ -188,7 +191,7 @@ class CheckSubject:
             return NoAnswer(
                 f"it would take about {max(needed, LEAST_PROBE_SECONDS):.2g} s", late=True
             )
-        return self.bench.ask(probe, min(left, max(most, 3.0 * needed, PROBE_SHARE_OF_TIME * left)))
+        return self.bench.ask(probe, min(left, max(most, 3.0 * needed, self.share * left)))
 
 
 def unanswered(check: str, stopped: NoAnswer) -> CheckFinding:

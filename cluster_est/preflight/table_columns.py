@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -38,7 +38,7 @@ from cluster_est.problem.tables.measured_table import (
     Reading,
     UndecidedError,
 )
-from cluster_est.problem.tables.units import conversion
+from cluster_est.problem.tables.units import conversion, is_known
 from workers.fmu.variable import ModelVariable
 from workers.messages import FloatArray
 
@@ -237,6 +237,11 @@ def _increases(values: FloatArray) -> bool:
 SIMILAR = 0.6
 """Ratio of `difflib` from which two names look alike."""
 
+WITHOUT_UNIT = ("", "1", "%", "-")
+"""Units that say nothing of what is measured."""
+QUANTITIES = {"temperature": "K", "temp": "K", "pressure": "Pa", "voltage": "V", "current": "A"}
+"""Words in the name of a column without a unit that say what it measures."""
+
 _PARTS = re.compile(r"[A-Z]?[a-z0-9]+|[A-Z0-9]+")
 """Parts of a column's name: "u" and "Est" of "uEst"."""
 
@@ -251,29 +256,36 @@ class ColumnMatch:
         The column of its name; None without such a column.
     similar
         A suggestion; None if no column is similar, or `column` is certain.
+    by_unit
+        Whether the unit alone tells that it is the column: none of another name is like it.
     """
 
     variable: ModelVariable
     column: TableColumn | None = None
     similar: TableColumn | None = None
+    by_unit: bool = False
 
 
 def match(
     variables: Sequence[ModelVariable],
     columns: Sequence[TableColumn],
     given: Mapping[str, TableColumn] | None = None,
+    named: Collection[str] = (),
 ) -> list[ColumnMatch]:
     """Match each variable to a column, and no column twice.
 
     A column has the same name, or the same but for case, blanks, underscores, brackets and a unit
-    at its end; or the last part of its name is so, behind its group or structure. Where neither
-    decides, a similar column is a suggestion, or the only one that is left, or the only one with a
-    unit that can be converted to the variable's.
+    at its end; or the last part of its name is so, behind its group or structure; or it is the only
+    one with a unit that can be converted to the variable's, and that the only variable with such a
+    unit. Where none of these decides, a similar column is a suggestion, or the only one that is
+    left, if its unit does not forbid it.
 
     Parameters
     ----------
     given
         Columns of variables that are known.
+    named
+        Names of columns that are called as variables of the model which are not matched here.
     """
     sure = same(variables, columns, given)
     left = _others(columns, sure)
@@ -285,7 +297,36 @@ def match(
             left.remove(similar)
             similar = with_suffix(similar, variable.unit)
         found.append(ColumnMatch(variable, column, similar))
-    return _by_unit(_last_one(found, left), left)
+    suggested = _by_unit(_last_one(found, left), left)
+    own = [column for column in columns if column.name not in named]
+    return [_decided(each, variables, columns, own) for each in suggested]
+
+
+def _decided(
+    match: ColumnMatch,
+    variables: Sequence[ModelVariable],
+    columns: Sequence[TableColumn],
+    own: Sequence[TableColumn],
+) -> ColumnMatch:
+    """Return a suggestion as certain where units leave no other column and no other variable."""
+    variable, column = match.variable, match.similar
+    if column is None or column not in own or variable.unit in WITHOUT_UNIT:
+        return match
+    rivals = [v for v in variables if _of_kind(column, v)]
+    others = [c for c in columns if _of_kind(c, variable)]
+    if len(rivals) == len(others) == 1 and rivals[0] is variable and others[0] is column:
+        return ColumnMatch(variable, column, by_unit=True)
+    return match
+
+
+def forbidden(column: TableColumn, variable: ModelVariable) -> bool:
+    """Return whether a column's unit, or the quantity in its name, is not the variable's."""
+    if not variable.unit or not is_known(variable.unit):
+        return False
+    words = {word.casefold() for word in _PARTS.findall(column.plain)}
+    units = [column.unit] if is_known(column.unit) else []
+    units += [unit for word, unit in QUANTITIES.items() if word in words and not column.unit]
+    return any(conversion(unit, variable.unit) is None for unit in units)
 
 
 def same(
@@ -332,7 +373,7 @@ def _suffixed(
 def _last_one(found: list[ColumnMatch], left: list[TableColumn]) -> list[ColumnMatch]:
     """Suggest the column if one variable and one column are left over."""
     open_ = [i for i, m in enumerate(found) if m.column is None and m.similar is None]
-    if len(open_) == len(left) == 1:
+    if len(open_) == len(left) == 1 and not forbidden(left[0], found[open_[0]].variable):
         similar = with_suffix(left.pop(), found[open_[0]].variable.unit)
         found[open_[0]] = replace(found[open_[0]], similar=similar)
     return found
@@ -372,7 +413,11 @@ def _same(
 
 def _most_similar(variable: ModelVariable, columns: list[TableColumn]) -> TableColumn | None:
     """Return the column most similar to the variable's name, its last part or description."""
-    scores = [(_score(variable, column), -i) for i, column in enumerate(columns)]
+    scores = [
+        (_score(variable, column), -i)
+        for i, column in enumerate(columns)
+        if not forbidden(column, variable)
+    ]
     score, place = max(scores, default=(0.0, 0))
     return columns[-place] if score >= SIMILAR else None
 

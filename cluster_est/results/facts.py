@@ -16,6 +16,7 @@ from cluster_est.results.interpolation import interpolation_facts
 from cluster_est.results.observation import observation_notes
 from cluster_est.results.output_errors import worse_than_constants
 from cluster_est.results.solver_error.measure import solver_facts
+from cluster_est.results.wrong_phase import wrong_phase_notes
 from cluster_est.statistics.residual_findings import (
     OutputDiagnostics,
     ResidualDiagnostics,
@@ -137,7 +138,15 @@ def fit_notes(result: Result) -> tuple[str, ...]:
         notes += result.bootstrap.sentences
     if result.posterior is not None:
         notes += result.posterior.sentences
-    return (*notes, *fitted_to_held_out(result.estimates), *worse_than_constants(result.errors))
+    notes += fitted_to_held_out(result.estimates)
+    return (*notes, *(_wrong_phase(result) or worse_than_constants(result.errors)))
+
+
+def _wrong_phase(result: Result) -> tuple[str, ...]:
+    """Say that another start may find another minimum; segments look after phases themselves."""
+    if result.shooting is not None:
+        return ()
+    return wrong_phase_notes(result.problem, result.simulations, max(len(result.starts), 1))
 
 
 def interpolation_sentences(result: Result) -> tuple[str, ...]:

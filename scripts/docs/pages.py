@@ -20,13 +20,21 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 import cluster_est as ce
-from cluster_est.cli.parser import make_parser
+from cluster_est.cli.document import COMMON_FIELDS, FIELDS, DocumentField
+from cluster_est.cli.forms_command import (
+    EVERY_FORM,
+    SITES,
+    SYMBOLS,
+    coefficient_in_words,
+    equations,
+)
+from cluster_est.cli.parser import CODES_IN_WORDS, make_parser
 from cluster_est.config.limits_file import LimitsSections
 from cluster_est.config.sections import Config
 from cluster_est.settings import Settings, keys_of
 from cluster_est.sweep.matrix import SweepSections
 from cluster_est.toml import inline
-from workers.effects.forms import FORMS, EffectForm, FormCoefficient, SiteKind
+from workers.effects.kinds import EffectForm, FormCoefficient, SiteKind
 
 REFERENCE = Path(__file__).parents[2] / "configs" / "reference.toml"
 KINDS = {float: "number", int: "whole number", str: "text", bool: "true or false", Any: "value"}
@@ -51,76 +59,55 @@ def keys_page() -> str:
     return "\n\n".join(parts) + "\n"
 
 
-FORM_SITES: dict[SiteKind, tuple[str, str]] = {
-    "derivative": ("der(STATE)", "The equation is added to the derivative of a state. `v` is that "
-                   "state where `variables` names no other argument."),
-    "pair": ("pair STATE,STATE", "The equation is added to the first derivative, the second one to "
-             "the other. `v` is the difference of the two states where `variables` names no other "
-             "argument."),
-    "input": ("input NAME", "The equation takes the place of the input `s`. `v` is a state or "
-              "another signal that `variables` names."),
-    "output": ("output NAME", "The equation takes the place of the output `s`: it is what the "
-               "sensor shows."),
-    "parameter": ("parameter NAME", "The equation takes the place of the parameter `s`, at every "
-                  "time."),
-}  # fmt: skip
-
-
 def forms_page() -> str:
     """Every form of an effect: its equation and its coefficients."""
     parts = [
         "# Forms of effects",
         "Made from the code. [Adding what the model lacks](adding_effects.md) says how to declare "
-        "an effect. In the equations, `v` and `w` are the variables that an effect is a function "
-        "of, `t` is the time, and `z` and `y` are states of its own. In the units, `site` is that "
-        "of what the equation gives, and `other` that of the second derivative. A strength does "
-        "nothing at 0 unless another value is given. A coefficient that the closed loop holds "
-        "stays where it was set when the effect is fitted; what you declare yourself is fitted "
-        "unless it says `fixed = true`.",
+        "an effect; `cluster-est forms` prints the same as this page, and `cluster-est forms NAME` "
+        f"one form with a block for a config. {SYMBOLS}",
     ]
-    for kind, (site, meaning) in FORM_SITES.items():
-        parts += [f"## {site}", meaning]
-        forms = [form for (at, _), form in FORMS.items() if at == kind]
-        parts.append(_table(("form", "equation", "coefficients"), [_form(f) for f in forms]))
+    for kind, (site, meaning) in SITES.items():
+        rows = [_form(kind, form) for (at, _), form in EVERY_FORM.items() if at == kind]
+        parts += [f"## {site}", meaning, _table(("form", "equation", "coefficients"), rows)]
     return "\n\n".join(parts) + "\n"
 
 
-def _form(form: EffectForm) -> tuple[str, str, str]:
-    if form.free:
-        before = {"parameter": "`s` times 1 plus ", "derivative": "", "pair": ""}
-        equation = (
-            f"{before.get(form.kinds[0], '`s` plus ')}a curve of `{'v' if form.variables else 's'}`"
-            f": straight lines between values at {form.values} equally spaced points from `low` to "
-            "`high`, 0 at those without a coefficient"
-        )
-    elif form.memory:
-        equation = f"`{form.memory}(s, {form.coefficients[0].name})`"
-    else:
-        own = [f"{z.name}' = {z.derivative}, from {z.start}" for z in form.states]
-        equation = "; ".join(f"`{part}`" for part in (form.equation, form.reaction, *own) if part)
+def _form(kind: SiteKind, form: EffectForm) -> tuple[str, str, str]:
+    said = equations(kind, form)
+    equation = said[0] if form.free else "; ".join(f"`{part}`" for part in said)
     return f"`{form.name}`", equation, "; ".join(map(_coefficient, form.coefficients))
 
 
 def _coefficient(coefficient: FormCoefficient) -> str:
-    said = [f"`{coefficient.name}`", f"in {coefficient.unit}" if coefficient.unit != "1" else ""]
-    if coefficient.neutral:
-        said.append(f"(does nothing at {coefficient.neutral:g})")
-    said += ["(held)"] if coefficient.held else []
-    return " ".join(filter(None, said))
+    return coefficient_in_words(coefficient).replace(coefficient.name, f"`{coefficient.name}`", 1)
 
 
 def commands_page() -> str:
-    """Every command with its arguments, as argparse knows them."""
+    """Every command with its arguments, as argparse knows them, and the fields of its document."""
     parts = [
         "# Command line",
-        "Exit codes: 0 done; 1 ran, but reached no solution; 2 bad input, with a sentence; 130 "
-        "interrupted.",
+        f"Exit codes: {CODES_IN_WORDS}.",
+        "[From scripts](from_scripts.md) says how programs use `--json` and `--fail-if`. The "
+        "document of every command has these fields:",
+        _fields(COMMON_FIELDS),
     ]
     for name, parser in _commands().items():
         usage = re.sub(r"\s+", " ", parser.format_usage().removeprefix("usage: ").strip())
         parts += [f"## {name}", f"{parser.description}.", f"```text\n{usage}\n```"]
         parts.append(_table(("argument", "meaning"), _arguments(parser)))
+        examples = [line.strip() for line in str(parser.epilog).splitlines()[1:]]
+        parts += ["```text\n" + "\n".join(examples) + "\n```", "Fields with `--json`:"]
+        parts.append(_fields(FIELDS[name]))
     return "\n\n".join(parts) + "\n"
+
+
+def _fields(fields: Sequence[DocumentField]) -> str:
+    rows = []
+    for each in fields:
+        words = ", ".join(f"`{word}`" for word in each.words())
+        rows.append((f"`{each.name}`", each.kind, each.meaning + (f": {words}" if words else "")))
+    return _table(("field", "kind", "meaning"), rows)
 
 
 def python_page() -> str:

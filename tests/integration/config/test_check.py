@@ -1,18 +1,19 @@
 """`cluster-est check` names each misbehaving FMU for what it is, and good ones have no problem."""
 
+import math
 import re
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rich.console import Console
 from support.described import real, write_fmu
 from support.problems.springs import FMU, ROOT
 from support.spoiled import spoiled_fmu, write_input
 
 import cluster_est as ce
 from cluster_est.cli import main
+from cluster_est.cli.answer import PrintedAnswer
 from cluster_est.cli.check_command import print_page
 from cluster_est.errors import ModelError
 from cluster_est.preflight.all_checks import costs, run_checks
@@ -371,6 +372,38 @@ def test_no_plan_for_few_simulations_where_each_is_quick(spring):
     assert findings(spring, CostProbe, SimulationCost(0.9, 0.0, 300), "few simulations") == []
 
 
+class Counted(Answered):
+    """Simulates in three tenths of a second, as often as a probe has time for."""
+
+    def ask(self, probe, seconds):
+        if isinstance(probe, CostProbe):
+            self.answers.setdefault("seconds", []).append(probe.seconds)
+            return SimulationCost(0.3, 0.0, int(probe.seconds / 0.3))
+        return self.bench.ask(probe, seconds)
+
+
+@pytest.mark.parametrize(("seconds", "enough"), [(60.0, True), (20.0, False)])
+def test_time_that_is_left_goes_to_what_had_too_little(spring, monkeypatch, seconds, enough):
+    """Nobody is told to give more while most of what was given is left."""
+    monkeypatch.setattr("cluster_est.preflight.all_checks.ENOUGH", math.inf)
+    asked = {}
+    page = run_checks(
+        spring,
+        Resources(),
+        seconds,
+        declared=False,
+        open_bench=lambda *given: Counted(asked, *given),
+    )
+    (memory,) = [each for each in page.findings if each.check == "memory"]
+    first, again = asked["seconds"]
+    assert again > 2.5 * first
+    assert (memory.verdict == "ok") is enough
+    if not enough:
+        more = float(re.search(r"--seconds (\d+)", memory.do)[1])
+        assert more >= 2.0 * seconds
+    assert sum(each.check == "memory" for each in page.findings) == 1
+
+
 class Asked(ProbeBench):
     """Answers nothing, and keeps what it was asked last."""
 
@@ -410,7 +443,7 @@ def test_with_more_time_each_check_has_more(spring):
 )
 def test_the_last_line_counts_what_was_done(capsys, verdicts, end):
     found = tuple(CheckFinding(CheckVerdict(each), "x", "y") for each in verdicts)
-    print_page(Console(), CheckPage(found, ()))
+    print_page(PrintedAnswer(), CheckPage(found, ()))
     assert capsys.readouterr().out.splitlines()[-1] == end
 
 

@@ -313,16 +313,16 @@ class TestWhereSomethingIsOpen:
     def test_similar_names_must_be_confirmed(self, written, tmp_path, capsys):
         """What will be confirmed is converted already."""
         columns = {"time": TIMES, "force [kN]": FORCE, "position [mm]": FORCE}
+        columns |= {"www [kN]": FORCE}
         text, tree, said = written(table(tmp_path / "a.parquet", columns))
         assert factors(tree) == {"force [kN]": 1e3, "position [mm]": 1e-3}
         assert main(CHECK) == 2
         refused = capsys.readouterr().err
         lines = text.split("\n")
-        for key, column in (("inputs.F", "force [kN]"), ("outputs.y", "position [mm]")):
-            left = f'{key} = "FILL IN: {column}?"'
-            number = next(i for i, line in enumerate(lines, 1) if line.startswith(left))
-            assert f"first.toml, line {number}: fill in {left}" in said
-            assert f"line {number}: experiments['a'].{key} must be filled in but still" in refused
+        left = 'inputs.F = "FILL IN: force [kN]?"'
+        number = next(i for i, line in enumerate(lines, 1) if line.startswith(left))
+        assert f"first.toml, line {number}: fill in {left}" in said
+        assert f"line {number}: experiments['a'].inputs.F must be filled in but still" in refused
         Path("first.toml").write_text(text.replace("FILL IN: ", "").replace('?"', '"'))
         assert main(CHECK) == 0
         assert ce.read_problem("first.toml").experiments[0].inputs[0].values.max() == 1000.0
@@ -347,16 +347,68 @@ class TestWhereSomethingIsOpen:
                     '# columns."Www [mm]" = { factor = 0.001 }  # from mm',
                 ],
             ),
-            (["pull (kN)", "y", "Zzz [Pa]"], ['inputs.F = "FILL IN: pull (kN)?"', "factor = 1000"]),
             (["T", "t [degC]"], ['time = "time"', '"T"', '"t [degC]"']),
         ],
-        ids=["like no variable", "the only one with such a unit", "a temperature beside a time"],
+        ids=["like no variable", "a temperature beside a time"],
     )
     def test_columns_of_other_names_are_proposed(self, written, tmp_path, names, lines):
         columns = {"time": TIMES} | dict.fromkeys(names, FORCE)
         text, _, _ = written(table(tmp_path / "a.parquet", columns))
         assert [line for line in lines if line not in text] == []
         assert 'columns."Zzz [Pa]"' not in text
+
+    @pytest.mark.parametrize("name", ["pull (kN)", "Load cell [kN]", "force [kN]"])
+    def test_the_only_column_in_such_a_unit_is_taken(self, written, tmp_path, name):
+        columns = {"time": TIMES, name: FORCE, "y": FORCE, "Zzz [Pa]": FORCE}
+        files = [table(tmp_path / f"{n}.parquet", columns) for n in "abcdefgh"]
+        text, tree, said = written(*files)
+        assert tree["experiment_defaults"]["inputs"] == {"F": name}
+        assert tree["experiment_defaults"]["columns"][name]["factor"] == 1000.0
+        assert "fill in" not in said
+        line = next(n for n, line in enumerate(text.split("\n"), 1) if "inputs.F = " in line)
+        assert f"first.toml, line {line}: inputs.F is {name!r}, the only column in such" in said
+        assert main(CHECK) == 0
+
+    @pytest.mark.parametrize(
+        ("columns", "variables"),
+        [
+            (["pull [kN]", "push [N]", "y"], {}),
+            (["pull [kN]", "y"], {"G": "N"}),
+            (["share [1]", "y"], {"H": "1"}),
+            (["inner [kN]", "y"], {}),
+        ],
+        ids=["two columns", "two variables", "no unit", "called as another variable"],
+    )
+    def test_it_is_asked_for_where_units_do_not_decide(self, written, tmp_path, columns, variables):
+        fmu = write_fmu(
+            tmp_path,
+            *(real(n, "input", unit=u, start=0) for n, u in ({"F": "N"} | variables).items()),
+            real("inner", "local", unit="N"),
+            real("y", "output"),
+            real("k", "parameter", start=1.0),
+        )
+        given = {"time": TIMES} | dict.fromkeys(columns, FORCE)
+        text, tree, said = written(table(tmp_path / "a.parquet", given), fmu=fmu)
+        assert "the only column in such a unit" not in text + said
+        taken = tree["experiments"][0].get("inputs", {})
+        assert all(column.startswith("FILL IN") for column in taken.values())
+
+    @pytest.mark.parametrize(
+        "name", ["Temperature", "motor temp", "T [degC]", "phi_temp", "p [bar]"]
+    )
+    def test_a_leftover_column_of_another_quantity_is_no_angle(self, written, tmp_path, name):
+        fmu = write_fmu(
+            tmp_path,
+            real("F", "input", unit="N", start=0),
+            real("w", "output", unit="rad/s"),
+            real("phi", "output", unit="rad"),
+            real("k", "parameter", start=1.0),
+        )
+        given = {"time": TIMES, "F": FORCE, "w": FORCE, name: FORCE}
+        text, tree, said = written(table(tmp_path / "a.parquet", given), fmu=fmu)
+        assert set(tree["experiments"][0]["outputs"]) == {"w"}
+        assert f"phi = {name!r}" not in text
+        assert "fill in" not in said
 
     def test_a_column_that_says_another_unit_is_a_problem(self, written, tmp_path, capsys):
         columns = {"time [ms]": TIMES, "F [N]": FORCE, "y_mm": FORCE}
@@ -435,6 +487,30 @@ def test_names_of_any_kind_are_written_as_toml(written, tmp_path):
     assert tree["experiments"][0]["data"] == path.name
     assert tree["experiments"][0]["outputs"] == {"y": 'y"]\\ [m]'}
     assert [line for line in text.split("\n") if line.startswith("[[x")] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "constant"),
+    [
+        ("g", "m/s2", True),
+        ("g", "", True),
+        ("g", "cm/s2", True),
+        ("g", "1/s", False),
+        ("e", "V", False),
+        ("e", "1", True),
+        ("T_ref", "degC", True),
+    ],
+)
+def test_a_constant_of_nature_has_its_unit(written, tmp_path, name, unit, constant):
+    fmu = write_fmu(
+        tmp_path,
+        real(name, "parameter", unit=unit, start=2.0),
+        real("k", "parameter", start=1.0),
+        real("y", "output"),
+    )
+    text, tree, _ = written(table(tmp_path / "a.csv", time=TIMES, y=FORCE), fmu=fmu)
+    assert (name in tree["parameters"]) is not constant
+    assert ("named like a constant of nature" in text) is constant
 
 
 def test_guesses_suit_temperatures_initial_values_and_what_a_model_may_divide_by(written, tmp_path):

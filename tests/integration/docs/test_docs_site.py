@@ -8,7 +8,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 from docs.pages import (
-    FORM_SITES,
+    SITES,
     Config,
     LimitsSections,
     SweepSections,
@@ -19,10 +19,10 @@ from pydantic import BaseModel
 from support.problems.springs import ROOT
 
 from cluster_est.cli import main
+from cluster_est.cli.forms_command import EVERY_FORM
 from cluster_est.run_folder.log_segment import read_log
 from cluster_est.settings import keys_of
 from cluster_est.toml import to_toml
-from workers.effects.forms import FORMS
 
 FETCHED = re.compile(r"""(?:<(?:script|img|iframe)[^>]*\ssrc|<link[^>]*\shref)=["']?(https?:)?//""")
 SPRING = ROOT / "configs" / "models" / "mass_spring_damper.fmu"
@@ -215,9 +215,9 @@ def test_every_table_that_is_described_is_written_by_some_run(run):
 
 def test_every_form_is_on_the_page_under_its_site():
     _, *sections = forms_page().split("\n## ")
-    assert [s.partition("\n")[0] for s in sections] == [site for site, _ in FORM_SITES.values()]
-    for kind, section in zip(FORM_SITES, sections, strict=True):
-        for form in (form for (site, _), form in FORMS.items() if site == kind):
+    assert [s.partition("\n")[0] for s in sections] == [site for site, _ in SITES.values()]
+    for kind, section in zip(SITES, sections, strict=True):
+        for form in (form for (site, _), form in EVERY_FORM.items() if site == kind):
             row = next(line for line in section.splitlines() if line.startswith(f"| `{form.name}`"))
             plain = not form.free and not form.memory
             assert not plain or f"`{form.equation}`" in row

@@ -12,6 +12,7 @@ from rich.console import Console
 from support.problems.springs import ROOT
 
 from cluster_est.cli import main, terminal
+from cluster_est.cli.answer import PrintedAnswer
 from cluster_est.cli.terminal import ProgressLine, WorkerHint, line
 from cluster_est.methods.method import Progress
 from cluster_est.running.heartbeat import beating
@@ -23,8 +24,8 @@ def test_building_the_core_is_announced_where_it_is_not_there(monkeypatch, capsy
     built = []
     monkeypatch.setattr(terminal, "is_built", lambda: there)
     monkeypatch.setattr(terminal, "built", lambda: built.append(capsys.readouterr().err))
-    terminal.build_core()
-    expected = [] if there else ["cluster-est: building the simulation core, once on this machine"]
+    terminal.build_core(PrintedAnswer())
+    expected = [] if there else [f"cluster-est: {terminal.BUILDS_CORE}"]
     assert [said.strip() for said in built] == expected
     assert capsys.readouterr().err == ""
 

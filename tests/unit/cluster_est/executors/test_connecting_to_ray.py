@@ -47,7 +47,8 @@ def failing(monkeypatch: pytest.MonkeyPatch) -> Failing:
     [
         (None, TIMED_OUT, "Ray did not start on this machine"),
         ("local", RuntimeError("no port"), 'no port.*executor.name to "processes"'),
-        ("auto", TimeoutError(), "answers at 'auto'.*TimeoutError.*start one, or remove"),
+        ("auto", TimeoutError(), "no Ray cluster was found.*TimeoutError.*join one with"),
+        ("ray://h:10001", RuntimeError("no client"), "could not be joined .no client.*reach each"),
     ],
 )
 def test_why_ray_does_not_start_is_a_sentence(
@@ -79,6 +80,13 @@ def refusal(address: str) -> str:
     assert address in said
     assert "\n" not in said
     return said
+
+
+@pytest.mark.parametrize("address", ["somewhere", "10.0.0.1", "10.0.0.1:port", ":6379"])
+def test_an_address_that_is_none_is_said_to_be_none(failing: Failing, address: str) -> None:
+    starts = failing()
+    assert 'must be "auto", "local" or HOST:PORT' in refusal(address)
+    assert starts == []
 
 
 @pytest.fixture
@@ -119,6 +127,10 @@ OWN = {"ray_version": ray.__version__, "python_version": platform.python_version
         ({"is": OWN | {"ray_version": "1.0.0"}}, "has Ray 1.0.0.*install ray==1.0.0 here"),
         ({"is": OWN | {"python_version": "3.1.4"}}, "runs Python 3.1.4.*the same Python"),
         ({"is": OWN}, ""),
+        ({"is": OWN, "nodes": {}}, "answers, but no node of it is alive"),
+        ({"is": OWN, "nodes": {"/no/raylet": "10.0.0.7"}}, "nodes are 10.0.0.7, but is none; give"),
+        ({"is": OWN, "nodes": {"/no/raylet": "10.0.0.7", "/": "10.0.0.8"}}, ""),
+        ({"is": OWN, "nodes": {"tcp://1.2.3.4:5": "10.0.0.7"}}, ""),
     ],
 )
 def test_what_keeps_a_cluster_from_being_joined_is_told_apart(

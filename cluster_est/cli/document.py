@@ -1,0 +1,266 @@
+"""The JSON document that a command prints with `--json`: its fields, each declared here once.
+
+`--fail-if` asks for the same fields, and the page of the commands lists them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any, Literal
+
+from cluster_est.cli.answer import Answer
+from cluster_est.cli.parent_process import ExitCode
+
+if TYPE_CHECKING:
+    from cluster_est.run_folder.run_files import StoredRun
+
+FieldKind = Literal["text", "number", "whole number", "true or false", "list", "object"]
+
+
+def _statuses() -> tuple[str, ...]:
+    return tuple(map(status_of, ExitCode))
+
+
+def _run_statuses() -> tuple[str, ...]:
+    from cluster_est.run_folder.run_files import RunStatus  # --help does not wait for pyarrow
+
+    return tuple(each.value for each in RunStatus)
+
+
+def verdicts() -> tuple[str, ...]:
+    """Return the verdicts of a closed loop."""
+    from cluster_est.closed_loop.findings.effects import Verdict  # only --fail-if waits for SymPy
+
+    return tuple(each.value for each in Verdict)
+
+
+@dataclass(frozen=True)
+class DocumentField:
+    """A field of the document.
+
+    Attributes
+    ----------
+    name, kind, meaning
+        The kind is that of its value in JSON; null stands for what a run does not have, and for a
+        number that is not finite.
+    words
+        The texts that it may be, where these are known; `--fail-if` takes them without quotes.
+    """
+
+    name: str
+    kind: FieldKind
+    meaning: str
+    words: Callable[[], tuple[str, ...]] = tuple
+
+
+COMMON_FIELDS = (
+    DocumentField("command", "text", "the command"),
+    DocumentField("version", "text", "of cluster-est; null where it is not installed"),
+    DocumentField("status", "text", "the exit code in words", _statuses),
+    DocumentField("exit_code", "whole number", "of the process"),
+    DocumentField("message", "text", "why the command has no result; empty if it has"),
+    DocumentField("sentences", "list", "all that is printed without --json, but for the tables"),
+    DocumentField("complaints", "list", "the sentences on standard error"),
+    DocumentField("criteria", "list", "each --fail-if: `expression`, `met`, and `why`"),
+)
+"""Of every command, also of one that fails."""
+
+_OF_RUN = (
+    DocumentField("run", "text", "folder of the run"),
+    DocumentField("run_status", "text", "of the run, as run.json says it", _run_statuses),
+    DocumentField("cost_before", "number", "the cost at the start values"),
+    DocumentField("cost", "number", "the cost of the result"),
+    DocumentField(
+        "rmse_train",
+        "number",
+        "root mean square of the training errors over sigma, in a closed loop over the "
+        "`errors_over` of `facts`; without a sigma in the outputs' units",
+    ),
+    DocumentField("rmse_test", "number", "the same of the held-out experiments"),
+    DocumentField("verdict", "text", "of a closed loop", verdicts),
+    DocumentField("summary", "text", "what a closed loop or a design has found, as a sentence"),
+    DocumentField("effects", "list", "names of the effects that a closed loop has added"),
+    DocumentField("doubts", "list", "what is doubtful of the result, in a few words each"),
+    DocumentField("too_narrow", "true or false", "whether the intervals are too narrow"),
+    DocumentField("notes", "list", "sentences on the result"),
+    DocumentField("iterations", "whole number", "of the best search"),
+    DocumentField("evaluations", "whole number", "points that were evaluated"),
+    DocumentField("simulations", "whole number", "experiments that were simulated"),
+    DocumentField("failures", "whole number", "simulations that failed"),
+    DocumentField("seconds", "number", "that the run took"),
+    DocumentField("parameters", "object", "rows of parameters.parquet by label"),
+    DocumentField("tables", "object", "rows of the run's other tables that `show` prints, by name"),
+    DocumentField("facts", "object", "all that run.json says"),
+)
+_WRITTEN = DocumentField("out", "text", "what was written")
+
+FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
+    "init": (
+        _WRITTEN,
+        DocumentField("to_fill_in", "list", "open lines of the config: `line` and `text`"),
+        DocumentField("missing_inputs", "list", "inputs that no column is like"),
+    ),
+    "check": (
+        DocumentField("model", "object", "`name`, `interface` and `solver`"),
+        DocumentField("checks", "list", "each check: `verdict`, `check`, `found` and `do`"),
+        DocumentField("problems", "whole number", "checks with the verdict problem"),
+        DocumentField("check_notes", "whole number", "checks with the verdict note"),
+        DocumentField("not_done", "whole number", "checks that were not done"),
+        DocumentField("unknowns", "whole number", "of a fit of the training experiments"),
+        DocumentField(
+            "experiments",
+            "list",
+            "simulated at the start values: `id`, `role`, `start`, `stop`, `samples`, `status`, "
+            "`message` and the `seconds` that it took",
+        ),
+        DocumentField("constraints", "list", "at the start: `constraint`, `equality`, `value`"),
+    ),
+    "fit": _OF_RUN,
+    "close-loop": _OF_RUN,
+    "sensitivity": _OF_RUN,
+    "design": (
+        *_OF_RUN,
+        _WRITTEN,
+        DocumentField("block", "text", "what the config needs for the next experiment"),
+    ),
+    "simulate": (
+        _WRITTEN,
+        DocumentField("rows", "whole number", "of the table that was written"),
+        DocumentField("experiments", "list", "each: `id`, `status` and `message`"),
+    ),
+    "show": (
+        *_OF_RUN,
+        DocumentField("iteration_rows", "list", "with --iterations or --search: rows of it"),
+        DocumentField("failed", "list", "with --failures: what failed, with its `number`"),
+    ),
+    "report": (_WRITTEN,),
+    "watch": (
+        DocumentField("run", "text", "folder of the run"),
+        DocumentField("run_status", "text", "of the run", _run_statuses),
+        DocumentField("doing", "text", "what the run does"),
+        DocumentField("seconds", "number", "since it began"),
+        DocumentField("evaluations", "whole number", "points that were evaluated"),
+        DocumentField("simulations", "whole number", "experiments that were simulated"),
+        DocumentField("failures", "whole number", "simulations that failed"),
+        DocumentField("workers", "whole number", "that the run has"),
+        DocumentField("busy", "whole number", "workers that simulate"),
+        DocumentField(
+            "searches",
+            "list",
+            "each: `search`, `iteration`, `evaluations`, `best`, `cost`, `ending`",
+        ),
+        DocumentField("failure_reasons", "list", "each: `count`, `status` and `message`"),
+    ),
+    "export": (DocumentField("files", "list", "what was written"),),
+    "sweep": (
+        _WRITTEN,
+        DocumentField("ran", "whole number", "runs that this call did"),
+        DocumentField("runs", "list", "rows of summary.parquet"),
+        DocumentField("counts", "object", "how many runs have each status"),
+        DocumentField("verdicts", "object", "how many closed loops have each verdict"),
+        DocumentField("doubtful", "whole number", "runs of whose solution something is doubtful"),
+        DocumentField("worst_rmse_train", "number", "the largest `rmse_train` of the runs"),
+        DocumentField("worst_rmse_test", "number", "the largest `rmse_test` of the runs"),
+    ),
+    "replay": (
+        DocumentField("logged", "object", "`number`, `experiment`, `search`, `purpose`, `effects`"),
+        DocumentField("values", "object", "by parameter"),
+        DocumentField("then", "object", "`status`, `message` and `cost` in the log"),
+        DocumentField("now", "object", "the same of the simulation of now"),
+        DocumentField("same_inputs", "true or false", "whether model, data and effects are those"),
+    ),
+    "forms": (DocumentField("forms", "list", "each form at each kind of site"),),
+}
+"""The fields of each command beside `COMMON_FIELDS`."""
+
+
+def fields_of(command: str) -> dict[str, DocumentField]:
+    """Return the fields of a command's document by name."""
+    return {each.name: each for each in (*COMMON_FIELDS, *FIELDS[command])}
+
+
+def status_of(code: int) -> str:
+    """Return an exit code in words."""
+    return ExitCode(code).name.lower().replace("_", " ")
+
+
+def document_of(command: str | None, answer: Answer, code: int) -> dict[str, Any]:
+    """Return the document of a command that has ended, all of its fields in their order.
+
+    `command` is None where none could be found out.
+    """
+    found = {name: plain(value) for name, value in answer.found.items()}
+    head = {
+        "command": command,
+        "version": program_version(),
+        "status": status_of(code),
+        "exit_code": int(code),
+        "message": "",
+        "sentences": answer.sentences,
+        "complaints": answer.complaints,
+        "criteria": [],
+    }
+    if command is None or command not in FIELDS:
+        return head | found
+    unknown = found.keys() - fields_of(command).keys()
+    if unknown:
+        raise KeyError(f"{command} has no field {', '.join(unknown)}; declare it here")
+    return head | {each.name: found.get(each.name) for each in FIELDS[command]} | found
+
+
+def as_text(document: Mapping[str, Any]) -> str:
+    """Return a document as one line of JSON, of ASCII alone."""
+    return json.dumps(document, allow_nan=False)
+
+
+def program_version() -> str | None:
+    """Return the version of cluster-est; None where it is not installed."""
+    try:
+        return version("cluster-est")
+    except PackageNotFoundError:
+        return None
+
+
+def plain(value: Any) -> Any:
+    """Return a value in JSON's kinds; None for a number that is not finite."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, str | PurePath):
+        return str(value)
+    if isinstance(value, Sequence):
+        return [plain(item) for item in value]
+    if value is None or isinstance(value, bool | int):
+        return value
+    if hasattr(value, "tolist"):  # of NumPy
+        return plain(value.tolist())
+    number = float(value)
+    return number if math.isfinite(number) else None
+
+
+def run_fields(run: StoredRun) -> dict[str, Any]:
+    """Return the fields of a run of any kind; `run` has the tables that are printed."""
+    facts, tables = run.facts, dict(run.tables)
+    rmse = facts.get("rmse_over_sigma") or {}
+    if facts.get("verdict"):
+        rmse = {role: both["after"] for role, both in facts["errors"].items()}
+    same = (
+        "cost_before", "cost", "verdict", "doubts", "notes", "iterations", "evaluations",
+        "simulations", "failures", "seconds",
+    )  # fmt: skip
+    return {name: facts.get(name) for name in same} | {
+        "run": run.path,
+        "run_status": facts["status"],
+        "rmse_train": rmse.get("train"),
+        "rmse_test": rmse.get("test"),
+        "summary": facts.get("summary") or (facts.get("design") or {}).get("summary"),
+        "effects": [each["name"] for each in facts.get("effects") or ()],
+        "too_narrow": (facts.get("residuals") or {}).get("too_narrow"),
+        "parameters": {row["label"]: row for row in tables.pop("parameters", ())},
+        "tables": {name: rows for name, rows in tables.items() if rows},
+        "facts": facts,
+    }

@@ -1,0 +1,192 @@
+"""The command forms: the library's forms of effects, from its own entries.
+
+The page of the forms is made of the same words.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from argparse import Namespace
+from typing import Any
+
+from cluster_est.cli.answer import Answer
+from cluster_est.cli.parent_process import ExitCode
+from cluster_est.config.config_text import FILL_IN
+from cluster_est.errors import ConfigError
+from cluster_est.toml import dotted, inline
+from workers.effects.forms import FORMS, PROCESS_NOISE
+from workers.effects.kinds import EffectForm, FormCoefficient, SiteKind
+from workers.fmu.description import nearest
+
+SITES: dict[SiteKind, tuple[str, str]] = {
+    "derivative": ("der(STATE)", "The equation is added to the derivative of a state. `v` is that "
+                   "state where `variables` names no other argument."),
+    "pair": ("pair STATE,STATE", "The equation is added to the first derivative, the second one to "
+             "the other. `v` is the difference of the two states where `variables` names no other "
+             "argument."),
+    "input": ("input NAME", "The equation takes the place of the input `s`. `v` is a state or "
+              "another signal that `variables` names."),
+    "output": ("output NAME", "The equation takes the place of the output `s`: it is what the "
+               "sensor shows."),
+    "parameter": ("parameter NAME", "The equation takes the place of the parameter `s`, at every "
+                  "time."),
+}  # fmt: skip
+"""How a site of each kind is written, and what an equation does there."""
+SYMBOLS = (
+    "In the equations, `v` and `w` are the variables that an effect is a function of, `t` is the "
+    "time, and `z` and `y` are states of its own. In the units, `site` is that of what the "
+    "equation gives, and `other` that of the second derivative. A strength does nothing at 0 "
+    "unless another value is given. A coefficient that the closed loop holds stays where it was "
+    "set when the effect is fitted; what you declare yourself is fitted unless it says "
+    "`fixed = true`."
+)
+EVERY_FORM = FORMS | PROCESS_NOISE
+
+
+def equations(kind: SiteKind, form: EffectForm) -> tuple[str, ...]:
+    """Return the equations of a form at a site of a kind; of a free curve a description."""
+    if form.free:
+        before = {"parameter": "s times 1 plus ", "derivative": "", "pair": ""}
+        return (
+            f"{before.get(kind, 's plus ')}a curve of {'v' if form.variables else 's'}: straight "
+            f"lines between values at {form.values} equally spaced points from low to high, 0 at "
+            "those without a coefficient",
+        )
+    if form.memory:
+        return (f"{form.memory}(s, {form.coefficients[0].name})",)
+    own = [f"{z.name}' = {z.derivative}, from {z.start}" for z in form.states]
+    return tuple(part for part in (form.equation, form.reaction, *own) if part)
+
+
+def coefficient_in_words(coefficient: FormCoefficient) -> str:
+    """Return a coefficient with its unit and what is special about it."""
+    said = [coefficient.name, f"in {coefficient.unit}" if coefficient.unit != "1" else ""]
+    if coefficient.neutral:
+        said.append(f"(does nothing at {coefficient.neutral:g})")
+    said += ["(held)"] if coefficient.held else []
+    return " ".join(filter(None, said))
+
+
+def config_block(kind: SiteKind, form: EffectForm) -> str:
+    """Return an entry of `[[effects]]` in which names and sizes are to be filled in."""
+    arguments = inline([f"{FILL_IN}: v", f"{FILL_IN}: w"][: form.variables])
+    own = form.variables == 1 and kind in ("derivative", "pair")
+    lines = [
+        "[[effects]]",
+        f"name = {inline(form.name)}",
+        f"site = {inline(f'{FILL_IN}: {SITES[kind][0]}')}",
+        f"form = {inline(form.name)}",
+        *([f"variables = {arguments}"] if form.variables and not own else []),
+        *([f"# variables = {arguments}  # of another argument"] if own else []),
+        "[effects.parameters]",
+    ]
+    for each in form.coefficients:
+        section = inline(_section(each))
+        lines.append(f"{dotted(each.name)} = {section}  # {_comment(each)}")
+    return "\n".join(lines)
+
+
+def _section(coefficient: FormCoefficient) -> dict[str, Any]:
+    neutral = coefficient.neutral
+    has_size = coefficient.scale is not None  # a search that begins at 0 may not leave it
+    if neutral is not None and math.isfinite(neutral) and not (has_size and neutral == 0.0):
+        return {"start": neutral}
+    said: dict[str, Any] = {"start": f"{FILL_IN}: {_tried(coefficient)}"}
+    return said | {"fixed": True} if coefficient.held else said
+
+
+def _tried(coefficient: FormCoefficient) -> str:
+    """Return where the closed loop begins with a coefficient, in words."""
+    if coefficient.scale is None or not coefficient.grid:
+        return "a number"
+    values = ", ".join(f"{each:g}" for each in coefficient.grid[:3])
+    scale = "" if coefficient.scale.name == "EXPONENT" else f" x {coefficient.scale.value}"
+    return f"such as {values}{scale}"
+
+
+def _comment(coefficient: FormCoefficient) -> str:
+    unit = "without a unit" if coefficient.unit == "1" else f"in {coefficient.unit}"
+    still = f"; does nothing at {coefficient.neutral:g}" if coefficient.neutral is not None else ""
+    sign = "; positive" if coefficient.positive and not coefficient.if_own else ""
+    return f"{unit}{still}{sign}"
+
+
+def forms(options: Namespace, answer: Answer) -> int:
+    """List the forms, or describe one with a block for a config."""
+    chosen = {
+        key: form
+        for key, form in EVERY_FORM.items()
+        if options.form in (None, key[1]) and options.site in (None, key[0])
+    }
+    if not chosen:
+        known = [name for kind, name in EVERY_FORM if options.site in (None, kind)]
+        where = f" at sites of the kind {options.site}" if options.site else ""
+        raise ConfigError(
+            f"forms: {options.form!r} must be a form{where} but is none"
+            f"{nearest(str(options.form), dict.fromkeys(known))}"
+        )
+    answer.add(forms=[_entry(kind, form) for (kind, _), form in chosen.items()])
+    for kind, (site, meaning) in SITES.items():
+        here = [form for (at, _), form in chosen.items() if at == kind]
+        if not here:
+            continue
+        answer.say("")
+        answer.say(f"{site}: {meaning.replace('`', '')}")
+        if options.form is None:
+            answer.table(
+                ["form", "equation", "coefficients"],
+                [
+                    (
+                        form.name,
+                        "; ".join(equations(kind, form)),
+                        "; ".join(map(coefficient_in_words, form.coefficients)),
+                    )
+                    for form in here
+                ],
+            )
+        for form in here if options.form is not None else ():
+            _describe(answer, kind, form)
+    answer.say("")
+    answer.say(SYMBOLS.replace("`", ""))
+    if options.form is None:
+        answer.say("one of them, with a block for a config: cluster-est forms FORM")
+    return ExitCode.DONE
+
+
+def _describe(answer: Answer, kind: SiteKind, form: EffectForm) -> None:
+    answer.say(f"{form.name} ({form.family}): {_law(form)}")
+    for equation in equations(kind, form):
+        answer.say(f"  {equation}")
+    for each in form.coefficients:
+        answer.say(f"  {coefficient_in_words(each)}")
+    answer.say("")
+    answer.say(config_block(kind, form))
+
+
+def _law(form: EffectForm) -> str:
+    return re.sub(r"\{(\w)\}", r"\1", form.law.value)
+
+
+def _entry(kind: SiteKind, form: EffectForm) -> dict[str, Any]:
+    """Return a form as the document has it."""
+    return {
+        "form": form.name,
+        "family": form.family,
+        "site": SITES[kind][0],
+        "site_kind": kind,
+        "law": _law(form),
+        "equations": list(equations(kind, form)),
+        "variables": form.variables,
+        "coefficients": [
+            {
+                "name": each.name,
+                "unit": each.unit,
+                "neutral": each.neutral,
+                "positive": each.positive and not each.if_own,
+                "held": each.held,
+            }
+            for each in form.coefficients
+        ],
+        "config": config_block(kind, form),
+    }
