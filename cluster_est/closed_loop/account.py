@@ -63,6 +63,9 @@ from cluster_est.uncertainty import examine
 
 FINAL = LeastSquares(trials=2, max_iterations=50, differences="central")
 
+STRAIGHT_STEPS = 3
+"""Iterations of a fit to all rows in the values of the parameters, before the one that counts."""
+
 NOT_ALLOWED_FOR = (
     "the intervals allow for noise alone, and not for what is left beyond it: they are too narrow "
     "by as much as that moves the estimates"
@@ -103,14 +106,17 @@ def last_fits_to_all_rows(
 ) -> LastFits:
     """Do so on a fitter with all rows, from what is best on fewer; see `best_on_few_rows`.
 
-    Most are there with the first step, whose derivatives are those of the result.
+    The first steps are straight, too: along a valley the best of all rows may be some standard
+    errors away.
     """
     experiments = fitter.problem.experiments
     moved = [
         replace(start, problem=replace(start.problem, experiments=experiments)) for start in starts
     ]
     method = replace(_of_many_rows(fitter.size), trials=1)
-    return _fitted_from(fitter, found, moved, begin, method)
+    first_steps = replace(method, max_iterations=STRAIGHT_STEPS)
+    near = [start for start, _ in _straight_fits(fitter, moved, first_steps)]
+    return _fitted_from(fitter, found, near, begin, method)
 
 
 def best_on_few_rows(
@@ -130,7 +136,13 @@ def best_on_few_rows(
         Each model from where its fit has ended, and that fit; the start as it was, and None, where
         it cannot be simulated.
     """
-    method = _of_many_rows(fitter.size)
+    return _straight_fits(fitter, starts, _of_many_rows(fitter.size))
+
+
+def _straight_fits(
+    fitter: Fitter, starts: Sequence[FitStart], method: LeastSquares
+) -> list[tuple[FitStart, FittedModel | None]]:
+    """Fit in the values of the parameters, no logarithms among them."""
     found: list[tuple[FitStart, FittedModel | None]] = []
     for start in starts:
         linear = tuple(replace(p, scale="linear") for p in start.problem.parameters)

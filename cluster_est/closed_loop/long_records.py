@@ -307,7 +307,9 @@ class _ThinnedLoop:
         long = bool(looked_at_in_parts(self.request.problem, rows))
         fit = _fit_straight if long else fit_from_start
         with self._counted(open_checked_workbench(self.request, fit)) as whole:
-            windows = choose_windows(whole, rows) if long else None
+            windows = None
+            if long:
+                windows = choose_windows(whole.fitter, rows, whole.first_fit, whole.near)
             if windows is None:
                 found = self._search(replace(whole, first_fit=None) if long else whole)
         if windows is not None:

@@ -9,7 +9,7 @@ that the search's model leaves, and then the search is done on whole records.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self
 
@@ -20,7 +20,6 @@ from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.output_noise import noise_of
 from cluster_est.closed_loop.settings import LoopStage
-from cluster_est.closed_loop.workbench import LoopWorkbench
 from cluster_est.errors import ProblemError
 from cluster_est.problem.display import in_a_row
 from cluster_est.problem.gaps import RestartableStates, part_of, with_parameters
@@ -251,24 +250,30 @@ class _Misfit:
         return float(found)
 
 
-def choose_windows(workbench: LoopWorkbench, most: int | None) -> SearchWindows | None:
+def choose_windows(
+    fitter: Fitter,
+    most: int | None,
+    fitted: FittedModel | None = None,
+    near: Mapping[str, float] | None = None,
+) -> SearchWindows | None:
     """Choose a part of each long record for a search; None where it needs whole records.
 
     Parameters
     ----------
-    workbench
+    fitter
         With thinned records.
     most
         Rows that are wanted of each.
+    fitted
+        The declared model, if it has been fitted to these before.
+    near
+        Where its fit may start else.
     """
-    fitter = workbench.fitter
     long = [fitter.train.index(e) for e in looked_at_in_parts(fitter.problem, most)]
     if most is None or not long:
         return None
-    fitted = workbench.first_fit
     if fitted is None:
-        start = FitStart(fitter.problem, workbench.near)
-        ((_, fitted),) = best_on_few_rows(fitter, [start])
+        ((_, fitted),) = best_on_few_rows(fitter, [FitStart(fitter.problem, near or {})])
     windows = None if fitted is None else _enough(fitter, fitted, long, most)
     if fitted is None or windows is None or not _show_all_outputs(fitter, windows):
         return None

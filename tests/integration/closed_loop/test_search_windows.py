@@ -10,9 +10,14 @@ from support.truth.systems_with_missing_effects import measured, missing_effect_
 
 import cluster_est as ce
 from cluster_est.closed_loop.findings.effects import Verdict
+from cluster_est.closed_loop.loop import ClosedLoop
 from cluster_est.closed_loop.search_windows import SearchWindows, choose_windows
+from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, open_workbench
 from cluster_est.problem.thinning import IN_PARTS, ThinningSettings, rows_of, thinned
+from cluster_est.run_folder.context import ExistingRun, RunContext
+from cluster_est.run_folder.run_identity import RunIdentity, RunKind
+from cluster_est.running.environment import RunEnvironment
 from workers.messages import FloatArray
 
 MOST, NOISE, LIMIT, STOP, LATE = 250, 0.004, 6.0, 60.0, 45.0
@@ -74,7 +79,7 @@ def thinned_bench(problem: ce.Problem) -> Iterator[LoopWorkbench]:
 @pytest.fixture(scope="module")
 def chosen(late) -> SearchWindows:
     with thinned_bench(late) as bench:
-        windows = choose_windows(bench, MOST)
+        windows = choose_windows(bench.fitter, MOST)
     assert windows is not None
     return windows
 
@@ -83,8 +88,13 @@ def looped(problem: ce.Problem, rows: int) -> ce.LoopResult:
     return ce.close_loop(problem, settings=SETTINGS, thinning=ThinningSettings(rows=rows))
 
 
-def test_an_effect_that_acts_late_is_found_where_it_acts(late):
-    result = looped(late, MOST)
+@pytest.fixture(scope="module")
+def found(late) -> ce.LoopResult:
+    return looped(late, MOST)
+
+
+def test_an_effect_that_acts_late_is_found_where_it_acts(found):
+    result = found
     assert result.verdict is Verdict.FOUND
     (effect,) = result.effects
     assert effect.effect.form == "saturation"
@@ -114,8 +124,8 @@ def test_shorter_records_stay_whole(late):
     rows = rows_of(thinned(late, MOST).problem.experiments[0])
     enough = rows // IN_PARTS + 1
     with thinned_bench(late) as bench:
-        assert choose_windows(bench, enough) is None
-        assert choose_windows(bench, None) is None
+        assert choose_windows(bench.fitter, enough) is None
+        assert choose_windows(bench.fitter, None) is None
 
 
 def test_a_part_goes_on_from_where_its_record_stands(late, chosen):
@@ -142,3 +152,26 @@ def test_what_acts_outside_of_the_parts_alone_is_noticed(late, chosen):
         said = replace(chosen, windows=tuple(early)).missed(bench.fitter, chosen.fitted)
     assert said.startswith("what was found there leaves more in 'e")
     assert said.endswith("to 60 s")
+
+
+def test_a_search_in_parts_that_is_stopped_goes_on_to_the_same_result(late, found, tmp_path):
+    identity = RunIdentity(RunKind.CLOSED_LOOP, late, "# no config\n", "", 0)
+    study = ClosedLoop(late, SETTINGS, thinning=ThinningSettings(rows=MOST))
+
+    def run(existing, told):
+        context = RunContext(identity, tmp_path / "run", existing, lambda _: None)
+        kept = context.monitor(lambda _: None)
+        monitor = replace(kept, record=lambda *simulated: told(kept.record, *simulated))
+        with context:
+            return study.run(RunEnvironment(monitor=monitor, earlier=context.earlier))
+
+    def stop_in_refits(record, origin, outcome):
+        record(origin, outcome)
+        if origin.search == LoopStage.REFITS.value:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(ExistingRun.REFUSE, stop_in_refits)
+    resumed = run(ExistingRun.RESUME, lambda record, *simulated: record(*simulated))
+    assert (resumed.verdict, resumed.x, resumed.notes) == (found.verdict, found.x, found.notes)
+    np.testing.assert_array_equal(resumed.fun, found.fun)

@@ -88,3 +88,10 @@ def test_a_check_says_what_will_be_done(rows, expected, capsys, monkeypatch):
     said = " ".join(capsys.readouterr().out.split())
     assert expected in said
     assert ("of 500: three values of a parabola in each block" in said) is bool(expected)
+
+
+def test_a_check_says_that_effects_are_looked_for_in_parts(capsys, monkeypatch):
+    monkeypatch.setattr("cluster_est.problem.thinning.MOST_ROWS", 30)
+    assert main(["check", SPRING]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "still have more than 60 rows: effects are looked for in a part of each" in said
