@@ -4,39 +4,48 @@
     python scripts/bench_closed_loop.py --out fast.jsonl --kinds single,clean --every 30 --rate 10
     python scripts/bench_closed_loop.py --out results.jsonl --page closed-loop-benchmark.md
     python scripts/bench_closed_loop.py --compare old.jsonl new.jsonl
-    python scripts/bench_closed_loop.py --out results.jsonl --kinds pair --ablation all
+    python scripts/bench_closed_loop.py --out parts.jsonl --first 60 --ablation beam,replace+drop
+    python scripts/bench_closed_loop.py --out parts.jsonl --parts-page parts_of_the_search.md
 
 The first prints one line a case and appends to the file, one record a line; cases that are in it
 already are skipped, so a run can be continued. The second samples the cases ten times as fast, in
 noise that is larger by the root of ten. The third writes the tables of all that is there. The
 fourth lists the cases of both files that were right and are no longer; there must be none, and the
-exit code is 1 if there is one. The last runs the cases as they are, and with each part of the
-search (a move, a gate, or what moves share) left out alone, each into a file beside that of
-`--out`, and prints the parts side by side.
+exit code is 1 if there is one. The fifth is about the parts of the search (moves, gates, and what
+moves share): on each of the first 60 cases that are meant for that it runs the loop as it is, then
+without the one part, then without the other two, and prints what each is good for; `--ablation all`
+leaves out every part alone. Each has a file of its own beside that of `--out`, and can be continued
+with further parts and cases. The last writes the page of all that is there.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import multiprocessing
 import os
 import queue
 import time
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, get_args
 
+from closed_loop_benchmark.activity import noted_parts, saved
 from closed_loop_benchmark.data import Sampling, make, make_problem
+from closed_loop_benchmark.memory import remembering
 from closed_loop_benchmark.oracle import ask
-from closed_loop_benchmark.scenarios import Kind, Scenario, all_scenarios
+from closed_loop_benchmark.parts import paired, parts_page
+from closed_loop_benchmark.scenarios import Kind, Scenario, ablation_cases, all_scenarios
 from closed_loop_benchmark.scoring import Score, blank, score
 from closed_loop_benchmark.system import Split
 from closed_loop_benchmark.systems import SYSTEMS
-from closed_loop_benchmark.tables import compare_runs, one_line, page, paired
+from closed_loop_benchmark.tables import compare_runs, one_line, page
 
 from cluster_est.closed_loop.loop import close_loop
 from cluster_est.closed_loop.settings import LoopPart, LoopSettings
@@ -45,13 +54,33 @@ from cluster_est.problem.thinning import ThinningSettings
 
 @dataclass(frozen=True)
 class Way:
-    """How all cases are sampled, and what is asked of their loops."""
+    """How all cases are sampled, and what is asked of their loops.
+
+    Attributes
+    ----------
+    settings, sampling, thinning
+        See there.
+    remembers
+        Answer from memory what another loop on the same case has simulated, and note the parts of
+        the search that did something.
+    """
 
     settings: LoopSettings
     sampling: Sampling
     thinning: ThinningSettings
+    remembers: bool = False
 
 
+@dataclass(frozen=True)
+class Variant:
+    """A way to run cases, what it leaves out, and the file of its records."""
+
+    label: str
+    way: Way
+    file: Path
+
+
+WHOLE = "as it is"
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -63,42 +92,70 @@ def main() -> int:
         print(text)
         return int(lost > 0)
     if options.page:
-        own = read(options.out)
-        variants = {label: read(Path(file)) for label, file in options.variant}
-        text = page(list(own.values()), {"as it is": own, **variants} if variants else {})
+        text = page(list(read(options.out).values()))
         options.page.write_text(text, encoding="utf-8")
         return 0
-    whole = complete(options, options.out, options.without)
+    if options.parts_page:
+        options.parts_page.write_text(parts_page(read_parts(options.out)), encoding="utf-8")
+        return 0
+    cases = choose(options)
     if options.ablation:
-        runs = {"as it is": whole}
-        for part in options.ablation:
-            file = options.out.with_name(f"{options.out.stem}.without {part}.jsonl")
-            runs[part] = complete(options, file, (*options.without, part))
-        print(paired(runs))
+        portions = [cases[n :: options.processes] for n in range(options.processes)]
+    else:
+        portions = divide(cases, options.processes)
+    complete(options, portions, variants_of(options))
+    if options.ablation:
+        print(paired(read_parts(options.out)))
     return 0
 
 
-def complete(options: argparse.Namespace, out: Path, without: Sequence[str]) -> dict[str, Score]:
-    """Run what a file lacks, and return the records of all cases that were asked for."""
-    done = read(out)
-    if options.again:
-        done = {name: known for name, known in done.items() if not known.error}
-    chosen = choose(options)
-    cases = [case for case in chosen if case.name not in done]
-    print(f"{out}: {len(cases)} cases to run, {len(done)} are there already", flush=True)
+def variants_of(options: argparse.Namespace) -> list[Variant]:
+    """Return the loop as it is, and without each of the parts that are to be left out."""
     rows = options.rows if options.rows in ("auto", "no") else int(options.rows)
-    way = Way(
-        LoopSettings(beam=options.beam, without=tuple(without)),
+    whole = Way(
+        LoopSettings(beam=options.beam, without=options.without),
         Sampling(options.rate, options.jitter),
         ThinningSettings(rows=rows),
+        remembers=bool(options.ablation),
     )
-    with out.open("a", encoding="utf-8") as file:
-        for one in run(cases, options, way):
+    found = [Variant(WHOLE, whole, options.out)]
+    for label in options.ablation:
+        left_out = whole.settings.changed(without=(*options.without, *label.split("+")))
+        file = options.out.with_name(f"{options.out.stem}{WITHOUT}{label}.jsonl")
+        found.append(Variant(label, replace(whole, settings=left_out), file))
+    return found
+
+
+def read_parts(out: Path) -> dict[str, dict[str, Score]]:
+    """Return the records of the loop as it is, and of all files of loops without some parts."""
+    opening = f"{out.stem}{WITHOUT}"
+    others = {
+        file.stem.removeprefix(opening): read(file)
+        for file in sorted(out.parent.glob(f"{opening}*.jsonl"))
+    }
+    return {WHOLE: read(out), **others}
+
+
+WITHOUT = ".without "
+
+
+def complete(
+    options: argparse.Namespace, portions: Sequence[Sequence[Scenario]], variants: Sequence[Variant]
+) -> None:
+    """Run what the files of the variants lack."""
+    done = {each.label: read(each.file) for each in variants}
+    if options.again:
+        done = {
+            label: {name: known for name, known in own.items() if not known.error}
+            for label, own in done.items()
+        }
+    there = sum(case.name in done[each.label] for p in portions for case in p for each in variants)
+    print(f"{sum(map(len, portions)) * len(variants)} loops, {there} are there already", flush=True)
+    files = {each.label: each.file for each in variants}
+    for label, one in run(portions, variants, done, options):
+        with files[label].open("a", encoding="utf-8") as file:
             file.write(one.to_json() + "\n")
-            file.flush()
-            print(one_line(one), flush=True)
-            done[one.name] = one
-    return {case.name: done[case.name] for case in chosen if case.name in done}
+        print(one_line(one) if label == WHOLE else f"{one_line(one)}  without {label}", flush=True)
 
 
 def parse() -> argparse.Namespace:
@@ -108,19 +165,12 @@ def parse() -> argparse.Namespace:
     parser.add_argument(
         "--compare", nargs=2, type=Path, metavar=("OLD", "NEW"), help="two files; run nothing"
     )
-    parser.add_argument(
-        "--variant",
-        nargs=2,
-        action="append",
-        default=[],
-        metavar=("LABEL", "FILE"),
-        help="of the same cases with a part switched off, for the page; may be repeated",
-    )
     parser.add_argument("--kinds", type=names_of(get_args(Kind)), default=get_args(Kind))
     parser.add_argument("--systems", type=names_of(tuple(SYSTEMS)), default=tuple(SYSTEMS))
     parser.add_argument("--split", choices=get_args(Split))
     parser.add_argument("--cases", nargs="+", default=(), metavar="NAME", help="these alone")
     parser.add_argument("--every", type=int, default=1, help="of the cases, spread over all sorts")
+    parser.add_argument("--first", type=int, help="so many of the cases that are left then")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="then start no case")
     parser.add_argument("--beam", type=int, default=LoopSettings().beam, help="closed_loop.beam")
@@ -130,9 +180,13 @@ def parse() -> argparse.Namespace:
     )
     parser.add_argument(
         "--ablation",
-        type=lambda text: parts if text == "all" else names_of(parts)(text),
+        type=lambda text: parts if text == "all" else groups_of(parts)(text),
         default=(),
-        help='parts to leave out one at a time, with commas between them, or "all"',
+        help="parts to leave out one at a time, with commas between them, or all; with + between "
+        "them together",
+    )
+    parser.add_argument(
+        "--parts-page", type=Path, help="write the page about parts left out and run nothing"
     )
     parser.add_argument("--rate", type=int, default=1, help="samples for each, in as much noise")
     parser.add_argument("--jitter", type=float, default=0.0, help="of sample times, over a step")
@@ -154,6 +208,17 @@ def names_of(known: tuple[str, ...]) -> Any:
     return read_names
 
 
+def groups_of(known: tuple[str, ...]) -> Any:
+    """Return a reader of groups with commas between them, each of names with + between them."""
+
+    def read_groups(text: str) -> tuple[str, ...]:
+        for group in text.split(","):
+            names_of(known)(group.replace("+", ","))
+        return tuple(text.split(","))
+
+    return read_groups
+
+
 def read(path: Path) -> dict[str, Score]:
     """Return the records of a file by case; of several of one case, the last."""
     if not path.is_file():
@@ -163,50 +228,90 @@ def read(path: Path) -> dict[str, Score]:
 
 
 def choose(options: argparse.Namespace) -> list[Scenario]:
-    """Return the cases that are asked for."""
+    """Return the cases that are asked for: those for parts of the search, or the benchmark's."""
+    known = ablation_cases() if options.ablation else all_scenarios()
+    if options.cases:
+        known = list({case.name: case for case in (*all_scenarios(), *ablation_cases())}.values())
     cases = [
         case
-        for case in all_scenarios()
+        for case in known
         if case.kind in options.kinds
         and case.system in options.systems
         and options.split in (None, case.split)
+        and (not options.cases or case.name in options.cases)
     ]
-    # By seed within a system and kind: every third of the listed cases would be of one size.
-    cases.sort(key=lambda case: (case.kind, case.system, case.seed))
-    cases = [case for case in cases if not options.cases or case.name in options.cases]
-    return cases[:: options.every]
+    if not options.ablation:
+        # By seed within a system and kind: every third of the listed cases would be of one size.
+        cases.sort(key=lambda case: (case.kind, case.system, case.seed))
+    return cases[:: options.every][: options.first]
 
 
-def run(cases: Sequence[Scenario], options: argparse.Namespace, way: Way) -> Iterator[Score]:
-    """Run cases in some processes, and give the score of each as it ends.
+def run(
+    portions: Sequence[Sequence[Scenario]],
+    variants: Sequence[Variant],
+    done: Mapping[str, Mapping[str, Score]],
+    options: argparse.Namespace,
+) -> Iterator[tuple[str, Score]]:
+    """Run cases in some processes, and give each score as it comes, with its variant's label.
 
-    All cases of a portion run in one process, which keeps what it has compiled for their system. A
-    case in which a process dies has an error as its score; what its portion had left is not run.
+    All cases of a portion run in one process, which keeps what it has compiled, and all variants of
+    a case one after the other. Where the parts that a variant leaves out changed nothing, its score
+    follows from that of the first variant. A case in which a process dies has an error as its
+    score; what its portion had left is not run.
     """
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
     deadline = time.time() + options.seconds
-    scores: queue.SimpleQueue[Score | None] = queue.SimpleQueue()
+    scores: queue.SimpleQueue[tuple[str, Score] | None] = queue.SimpleQueue()
 
     def run_portion(portion: Sequence[Scenario]) -> None:
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
             for case in portion:
-                if time.time() > deadline:
-                    return
-                try:
-                    scores.put(process.submit(run_case, case, way).result())
-                except BrokenProcessPool as error:
-                    scores.put(blank(make(case, way.sampling), f"the process died: {error}"))
-                    return
+                whole = done[WHOLE].get(case.name)
+                for each in variants:
+                    if case.name not in done[each.label]:
+                        if time.time() > deadline:
+                            return
+                        own = one_score(process, case, each, whole)
+                        scores.put((each.label, own))
+                        whole = whole or own
 
-    portions = divide(cases, options.processes)
+    def run_to_its_end(portion: Sequence[Scenario]) -> None:
+        with suppress(BrokenProcessPool):
+            run_portion(portion)
+
     with ThreadPoolExecutor(options.processes) as threads:
-        ended = [threads.submit(run_portion, portion) for portion in portions]
+        ended = [threads.submit(run_to_its_end, portion) for portion in portions]
         for each in ended:
             each.add_done_callback(lambda _: scores.put(None))
         for _ in ended:
             yield from iter(scores.get, None)
         for each in ended:
             each.result()  # an error in a thread must not go unseen
+
+
+def one_score(
+    process: ProcessPoolExecutor, case: Scenario, variant: Variant, whole: Score | None
+) -> Score:
+    """Run a case in a process, unless that would change nothing."""
+    known = None if whole is None else known_without(whole, variant)
+    if known is not None:
+        return known
+    try:
+        return process.submit(run_case, case, variant.way).result()
+    except BrokenProcessPool as error:
+        return blank(make(case, variant.way.sampling), f"the process died: {error}")
+
+
+def known_without(whole: Score, variant: Variant) -> Score | None:
+    """Return the score without parts that changed nothing in the whole loop, which has no seconds.
+
+    Their simulations are missing in it; None where the parts changed something. An error stays one.
+    """
+    parts = {*variant.label.split("+")}
+    if not whole.error and (whole.active is None or parts & {*whole.active}):
+        return None
+    left = whole.simulations - saved(whole.spans or [], parts)
+    return replace(whole, simulations=left, seconds=math.nan, active=None, spans=None)
 
 
 def divide(cases: Sequence[Scenario], processes: int) -> list[list[Scenario]]:
@@ -218,16 +323,27 @@ def divide(cases: Sequence[Scenario], processes: int) -> list[list[Scenario]]:
     return sorted((p for p in portions if p), key=len, reverse=True)
 
 
+made = lru_cache(maxsize=1)(make)
+"""The data of a case, which all its variants have in common."""
+
+
 def run_case(case: Scenario, way: Way) -> Score:
     """Close the loop on a case and score it; its seconds are those of the processor."""
-    data = make(case, way.sampling)
+    data = made(case, way.sampling)
     try:
         problem, begin = make_problem(data), time.process_time()
-        result = close_loop(problem, settings=way.settings, thinning=way.thinning)
+        if way.remembers:
+            with remembering(case.name) as resources, noted_parts() as notes:
+                result = close_loop(problem, resources, way.settings, thinning=way.thinning)
+        else:
+            result = close_loop(problem, settings=way.settings, thinning=way.thinning)
         result = replace(result, seconds=time.process_time() - begin)
-        return score(data, result, ask(data, result.before.problem))
+        own = score(data, result, ask(data, result.before.problem))
     except Exception:  # one bad case must not end the others, and its traceback is kept
         return blank(data, traceback.format_exc())
+    if way.remembers:
+        return replace(own, active=sorted(notes.active), spans=notes.spans)
+    return own
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations, zip_longest
 from typing import Literal
 
 import numpy as np
@@ -225,6 +226,84 @@ def all_scenarios() -> list[Scenario]:
         *noisy(),
         *clean(),
     ]
+
+
+DRAWN: dict[Kind, int] = {"pair": 2, "triple": 3}
+"""Kinds of which further cases are drawn, and how many effects each has."""
+
+
+def drawn(kind: Kind, each: int = 12) -> list[Scenario]:
+    """Further pairs or triples of the systems that may be tuned on, drawn by seed.
+
+    Any effects of a system that have a right name or place, each once, in no other case. Two that
+    have a name in common are one model, of which two names would be wrong: they are left out.
+
+    Parameters
+    ----------
+    kind
+        "pair" or "triple".
+    each
+        How many of each system.
+    """
+    listed_ones = PAIRS if kind == "pair" else TRIPLES
+    found = []
+    for name, system in SYSTEMS.items():
+        if system.split != "tune":
+            continue
+        known = {frozenset(labels) for labels in listed_ones.get(name, ())}
+        sets = [
+            own
+            for own in combinations(listed(name), DRAWN[kind])
+            if frozenset(e.label for e in own) not in known and _told_apart(own, system)
+        ]
+        order = np.random.default_rng(zlib.crc32(f"{name}/{kind}".encode())).permutation(len(sets))
+        for number in order[:each].tolist():
+            label = f"{'+'.join(e.label for e in sets[number])} drawn"
+            found.append(scenario(name, kind, label, WHITE[0], sets[number]))
+    return found
+
+
+def _told_apart(effects: Sequence[Effect], system: System) -> bool:
+    """Return whether no two effects have a name in common."""
+    known = [set(names(effect, system)) for effect in effects]
+    return not any(one & other for one, other in combinations(known, 2))
+
+
+SHARES: dict[Kind, int] = {
+    "pair": 100,
+    "triple": 50,
+    "single": 40,
+    "coloured": 10,
+    "textbook": 10,
+    "outside": 10,
+    "clean": 24,
+    "disturbance": 18,
+    "process noise": 9,
+    "outliers": 9,
+}
+"""Cases of each kind that parts of the search are tried on."""
+
+
+def ablation_cases() -> list[Scenario]:
+    """Return the cases that parts of the search are tried on, all of systems that may be tuned on.
+
+    The first of them, however many, are spread over all kinds and systems.
+    """
+    known = [case for case in all_scenarios() if case.split == "tune"]
+    placed: list[tuple[float, Scenario]] = []
+    for first, (kind, most) in enumerate(SHARES.items()):
+        own = drawn(kind) if kind in DRAWN else [case for case in known if case.kind == kind]
+        chosen = _by_turns(own, first)[:most]
+        placed += [((n + 0.5) / len(chosen), case) for n, case in enumerate(chosen)]
+    return [case for _, case in sorted(placed, key=lambda each: each[0])]
+
+
+def _by_turns(cases: Sequence[Scenario], first: int) -> list[Scenario]:
+    """One case of each system after the other, those of a system by their seeds."""
+    ordered, systems = sorted(cases, key=lambda case: case.seed), [*SYSTEMS]
+    systems = systems[first:] + systems[:first]
+    own = [[case for case in ordered if case.system == system] for system in systems]
+    return [case for turn in zip_longest(*own) for case in turn if case is not None]
 
 
 @dataclass(frozen=True)

@@ -74,6 +74,9 @@ class Score:
         criterion less that of the declared model; and whether it was refitted to convergence.
     likely
         The sets that hold 90 % of the probability, where that is known: names, in words.
+    active, spans
+        The parts of the search that changed something, and the simulations before and after each
+        call of one; None where nobody looked. See `closed_loop_benchmark.activity`.
     error
         The traceback of what went wrong, "" if nothing did.
     """
@@ -119,6 +122,8 @@ class Score:
     failures: int = 0
     structures: list[tuple[list[str], float, bool]] | None = None
     likely: list[list[str]] | None = None
+    active: list[str] | None = None
+    spans: list[tuple[str, float, float]] | None = None
     error: str = ""
 
     def to_json(self) -> str:

@@ -198,14 +198,14 @@ def _case(score: Score) -> list[str]:
         str(round(score.likelihood_ratio)) if np.isfinite(score.likelihood_ratio) else "-",
         score.verdict,
         "; ".join(score.named or []) or "-",
-        _rightness(score),
+        rightness(score),
         f"{score.before:.2f} -> {score.after:.2f} ({score.oracle:.2f})",
         f"{score.simulations:.0f}",
         f"{score.seconds:.1f}",
     ]
 
 
-def _rightness(score: Score) -> str:
+def rightness(score: Score) -> str:
     """Say in a word or two how right the names are."""
     if f.worse(score):
         return "worse"
@@ -225,79 +225,6 @@ def _rightness(score: Score) -> str:
         if question(score):
             return word
     return "no" if f.changed(score) else "-"
-
-
-Runs = Mapping[str, Mapping[str, Score]]
-"""By the name of a variant, its scores by case."""
-
-
-def ablation(runs: Runs) -> str:
-    """Write one line a variant, over the cases that came to an end in all of them."""
-    ended = [{name for name, s in scores.items() if not s.error} for scores in runs.values()]
-    common = set.intersection(*ended) if ended else set()
-    head = ["", "cases", "one effect", "from a textbook", "two", "three", "outside", "claimed"]
-    rows = [
-        _row(label, [scores[name] for name in sorted(common)]) for label, scores in runs.items()
-    ]
-    return markdown([*head, "worse", "simulations", "95 % at most"], rows)
-
-
-def _row(label: str, scores: list[Score]) -> list[str]:
-    """Rates of what is right, of free curves near the truth, and of what is claimed of nothing."""
-    seen = f.detectable(scores)
-    nothing = [s for s in scores if not s.true]
-    return [
-        label,
-        str(len(scores)),
-        f.share(f.kinds(seen, "single", "coloured"), f.right),
-        f.share(f.kinds(seen, "textbook"), f.right),
-        f.share(f.kinds(seen, "pair"), f.right),
-        f.share(f.kinds(seen, "triple"), f.right),
-        f.share(f.kinds(seen, "outside"), f.near_truth),
-        f.share(nothing, f.changed),
-        f.share(scores, f.worse),
-        f.median((s.simulations for s in scores), ".0f"),
-        f.most_of(s.simulations for s in scores),
-    ]
-
-
-def paired(runs: Runs) -> str:
-    """Write one line a part that was left out, over the cases that came to an end with it.
-
-    The first run is the search as it is; each other one is compared with it on the same cases:
-    right cases, those lost and won, false names (effects that are none of the true ones), and what
-    held-out errors and simulations are multiplied by, as geometric means.
-    """
-    (_, whole), *_ = runs.items()
-    head = ["left out", "cases", "right", "lost", "won", "false names", "held out", "simulations"]
-    rows = []
-    for label, scores in runs.items():
-        names = [n for n, s in scores.items() if n in whole and not (s.error or whole[n].error)]
-        pairs = [(whole[name], scores[name]) for name in names]
-        counts = (
-            len(pairs),
-            sum(holds(own) for _, own in pairs),
-            sum(holds(before) and not holds(own) for before, own in pairs),
-            sum(holds(own) and not holds(before) for before, own in pairs),
-            sum(_false_names(own) for _, own in pairs),
-        )
-        held_out = _ratio((before.after, own.after) for before, own in pairs)
-        cost = _ratio((before.simulations, own.simulations) for before, own in pairs)
-        rows.append([label, *map(str, counts), held_out, cost])
-    return markdown(head, rows)
-
-
-def _false_names(score: Score) -> int:
-    """Count the effects that were named and are none of the true ones."""
-    named = len(score.named or [])
-    right = named if score.numerical else sum(score.alias or [])
-    return max(named - right, 0)
-
-
-def _ratio(pairs: Iterable[tuple[float, float]]) -> str:
-    """Write the geometric mean of what figures were multiplied by."""
-    logs = [np.log(after / before) for before, after in pairs if before > 0.0 and after > 0.0]
-    return f"x {np.exp(np.mean(logs)):.3f}" if logs else ""
 
 
 def holds(score: Score) -> bool:
@@ -359,22 +286,13 @@ those of the second.
 """
 
 
-VARIANTS = """\
-The same cases in every line. Names are right as above; "outside" counts what the library cannot
-express and a free curve brought to within 1.5 times the truth's held-out error, "claimed" effects
-where nothing is missing but noise or a disturbance, "worse" a held-out error that grew.
-"""
-
-
-def page(scores: Sequence[Score], runs: Runs) -> str:
+def page(scores: Sequence[Score]) -> str:
     """Write the page.
 
     Parameters
     ----------
     scores
         Every scored case, in any order.
-    runs
-        Of variants of the search that are compared; empty for none.
 
     Returns
     -------
@@ -390,8 +308,6 @@ def page(scores: Sequence[Score], runs: Runs) -> str:
             parts += [bars(own), "By likelihood ratio, one effect:", by_ratio(own)]
             parts += ["Outside the library, and disturbances:", verdicts(own)]
             parts += ["Systems, one effect, detectable:", by_system(own)]
-    if runs:
-        parts += ["## Parts of the search switched off", VARIANTS, ablation(runs)]
     parts += ["## Every case", every_case(ordered)]
     failed = [s for s in ordered if s.error]
     if failed:

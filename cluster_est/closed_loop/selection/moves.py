@@ -18,9 +18,7 @@ from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.selection.free_curves import free_curve
 from cluster_est.closed_loop.selection.functions_of_time import admissible
 from cluster_est.closed_loop.selection.gates import SELECTION, may_go_on
-from cluster_est.closed_loop.selection.linear_model import (
-    REFINEMENT,
-)
+from cluster_est.closed_loop.selection.linear_model import REFINEMENT
 from cluster_est.closed_loop.selection.neighbours import refit_siblings, refit_switch_widths
 from cluster_est.closed_loop.selection.pairs import refit_pairs
 from cluster_est.closed_loop.selection.prediction import can_be_linearised
@@ -35,6 +33,7 @@ from cluster_est.closed_loop.selection.refits import (
     rivals_of,
 )
 from cluster_est.closed_loop.selection.rounds import (
+    Revised,
     RoundEnd,
     RoundStart,
     can_be_claimed,
@@ -95,25 +94,6 @@ class Move:
     propose: Callable[[Fitter, RoundStart, RoundEnd], list[RefittedCandidate]]
     is_worth: Callable[[RoundStart, RoundEnd], bool]
     preferred: Callable[[RoundStart, RoundEnd, RoundEnd], RoundEnd]
-
-
-@dataclass(frozen=True)
-class Revised:
-    """A structure that has passed the gates, and what revisions made of it.
-
-    Attributes
-    ----------
-    model
-        The structure, fitted.
-    rivals
-        Of its effects; those of others may be among them.
-    move
-        The last part of the search that changed it.
-    """
-
-    model: FittedModel
-    rivals: Rivals
-    move: LoopPart | None = None
 
 
 @dataclass(frozen=True)
@@ -189,7 +169,8 @@ def _parents(fitter: Fitter, begun: RoundStart) -> tuple[FittedModel, ...]:
 
 def _grows_several(begun: RoundStart, fitted: FittedModel) -> bool:
     """Return whether the search is a wide one, and has something left to look for."""
-    return begun.settings.beam > 1 and leaves_more_than_noise(fitted, begun.floor)
+    several = begun.settings.beam > 1 and begun.has(LoopPart.BEAM)
+    return several and leaves_more_than_noise(fitted, begun.floor)
 
 
 def _grown(
@@ -265,12 +246,11 @@ def best_distinct(
     first
         A structure that has its place in any case.
     """
-    width = begun.settings.beam if begun.has(LoopPart.BEAM) else 1
     base = begun.base
     kept = [] if first is None else [first]
     changes = [_direction(base, fitted) for fitted in kept]
     for contender in sorted(contenders, key=lambda c: c.criterion):
-        if len(kept) >= width:
+        if len(kept) >= begun.settings.beam:
             break
         change = _direction(base, contender.fitted)
         alike = [float(np.add.reduce(change * other)) for other in changes]

@@ -168,6 +168,25 @@ class RoundEnd:
 
 
 @dataclass(frozen=True)
+class Revised:
+    """A structure that has passed the gates, and what revisions made of it.
+
+    Attributes
+    ----------
+    model
+        The structure, fitted.
+    rivals
+        Of its effects; those of others may be among them.
+    move
+        The last part of the search that changed it.
+    """
+
+    model: FittedModel
+    rivals: Rivals
+    move: LoopPart | None = None
+
+
+@dataclass(frozen=True)
 class ComparedStructure:
     """A set of effects that was refitted: a row of structures.parquet.
 

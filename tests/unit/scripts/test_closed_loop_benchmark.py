@@ -6,9 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from closed_loop_benchmark.data import OWN, Sampling, draw_noise, make
-from closed_loop_benchmark.effect import OUTSIDE, PAIRS, SINGLE, TEXTBOOK, Effect, Name, names
+from closed_loop_benchmark.effect import (
+    OUTSIDE,
+    PAIRS,
+    SINGLE,
+    TEXTBOOK,
+    TRIPLES,
+    Effect,
+    Name,
+    names,
+)
 from closed_loop_benchmark.forms import backlash, delay, hysteresis, lag, mode, rate_limit
-from closed_loop_benchmark.scenarios import Noise, all_scenarios, singles
+from closed_loop_benchmark.scenarios import Noise, ablation_cases, all_scenarios, singles
 from closed_loop_benchmark.system import Array, Run, System
 from closed_loop_benchmark.systems import SYSTEMS
 from closed_loop_benchmark.truth import simulate
@@ -120,6 +129,24 @@ def test_there_are_cases_of_each_kind_on_every_system_each_with_a_seed_of_its_ow
     assert min(kinds.values()) >= 15
     assert len({case.name for case in cases}) == len({case.seed for case in cases}) == len(cases)
     assert {case.split for case in cases} == {"tune", "report"}
+
+
+def test_drawn_cases_are_new_and_each_of_their_effects_is_another_model():
+    listed, cases = {case.name for case in all_scenarios()}, ablation_cases()
+    assert [case.name for case in cases] == [case.name for case in ablation_cases()]
+    assert len({case.name for case in cases}) == len(cases)
+    counts = Counter(case.kind for case in cases)
+    assert counts["pair"] >= 100
+    assert counts["triple"] >= 50
+    assert {case.split for case in cases} == {"tune"}
+    for case in (case for case in cases if case.name not in listed):
+        assert case.kind in ("pair", "triple")
+        assert [e.label for e in case.effects] not in (PAIRS | TRIPLES)[case.system]
+        accepted = [name for own in case.accepted for name in own]
+        assert len(set(accepted)) == len(accepted)
+    first = cases[:66]
+    assert {case.kind for case in first} == set(counts)
+    assert {case.system for case in first} == {case.system for case in cases}
 
 
 def test_data_are_deterministic_and_wrong_where_they_should_be():

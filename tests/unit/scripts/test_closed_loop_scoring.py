@@ -1,23 +1,27 @@
 from dataclasses import replace
 from functools import cache
 from math import comb, nan
+from pathlib import Path
 
 import pytest
+from bench_closed_loop import Variant, Way, known_without
 from closed_loop_benchmark import figures
-from closed_loop_benchmark.data import Data, make, make_problem
+from closed_loop_benchmark.data import Data, Sampling, make, make_problem
 from closed_loop_benchmark.effect import SINGLE, Name
 from closed_loop_benchmark.figures import has_probabilities, holds_truth
 from closed_loop_benchmark.naming import compare, normal
 from closed_loop_benchmark.oracle import ask, translate, true_values, with_effects
+from closed_loop_benchmark.parts import is_right, mcnemar, paired, parts_page
 from closed_loop_benchmark.scenarios import all_scenarios
 from closed_loop_benchmark.scoring import Score, blank, coverage, score
 from closed_loop_benchmark.systems import SYSTEMS
-from closed_loop_benchmark.tables import compare_runs, holds, page, paired
+from closed_loop_benchmark.tables import compare_runs, holds, page
 from support.thinning import thinned
 
 import cluster_est as ce
 from cluster_est.closed_loop.findings.effects import ErrorChange, NamedEffect, Verdict
 from cluster_est.closed_loop.findings.result import LoopResult
+from cluster_est.problem.thinning import ThinningSettings
 from workers.errors import EffectError
 from workers.messages import Effect
 
@@ -147,22 +151,14 @@ def test_a_wrong_name_and_silence_do_not_score():
     assert silent.after == silent.before
 
 
-def test_a_page_counts_what_is_right_and_compares_variants_on_what_all_of_them_ran():
+def test_a_page_counts_what_is_right():
     right = judged(Effect("load", "der(v)", "constant"))
     wrong = replace(right, exact=[False], alias=[False], numerical=False, simulations=300.0)
     failed = blank(data_of(LOAD), "Traceback:\nValueError: why")
-    runs = {
-        "as it is": {"a": right, "b": right, "c": right},
-        "beam 1": {"a": wrong, "b": right, "c": failed},
-    }
-    text = page([right, wrong, replace(failed, name="failed")], runs)
+    text = page([right, wrong, replace(failed, name="failed")])
     assert "| one effect: detected | >= 98 % | 2/2 (100.0 %) |" in text
     assert "| right: any of these | >= 92 % | 1/2 (50.0 %) |" in text
     assert "| failed | ValueError: why |" in text
-    first, second = (line for line in text.splitlines() if line.startswith(("| as it", "| beam")))
-    assert first.startswith("| as it is | 2 | 2/2 (100.0 %) | - |")
-    assert second.startswith("| beam 1 | 2 | 1/2 (50.0 %) | - |")
-    assert second.endswith("| 0/2 (0.0 %) | 200 | 290 |")
 
 
 def test_two_runs_are_compared_case_by_case_in_what_both_have():
@@ -184,17 +180,47 @@ def test_two_runs_are_compared_case_by_case_in_what_both_have():
 
 
 def test_parts_that_were_left_out_are_compared_on_the_cases_that_came_to_an_end():
-    right = judged(Effect("load", "der(v)", "constant"))
+    right = replace(judged(Effect("load", "der(v)", "constant")), active=["restarts"])
     wrong = replace(right, alias=[False], numerical=False, after=1.5 * right.after, simulations=1.0)
     runs = {
         "as it is": {"a": replace(right, simulations=4.0), "b": replace(wrong, simulations=9.0)},
         "restarts": {"a": wrong, "b": right, "c": right},
-        "merge": {"a": replace(right, error="Traceback"), "b": wrong},
+        "merge+drop": {"a": replace(right, error="Traceback"), "b": wrong},
     }
-    _, _, whole, restarts, merge = paired(runs).splitlines()
-    assert whole == "| as it is | 2 | 1 | 0 | 0 | 1 | x 1.000 | x 1.000 |"
-    assert restarts.startswith("| restarts | 2 | 1 | 1 | 1 | 1 | x 1.000 | x ")
-    assert merge == "| merge | 1 | 0 | 0 | 0 | 1 | x 1.000 | x 0.111 |"
+    _, _, restarts, merge = paired(runs).splitlines()
+    assert restarts.startswith(
+        "| restarts | 2 | 2 | 1 | 1 | 1 (single 1) | 1 (single 1) | 1 | 1, 1 | 1.083 | 1.500 | x "
+    )
+    assert merge == "| merge+drop | 1 | 0 | 0 | 0 | 0 | 0 | 1 | 1, 1 | 1.000 | 1.000 | x 0.111 |"
+    listed = parts_page(runs).splitlines()
+    assert sum(line.startswith(("| restarts", "| merge+drop")) for line in listed) == 2 + 2
+
+
+def test_what_is_said_without_a_part_that_changed_nothing_is_known():
+    whole = replace(judged(), active=["add"], spans=[("restarts", 10.0, 30.0)], simulations=100.0)
+    way = Way(ce.LoopSettings(), Sampling(), ThinningSettings())
+    restarts, both = (Variant(x, way, Path(x)) for x in ("restarts", "restarts+add"))
+    known = known_without(whole, restarts)
+    assert known is not None
+    assert (known.named, known.simulations, known.active) == (whole.named, 80.0, None)
+    assert known_without(whole, both) is None
+    assert known_without(replace(whole, active=None), restarts) is None
+
+
+@pytest.mark.parametrize(("lost", "won", "p"), [(0, 0, 1.0), (5, 0, 2 / 32), (4, 1, 12 / 32)])
+def test_lost_and_won_cases_are_compared_by_the_exact_test_of_mcnemar(lost, won, p):
+    assert mcnemar(lost, won) == pytest.approx(p)
+
+
+def test_what_is_right_where_no_name_is():
+    known = judged(Effect("load", "der(v)", "constant"))
+    outside = replace(known, kind="outside", oracle=known.after / 1.4)
+    silent = replace(known, true=[], named=[])
+    assert is_right(outside)
+    assert not is_right(replace(outside, oracle=known.after / 1.6))
+    assert is_right(silent)
+    assert not is_right(replace(silent, named=["drag"]))
+    assert not is_right(replace(outside, before=0.9 * known.after))
 
 
 def test_bound_of_a_probability():

@@ -67,6 +67,13 @@ def test_moves_and_gates_have_names_of_their_own_and_say_where_they_come_from():
         assert each.origin.partition(":")[0].capitalize() in ORIGINS
 
 
+@pytest.mark.parametrize("part", LoopPart)
+def test_every_part_is_in_the_table_of_parts(part):
+    page = (ROOT / "cluster_est" / "docs" / "how_it_works.md").read_text(encoding="utf-8")
+    rows = [line for line in page.splitlines() if line.startswith("| ")]
+    assert any(f"`{part}`" in row for row in rows)
+
+
 def test_the_page_for_contributors_quotes_the_recipe_as_it_stands_in_its_file():
     lines = (search.__doc__ or "").splitlines()
     recipe = "\n".join(line for line in lines if line.startswith("    "))

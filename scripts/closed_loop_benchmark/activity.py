@@ -1,0 +1,211 @@
+"""Which parts of a search changed anything in a loop: to leave out any other changes nothing.
+
+    with noted_parts() as notes:
+        close_loop(problem)
+
+A gate counts where it refuses, a move where what it proposes is taken, or may have been. The search
+is a function of its data, so without the others it says the same, after fewer simulations by those
+that they have spent, but for a few that are asked for again. What is not known to be without
+consequences counts as a change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any
+from unittest.mock import patch
+
+from cluster_est.closed_loop import search
+from cluster_est.closed_loop.fitter import Fitter
+from cluster_est.closed_loop.selection import free_curves, functions_of_time, gates, moves
+from cluster_est.closed_loop.selection.answer import without_effects
+from cluster_est.closed_loop.selection.neighbours import refit_siblings, refit_switch_widths
+from cluster_est.closed_loop.selection.prediction import is_usable
+from cluster_est.closed_loop.settings import LoopPart
+
+Calls = Callable[..., Any]
+
+CACHING = {LoopPart.REPLACE, LoopPart.MERGE_TWO}
+"""Revisions that leave refits in the cache: to later rounds they make a difference in any case."""
+
+WATCHED = {
+    LoopPart.BEAM,
+    LoopPart.FREE_CURVE,
+    LoopPart.SIBLINGS,
+    LoopPart.SWITCH_WIDTHS,
+    LoopPart.RESTARTS,
+    LoopPart.DROP,
+    LoopPart.MERGE,
+    LoopPart.LOCAL_MINIMUM,
+    LoopPart.FUNCTIONS_OF_TIME,
+    LoopPart.BOUNDED,
+    *CACHING,
+    *(each.part for each in (*gates.STOPS, *gates.FILTERS, *gates.GATES)),
+}
+"""Parts of which it is noted whether they change anything; the others are taken to do so."""
+
+ANOTHER_LOOP = 1e9
+"""Simulations between those of one fitter and those of the next, which counts from 0 again."""
+
+
+@dataclass
+class PartNotes:
+    """What the parts of a search have done.
+
+    Attributes
+    ----------
+    active
+        The parts without which something else might have been said.
+    spans
+        Of each call of a part: its name, and the simulations before it and after it.
+    """
+
+    active: set[str] = field(default_factory=lambda: {*LoopPart} - WATCHED)
+    spans: list[tuple[str, float, float]] = field(default_factory=list)
+    _meters: list[object] = field(default_factory=list)
+    _cached: set[str] = field(default_factory=set)
+
+    def watched(self, part: LoopPart | None, call: Calls, changes: Calls) -> Calls:
+        """Return a function that notes what it simulates, and whether its answer changes anything.
+
+        Parameters
+        ----------
+        part
+            None for what cannot be left out.
+        call
+            With a fitter among its arguments, or without simulations.
+        changes
+            Whether an answer does, given that and the arguments.
+        """
+        if part is None:
+            return call
+
+        def noted(*given: Any, **named: Any) -> Any:
+            fitter = next((each for each in given if isinstance(each, Fitter)), None)
+            before = self._simulations(fitter)
+            answer = call(*given, **named)
+            after = self._simulations(fitter)
+            if after > before:
+                self.spans.append((part.value, before, after))
+            if changes(answer, *given):
+                self.active.add(part)
+            return answer
+
+        return noted
+
+    def revision(self, each: moves.Revision) -> moves.Revision:
+        """Watch a revision; one that is not known counts as a change wherever it simulates."""
+
+        def changes(new: Any, _fitter: Fitter, _begun: object, grown: Any) -> bool:
+            if each.part in CACHING and len(grown.model.added) > 1:
+                self._cached.add(each.part)
+            return new is not grown or each.part not in WATCHED
+
+        return replace(each, revise=self.watched(each.part, each.revise, changes))
+
+    def revise(self, fitter: Fitter, begun: Any, end: Any, rivals: Any) -> Any:
+        """Revise; what earlier revisions have left in the cache may be found now, or later."""
+        self.active |= self._cached
+        grown = moves.revise(fitter, begun, end, rivals)
+        if len(grown.model.added) != len(end.won.fitted.added):
+            self.active |= self._cached
+        return grown
+
+    def merged(self, answer: object, *_: object) -> bool:
+        """Tell whether a single effect has taken the place of all; see `revise`."""
+        if answer is not None:
+            self.active |= self._cached
+        return answer is not None
+
+    def _simulations(self, fitter: Fitter | None) -> float:
+        if fitter is None:
+            return 0.0
+        if not any(meter is fitter.meter for meter in self._meters):
+            self._meters.append(fitter.meter)
+        number = next(n for n, meter in enumerate(self._meters) if meter is fitter.meter)
+        return number * ANOTHER_LOOP + fitter.meter.full
+
+
+def saved(spans: list[tuple[str, float, float]], parts: set[str]) -> float:
+    """Return the simulations of all calls of some parts, each once where calls are nested."""
+    own = sorted((begin, end) for part, begin, end in spans if part in parts)
+    total, last = 0.0, 0.0
+    for begin, end in own:
+        total += max(end - max(begin, last), 0.0)
+        last = max(last, end)
+    return total
+
+
+@contextmanager
+def noted_parts() -> Iterator[PartNotes]:
+    """Note what the parts of a search do, while the context lasts."""
+    notes = PartNotes()
+    with ExitStack() as patches:
+        for owner, others in _patches(notes).items():
+            patches.enter_context(patch.multiple(owner, **others))
+        yield notes
+
+
+def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
+    """By module or class, what stands in the place of its own."""
+    watched, part = notes.watched, LoopPart
+    siblings = watched(part.SIBLINGS, refit_siblings, lambda found, *_: bool(found))
+    admissible = watched(part.WAVES, functions_of_time.admissible, _left_out)
+    return {
+        gates: {
+            "STOPS": [replace(s, refuses=watched(s.part, s.refuses, _said)) for s in gates.STOPS],
+            "GATES": [replace(g, refuses=watched(g.part, g.refuses, _said)) for g in gates.GATES],
+            "FILTERS": [replace(f, kept=watched(f.part, f.kept, _left_out)) for f in gates.FILTERS],
+            "is_usable": watched(part.BOUNDED, is_usable, lambda usable, *_: not usable),
+        },
+        moves: {
+            "REVISIONS": [notes.revision(each) for each in moves.REVISIONS],
+            "admissible": admissible,
+            "refit_siblings": siblings,
+            "refit_switch_widths": watched(part.SWITCH_WIDTHS, refit_switch_widths, _wider),
+            "best_distinct": watched(part.BEAM, moves.best_distinct, _several),
+        },
+        free_curves: {"refit_siblings": siblings},
+        search: {
+            "MOVES": [_watched_move(notes, move) for move in moves.MOVES],
+            "revise": notes.revise,
+            "_was_local": watched(part.LOCAL_MINIMUM, search._was_local, _said),
+            "without_effects": watched(part.FUNCTIONS_OF_TIME, without_effects, lambda *_: True),
+        },
+        search.Merging: {"instead": watched(part.MERGE, search.Merging.instead, notes.merged)},
+    }
+
+
+def _watched_move(notes: PartNotes, move: moves.Move) -> moves.Move:
+    """Watch the curves, which change nothing where none passes; other moves are in any case."""
+    if move.part is not LoopPart.FREE_CURVE:
+        return move
+    propose = notes.watched(move.part, move.propose, lambda *_: False)
+    preferred = notes.watched(
+        move.part, move.preferred, lambda _, begun, best, own: own.won is not None
+    )
+    return replace(move, propose=propose, preferred=preferred)
+
+
+def _said(answer: bool, *_: object) -> bool:
+    return answer
+
+
+def _several(kept: tuple[Any, ...], _fitter: object, begun: Any, *_: object) -> bool:
+    """Whether structures beside the accepted one are grown."""
+    return any(fitted is not begun.model for fitted in kept)
+
+
+def _left_out(left: list[Any], _fitter: object, _current: object, contenders: list[Any]) -> bool:
+    """Whether a filter has left out or moved anything."""
+    return list(map(id, left)) != list(map(id, contenders))
+
+
+def _wider(
+    ranked: list[Any], _fitter: object, _begun: object, given: list[Any], *_: object
+) -> bool:
+    """Whether a width has become an unknown."""
+    known = set(map(id, given))
+    return any(id(each) not in known for each in ranked)

@@ -1,0 +1,159 @@
+"""What each part of the search is good for: loops without it, compared case by case.
+
+A loop is compared with the loop as it is on the same case. Whether it is right more or less often
+than by chance is asked by the exact test of Q. McNemar, Psychometrika 12 (1947) 153-157,
+doi:10.1007/BF02295996: of the cases in which one is right and the other is not, either should be
+right in half if the part did nothing for the names.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from scipy.stats import binomtest
+
+from closed_loop_benchmark import figures as f
+from closed_loop_benchmark.scoring import Score
+from closed_loop_benchmark.tables import markdown, rightness
+
+Runs = Mapping[str, Mapping[str, Score]]
+"""By what was left out, the scores by case; the loop as it is comes first."""
+
+Pair = tuple[Score, Score]
+"""A case in the loop as it is, and without a part."""
+
+HEAD = (
+    "left out",
+    "cases",
+    "where it acts",
+    "right with it",
+    "right without",
+    "lost",
+    "won",
+    "p",
+    "false names",
+    "held out, median",
+    "worst",
+    "simulations",
+)
+
+EXPLANATION = """\
+A row is about the closed loop without a part of its search, or without several at once: moves that
+propose structures, gates that refuse them, and what moves share
+([How it works](how_it_works.md) says what each does). Each case is run with and without it. Where
+the whole loop shows that the part changed nothing, it need not be run again: only the part's
+simulations are missing. "Acts" counts the other cases.
+
+Right are cases in which every effect has one of its names or the structure is the same model; in
+which nothing is claimed where nothing is missing; and in which a free curve follows held-out data
+to within 1.5 times the truth's error where the library cannot express the effect. "Lost" are right
+with the part alone, "won" without it alone; p is that of the exact McNemar test. False names are
+effects that were named and are none of the true ones, with the part and without. Held-out errors
+and simulations are those without it over those with it: median and largest; geometric mean.
+
+All systems are such that may be tuned on. Pairs and triples are drawn by seed among the effects of
+the benchmark, beside those that it lists.
+"""
+
+
+def paired(runs: Runs) -> str:
+    """Write one line a part that was left out, over the cases that came to an end with it.
+
+    The first run is the loop as it is; each other one is compared with it on the same cases.
+    """
+    (_, whole), *others = runs.items()
+    return markdown(HEAD, [_row(label, pairs_of(whole, own)) for label, own in others])
+
+
+def _row(label: str, pairs: Sequence[Pair]) -> list[str]:
+    lost = [with_it for with_it, without in pairs if is_right(with_it) and not is_right(without)]
+    won = [with_it for with_it, without in pairs if is_right(without) and not is_right(with_it)]
+    held_out = [own.after / before.after for before, own in pairs if before.after > 0.0]
+    logs = [np.log(own.simulations / before.simulations) for before, own in pairs]
+    return [
+        label,
+        str(len(pairs)),
+        str(sum(_acts(before, label) for before, _ in pairs)),
+        str(sum(is_right(before) for before, _ in pairs)),
+        str(sum(is_right(own) for _, own in pairs)),
+        _by_kind(lost),
+        _by_kind(won),
+        f"{mcnemar(len(lost), len(won)):.2g}",
+        f"{sum(_false_names(b) for b, _ in pairs)}, {sum(_false_names(o) for _, o in pairs)}",
+        f"{np.median(held_out):.3f}" if held_out else "-",
+        f"{max(held_out):.3f}" if held_out else "-",
+        f"x {np.exp(np.mean(logs)):.3f}" if logs else "-",
+    ]
+
+
+def pairs_of(whole: Mapping[str, Score], without: Mapping[str, Score]) -> list[Pair]:
+    """Return the cases that came to an end both as they are and without a part."""
+    return [
+        (whole[name], own)
+        for name, own in without.items()
+        if name in whole and not (own.error or whole[name].error)
+    ]
+
+
+def is_right(score: Score) -> bool:
+    """Tell whether what was said of a case is right; see the explanation of the page."""
+    if f.worse(score):
+        return False
+    if not score.true:
+        return not f.changed(score)
+    return f.near_truth(score) if score.kind == "outside" else f.right(score)
+
+
+def mcnemar(lost: int, won: int) -> float:
+    """Return the exact two-sided p-value of the numbers of cases that were lost and won."""
+    return float(binomtest(lost, lost + won).pvalue) if lost + won else 1.0
+
+
+def _acts(score: Score, label: str) -> bool:
+    """Tell whether the search came to one of the parts; it does where nobody looked."""
+    return score.active is None or bool({*label.split("+")} & {*score.active})
+
+
+def _by_kind(scores: Iterable[Score]) -> str:
+    """Write how many, and of which kinds."""
+    kinds = Counter(score.kind for score in scores)
+    said = ", ".join(f"{kind} {count}" for kind, count in kinds.most_common())
+    return f"{kinds.total()} ({said})" if said else "0"
+
+
+def _false_names(score: Score) -> int:
+    """Count the effects that were named and are none of the true ones."""
+    named = len(score.named or [])
+    right = named if score.numerical else sum(score.alias or [])
+    return max(named - right, 0)
+
+
+def parts_page(runs: Runs) -> str:
+    """Write the page: a row a part, and the cases that are right with or without one alone."""
+    (_, whole), *others = runs.items()
+    kinds = Counter(score.kind for score in whole.values() if not score.error)
+    cases = ", ".join(f"{count} of the kind {kind}" for kind, count in kinds.most_common())
+    differing = [
+        [label, before.name, *_said(before), *_said(own)]
+        for label, scores in others
+        for before, own in pairs_of(whole, scores)
+        if is_right(before) != is_right(own)
+    ]
+    head = ["left out", "case", "with it", "held out", "without", "held out"]
+    parts = [
+        "# What each part of the search is for",
+        EXPLANATION,
+        f"Cases so far: {cases}.",
+        paired(runs),
+        "## Cases that are right with or without a part alone",
+        markdown(head, differing),
+    ]
+    return "\n\n".join(part.rstrip() for part in parts) + "\n"
+
+
+def _said(score: Score) -> list[str]:
+    """Write what was said, how right it is, and the held-out error."""
+    named = "; ".join(score.named or []) or score.verdict
+    return [f"{rightness(score)}: {named}", f"{score.after:.2f}"]
