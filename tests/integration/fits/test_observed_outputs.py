@@ -50,7 +50,9 @@ def test_standard_errors_are_those_of_a_fit_with_scales_as_unknowns():
     def simulated(values):
         return [
             s.outcome.trajectory.at("y", e.outputs[0].times)
-            for s, e in zip(ce.simulate(plain, values=values), plain.experiments, strict=True)
+            for s, e in zip(
+                ce.simulate(plain, values=values).values(), plain.experiments, strict=True
+            )
         ]
 
     base = simulated(start)
