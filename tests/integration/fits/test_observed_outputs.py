@@ -35,7 +35,7 @@ def test_parameters_and_scales_are_found_and_stand_in_tables_and_a_note(differen
     assert [row["scale"] for row in rows] == pytest.approx(SCALES, rel=1e-3)
     assert [row["offset"] for row in rows] == pytest.approx(OFFSETS, abs=1e-3)
     assert any("y is compared up to scale or offset: scale 0.5 to 3.7" in n for n in scaled.notes)
-    table = scaled.residuals.to_pydict()
+    table = scaled.table("residuals").to_pydict()
     gaps = np.array(table["measured"]) - np.array(table["simulated"])
     assert np.abs(gaps).max() < 1e-3
 
@@ -50,7 +50,9 @@ def test_standard_errors_are_those_of_a_fit_with_scales_as_unknowns():
     def simulated(values):
         return [
             s.outcome.trajectory.at("y", e.outputs[0].times)
-            for s, e in zip(ce.simulate(plain, values=values), plain.experiments, strict=True)
+            for s, e in zip(
+                ce.simulate(plain, values=values).values(), plain.experiments, strict=True
+            )
         ]
 
     base = simulated(start)
@@ -95,7 +97,7 @@ def test_values_below_a_detection_limit_pull_nothing_towards_it():
     assert abs(censored.x["c"] - TRUE["c"]) < 0.05
     assert abs(naive.x["c"] - TRUE["c"]) > 3.0 * abs(censored.x["c"] - TRUE["c"])
     assert any("at or below its detection limit" in note for note in censored.notes)
-    table = censored.residuals.to_pydict()
+    table = censored.table("residuals").to_pydict()
     hidden = np.array(table["measured"]) <= LIMIT
     assert np.array(table["simulated"])[hidden].min() < -LIMIT  # and not the limit
     assert not any("a constant would follow" in note for note in censored.notes)

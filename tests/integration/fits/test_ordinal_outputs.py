@@ -147,7 +147,8 @@ def test_reduced_answers_give_the_same_cost():
     problem = judged(4)
     whole = ce.fit(problem, method="pattern_search", resources=ce.Resources(budget=ce.Budget(40)))
     values = {each.label: each.value for each in whole.estimates if each.label in ("k", "c")}
-    (row,) = [sum(np.sum(s.outcome.residuals**2) for s in ce.simulate(problem, values=values))]
+    found = ce.simulate(problem, values=values).values()
+    (row,) = [sum(np.sum(s.outcome.residuals**2) for s in found)]
     assert whole.cost == pytest.approx(row, rel=1e-9)
 
 

@@ -141,7 +141,7 @@ def test_a_posterior_predicts_bands_that_the_report_draws(tmp_path):
     ends = []
     for mass in (own["lower"], own["upper"]):
         simulations = ce.simulate(problem, values={"m": mass, "k": 30.0, "c": 0.6})
-        trajectory = simulations[0].outcome.trajectory
+        trajectory = simulations["exp1"].outcome.trajectory
         assert trajectory is not None
         ends.append(np.interp(problem.experiments[0].outputs[0].times, trajectory.times,
                               trajectory.values[:, trajectory.variables.index("y")]))  # fmt: skip

@@ -45,7 +45,7 @@ def fitted():
 
 def simulated(problem, values):
     found = ce.simulate(problem, values=values)
-    return np.concatenate([s.outcome.trajectory.values[:, 0] for s in found])
+    return np.concatenate([s.outcome.trajectory.values[:, 0] for s in found.values()])
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_a_held_out_part_has_the_scale_of_its_record(shared):
     first, second = result.simulations[:2]
     plain = ce.simulate(problem, values={name: result.x[name] for name in ("k", "c")})
     tall = []
-    for simulation, experiment in zip(plain, problem.experiments[:2], strict=False):
+    for simulation, experiment in zip(plain.values(), problem.experiments[:2], strict=False):
         times = experiment.outputs[0].times
         seen = simulation.outcome.trajectory.at("y", times)
         tall.append(np.column_stack([seen, np.ones(len(times))]))

@@ -249,7 +249,7 @@ def test_the_standard_errors_that_come_are_those_that_were_expected(spring):
     (truth,) = ce.simulate(
         ce.Problem(problem.model, problem.parameters, (experiment,)),
         values={name: spring.x[name] for name in ("m", "k", "c")},
-    )
+    ).values()
     assert truth.outcome.ok
     (output,), generator = experiment.outputs, np.random.default_rng(4)
     noise = output.sigma * generator.standard_normal(len(output.times))

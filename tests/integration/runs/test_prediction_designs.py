@@ -49,7 +49,8 @@ def linear(tmp_path_factory, own_fmu):
     tree = {"model": model, "parameters": {"f5": {"start": 0.0, "fixed": True}}}
     tree |= {"effects": blocks, "experiments": [run]}
     (folder / "config.toml").write_text(to_toml(tree), encoding="utf-8")
-    simulated = ce.simulate(ce.read_problem(folder / "config.toml"))[0].outcome.trajectory
+    (found, *_) = ce.simulate(ce.read_problem(folder / "config.toml")).values()
+    simulated = found.outcome.trajectory
     noise = NOISE * np.random.default_rng(3).standard_normal(len(TIMES))
     measured = simulated.at("y", TIMES) + 0.2 + 0.05 * FORCE + noise
     pacsv.write_csv(pa.table(nothing | {"x": measured}), folder / "run.csv")
