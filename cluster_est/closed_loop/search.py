@@ -147,13 +147,16 @@ def search_for_effects(
     )
     before = fitter.runner.failures
     faults = _record_faults(fitter, base, resources)
-    if faults or error.hides_effects:
+    said = "; ".join(each.sentence for each in faults)
+    if error.hides_effects or any(each.experiment for each in faults):
         found = without_search(fitter, settings, base)
-        why = "; ".join(each.sentence for each in faults) or error.refusal
-        ends = [(found, ReasonedVerdict(Verdict.UNEXPLAINED, why))]
+        ends = [(found, ReasonedVerdict(Verdict.UNEXPLAINED, said or error.refusal))]
     else:
         grown = grow(fitter, settings, base, lambda fit: with_effects(fit).explainable, reached)
         ends = [_judged(fitter, found) for found in answers(fitter, grown)]
+        found, judged = ends[0]
+        if said and judged.verdict is Verdict.UNEXPLAINED:
+            ends[0] = found, replace(judged, reason=f"{said}; {judged.reason}")
     failed = fitter.runner.failures - before
     return SearchedModel(*ends[0], error, with_effects, failed, other, tuple(ends[1:]))
 
@@ -161,9 +164,10 @@ def search_for_effects(
 def _record_faults(
     fitter: Fitter, base: FittedModel, resources: Resources
 ) -> tuple[RecordFault, ...]:
-    """Return what is wrong with a record, where that alone explains what the model leaves.
+    """Return what is wrong with the records, where that alone explains what the model leaves.
 
-    Then nothing is missing in the model that the data show, and no effect is looked for.
+    Where it is one record, nothing is missing in the model that the others show, and no effect is
+    looked for.
     """
     if fitter.predicts:
         return ()

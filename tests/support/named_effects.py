@@ -14,11 +14,11 @@ from support.loop_objects import (
     made_selection,
 )
 
-from cluster_est import Effect, Estimate, Parameter
+from cluster_est import Effect, Parameter
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.findings.description import describe_effects
 from cluster_est.closed_loop.findings.effects import NamedEffect
-from cluster_est.results.fit_tables import EffectCurve
+from cluster_est.results.fit_tables import EffectCurve, Estimate
 from workers.effects.forms import FORMS, EffectForm
 from workers.effects.site import parse_site
 from workers.fmu.description import ModelDescription

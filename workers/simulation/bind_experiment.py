@@ -115,10 +115,13 @@ def bind_experiment(
     description: ModelDescription,
     experiment: Experiment,
     recorded: tuple[str, ...] | None = None,
+    *,
+    passing: bool = True,
 ) -> BoundExperiment:
     """Bind an experiment to a model: its grid, and the FMU's references for its variables.
 
-    `recorded` are the variables to record; the experiment's own if None.
+    `recorded` are the variables to record; the experiment's own if None. Steps stop at all that was
+    measured unless `passing`.
 
     Raises
     ------
@@ -136,6 +139,8 @@ def bind_experiment(
         ),
     )
     grid = build_grid(experiment, outputs)
+    if not passing:
+        grid = grid._replace(passed=np.zeros_like(grid.passed))
     if model.interface == "co_simulation":
         own_step = description.fixed_internal_step or description.default_step
         grid = grid._replace(intervals=step_lengths(grid.times, own_step))

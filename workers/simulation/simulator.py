@@ -140,6 +140,8 @@ class Simulator:
     ) -> SimulationBatch:
         """Simulate as `run` does, and linearise the model with its effects at each time.
 
+        It stops at each of them, also where the steps of `run` pass over what was measured.
+
         With process noise that is along the states that a Kalman filter has corrected.
 
         Raises
@@ -309,7 +311,11 @@ class Simulator:
             if bound_effects.has_memory:
                 with_memory = bound_effects.with_memory_effects(coefficients[chunk][0])
                 bound = bind_experiment(
-                    self._model, self._description, with_memory, bound_effects.recorded
+                    self._model,
+                    self._description,
+                    with_memory,
+                    bound_effects.recorded,
+                    passing=False,  # their samples are not those of the inputs any more
                 )
             effects = bound_effects.at_points(
                 values[chunk], coefficients[chunk], self._model, self._description

@@ -14,7 +14,6 @@ from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import SearchSpace
 from cluster_est.results.observation import lack_normal_law
 from cluster_est.results.output_errors import Simulation
-from cluster_est.results.record_faults.all_records import clock_everywhere, unit_everywhere
 from cluster_est.results.record_faults.fault import RecordFault
 from cluster_est.results.record_faults.fitted_records import AT_NOISE, FittedRecords
 from cluster_est.results.record_faults.foreign_source import foreign_source
@@ -37,8 +36,6 @@ MOST_ENTRIES = 20_000_000
 TESTS: tuple[RecordTest, ...] = (
     RecordTest("foreign source", foreign_source),
     RecordTest("odd record", odd_record),
-    RecordTest("clock of all records", clock_everywhere),
-    RecordTest("unit of all records", unit_everywhere),
 )
 """In this order, the one without simulations first; the first that finds something is believed."""
 

@@ -30,6 +30,11 @@ SHARE = 0.8
 """Share of the squares beyond the noise that the line has in each record."""
 SHARE_OF_INPUT = 0.3
 """Share of the squares of an input, in the same record, from which on the line is in it."""
+STANDS_OUT = 30.0
+"""Times the level of the spectrum around it that a line has. By chance one of n lines of noise of
+any colour has it with a probability of n exp(-30)."""
+AROUND, PEAK = 20, 3
+"""Lines of the spectrum, to either side, that level is of, and those that are the peak's own."""
 PADDING = 4
 """Times its length that a record is padded to: the peak lies between the lines of a spectrum."""
 
@@ -110,7 +115,10 @@ def _line(signal: FloatArray, item: OutputRecord) -> SpectralLine | None:
     allowed = frequencies >= FEWEST_PERIODS / length
     if not allowed.any():
         return None
-    peak = float(frequencies[allowed][np.argmax(power[allowed])])
+    place = int(np.flatnonzero(allowed)[np.argmax(power[allowed])])
+    if not power[place] > STANDS_OUT * _level_around(power, place):
+        return None
+    peak = float(frequencies[place])
 
     def left(frequency: float) -> float:
         return float(np.sum(_without(signal, times, frequency) ** 2))
@@ -120,6 +128,14 @@ def _line(signal: FloatArray, item: OutputRecord) -> SpectralLine | None:
         options={"xatol": 1e-3 / length},
     ).x  # fmt: skip
     return SpectralLine(float(best), 1.0 / length, _without(signal, times, float(best)))
+
+
+def _level_around(power: FloatArray, place: int) -> float:
+    """The mean of a spectrum around a line, by its median: both of exponential distributions."""
+    numbers = np.arange(len(power))
+    away = np.abs(numbers - place)
+    near = power[(away > PADDING * PEAK) & (away <= PADDING * AROUND) & (numbers > 0)]
+    return float(np.median(near)) / np.log(2.0) if len(near) else np.inf
 
 
 def _without(signal: FloatArray, times: FloatArray, frequency: float) -> FloatArray:

@@ -277,6 +277,8 @@ def as_fault(
 ) -> RecordFault | None:
     """Return a change in words; None for one that is too small to be a fault."""
     kind, size, unit = change.kind, change.size, ""
+    if change.factor == 0.0:
+        return None  # a column that says nothing is no column with a wrong gain
     if kind in ("gain", "offset", "unit"):
         signals = run.inputs if change.sort == "inputs" else run.outputs
         values = next(s.values for s in signals if s.variable == change.variables[0])

@@ -26,7 +26,7 @@ def remembered(problem: ce.Problem, case: str, settings: ce.LoopSettings = FEW) 
 
 def facts(result: ce.LoopResult) -> tuple[object, ...]:
     rows = result.table("structures").to_pylist()
-    return result.summary, result.x, result.simulations, result.evaluations, repr(rows)
+    return result.message, result.x, result.simulations, result.evaluations, repr(rows)
 
 
 def test_a_loop_that_is_answered_from_memory_is_the_same_and_simulates_nothing(lacking):

@@ -19,10 +19,10 @@ def swinging(force=0.0, offset=0.0) -> Problem:
     given = force * np.sin(2.0 * np.pi * TIMES / PERIOD)
     measured = position(TIMES, given, m=MASS, k=STIFFNESS, c=DAMPING, x0=0.1, v0=0.0) + offset
     parameters = (
-        Parameter("k", STIFFNESS, 1.0, 500.0),
-        Parameter("c", DAMPING, 0.0, 100.0),
-        Parameter("m", MASS, 0.1, 10.0),
-        Parameter("x", 0.1, -1.0, 1.0),
+        Parameter("k", STIFFNESS, bounds=(1.0, 500.0)),
+        Parameter("c", DAMPING, bounds=(0.0, 100.0)),
+        Parameter("m", MASS, bounds=(0.1, 10.0)),
+        Parameter("x", 0.1, bounds=(-1.0, 1.0)),
     )
     names = tuple(each.target for each in parameters)
     solver = Solver("dormand_prince", rtol=1e-8)
@@ -34,7 +34,7 @@ def swinging(force=0.0, offset=0.0) -> Problem:
 
 
 def notes(problem, **values):
-    return wrong_phase_notes(problem, simulate(problem, Resources(), values), 1)
+    return wrong_phase_notes(problem, [*simulate(problem, Resources(), values).values()], 1)
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_a_model_that_swings_otherwise_is_named_with_what_to_try(values, how):
 
 def test_more_starts_are_proposed_where_there_were_many():
     problem = swinging()
-    simulations = simulate(problem, Resources(), {"k": 12.0})
+    simulations = [*simulate(problem, Resources(), {"k": 12.0}).values()]
     (said,) = wrong_phase_notes(problem, simulations, 20)
     assert "multistart.n = 100" in said
 

@@ -32,7 +32,8 @@ def many(experiments, bounded=False, noise=0.05):
         Parameter(name, start=1.2 * value, bounds=(0.01, 10.0))
         for name, value in zip("abwcd", SHARED, strict=True)
     ]
-    gain = Parameter("gain", 1.0, *((0.6, 1.4) if bounded else (0.01, 10.0)), per="experiment")
+    bounds = (0.6, 1.4) if bounded else (0.01, 10.0)
+    gain = Parameter("gain", 1.0, bounds, per="experiment")
     edge = 0.8 if bounded else 10.0
     offset = Parameter("offset", 0.1, (-edge, edge), per="experiment")
     return Curves(formula, (*shared, gain, offset), TIMES, measured)

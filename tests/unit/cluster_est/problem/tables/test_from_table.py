@@ -113,7 +113,7 @@ REFUSED = [
     ({"columns": {"force": 3}}, "columns.force: .*a dict.*3"),
     ({"columns": {"force": {"factor": "3"}}}, "columns.force.factor: .*a number.*'3'"),
     ({"columns": {"force": {"demean": 1}}}, "columns.force.demean: .*true or false.*1"),
-    ({"columns": 3}, "columns: .*a dict.*3; write {column: {factor, offset, demean}}"),
+    ({"columns": 3}, "columns: .*a dict.*3; write {column: {factor, offset, demean, late}}"),
     ({"rows": (2, 1)}, r"rows: .*from below to.*\[2, 1\]"),
     ({"rows": 3}, r"rows: .*a Sequence.*3; write \(from, to\)"),
     ({"rows": (1, 2), "time": None, "sample_time": 1.0}, "at least two rows"),
