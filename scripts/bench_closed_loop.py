@@ -30,7 +30,6 @@ import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -264,23 +263,11 @@ def run(
     scores: queue.SimpleQueue[tuple[str, Score] | None] = queue.SimpleQueue()
 
     def run_portion(portion: Sequence[Scenario]) -> None:
-        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
-            for case in portion:
-                whole = done[WHOLE].get(case.name)
-                for each in variants:
-                    if case.name not in done[each.label]:
-                        if time.time() > deadline:
-                            return
-                        own = one_score(process, case, each, whole)
-                        scores.put((each.label, own))
-                        whole = whole or own
-
-    def run_to_its_end(portion: Sequence[Scenario]) -> None:
-        with suppress(BrokenProcessPool):
-            run_portion(portion)
+        for one in scores_of(portion, variants, done, deadline):
+            scores.put(one)
 
     with ThreadPoolExecutor(options.processes) as threads:
-        ended = [threads.submit(run_to_its_end, portion) for portion in portions]
+        ended = [threads.submit(run_portion, portion) for portion in portions]
         for each in ended:
             each.add_done_callback(lambda _: scores.put(None))
         for _ in ended:
@@ -289,17 +276,27 @@ def run(
             each.result()  # an error in a thread must not go unseen
 
 
-def one_score(
-    process: ProcessPoolExecutor, case: Scenario, variant: Variant, whole: Score | None
-) -> Score:
-    """Run a case in a process, unless that would change nothing."""
-    known = None if whole is None else known_without(whole, variant)
-    if known is not None:
-        return known
-    try:
-        return process.submit(run_case, case, variant.way).result()
-    except BrokenProcessPool as error:
-        return blank(make(case, variant.way.sampling), f"the process died: {error}")
+def scores_of(
+    portion: Sequence[Scenario],
+    variants: Sequence[Variant],
+    done: Mapping[str, Mapping[str, Score]],
+    deadline: float,
+) -> Iterator[tuple[str, Score]]:
+    """Run what is not done of some cases in one process, to its end or until a deadline."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
+        for case in portion:
+            whole = done[WHOLE].get(case.name)
+            for each in (v for v in variants if case.name not in done[v.label]):
+                if time.time() > deadline:
+                    return
+                known = None if whole is None else known_without(whole, each)
+                try:
+                    own = known or process.submit(run_case, case, each.way).result()
+                except BrokenProcessPool as error:
+                    yield each.label, blank(make(case, each.way.sampling), f"it died: {error}")
+                    return
+                yield each.label, own
+                whole = whole or own
 
 
 def known_without(whole: Score, variant: Variant) -> Score | None:

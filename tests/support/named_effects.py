@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from support.loop_objects import (
@@ -82,7 +83,8 @@ def estimate(
         "label": f"e.{name}", "parameter": f"e.{name}", "value": value, "unit": unit,
         "estimated_on": on, "lower95": value - 2.0 * error, "upper95": value + 2.0 * error,
     }  # fmt: skip
-    return Estimate(**(dict.fromkeys(Estimate.__annotations__, "") | known))
+    fields: dict[str, Any] = dict.fromkeys(Estimate.__annotations__, "") | known
+    return Estimate(**fields)
 
 
 def seen(x: FloatArray, y: FloatArray, integral_of: str = "") -> EffectCurve:
