@@ -306,7 +306,8 @@ class _ThinnedLoop:
         rows = self.request.rows
         long = bool(looked_at_in_parts(self.request.problem, rows))
         fit = _fit_straight if long else fit_from_start
-        with self._counted(open_checked_workbench(self.request, fit)) as whole:
+        made = self.thin.thinned_outputs
+        with self._counted(open_checked_workbench(self.request, fit, made)) as whole:
             windows = None
             if long:
                 windows = choose_windows(whole.fitter, rows, whole.first_fit, whole.near)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -117,8 +117,12 @@ def fit_from_start(fitter: Fitter) -> FittedModel | None:
 def open_checked_workbench(
     request: LoopRequest,
     fit: Callable[[Fitter], FittedModel | None] = fit_from_start,
+    thinned: Collection[Place] = (),
 ) -> Iterator[LoopWorkbench]:
     """Open a workbench whose data have no outliers any more; its notes say what was left out.
+
+    Outputs of thinned records have none: each row is made of many samples, whose outliers were
+    looked for before, and one that stands alone is where the output moves fast.
 
     The declared model is fitted as a search begins; its residuals show single samples that nothing
     beside them explains (`isolated_outliers`). Copies of the experiments without them take the
@@ -128,7 +132,7 @@ def open_checked_workbench(
     with open_workbench(request) as workbench:
         fitter = workbench.fitter
         fitted = fit(fitter)
-        outliers = [] if fitted is None else _outliers(fitter, fitted)
+        outliers = [] if fitted is None else _outliers(fitter, fitted, thinned)
         notes = [each.sentence for each in outliers]
         few = [each for each in outliers if each.few]
         growing: tuple[GrowingNoise, ...] = ()
@@ -229,7 +233,9 @@ def _kept(fitter: Fitter, outliers: Sequence[OutliersOfOutput]) -> Mask:
     return kept
 
 
-def _outliers(fitter: Fitter, fitted: FittedModel) -> list[OutliersOfOutput]:
+def _outliers(
+    fitter: Fitter, fitted: FittedModel, thinned: Collection[Place]
+) -> list[OutliersOfOutput]:
     """The outliers of each output that has some, in training and in held-out experiments."""
     names = fitter.records.outputs
     noise = _noise(fitter, fitted)
@@ -240,7 +246,11 @@ def _outliers(fitter: Fitter, fitted: FittedModel) -> list[OutliersOfOutput]:
     found = []
     for held_out, signals in ((False, training), (True, _held_out(fitter, fitted))):
         for name in dict.fromkeys(output for _, output in signals):
-            own = {e: signal for (e, output), signal in signals.items() if output == name}
+            own = {
+                e: signal
+                for (e, output), signal in signals.items()
+                if output == name and (e, output) not in thinned
+            }
             jumps = {e: answers_to_inputs(fitter.problem.experiments[e], name) for e in own}
             outliers = _in_records(own, jumps, noise.get(name, 0.0))
             found.append(OutliersOfOutput(name, held_out, outliers))

@@ -151,6 +151,16 @@ class ThinnedProblem:
     def is_thinner(self) -> bool:
         return bool(self.sentence)
 
+    @property
+    def thinned_outputs(self) -> frozenset[tuple[int, str]]:
+        """Indices of experiments, with the outputs whose rows are made of many samples."""
+        return frozenset(
+            (e, output.variable)
+            for e, (run, own) in enumerate(zip(self.problem.experiments, self.rows, strict=True))
+            for output, matrix in zip(run.outputs, own, strict=True)
+            if matrix is not None
+        )
+
 
 def thinned(problem: Problem, most: int | None, fineness: Fineness | None = None) -> ThinnedProblem:
     """Thin the long records of a problem.

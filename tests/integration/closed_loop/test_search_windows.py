@@ -11,6 +11,7 @@ from support.truth.systems_with_missing_effects import measured, missing_effect_
 import cluster_est as ce
 from cluster_est.closed_loop.findings.effects import Verdict
 from cluster_est.closed_loop.loop import ClosedLoop
+from cluster_est.closed_loop.outliers import open_checked_workbench
 from cluster_est.closed_loop.search_windows import SearchWindows, choose_windows
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.closed_loop.workbench import LoopRequest, LoopWorkbench, open_workbench
@@ -175,3 +176,20 @@ def test_a_search_in_parts_that_is_stopped_goes_on_to_the_same_result(late, foun
     resumed = run(ExistingRun.RESUME, lambda record, *simulated: record(*simulated))
     assert (resumed.verdict, resumed.x, resumed.notes) == (found.verdict, found.x, found.notes)
     np.testing.assert_array_equal(resumed.fun, found.fun)
+
+
+def test_a_row_of_many_samples_is_no_outlier(late):
+    """Outliers were looked for in the samples; a row that stands alone is where outputs move."""
+    thin = thinned(late, MOST)
+    runs = list(thin.problem.experiments)
+    (output,) = runs[0].outputs
+    values = output.values.copy()
+    values[len(values) // 2] += 60.0 * NOISE
+    runs[0] = replace(runs[0], outputs=(replace(output, values=values),))
+    spiked = replace(thin.problem, experiments=tuple(runs))
+    request = LoopRequest(spiked, settings=SETTINGS, noise_of_samples=thin.noise)
+    left = []
+    for made in ((), thin.thinned_outputs):
+        with open_checked_workbench(request, thinned=made) as bench:
+            left.append(len(bench.fitter.problem.experiments[0].outputs[0].times))
+    assert left == [len(values) - 1, len(values)]
