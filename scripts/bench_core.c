@@ -22,7 +22,7 @@ enum { COUNT = 1001, X = 2 };
 static double times[COUNT], intervals[COUNT], force[COUNT], slopes[COUNT], outputs[COUNT];
 static double measured_values[COUNT], sigmas[COUNT];
 static int64_t gather[COUNT], row_ends[COUNT], progress[4];
-static uint8_t jumps[COUNT];
+static uint8_t jumps[COUNT], passed[COUNT];
 static const double point[] = {1.0, 25.0, 0.8}, atols[] = {1e-8, 1e-8}, large[] = {1e9};
 static const double rtol = 1e-6, rates[] = {0.0};
 static const uint32_t starts[] = {1, 2, 3}, input[] = {4}, output[] = {9};
@@ -365,7 +365,7 @@ int main(int n, char **given) {
         .stop = times[COUNT - 1], .numbers = {starts, NULL, 3, 0}, .inputs = {input, NULL, 1, 0},
         .continuous_inputs = {input, NULL, 1, 0}, .outputs = {output, NULL, 1, 0}, .times = times,
         .intervals = intervals, .values = force, .slopes = slopes, .jumps = jumps,
-        .n_times = COUNT, .n_inputs = 1, .n_outputs = 1, .gather = gather, .by_time = gather,
+        .passed = passed, .n_times = COUNT, .n_inputs = 1, .n_outputs = 1, .gather = gather, .by_time = gather,
         .row_ends = row_ends, .measured = measured_values, .sigmas = sigmas};
     const Settings settings = {.step = strstr(what, "-half") ? 0.0025 : 0.0, .rtol = rtol,
                                .atol = 1e-8, .atols = atols, .max_steps = 100000};

@@ -70,7 +70,7 @@ static void choose_grid(Asked *a) {
     const size_t n = e->n_times = 1 + below(tape, 6), u = e->n_inputs;
     double *const times = new_numbers(n, NULL), *const intervals = new_numbers(n, NULL);
     double *const values = new_numbers(n * u, tape), *const slopes = new_numbers(n * u, NULL);
-    uint8_t *const jumps = new_array(n, 1);
+    uint8_t *const jumps = new_array(n, 1), *const passed = new_array(n, 1);
     times[0] = ONE_OF(tape, 0.0, -5.0, 1e6, 3.0);
     for (size_t i = 0; i + 1 < n; i++) {
         times[i + 1] = times[i] + ONE_OF(tape, 0.1, 1.0, 1e-6, 1e3, 0.3);
@@ -84,7 +84,8 @@ static void choose_grid(Asked *a) {
         }
     }
     e->times = times, e->intervals = intervals, e->values = values, e->slopes = slopes;
-    e->jumps = jumps, e->stop = times[n - 1];
+    for (size_t i = 1; i + 1 < n; i++) passed[i] = !jumps[i] && next_byte(tape) % 2;
+    e->jumps = jumps, e->passed = passed, e->stop = times[n - 1];
 }
 
 /* A sum of squares above which a simulation may end. */

@@ -28,7 +28,7 @@ static void compare_machines(Tape *tape, const Program *p, int is_sound) {
 /* A simulation of the FMU that the program is for. */
 static void simulate(Tape *tape, const Program *p) {
     static const double times[TIMES] = {0.0, 0.5, 0.75}, intervals[TIMES] = {0.5, 0.25};
-    static const uint8_t jumps[TIMES] = {0, 1, 0};
+    static const uint8_t jumps[TIMES] = {0, 1, 0}, passed[TIMES] = {0};
     static const uint32_t output = 0;
     const size_t x = p->n_states, u = p->n_inputs;
     Instance instance;
@@ -44,7 +44,7 @@ static void simulate(Tape *tape, const Program *p) {
         .stop = times[TIMES - 1], .inputs = inputs, .continuous_inputs = inputs,
         .outputs = {&output, NULL, 1, 0}, .times = times, .intervals = intervals,
         .values = new_numbers(TIMES * u, tape), .slopes = new_numbers(TIMES * u, tape),
-        .jumps = jumps, .n_times = TIMES, .n_inputs = u, .n_outputs = 1};
+        .jumps = jumps, .passed = passed, .n_times = TIMES, .n_inputs = u, .n_outputs = 1};
     const Settings s = {ONE_OF(tape, 0.0, 0.1), 1e-6, 1e-6, atols, 8, 0.0, 0.0};
     const Effects effects = {p, new_array(p->n_parameters, sizeof(uint32_t)),
                              new_numbers(1, tape), new_numbers(p->n_coefficients, tape),
@@ -66,7 +66,7 @@ static void apply(Tape *tape, const Program *p) {
     const Record r = {times, new_numbers(TIMES * u, tape), new_numbers(TIMES * u, tape), TIMES, u,
                       n_outputs, below(tape, n_outputs), p, new_numbers(p->n_coefficients, tape),
                       ONE_OF(tape, 1.0, 50.0, NAN, INFINITY, 0.0), ONE_OF(tape, 0.0, 1.0, 1e-3),
-                      new_numbers(TIMES * n_outputs, tape)};
+                      new_numbers(TIMES * n_outputs, tape), NULL, 1};
     core_apply_to_outputs(&r);
 }
 

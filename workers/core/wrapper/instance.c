@@ -45,8 +45,8 @@ static const char *make_output(Instance *c, size_t number, double *row, double *
             || motion->n_base != 0 || motion->n_coefficients != p->n_coefficients))
         return other;
     o->record = (Record){c->times, c->seen, c->seen_slopes, 2, t->n_raw, t->n_row,
-                         (size_t)e->column, p, NULL, 0.0, 0.0, row};
-    o->run = (OutputRun){&o->record, p, o->effect.r, outer, {0}};
+                         (size_t)e->column, p, NULL, 0.0, 0.0, row, NULL, 1};
+    o->run = (OutputRun){.record = &o->record, .p = p, .r = o->effect.r, .x = outer};
     double *stages = calloc(4 * own + 1, sizeof *stages);
     if (stages == NULL) return no_memory;
     for (size_t stage = 0; stage < 4; stage++) o->run.stages[stage] = stages + stage * own;
