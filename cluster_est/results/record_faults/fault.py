@@ -85,20 +85,15 @@ class RecordFault:
     @property
     def sentence(self) -> str:
         """Say what is wrong, how well it is known, and what mends it."""
-        own = f"experiment {self.experiment}" if self.experiment else "all experiments"
         if self.kind == "foreign source":
             return f"look at the records first: {self.said}; {self.remedy}"
-        if self.experiment:
-            apart = (
-                f"{own} is the odd one: without it the others fit at the level of the noise, and "
-                f"it is off by {self.before:.2g} times the noise, {self.after:.2g} once mended"
-            )
-        else:
-            fall = f"from {self.before:.2g} to {self.after:.2g} times the noise"
-            apart = f"mended, the residual falls {fall}"
+        own = f"experiment {self.experiment}"
+        apart = (
+            f"{own} is the odd one: without it the others fit at the level of the noise, and "
+            f"it is off by {self.before:.2g} times the noise, {self.after:.2g} once mended"
+        )
         alike = f" ({' or '.join(self.others)} would look the same)" if self.others else ""
-        where = f"the record of {own}" if self.experiment else "the records"
-        return f"look at {where} first: {self.said}{alike}; {apart}; {self.remedy}"
+        return f"look at the record of {own} first: {self.said}{alike}; {apart}; {self.remedy}"
 
     @property
     def said(self) -> str:

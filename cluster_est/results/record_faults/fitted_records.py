@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from cluster_est.executors import executor_class
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.methods.method import Solution
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space import SearchSpace, make_space
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.results.solver_error.measure import simulate_with_solver
 from cluster_est.running.resources import Resources
 from cluster_est.running.runner import Runner
 from cluster_est.running.search_state import SearchRequest
 from cluster_est.statistics.noise.estimate import estimate_noise
 from cluster_est.statistics.records import StackedRecords, make_records
-from workers.messages import Experiment, FloatArray, Output, ResetPolicy
+from workers.messages import Experiment, FloatArray
 
 AT_NOISE = 1.3
 """Residual over noise up to which a record fits."""
@@ -31,8 +29,6 @@ OFF = 2.0
 LEAST_STEPS, STEPS_OF_SAMPLE = 20_000, 100
 """Steps of a solver that a changed record may take: a change that is far off may make it stiff."""
 REFIT = LeastSquares(trials=1, max_iterations=15, ftol=1e-4, xtol=1e-5, differences="forward")
-
-Change = Callable[[Experiment], Experiment]
 
 
 @dataclass(frozen=True)
@@ -119,32 +115,6 @@ class FittedRecords:
         """Fit the records as they are, some of them left out."""
         return self.runner.run([SearchRequest("records", REFIT, space) for space in spaces])
 
-    def refit_changed(
-        self, change: Change, start: dict[str, float]
-    ) -> tuple[Solution, list[Experiment]]:
-        """Fit all records with something changed, in a process of its own.
-
-        Raises
-        ------
-        ClusterEstError
-            If no process can be started.
-        """
-        runs = [change(run) for run in self.runs]
-        problem = replace(self.problem, experiments=tuple(runs))
-        space = make_space(problem, tuple(range(len(runs))), starts=start)
-        reset: ResetPolicy = problem.model.reset
-        if reset == "auto":
-            reset = "instance"
-        if self.resources.instances is not None:
-            reset = self.runner.free_instances(1)
-        model = replace(problem.model, reset=reset, seats=self.resources.seats)
-        kind = executor_class("processes" if hasattr(os, "fork") else "local")
-        with kind.open(model, tuple(runs), 1, None, self.resources.limits) as pool:
-            runner = Runner(pool)
-            (found,) = runner.run([SearchRequest("records", REFIT, space)])
-            self.count(runner.simulations)
-        return found, runs
-
     def simulate(self, runs: Sequence[Experiment], values: FloatArray) -> list[FloatArray | None]:
         """Return the residuals of changed experiments, None where one fails.
 
@@ -204,8 +174,3 @@ class FittedRecords:
                 points[row, unknown] - x[unknown]
             )
         return residuals[0], matrix
-
-
-def converted(output: Output, factor: float, offset: float) -> Output:
-    """Return an output whose column is multiplied by a factor, and shifted; its noise too."""
-    return replace(output, values=factor * output.values + offset, sigma=abs(factor) * output.sigma)
