@@ -26,6 +26,7 @@ from cluster_est.statistics.block_fits import (
     BlockFits,
     block_values,
     even_blocks,
+    noise_memory,
     unpredicted,
 )
 from cluster_est.statistics.fewer_samples import fewer_knots, without_repeats
@@ -50,6 +51,11 @@ it shows many hundreds of a model's time constants, and each trial would simulat
 MOST_BENT = 1.3
 """Mean square of the fourth coefficient, over that in blocks half as long: where these were too
 long it is up to 512. The error of a value is then below 0.4 of its noise."""
+
+OF_SLOW_NOISE = 4.0
+"""The most that this quotient is for noise of first order, in blocks of any length: its spectrum
+falls with the square of the frequency. Where it is larger in shorter blocks too, noise is slow, and
+the quotient may be that of these times as much."""
 
 BY_CHANCE = 6.0
 """Two standard errors of that quotient, times the root of the number of blocks."""
@@ -210,14 +216,29 @@ def looked_at_in_parts(problem: Problem, most: int | None) -> list[int]:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Where the rows of some outputs come from: blocks, and single samples."""
+    """Where the rows of some outputs come from: blocks, and single samples.
+
+    Attributes
+    ----------
+    coloured
+        Whether the noise of each output is: then the middle value of a block is taken alone.
+    """
 
     blocks: IntArray
     samples: IntArray
+    coloured: tuple[bool, ...] = ()
 
     @property
     def count(self) -> int:
         return NODES * len(self.blocks) + len(self.samples)
+
+
+@dataclass(frozen=True)
+class _EvenBlocks:
+    """Blocks of one length, and whether the noise of each output is coloured."""
+
+    bounds: IntArray
+    coloured: tuple[bool, ...]
 
 
 @dataclass(frozen=True)
@@ -246,8 +267,8 @@ class _Thinning:
             found = self._rows(times, [o.values for o in outputs])
             if found is None:
                 continue
-            for i, output in zip(own, outputs, strict=True):
-                made[i] = _of_rows(output, found, at_samples=not self._exchanged)
+            for i, output, coloured in zip(own, outputs, found.coloured, strict=True):
+                made[i] = _of_rows(output, found, coloured, at_samples=not self._exchanged)
         if not any(made):
             return experiment, tuple(made)
         outputs = [
@@ -269,13 +290,13 @@ class _Thinning:
         if len(times) <= LONG * self.most:
             return None
         stretches = self._stretches(times)
-        blocks, finest = self._even(stretches, times, signals)
-        if finest:
+        even = self._even(stretches, times, signals)
+        if even is None:
             return None
-        slow = [_slow(BlockFits.of(blocks, times, y)) for y in signals]
-        pieces = _refined(blocks, times, signals, slow)
+        slow = [_slow(BlockFits.of(even.bounds, times, y)) for y in signals]
+        pieces = _refined(even.bounds, times, signals, slow)
         short = _single(stretches[np.diff(stretches)[:, 0] < SHORTEST_BLOCK])
-        found = _with_windows(pieces, short, self.most)
+        found = replace(_with_windows(pieces, short, self.most), coloured=even.coloured)
         return found if found.count < MOST_LEFT * len(times) else None
 
     def _stretches(self, times: FloatArray) -> IntArray:
@@ -287,14 +308,23 @@ class _Thinning:
 
     def _even(
         self, stretches: IntArray, times: FloatArray, signals: Sequence[FloatArray]
-    ) -> tuple[IntArray, bool]:
-        """Return even blocks as long as the signals allow, and whether none are long enough."""
+    ) -> _EvenBlocks | None:
+        """Return even blocks as long as the signals allow; None where none are long enough.
+
+        Noise is coloured where it bends in blocks of a third of that length: a signal does not.
+        """
         long = stretches[np.diff(stretches)[:, 0] >= SHORTEST_BLOCK]
         length = max(int(NODES * len(times) / (FEWEST * self.most)), SHORTEST_BLOCK)
         while not self._short_enough(length, long, times, signals):
             length //= 2
+        if length < SHORTEST_BLOCK:
+            return None
+        third = max(length // NODES, SHORTEST_BLOCK)
+        blocks = _some(even_blocks(long, third))
+        coloured = tuple(_is_coloured(BlockFits.of(blocks, times, y)) for y in signals)
+        length = third if any(coloured) else length
         finer = max(length // self.fineness.shorter, SHORTEST_BLOCK)
-        return _long(even_blocks(long, finer)), length < SHORTEST_BLOCK
+        return _EvenBlocks(_long(even_blocks(long, finer)), coloured)
 
     def _short_enough(
         self, length: int, long: IntArray, times: FloatArray, signals: Sequence[FloatArray]
@@ -306,9 +336,14 @@ class _Thinning:
             fits = BlockFits.of(_some(even_blocks(long, length)), times, y)
             if fits.noise > FAST * unpredicted(y):
                 return False
+            if length < 2 * SHORTEST_BLOCK:
+                continue
             half = BlockFits.of(_some(even_blocks(long, length // 2)), times, y)
             most = max(MOST_BENT, 1.0 + BY_CHANCE / np.sqrt(len(fits.bounds)))
-            if length >= 2 * SHORTEST_BLOCK and fits.bent > most * half.bent:
+            if length >= 4 * SHORTEST_BLOCK:
+                quarter = BlockFits.of(_some(even_blocks(long, length // 4)), times, y)
+                most *= min(max(half.bent / quarter.bent, 1.0), OF_SLOW_NOISE)
+            if fits.bent > most * half.bent:
                 return False
         return True
 
@@ -364,6 +399,11 @@ def _single(blocks: IntArray) -> IntArray:
     return np.concatenate([np.zeros(0, int), *parts])
 
 
+def _is_coloured(fits: BlockFits) -> bool:
+    by_chance = 1.0 + BY_CHANCE / np.sqrt(max(len(fits.bounds), 1))
+    return bool(fits.bent > COLOURED * by_chance * fits.noise > 0.0)
+
+
 def _slow(fits: BlockFits) -> float:
     """Variance of noise that is slow enough for a polynomial: more than the rest if coloured."""
     return fits.bent if fits.bent > COLOURED * fits.noise else fits.noise
@@ -415,16 +455,26 @@ def _with_windows(pieces: Sequence[tuple[IntArray, IntArray]], short: IntArray, 
     return _Rows(blocks, np.concatenate([short, *(s for _, s in chosen)]))
 
 
-def _of_rows(output: Output, rows: _Rows, *, at_samples: bool) -> _ThinnedOutput:
-    """The output at its rows, each with the noise that is left in it."""
+def _of_rows(output: Output, rows: _Rows, coloured: bool, *, at_samples: bool) -> _ThinnedOutput:
+    """The output at its rows, each with the noise that is left in it.
+
+    White noise stays white in the three values of a parabola. Of coloured noise, which lasts from
+    one of them to the next, the middle value alone is taken: rows are evenly spaced then, and what
+    is told from an autocorrelation is told as on samples.
+    """
     nodes, weights = block_values(rows.blocks, output.times, at_samples=at_samples)
+    fits = BlockFits.of(rows.blocks, output.times, output.values)
+    memory = noise_memory(1.0, SHORTEST_BLOCK)
+    if coloured:
+        nodes, weights, memory = nodes[1::NODES], weights[1::NODES], fits.noise_memory
     single = eye_array(len(output.times), format="csr")[rows.samples]
     matrix = csr_array(vstack([weights, single]).tocsr())
     times = np.concatenate([nodes, output.times[rows.samples]])
     factors = np.sqrt(np.asarray(matrix.power(2).sum(axis=1)).ravel())
-    fits = BlockFits.of(rows.blocks, output.times, output.values)
-    if fits.noise > 0.0:  # of single samples too: many of slow noise say no more than a block of it
-        factors *= np.sqrt(_slow(fits) / fits.noise)
+    if coloured:  # many single samples say no more than the block that they are in
+        count = float(np.median(np.diff(rows.blocks)))
+        factors[: len(nodes)] = np.sqrt(memory.middle)
+        factors[len(nodes) :] = np.sqrt(count * memory.middle)
     order = np.argsort(times, kind="stable")
     matrix = csr_array(matrix[order])
     thin = replace(
@@ -435,7 +485,7 @@ def _of_rows(output: Output, rows: _Rows, *, at_samples: bool) -> _ThinnedOutput
     )
     rounding = quantisation_step(output.values) ** 2 / 12.0
     within = float(np.quantile(fits.variances, NOISY)) if len(fits.variances) else np.inf
-    return _ThinnedOutput(thin, matrix, max(within, rounding))
+    return _ThinnedOutput(thin, matrix, max(within / memory.within, rounding))
 
 
 def _sentence(before: Problem, after: Problem) -> str:
@@ -450,8 +500,8 @@ def _sentence(before: Problem, after: Problem) -> str:
         return ""
     old, new = (_range([pair[i] for pair in pairs]) for i in (0, 1))
     return (
-        f"long records are thinned to {new} rows of {old}: three values of a parabola in each "
-        "block, and denser rows where the outputs move fast"
+        f"long records are thinned to {new} rows of {old}: values of a parabola in each block, "
+        "and denser rows where the outputs move fast"
     )
 
 

@@ -17,6 +17,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
+from scipy.optimize import brentq
 from scipy.sparse import coo_array, csr_array
 
 from workers.messages import FloatArray, IntArray
@@ -44,6 +45,9 @@ UNLIKELY = 25.0
 
 NEIGHBOURS = 15
 """Blocks whose median says how large the noise is around a block, where it is not even."""
+
+MOST_CORRELATED = 0.9999
+"""Correlation of one sample with the next, up to which noise is told by its size within blocks."""
 
 SPREAD = 6.0
 """Standard errors by which the variance in a block may exceed that of the noise."""
@@ -87,6 +91,12 @@ class BlockFits:
         return float(np.median(self.variances)) if len(self.variances) else 0.0
 
     @property
+    def noise_memory(self) -> NoiseMemory:
+        """The first-order autoregression whose noise bends as much over what it leaves."""
+        length = int(np.median(np.diff(self.bounds))) if len(self.bounds) else SHORTEST_BLOCK
+        return noise_memory(self.bent / self.noise if self.noise else 1.0, length)
+
+    @property
     def bent(self) -> float:
         """Mean square of the fourth coefficient, whatever a few blocks are like."""
         return float(np.median(self.fourth**2)) / MEDIAN_OF_SQUARE if len(self.fourth) else 0.0
@@ -105,6 +115,57 @@ class BlockFits:
         curved = self.third**2 + self.fourth**2 > UNLIKELY * np.maximum(variances, slow)
         wide = self.variances > variances * (1.0 + SPREAD * np.sqrt(2.0 / degrees))
         return np.asarray(curved | wide)
+
+
+@dataclass(frozen=True)
+class NoiseMemory:
+    """Noise of variance 1 that is a first-order autoregression, in blocks of one length.
+
+    Attributes
+    ----------
+    correlation
+        Of one sample with the next.
+    within
+        Variance that a polynomial leaves within a block.
+    middle
+        Variance of a parabola's value in the middle of a block.
+    """
+
+    correlation: float
+    within: float
+    middle: float
+
+
+def noise_memory(bent: float, length: int) -> NoiseMemory:
+    """Return the autoregression whose noise has some variance of the fourth coefficient.
+
+    Parameters
+    ----------
+    bent
+        That variance, over the one within blocks: 1 for white noise.
+    length
+        Samples of a block, evenly spaced.
+    """
+    q = _orthonormal(np.linspace(-1.0, 1.0, length)[None])[0]
+    apart = np.abs(np.subtract.outer(np.arange(length), np.arange(length)))
+    at_middle = q[:NODES, length // 2] @ q[:NODES]
+
+    def variances(correlation: float) -> tuple[float, float, float]:
+        r = correlation**apart
+        parts = np.einsum("ji,ik,jk->j", q, r, q, optimize=True)
+        within = float((length - parts.sum()) / (length - DEGREE - 1))
+        return float(parts[DEGREE]), within, float(at_middle @ r @ at_middle)
+
+    def excess(correlation: float) -> float:
+        fourth, within, _ = variances(correlation)
+        return fourth - bent * within
+
+    found = 0.0
+    if excess(0.0) < 0.0:
+        found = MOST_CORRELATED
+        if excess(found) > 0.0:
+            found = float(brentq(excess, 0.0, found, xtol=1e-5))
+    return NoiseMemory(found, *variances(found)[1:])
 
 
 def block_values(

@@ -87,7 +87,7 @@ def test_a_check_says_what_will_be_done(rows, expected, capsys, monkeypatch):
     assert main(["check", SPRING, f"thinning.rows={rows}"]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert expected in said
-    assert ("of 500: three values of a parabola in each block" in said) is bool(expected)
+    assert ("of 500: values of a parabola in each block" in said) is bool(expected)
 
 
 def test_a_check_says_that_effects_are_looked_for_in_parts(capsys, monkeypatch):

@@ -62,14 +62,14 @@ def test_held_inputs_keep_their_jumps():
     np.testing.assert_allclose(given.times, [0.0, *np.arange(2.0, 20.0, 2.0)])
 
 
-def test_coloured_noise_is_less_quiet_after_thinning():
-    white, coloured = (
-        thinned(spring(ROWS, colour=each), MOST_ROWS).problem.experiments[0].outputs[0]
-        for each in (0.0, 0.8)
-    )
-    off = coloured.values - np.sin(3.0 * coloured.times)
-    assert np.median(coloured.sigmas) > 1.5 * np.median(white.sigmas)
-    assert np.std(off) == pytest.approx(float(np.median(coloured.sigmas)), rel=0.3)
+@pytest.mark.parametrize("colour", [0.5, 0.8, 0.95, 0.99])
+def test_rows_of_coloured_noise_are_even_and_as_noisy_as_their_sigma_says(colour):
+    (output,) = thinned(spring(ROWS, colour=colour), MOST_ROWS).problem.experiments[0].outputs
+    assert 300 <= len(output.times) <= MOST_ROWS
+    steps = np.diff(output.times)
+    assert np.quantile(steps, 0.9) == pytest.approx(np.quantile(steps, 0.3), rel=0.05)
+    off = (output.values - np.sin(3.0 * output.times)) / output.sigmas
+    assert np.sqrt(np.mean(off**2)) == pytest.approx(1.0, abs=0.2)
 
 
 def test_a_signal_that_is_too_fast_for_blocks_is_not_thinned():

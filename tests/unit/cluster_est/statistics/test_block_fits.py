@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from cluster_est.statistics.block_fits import NODES, BlockFits, block_values, even_blocks
 
@@ -68,3 +69,14 @@ def test_even_blocks_leave_nothing_out(length):
     assert blocks[-1, 1] == COUNT
     np.testing.assert_array_equal(blocks[1:, 0], blocks[:-1, 1])
     assert set(stretches[:, 0]) <= set(blocks[:, 0])
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9])
+def test_the_memory_of_noise_is_told_from_how_it_bends_in_blocks(correlation):
+    noise = np.random.default_rng(4).standard_normal(200_000)
+    noise = lfilter([np.sqrt(1.0 - correlation**2)], [1.0, -correlation], noise)
+    blocks = even_blocks(np.array([[0, len(noise)]]), 100)
+    fits = BlockFits.of(blocks, np.arange(float(len(noise))), noise)
+    found = fits.noise_memory
+    assert found.correlation == pytest.approx(correlation, abs=0.1)
+    assert fits.noise / found.within == pytest.approx(1.0, abs=0.15)
