@@ -54,7 +54,10 @@ def fewer_knots(
     for _ in range(ROUNDS):
         off = np.abs(np.interp(times, knots, fitted) - values) > limit
         between = np.unique(np.clip(np.searchsorted(knots, times[off]) - 1, 0, len(knots) - 2))
-        denser = np.union1d(knots, times[_inner(times, values, knots, between)])
+        free = np.abs(fitted - np.interp(knots, times, values)) > limit
+        after = np.searchsorted(times, knots[free])  # samples beside them leave them no freedom
+        more = [_inner(times, values, knots, between), after, np.maximum(after - 1, 0)]
+        denser = np.union1d(knots, times[np.concatenate(more)])
         if len(denser) == len(knots):
             break
         knots = denser

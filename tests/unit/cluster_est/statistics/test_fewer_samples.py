@@ -21,6 +21,15 @@ def test_a_jump_between_straight_lines_stays_as_it_was():
     np.testing.assert_allclose(np.interp(TIMES, knots, fitted), values, atol=1e-9)
 
 
+@pytest.mark.parametrize("shift", [0.1, 0.37, 0.9])
+def test_nothing_swings_out_between_the_samples_of_a_jump(shift):
+    ramp = np.clip((TIMES - 2.321) / 4e-3, -1.0, 1.0)  # up to a sample before a knot
+    knots, fitted = fewer_knots(TIMES, ramp, KNOTS + shift * 1e-3, 1e-3)
+    dense = np.linspace(2.3, 2.4, 20_001)
+    off = np.interp(dense, knots, fitted) - np.interp(dense, TIMES, ramp)
+    assert np.abs(off).max() <= 4e-3
+
+
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-3])
 def test_a_smooth_signal_is_off_by_less_than_the_tolerance(tolerance):
     values = np.sin(2.0 * np.pi * 2.0 * TIMES)
