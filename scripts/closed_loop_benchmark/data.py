@@ -130,7 +130,7 @@ class Data:
     true_parameters: Mapping[str, float]
 
 
-def make(scenario: Scenario, sampling: Sampling = OWN) -> Data:
+def make(scenario: Scenario, sampling: Sampling = OWN, system: System | None = None) -> Data:
     """Simulate a case and add its noise.
 
     Parameters
@@ -139,13 +139,15 @@ def make(scenario: Scenario, sampling: Sampling = OWN) -> Data:
         The case.
     sampling
         Of its outputs, in the same course of all that drives it.
+    system
+        With other runs than the benchmark's.
 
     Returns
     -------
     Data
         The same for the same scenario and sampling.
     """
-    system = SYSTEMS[scenario.system]
+    system = system or SYSTEMS[scenario.system]
     # Streams apart: no part changes when another draws more numbers.
     excited, pushed, measured, guessed, jittered = np.random.default_rng(scenario.seed).spawn(5)
     runs = system.excitation(system.times, excited)

@@ -46,6 +46,7 @@ Kind = Literal[
     "disturbance",
     "process noise",
     "outliers",
+    "single record",
 ]
 SIZES = (0.05, 0.25, 1.0)
 """The smallest leaves some effects close to the noise, or lost in it."""
@@ -90,7 +91,8 @@ class Scenario:
         effect that no library has. "textbook": one from a book of physics, whether a library has it
         or not. "triple": three effects. "disturbance": a push that nothing measured explains.
         "process noise": white noise on a rate, with an effect or without. "outliers": one sample in
-        a hundred is far off, with an effect or without.
+        a hundred is far off, with an effect or without. "single record": one effect, in one record
+        alone.
     effects
         What the FMU lacks, at its full size.
     accepted
@@ -293,12 +295,12 @@ def ablation_cases() -> list[Scenario]:
     placed: list[tuple[float, Scenario]] = []
     for first, (kind, most) in enumerate(SHARES.items()):
         own = drawn(kind) if kind in DRAWN else [case for case in known if case.kind == kind]
-        chosen = _by_turns(own, first)[:most]
+        chosen = by_turns(own, first)[:most]
         placed += [((n + 0.5) / len(chosen), case) for n, case in enumerate(chosen)]
     return [case for _, case in sorted(placed, key=lambda each: each[0])]
 
 
-def _by_turns(cases: Sequence[Scenario], first: int) -> list[Scenario]:
+def by_turns(cases: Sequence[Scenario], first: int = 0) -> list[Scenario]:
     """One case of each system after the other, those of a system by their seeds."""
     ordered, systems = sorted(cases, key=lambda case: case.seed), [*SYSTEMS]
     systems = systems[first:] + systems[:first]

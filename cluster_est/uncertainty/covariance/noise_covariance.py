@@ -30,6 +30,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 from scipy.fft import irfft, next_fast_len, rfft
+from scipy.linalg import solve_banded
 from scipy.special import chdtrc
 
 from cluster_est.uncertainty.covariance.normal_equations import (
@@ -50,7 +51,6 @@ SETTLED = 1e-3
 """Change of the autocovariances, over the variance, at which they have settled."""
 NEGLIGIBLE_AUTOCOVARIANCE = 1e-6
 """Autocovariances below this, over the variance, are 0 from there on."""
-MOST_LAGS = 100_000
 REFLECTION = 0.999
 """Largest partial autocorrelation: beyond it the variance of a noise is unknown."""
 MOST_PRODUCTS = 2e6
@@ -147,10 +147,11 @@ def fit_noise(records: Sequence[NoiseRecord], shared: int) -> dict[int, Autoregr
 
 @dataclass(frozen=True)
 class _Products:
-    """c_h of one output, and how many products each is the sum of."""
+    """c_h of one output, how many products each is the sum of, and its longest record's samples."""
 
     sums: FloatArray
     counts: FloatArray
+    longest: int
 
     @classmethod
     def of(cls, records: Sequence[NoiseRecord]) -> _Products:
@@ -161,7 +162,7 @@ class _Products:
             column = record.residuals[:, None]
             sums += _correlated(column, column, lags)
             counts += np.maximum(len(column) - np.arange(lags), 0)
-        return cls(sums, counts)
+        return cls(sums, counts, longest)
 
     @property
     def lags(self) -> int:
@@ -179,7 +180,8 @@ class _Products:
                 best, least = (coefficients, variance), criterion
         coefficients, variance = best
         error = _spectrum_error(coefficients, variance, covariances, count)
-        return AutoregressiveNoise(coefficients, _extended(coefficients, covariances), error)
+        extended = _extended(coefficients, covariances, self.longest)
+        return AutoregressiveNoise(coefficients, extended, error)
 
 
 def _predictors(covariances: FloatArray) -> list[tuple[FloatArray, float]]:
@@ -202,15 +204,19 @@ def _predictors(covariances: FloatArray) -> list[tuple[FloatArray, float]]:
     return found
 
 
-def _extended(coefficients: FloatArray, covariances: FloatArray) -> FloatArray:
-    """Return g_h of an autoregression, up to where they stay negligible."""
+def _extended(coefficients: FloatArray, covariances: FloatArray, longest: int) -> FloatArray:
+    """Return g_h of an autoregression at all lags of a record, or to where they stay negligible."""
     order = len(coefficients)
-    found = list(covariances[: order + 1])
-    small = 0
-    while order and small <= order and len(found) < MOST_LAGS:
-        found.append(float(coefficients @ found[: -order - 1 : -1]))
-        small = small + 1 if abs(found[-1]) < NEGLIGIBLE_AUTOCOVARIANCE * found[0] else 0
-    return np.array(found)
+    known = covariances[: order + 1]
+    if not order:
+        return known
+    size = max(longest, order + 1)
+    bands = np.tile(np.append(1.0, -coefficients)[:, None], size)
+    for lag in range(1, order + 1):
+        bands[lag, : order + 1 - lag] = 0.0  # rows of what is known
+    found = solve_banded((order, 0), bands, np.append(known, np.zeros(size - order - 1)))
+    felt = np.flatnonzero(np.abs(found) >= NEGLIGIBLE_AUTOCOVARIANCE * found[0])
+    return found[: max(int(felt[-1]) + 1, order + 1)] if len(felt) else known
 
 
 def _spectrum_error(
