@@ -88,6 +88,9 @@ ORDER = 5
 WHITE = 0.05
 """Share of the squares that is left beside the white part where noise counts as white."""
 
+WHITE_ERROR = 5.0
+"""Error of the squared white part, over itself, times the root of the number of samples."""
+
 COLOURED_SHARE = 0.8
 """Share of the variance above which the white part leaves no room for coloured noise: what is
 left beside it is then something else."""
@@ -190,13 +193,16 @@ class OutputNoise:
     def no_larger(self) -> bool:
         """It is no larger than noise of the declared sigma is by chance, however smooth.
 
-        The chance is that of a chi-squared number with as many degrees of freedom as the memory
-        leaves (`Autocorrelation.squares`). A residual is not judged by its own error, which grows
-        with it.
+        What is slow in it may be as large as the white part leaves room for, and by chance larger
+        as a chi-squared number with as many degrees of freedom as the memory leaves
+        (`Autocorrelation.squares`). A residual is not judged by its own error, which grows with it.
         """
         if not self.declared:
             return False
-        return bool(self.level**2 <= chdtri(self.degrees, CHANCE) / self.degrees)
+        white = min(self.white, self.level) ** 2
+        room = max(1.0 - white, 0.0) + WHITE_ERROR / np.sqrt(self.samples)
+        slow = self.level**2 - white
+        return bool(slow <= room * chdtri(self.degrees, CHANCE) / self.degrees)
 
     @property
     def coloured(self) -> bool:
@@ -299,7 +305,7 @@ def is_noise_of_sensors(
         else:
             level = output.level / output.white if output.white > 0.0 else np.inf
             most = max(largest * output.first_order, near * whitened)
-            white = WHITE + 5.0 / np.sqrt(output.samples)  # the estimate's own error
+            white = WHITE + WHITE_ERROR / np.sqrt(output.samples)
             known = level**2 <= 1.0 + white or level <= most
         if not known:
             return False
