@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.special import fdtrc
 
 from cluster_est.closed_loop.findings.effects import (
     ErrorChange,
@@ -42,10 +43,15 @@ from cluster_est.closed_loop.selection.rounds import (
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.statistics.residual_findings import autocorrelated
 from cluster_est.statistics.residual_tests import FAMILY_WISE_LEVEL
-from workers.messages import FloatArray
+from workers.messages import FloatArray, Role
 
 CLAIMS = (Verdict.FOUND, Verdict.PARTIAL)
 """Verdicts with which effects are added."""
+HELD_OUT_ERROR = 1.15
+"""Error on held-out data over that of training up to which both may be noise alone. Signal: with
+ten samples or more for each estimate, what is uncertain of these adds less."""
+RARE = 1e-3
+"""Probability of a larger one by chance, from which it is none. By definition."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +74,8 @@ class ReasonedVerdict:
         declared sigma is far too small.
     filtered
         Errors are innovations of a filter.
+    independent
+        Share of the samples that are independent: fewer than all where residuals have a memory.
     """
 
     verdict: Verdict
@@ -78,6 +86,7 @@ class ReasonedVerdict:
     noise: Mapping[str, float] = field(default_factory=dict)
     floor: float = 1.0
     filtered: bool = False
+    independent: float = 1.0
 
     def refused(self, against: str) -> ReasonedVerdict:
         """Return the verdict where something speaks against the effects that it claims."""
@@ -153,6 +162,7 @@ def judge(fitter: Fitter, found: SelectionResult) -> ReasonedVerdict:
         noise=smaller,
         floor=float(np.sqrt(np.mean(np.square(floor)))) if floor else 1.0,
         filtered=fitter.predicts,
+        independent=min([1.0, *(o.degrees / o.samples for o in now.outputs)]),
     )
 
 
@@ -370,11 +380,35 @@ def confirmed(
     if verdict is Verdict.FOUND and np.any(left > near):
         verdict = Verdict.PARTIAL
         remark = f", which is more than the {near:.3g} times up to which all counts as found"
+    elif (
+        verdict is Verdict.FOUND
+        and not judged.filtered
+        and _more_held_out(errors, judged.independent)
+    ):
+        verdict = Verdict.PARTIAL
+        remark = ", which is more than noise makes by chance: something is left that training hides"
     said = what_is_left(errors, judged.over, remark)
     if verdict is Verdict.FOUND and (without_noise(errors) or not_simulated(errors)):
         verdict = Verdict.PARTIAL
         said += ", so it is not known whether all was found"
     return replace(judged, verdict=verdict, reason="; ".join(filter(None, (said, judged.reason))))
+
+
+def _more_held_out(errors: Sequence[ErrorChange], independent: float) -> bool:
+    """Return whether held-out errors are larger than those of training, and not by chance.
+
+    If both are noise alone the quotient of the squares is that of the F distribution; estimates
+    that are uncertain add to what is predicted, so a part more is allowed for.
+    """
+    train, test = (pooled_error(errors, role, after=True) for role in ("train", "test"))
+    counts = [independent * _samples(errors, role) for role in ("test", "train")]
+    if not (train > 0.0 and min(counts) > 0.0):
+        return False
+    return test > HELD_OUT_ERROR * train and fdtrc(*counts, (test / train) ** 2) < RARE
+
+
+def _samples(errors: Sequence[ErrorChange], role: Role) -> int:
+    return sum(e.samples for e in errors if e.role == role)
 
 
 def veto(judged: ReasonedVerdict, errors: Sequence[ErrorChange], settings: LoopSettings) -> str:

@@ -319,8 +319,25 @@ def test_innovations_are_not_compared_by_their_size_alone():
 
 
 def test_what_counts_as_near_the_noise_is_a_setting():
-    errors = changes((9.0, 1.0), (9.0, 1.9))
+    errors = changes((9.0, 1.8), (9.0, 1.9))
     assert confirmed(FOUND, errors, LoopSettings(near_noise=2.0)).verdict is Verdict.FOUND
+    assert confirmed(FOUND, errors, LoopSettings()).verdict is Verdict.PARTIAL
+
+
+@pytest.mark.parametrize(
+    ("held_out", "independent", "expected"),
+    [
+        (1.1, 1.0, Verdict.FOUND),
+        (1.4, 1.0, Verdict.PARTIAL),
+        (1.4, 0.1, Verdict.FOUND),
+    ],
+)
+def test_what_is_held_out_is_followed_as_well_as_what_was_fitted(held_out, independent, expected):
+    """Of 100 samples, or of ten that are independent; both errors are near the noise."""
+    judged = replace(FOUND, independent=independent)
+    found = confirmed(judged, changes((9.0, 1.0), (9.0, held_out)), LoopSettings())
+    assert found.verdict is expected
+    assert ("training hides" in found.reason) is (expected is Verdict.PARTIAL)
 
 
 def test_a_sigma_that_is_too_large_does_not_make_an_error_small():
