@@ -173,7 +173,8 @@ def thinned(problem: Problem, most: int | None, fineness: Fineness | None = None
 
     Records of up to `LONG` times as many rows stay as they are, and so does everything with process
     noise, whose filter counts steps, or with residuals that are no differences at measured times.
-    In co-simulation inputs stay too, and rows are at times of samples, the communication points.
+    In co-simulation rows are at times of samples, which are communication points, and inputs stay
+    too where the FMU cannot vary its communication step.
 
     Parameters
     ----------
@@ -276,14 +277,19 @@ class _Thinning:
             for whole, thin in zip(experiment.outputs, made, strict=True)
         ]
         shorter = replace(experiment, outputs=tuple(outputs))
-        if self._exchanged:
+        if self._exchanged or (self.fineness.tolerance and self._any_step):
             shorter = self._driven(shorter)
         return shorter, tuple(made)
 
     @property
     def _exchanged(self) -> bool:
-        """Times of rows and inputs are free; in co-simulation they are communication points."""
+        """Times of rows are free; in co-simulation they are communication points."""
         return self.problem.model.interface == "model_exchange"
+
+    @property
+    def _any_step(self) -> bool:
+        """Co-simulation may go in longer steps, from one sample of thinned inputs to the next."""
+        return describe_model(self.problem.model).variable_steps
 
     def _rows(self, times: FloatArray, signals: Sequence[FloatArray]) -> _Rows | None:
         """Choose the rows of outputs that were measured together; None where all are kept."""

@@ -99,8 +99,11 @@ def test_a_record_that_takes_more_rows_keeps_its_end():
 def test_in_co_simulation_rows_are_at_times_of_samples():
     problem = spring(ROWS)
     model = replace(problem.model, interface="co_simulation", solver=Solver("fmu"))
-    (found,) = thinned(replace(problem, model=model), MOST_ROWS).problem.experiments
+    problem = replace(problem, model=model)
+    (found,) = thinned(problem, MOST_ROWS).problem.experiments
     assert set(found.outputs[0].times) <= set(TIMES)
+    assert len(found.inputs[0].times) == 10
+    (found,) = thinned(problem, MOST_ROWS, WHOLE_INPUTS).problem.experiments
     assert len(found.inputs[0].times) == ROWS
 
 
