@@ -8,8 +8,9 @@ the way that it goes on all rows. Inputs keep their course, with as many samples
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -190,14 +191,17 @@ def thinned(problem: Problem, most: int | None, fineness: Fineness | None = None
     if most is None or not plain or noise_names(problem):
         return ThinnedProblem(problem, problem, nothing, "")
     fineness = fineness or Fineness()
-    parts = [_Thinning(problem, e, most, fineness).run() for e in problem.experiments]
+    each = [_Thinning(problem, e, most, fineness) for e in problem.experiments]
+    looked = [one.lengths() for one in each]
+    coloured = _mostly_coloured(problem, looked)
+    parts = [one.run(own, coloured) for one, own in zip(each, looked, strict=True)]
     rows = tuple(tuple(None if t is None else t.matrix for t in own) for _, own in parts)
     changed = replace(problem, experiments=tuple(e for e, _ in parts))
     noise: dict[str, list[float]] = {}
     for e in problem.indices("train"):
-        for each in parts[e][1]:
-            if each is not None:
-                noise.setdefault(each.output.variable, []).append(each.noise)
+        for thin in parts[e][1]:
+            if thin is not None:
+                noise.setdefault(thin.output.variable, []).append(thin.noise)
     known = {name: float(np.sqrt(np.mean(own))) for name, own in noise.items()}
     return ThinnedProblem(problem, changed, rows, _sentence(problem, changed), known)
 
@@ -221,25 +225,35 @@ class _Rows:
 
     Attributes
     ----------
-    coloured
-        Whether the noise of each output is: then the middle value of a block is taken alone.
+    values
+        That a block leaves: one of coloured noise.
     """
 
     blocks: IntArray
     samples: IntArray
-    coloured: tuple[bool, ...] = ()
+    values: int = NODES
 
     @property
     def count(self) -> int:
-        return NODES * len(self.blocks) + len(self.samples)
+        return self.values * len(self.blocks) + len(self.samples)
 
 
 @dataclass(frozen=True)
-class _EvenBlocks:
-    """Blocks of one length, and whether the noise of each output is coloured."""
+class _BlockLength:
+    """How long blocks of outputs that were measured together may be; 0 for no blocks.
 
-    bounds: IntArray
-    coloured: tuple[bool, ...]
+    Attributes
+    ----------
+    own, times
+        Which outputs, and when they were measured.
+    coloured
+        Whether the noise of each seems to be.
+    """
+
+    own: list[int]
+    times: FloatArray = field(repr=False)
+    length: int
+    coloured: tuple[bool, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -260,16 +274,25 @@ class _Thinning:
     most: int
     fineness: Fineness
 
-    def run(self) -> tuple[Experiment, tuple[_ThinnedOutput | None, ...]]:
+    def lengths(self) -> list[_BlockLength]:
+        """Return the length of blocks of the outputs that are measured together."""
+        groups = _of_equal_times(self.experiment.outputs)
+        return [self._length(times, own) for times, own in groups]
+
+    def run(
+        self, lengths: Sequence[_BlockLength], coloured: Collection[str]
+    ) -> tuple[Experiment, tuple[_ThinnedOutput | None, ...]]:
+        """Thin outputs of white and of coloured noise apart, and the inputs."""
         experiment = self.experiment
         made: list[_ThinnedOutput | None] = [None] * len(experiment.outputs)
-        for times, own in _of_equal_times(experiment.outputs):
-            outputs = [experiment.outputs[i] for i in own]
-            found = self._rows(times, [o.values for o in outputs])
-            if found is None:
-                continue
-            for i, output, coloured in zip(own, outputs, found.coloured, strict=True):
-                made[i] = _of_rows(output, found, coloured, at_samples=not self._exchanged)
+        for group, colour in product(lengths, (False, True)):
+            own = [i for i in group.own if (experiment.outputs[i].variable in coloured) is colour]
+            alike = group if own == group.own else self._length(group.times, own)
+            rows = self._rows(alike, coloured=colour) if own else None
+            if rows is not None:
+                for i in own:
+                    output = experiment.outputs[i]
+                    made[i] = _of_rows(output, rows, at_samples=not self._exchanged)
         if not any(made):
             return experiment, tuple(made)
         outputs = [
@@ -291,18 +314,21 @@ class _Thinning:
         """Co-simulation may go in longer steps, from one sample of thinned inputs to the next."""
         return describe_model(self.problem.model).variable_steps
 
-    def _rows(self, times: FloatArray, signals: Sequence[FloatArray]) -> _Rows | None:
-        """Choose the rows of outputs that were measured together; None where all are kept."""
-        if len(times) <= LONG * self.most:
+    def _rows(self, group: _BlockLength, *, coloured: bool) -> _Rows | None:
+        """Choose the rows of some outputs; None where all are kept."""
+        if not group.length:
             return None
-        stretches = self._stretches(times)
-        even = self._even(stretches, times, signals)
-        if even is None:
-            return None
-        slow = [_slow(BlockFits.of(even.bounds, times, y)) for y in signals]
-        pieces = _refined(even.bounds, times, signals, slow)
+        stretches, times = self._stretches(group.times), group.times
+        long = stretches[np.diff(stretches)[:, 0] >= SHORTEST_BLOCK]
         short = _single(stretches[np.diff(stretches)[:, 0] < SHORTEST_BLOCK])
-        found = replace(_with_windows(pieces, short, self.most), coloured=even.coloured)
+        length = group.length // (NODES if coloured else 1) // self.fineness.shorter
+        blocks = _long(even_blocks(long, max(length, SHORTEST_BLOCK)))
+        if coloured:
+            found = _Rows(blocks, short, 1)
+        else:
+            signals = [self.experiment.outputs[i].values for i in group.own]
+            slow = [_slow(BlockFits.of(blocks, times, y)) for y in signals]
+            found = _with_windows(_refined(blocks, times, signals, slow), short, self.most)
         return found if found.count < MOST_LEFT * len(times) else None
 
     def _stretches(self, times: FloatArray) -> IntArray:
@@ -312,25 +338,26 @@ class _Thinning:
         edges = np.unique(np.concatenate([[0], at, [len(times)]]))
         return np.column_stack([edges[:-1], edges[1:]])
 
-    def _even(
-        self, stretches: IntArray, times: FloatArray, signals: Sequence[FloatArray]
-    ) -> _EvenBlocks | None:
-        """Return even blocks as long as the signals allow; None where none are long enough.
+    def _length(self, times: FloatArray, own: list[int]) -> _BlockLength:
+        """Find the length of blocks that the signals allow.
 
         Noise is coloured where it bends in blocks of a third of that length: a signal does not.
         """
+        if len(times) <= LONG * self.most:
+            return _BlockLength(own, times, 0)
+        stretches, signals = (
+            self._stretches(times),
+            [self.experiment.outputs[i].values for i in own],
+        )
         long = stretches[np.diff(stretches)[:, 0] >= SHORTEST_BLOCK]
         length = max(int(NODES * len(times) / (FEWEST * self.most)), SHORTEST_BLOCK)
         while not self._short_enough(length, long, times, signals):
             length //= 2
         if length < SHORTEST_BLOCK:
-            return None
-        third = max(length // NODES, SHORTEST_BLOCK)
-        blocks = _some(even_blocks(long, third))
+            return _BlockLength(own, times, 0)
+        blocks = _some(even_blocks(long, max(length // NODES, SHORTEST_BLOCK)))
         coloured = tuple(_is_coloured(BlockFits.of(blocks, times, y)) for y in signals)
-        length = third if any(coloured) else length
-        finer = max(length // self.fineness.shorter, SHORTEST_BLOCK)
-        return _EvenBlocks(_long(even_blocks(long, finer)), coloured)
+        return _BlockLength(own, times, length, coloured)
 
     def _short_enough(
         self, length: int, long: IntArray, times: FloatArray, signals: Sequence[FloatArray]
@@ -379,6 +406,16 @@ class _Thinning:
             return given
         times, values = fewer_knots(times, values, knots, self.fineness.tolerance)
         return replace(given, times=times, values=values, interpolation=kind)
+
+
+def _mostly_coloured(problem: Problem, looked: Sequence[Sequence[_BlockLength]]) -> set[str]:
+    """Return the outputs whose noise is coloured in most of the records that are thinned."""
+    votes: dict[str, list[bool]] = {}
+    for run, groups in zip(problem.experiments, looked, strict=True):
+        for group in (each for each in groups if each.length):
+            for i, each in zip(group.own, group.coloured, strict=True):
+                votes.setdefault(run.outputs[i].variable, []).append(each)
+    return {name for name, own in votes.items() if np.mean(own) > 0.5}
 
 
 def _of_equal_times(outputs: Sequence[Output]) -> Iterator[tuple[FloatArray, list[int]]]:
@@ -461,7 +498,7 @@ def _with_windows(pieces: Sequence[tuple[IntArray, IntArray]], short: IntArray, 
     return _Rows(blocks, np.concatenate([short, *(s for _, s in chosen)]))
 
 
-def _of_rows(output: Output, rows: _Rows, coloured: bool, *, at_samples: bool) -> _ThinnedOutput:
+def _of_rows(output: Output, rows: _Rows, *, at_samples: bool) -> _ThinnedOutput:
     """The output at its rows, each with the noise that is left in it.
 
     White noise stays white in the three values of a parabola. Of coloured noise, which lasts from
@@ -471,13 +508,13 @@ def _of_rows(output: Output, rows: _Rows, coloured: bool, *, at_samples: bool) -
     nodes, weights = block_values(rows.blocks, output.times, at_samples=at_samples)
     fits = BlockFits.of(rows.blocks, output.times, output.values)
     memory = noise_memory(1.0, SHORTEST_BLOCK)
-    if coloured:
+    if rows.values == 1:
         nodes, weights, memory = nodes[1::NODES], weights[1::NODES], fits.noise_memory
     single = eye_array(len(output.times), format="csr")[rows.samples]
     matrix = csr_array(vstack([weights, single]).tocsr())
     times = np.concatenate([nodes, output.times[rows.samples]])
     factors = np.sqrt(np.asarray(matrix.power(2).sum(axis=1)).ravel())
-    if coloured:  # many single samples say no more than the block that they are in
+    if rows.values == 1:  # many single samples say no more than the block that they are in
         count = float(np.median(np.diff(rows.blocks)))
         factors[: len(nodes)] = np.sqrt(memory.middle)
         factors[len(nodes) :] = np.sqrt(count * memory.middle)

@@ -72,6 +72,18 @@ def test_rows_of_coloured_noise_are_even_and_as_noisy_as_their_sigma_says(colour
     assert np.sqrt(np.mean(off**2)) == pytest.approx(1.0, abs=0.2)
 
 
+def test_an_output_has_the_noise_of_most_of_its_records_in_all():
+    """In a record of one output the noise is white: a correlation is that of the sensor."""
+    runs = []
+    for n, colour in enumerate([0.9, 0.9, 0.0]):
+        (run,) = spring(6000, colour=colour).experiments
+        runs.append(replace(run, id=f"long {n}"))
+    found = thinned(replace(spring(6000), experiments=tuple(runs)), MOST_ROWS)
+    for run in found.problem.experiments:
+        steps = np.diff(run.outputs[0].times)
+        assert np.quantile(steps, 0.9) == pytest.approx(np.quantile(steps, 0.3), rel=0.2)
+
+
 def test_a_signal_that_is_too_fast_for_blocks_is_not_thinned():
     problem = spring(ROWS)
     (run,) = problem.experiments
