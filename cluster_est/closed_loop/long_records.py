@@ -63,8 +63,9 @@ def thinned_records(request: LoopRequest, most: int | None) -> ThinnedProblem:
     """Thin the long records of a loop, as coarsely as the model allows.
 
     The declared model is simulated at its start on all rows and on the thinned ones: what the
-    filter and the inputs of fewer samples change must be far below the noise that is left in a row.
-    Where no way of thinning does that, records stay as they are.
+    filter and the inputs of fewer samples change must be below the noise that is left in a row, and
+    the measured rows are corrected by it. Where no way of thinning does that, records stay as they
+    are.
 
     Returns
     -------
@@ -85,17 +86,29 @@ def thinned_records(request: LoopRequest, most: int | None) -> ThinnedProblem:
         if not found.is_thinner:
             break
         full = full or _simulated(whole, resources)
-        simulated = None if full is None else _simulated(found.problem, resources)
-        if full is not None and simulated is not None:
-            changes = _changes(found, full, simulated)
-            if _over_noise(found, changes) > FAINT:
-                continue
-            found = _corrected(found, changes)
-        elif full is not None:
+        corrected = found if full is None else _like_all_rows(found, full, resources)
+        if corrected is None:
             continue
         said = [each.sentence for each in outliers]
-        return replace(found, whole=whole, sentence="; ".join([found.sentence, *said]))
+        return replace(corrected, whole=whole, sentence="; ".join([found.sentence, *said]))
     return thinned(request.problem, None)
+
+
+def corrected_rows(thin: ThinnedProblem, resources: Resources) -> ThinnedProblem | None:
+    """Return thinned records as a loop looks at them; None where it looks at others."""
+    full = _simulated(thin.whole, resources)
+    return None if full is None else _like_all_rows(thin, full, resources)
+
+
+def _like_all_rows(
+    thin: ThinnedProblem, full: list[list[FloatArray]], resources: Resources
+) -> ThinnedProblem | None:
+    """Correct thinned records by what thinning changes; None where that is too much."""
+    simulated = _simulated(thin.problem, resources)
+    if simulated is None:
+        return None
+    changes = _changes(thin, full, simulated)
+    return _corrected(thin, changes) if _over_noise(thin, changes) <= FAINT else None
 
 
 def _simulated(problem: Problem, resources: Resources) -> list[list[FloatArray]] | None:

@@ -11,6 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from cluster_est.closed_loop.long_records import corrected_rows
 from cluster_est.config.build import build_problem
 from cluster_est.config.choices import build_resources
 from cluster_est.config.reader import read_config
@@ -227,8 +228,12 @@ def _with_rows_of_run(problem: Problem, config: Config) -> Iterator[Problem]:
     yield problem
     for fineness in FINENESS:
         found = thinned(problem, config.thinning.most(), fineness)
-        if found.is_thinner:
-            yield found.problem
+        if not found.is_thinner:
+            continue
+        yield found.problem
+        corrected = corrected_rows(found, build_resources(config))
+        if corrected is not None:
+            yield corrected.problem
 
 
 def config_base(run_folder: Path, config: Path | None) -> Path:
