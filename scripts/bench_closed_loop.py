@@ -2,6 +2,7 @@
 
     python scripts/bench_closed_loop.py --out results.jsonl --split tune --every 10
     python scripts/bench_closed_loop.py --out fast.jsonl --kinds single,clean --every 30 --rate 10
+    python scripts/bench_closed_loop.py --out records.jsonl --kinds "single record"
     python scripts/bench_closed_loop.py --out results.jsonl --page closed-loop-benchmark.md
     python scripts/bench_closed_loop.py --compare old.jsonl new.jsonl
     python scripts/bench_closed_loop.py --out parts.jsonl --first 60 --ablation beam,replace+drop
@@ -9,13 +10,14 @@
 
 The first prints one line a case and appends to the file, one record a line; cases that are in it
 already are skipped, so a run can be continued. The second samples the cases ten times as fast, in
-noise that is larger by the root of ten. The third writes the tables of all that is there. The
-fourth lists the cases of both files that were right and are no longer; there must be none, and the
-exit code is 1 if there is one. The fifth is about the parts of the search (moves, gates, and what
-moves share): on each of the first 60 cases that are meant for that it runs the loop as it is, then
-without the one part, then without the other two, and prints what each is good for; `--ablation all`
-leaves out every part alone. Each has a file of its own beside that of `--out`, and can be continued
-with further parts and cases. The last writes the page of all that is there.
+noise that is larger by the root of ten. The third runs the cases of one long record. The fourth
+writes the tables of all that is there. The fifth lists the cases of both files that were right and
+are no longer; there must be none, and the exit code is 1 if there is one. The sixth is about the
+parts of the search (moves, gates, and what moves share): on each of the first 60 cases that are
+meant for that it runs the loop as it is, then without the one part, then without the other two, and
+prints what each is good for; `--ablation all` leaves out every part alone. Each has a file of its
+own beside that of `--out`, and can be continued with further parts and cases. The last writes the
+page of all that is there.
 """
 
 from __future__ import annotations
@@ -36,16 +38,18 @@ from pathlib import Path
 from typing import Any, get_args
 
 from closed_loop_benchmark.activity import noted_parts, saved
-from closed_loop_benchmark.data import Sampling, make, make_problem
+from closed_loop_benchmark.data import Data, Sampling, make, make_problem
 from closed_loop_benchmark.memory import remembering
 from closed_loop_benchmark.oracle import ask
 from closed_loop_benchmark.parts import paired, parts_page
 from closed_loop_benchmark.scenarios import Kind, Scenario, ablation_cases, all_scenarios
 from closed_loop_benchmark.scoring import Score, blank, score
+from closed_loop_benchmark.single_records import one_record, single_records
 from closed_loop_benchmark.system import Split
 from closed_loop_benchmark.systems import SYSTEMS
 from closed_loop_benchmark.tables import compare_runs, one_line, page
 
+from cluster_est import Problem
 from cluster_est.closed_loop.loop import close_loop
 from cluster_est.closed_loop.settings import LoopPart, LoopSettings
 from cluster_est.problem.thinning import ThinningSettings
@@ -229,6 +233,8 @@ def read(path: Path) -> dict[str, Score]:
 def choose(options: argparse.Namespace) -> list[Scenario]:
     """Return the cases that are asked for: those for parts of the search, or the benchmark's."""
     known = ablation_cases() if options.ablation else all_scenarios()
+    if options.kinds == ("single record",):
+        known = single_records()
     if options.cases:
         known = list({case.name: case for case in (*all_scenarios(), *ablation_cases())}.values())
     cases = [
@@ -293,7 +299,7 @@ def scores_of(
                 try:
                     own = known or process.submit(run_case, case, each.way).result()
                 except BrokenProcessPool as error:
-                    yield each.label, blank(make(case, each.way.sampling), f"it died: {error}")
+                    yield each.label, blank(made(case, each.way.sampling)[1], f"it died: {error}")
                     return
                 yield each.label, own
                 whole = whole or own
@@ -320,15 +326,20 @@ def divide(cases: Sequence[Scenario], processes: int) -> list[list[Scenario]]:
     return sorted((p for p in portions if p), key=len, reverse=True)
 
 
-made = lru_cache(maxsize=1)(make)
-"""The data of a case, which all its variants have in common."""
+@lru_cache(maxsize=1)
+def made(case: Scenario, sampling: Sampling) -> tuple[Problem, Data]:
+    """Return the problem and the data of a case, which all its variants have in common."""
+    if case.kind == "single record":
+        return one_record(case)
+    data = make(case, sampling)
+    return make_problem(data), data
 
 
 def run_case(case: Scenario, way: Way) -> Score:
     """Close the loop on a case and score it; its seconds are those of the processor."""
-    data = made(case, way.sampling)
+    problem, data = made(case, way.sampling)
     try:
-        problem, begin = make_problem(data), time.process_time()
+        begin = time.process_time()
         if way.remembers:
             with remembering(case.name) as resources, noted_parts() as notes:
                 result = close_loop(problem, resources, way.settings, thinning=way.thinning)

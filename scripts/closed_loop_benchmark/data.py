@@ -14,6 +14,7 @@ from closed_loop_benchmark.system import Array, Role, Run, System
 from closed_loop_benchmark.systems import SYSTEMS
 from closed_loop_benchmark.truth import Push, refine, simulate
 from cluster_est import Input, Model, Output, Parameter, Problem, Solver
+from cluster_est.problem.held_out import HELD_OUT_SUFFIX
 from workers.messages import Experiment as MeasuredRun
 
 PLACES = 8
@@ -250,6 +251,12 @@ def make_problem(data: Data) -> Problem:
 def run_name(number: int, run: Experiment) -> str:
     """What a run is called in the problem."""
     return f"{number + 1} {run.waveform}"
+
+
+def run_of(data: Data, name: str) -> Experiment:
+    """Return the run of an experiment of the problem, also of a part that is held out."""
+    record = name.removesuffix(HELD_OUT_SUFFIX)
+    return next(run for n, run in enumerate(data.experiments) if run_name(n, run) == record)
 
 
 def start_label(state: str, number: int, run: Experiment) -> str:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from closed_loop_benchmark.data import Data, start_label
+from closed_loop_benchmark.data import Data, run_of, start_label
 from closed_loop_benchmark.effect import Effect
 from cluster_est import ClusterEstError, LeastSquares, Parameter, Problem, Resources
 from cluster_est.methods.method import Solution
@@ -250,11 +250,12 @@ def _noise(data: Data, problem: Problem) -> Refit:
     """Return how far the data that were kept are from the truth, which nobody can know better."""
     squares: Mapping[str, list[float]] = {"train": [], "test": []}
     sizes = {"train": 0, "test": 0}
-    for run, given in zip(data.experiments, problem.experiments, strict=True):
+    for given in problem.experiments:
+        run = run_of(data, given.id)
         kept = np.stack([np.isin(data.times, output.times) for output in given.outputs], axis=1)
         residuals = ((run.outputs - run.true_outputs) / data.sigma)[kept]
-        squares[run.role].append(float(np.sum(residuals**2)))
-        sizes[run.role] += residuals.size
+        squares[given.role].append(float(np.sum(residuals**2)))
+        sizes[given.role] += residuals.size
     sums = {role: sum(found) for role, found in squares.items()}
     train, test = (float(np.sqrt(sums[role] / sizes[role])) for role in ("train", "test"))
     return Refit(sums["train"], train, test, {})

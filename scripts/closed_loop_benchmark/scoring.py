@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from closed_loop_benchmark.data import Data, run_name
+from closed_loop_benchmark.data import Data, run_of
 from closed_loop_benchmark.effect import Name
 from closed_loop_benchmark.naming import Match, compare, in_words, label_in_words, normal
 from closed_loop_benchmark.oracle import Oracle, count_free, refit, translate
@@ -245,14 +245,15 @@ def missed(data: Data, fitted: Result) -> float:
 
 def _without_noise(data: Data, problem: Problem) -> Problem:
     """Put the true outputs in the place of the measured ones, outliers included."""
-    true = {run_name(n, run): run.true_outputs for n, run in enumerate(data.experiments)}
     clean = []
     for run in problem.experiments:
-        columns = zip(run.outputs, true[run.id].T, strict=True)
-        outputs = tuple(
-            replace(o, times=data.times, values=np.ascontiguousarray(c)) for o, c in columns
-        )
-        clean.append(replace(run, outputs=outputs))
+        columns = zip(run.outputs, run_of(data, run.id).true_outputs.T, strict=True)
+        outputs = []
+        for output, column in columns:
+            first, last = output.times[[0, -1]]
+            inside = (data.times >= first) & (data.times <= last)
+            outputs.append(replace(output, times=data.times[inside], values=column[inside]))
+        clean.append(replace(run, outputs=tuple(outputs)))
     return replace(problem, experiments=tuple(clean))
 
 

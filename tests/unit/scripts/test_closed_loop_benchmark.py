@@ -18,6 +18,7 @@ from closed_loop_benchmark.effect import (
 )
 from closed_loop_benchmark.forms import backlash, delay, hysteresis, lag, mode, rate_limit
 from closed_loop_benchmark.scenarios import Noise, ablation_cases, all_scenarios, singles
+from closed_loop_benchmark.single_records import one_record, single_records
 from closed_loop_benchmark.system import Array, Run, System
 from closed_loop_benchmark.systems import SYSTEMS
 from closed_loop_benchmark.truth import simulate
@@ -216,3 +217,18 @@ def test_mode_is_an_oscillator():
 def test_a_form_with_memory_answers_a_simple_signal(form, signal, expected):
     found = form(signal[:, None], 0.1)
     np.testing.assert_allclose(found[:, 0], expected, atol=1e-12)
+
+
+def test_a_single_record_is_long_and_its_last_third_is_held_out():
+    cases = single_records()
+    assert len({case.name for case in cases}) == len(cases) == 60
+    problem, data = one_record(cases[0])
+    train, test = problem.experiments
+    assert [run.role for run in problem.experiments] == ["train", "test"]
+    assert 1000 <= len(data.times) <= 5000
+    assert len(test.outputs[0].times) == pytest.approx(len(data.times) / 3, abs=1)
+    starts = [each for each in problem.parameters if each.per == "experiment"]
+    assert {each.variable for each in starts} == set(data.system.states)
+    true = data.experiments[0].true_starts
+    assert all(each.start != true[each.variable] for each in starts)
+    assert all(each.lower < true[each.variable] < each.upper for each in starts)
