@@ -223,7 +223,7 @@ def test_a_single_record_is_long_and_its_last_third_is_held_out():
     cases = single_records()
     assert len({case.name for case in cases}) == len(cases) == 60
     problem, data = one_record(cases[0])
-    train, test = problem.experiments
+    _, test = problem.experiments
     assert [run.role for run in problem.experiments] == ["train", "test"]
     assert 1000 <= len(data.times) <= 5000
     assert len(test.outputs[0].times) == pytest.approx(len(data.times) / 3, abs=1)
