@@ -34,27 +34,31 @@ class DesignSettings(Settings):
 
     criterion: str = Field(
         "",
-        description=f"{one_of(CRITERIA)}: tell the rivals of a finding apart, narrow parameters "
-        "together (d) or each (a), or narrow predictions (v); default: v where there are "
-        "predictions, discriminate where there are rivals, else d",
+        description=f"{one_of(CRITERIA)}: distinguish the rivals of a finding (discriminate), or "
+        "reduce the uncertainty of the parameters together (d), of each parameter (a), "
+        "or of predictions (v); default: v with predictions, discriminate with rivals, "
+        "else d",
     )
     parameters: Names = Field(
         (),
-        description="names of the parameters that are narrowed; default: all that experiments "
-        "share",
+        description="names of the parameters whose uncertainty is reduced; default: all that "
+        "experiments share",
     )
     rivals: Names = Field(
         (),
-        description="names of the models that are told apart, as show prints them; default: all "
-        "that the run kept",
+        description="names of the models to distinguish, as show prints them; default: all that "
+        "the run kept",
     )
     waveforms: Names = Field(
         (), description=f"families of inputs: {one_of([*WAVEFORMS, RECORDED])}; default: all"
     )
-    candidates: int = Field(120, ge=10, le=LARGEST_INTEGER, description="inputs that are looked at")
+    candidates: int = Field(
+        120, ge=10, le=LARGEST_INTEGER, description="number of inputs that are tried"
+    )
     predictions: Annotated[tuple[InstanceOf[PredictionTarget], ...], Strict(False)] = Field(
         (),
-        description="what is predicted, for v; default: all outputs of all experiments of the run",
+        description="targets of the predictions, for v; default: all outputs of all experiments of "
+        "the run",
     )
 
     @model_validator(mode="after")

@@ -35,10 +35,12 @@ class Shooting(Settings):
     segments: int | None = Field(
         None,
         ge=2,
-        description="parts that each training record is cut into; fewer where it has fewer "
-        "measured times",
+        description="number of segments of each training record; fewer if it has fewer measured "
+        "times",
     )
-    length: Finite | None = Field(None, gt=0.0, description="seconds of a part at most, instead")
+    length: Finite | None = Field(
+        None, gt=0.0, description="instead of segments: longest segment in seconds"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -86,20 +86,22 @@ def _names(value: Any) -> Any:
 class AxisSection(ConfigSection):
     """One axis of a sweep: values of a key, or sets of overrides."""
 
-    name: str = Field(min_length=1, description="of the axis: a column of the summary")
-    key: str = Field("", description='that its values are for, such as "method.seed"')
+    name: str = Field(min_length=1, description="name of the axis: a column of the summary")
+    key: str = Field(
+        "", description='key of the config that the values are for, such as "method.seed"'
+    )
     values: Annotated[dict[str, Any], BeforeValidator(_values)] = Field(
         min_length=1,
-        description="with key: a list of values, or { NAME = value }; "
-        'without: { NAME = { "KEY" = value } }, overrides for each',
+        description="with key: a list of values, or { NAME = value }; without key: overrides, { "
+        'NAME = { "KEY" = value } }',
     )
 
 
 class SingleRunSection(ConfigSection):
     """One run of a sweep besides the combinations."""
 
-    name: str = Field(min_length=1, description="of the run: its folder")
-    config: str = Field("", description="name of the config; needed where there are several")
+    name: str = Field(min_length=1, description="name of the run and its folder")
+    config: str = Field("", description="name of the config; required if there are several")
     overrides: dict[str, Any] = Field(default_factory=dict, description='"KEY" = value')
 
 
@@ -114,10 +116,10 @@ class SweepSections(ConfigSection):
         description='paths of configs from the sweep\'s folder, or a table: { NAME = "path" }',
     )
     study: Literal[STUDY_NAMES] = Field(  # type: ignore[valid-type]
-        "fit", description="what is done with each config"
+        "fit", description="study that is run for each config"
     )
     overrides: dict[str, Any] = Field(
-        default_factory=dict, description='"KEY" = value, for every run'
+        default_factory=dict, description='"KEY" = value: overrides for every run'
     )
     axes: list[AxisSection] = Field(
         default_factory=list, description="every combination of their values is a run"
@@ -126,7 +128,7 @@ class SweepSections(ConfigSection):
         default_factory=list, description="combinations to leave out: AXIS = value or values"
     )
     runs: list[SingleRunSection] = Field(
-        default_factory=list, description="single runs besides the combinations"
+        default_factory=list, description="single runs in addition to the combinations"
     )
 
 
