@@ -52,7 +52,10 @@ class Judgement:
     def sentence(self) -> str:
         """The result as a sentence."""
         if self.why:
-            return f"--fail-if: {self.expression!r} cannot be judged, so it counts: {self.why}"
+            return (
+                f"--fail-if: {self.expression!r} cannot be evaluated, so it counts as met: "
+                f"{self.why}"
+            )
         return f"--fail-if: {self.expression!r} is met"
 
 
@@ -78,7 +81,7 @@ class Criterion:
         self._command = command
         if len(expression) > MOST_LETTERS:
             raise ConfigError(
-                f"--fail-if: must have at most {MOST_LETTERS} letters but has {len(expression)}"
+                f"--fail-if: must have at most {MOST_LETTERS} characters but has {len(expression)}"
             )
         try:
             self._tree = ast.parse(expression.strip(), mode="eval").body

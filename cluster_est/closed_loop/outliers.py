@@ -96,8 +96,8 @@ class OutliersOfOutput:
         if not self.few:
             return (
                 f"{of} of the samples of {self.output} stand alone, far from their neighbours: "
-                f"{counted}, up to {largest:.0f} times the noise; that is too many to be a "
-                "sensor's faults, so all were kept; look at the signal"
+                f"{counted}, up to {largest:.0f} times the noise; these are too many for faults "
+                "of a sensor, so all were kept; look at the signal"
             )
         become = "errors and tables" if self.held_out else "fits, errors and tables"
         return (
@@ -356,7 +356,7 @@ class GrowingNoise:
                 f"{said}, so each sample was weighted with its own; write {both} into the "
                 "experiments for a fit with the same weights"
             )
-        said += ", and one sigma gives the loud ones too much weight"
+        said += ", and one sigma for all gives the noisier samples too much weight"
         if np.isnan(self.sigma):
             larger = dotted("relative_sigma", name)
             return f"{said}; give it a larger {larger} beside {dotted('sigma', name)}"

@@ -90,13 +90,13 @@ def _experiment(section: PredictionSection, where: str, base: Path) -> str | Exp
         for key in ("inputs", "time", "interpolation"):
             if key in section.model_fields_set:
                 raise ConfigError(
-                    f"{where}.{key}: must stand beside data, the table of a planned experiment, "
+                    f"{where}.{key}: must be given with data, the table of a planned experiment, "
                     "but there is none; add data or remove it"
                 )
         return section.experiment
     if section.experiment:
         raise ConfigError(
-            f"{where}.data: must be left out where an experiment of the run is named, but is "
+            f"{where}.data: must be left out if an experiment of the run is named, but is "
             f"{section.data!r}; remove one of the two"
         )
     table = read_table(base / section.data, f"{where}.data")
@@ -108,8 +108,8 @@ def _experiment(section: PredictionSection, where: str, base: Path) -> str | Exp
     )
     if not inputs or len(times) < 2:
         raise ConfigError(
-            f"{where}.data: {section.data} must have a column for an input, and two rows at least, "
-            f"but has {len(columns)} and {len(times)}"
+            f"{where}.data: {section.data} must have at least one column for an input and two "
+            f"rows but has {len(columns)} and {len(times)}"
         )
     name = Path(section.data).stem
     return Experiment(name, float(times[0]), float(times[-1]), inputs, ())

@@ -71,8 +71,8 @@ class DesignSettings(Settings):
             )
         if self.predictions and self.criterion and not CRITERIA[self.criterion].predicts:
             raise sentence(
-                f'predictions: must go with the criterion "v", which narrows them, but it is '
-                f"{self.criterion!r}; change one of the two"
+                f'predictions: must be used with the criterion "v", but it is {self.criterion!r}; '
+                "change one of the two"
             )
         known_waveforms = [*WAVEFORMS, RECORDED]
         for name in self.waveforms:
@@ -179,7 +179,7 @@ def chosen_models(
     for name in settings.rivals:
         if name not in names:
             raise ProblemError(
-                f"rivals: must be of the models that the run leaves room for "
+                "rivals: must be among the possible models of the run "
                 f"({', '.join(map(repr, names))}) but has {name!r}{nearest(name, names)}"
             )
     return tuple(m for i, m in enumerate(models) if i == 0 or m.name in settings.rivals)
@@ -202,8 +202,9 @@ def check_design(request: DesignRequest) -> None:
     criterion = request.criterion
     if criterion.compares and len(request.models) < 2:
         raise ProblemError(
-            f"criterion: {criterion.name!r} must have at least two models to tell apart but the "
-            'run leaves one; take "d" or "a", which narrow its parameters, or "v"'
+            f"criterion: {criterion.name!r} must have at least two models to distinguish but the "
+            'run leaves one; choose "d" or "a", which reduce the uncertainty of its parameters, '
+            'or "v"'
         )
 
 
@@ -225,8 +226,8 @@ def narrowed_labels(request: DesignRequest) -> tuple[str, ...]:
         shared = tuple(unknown.label for unknown in unknowns if _is_shared(unknown, groups))
         if not shared:
             raise ProblemError(
-                "parameters: must share a value between experiments to be narrowed by another one "
-                "but each has its own in every experiment; make one shared"
+                "parameters: must be shared by experiments, or a new experiment cannot determine "
+                "them better, but each has its own value in every experiment; make one shared"
             )
         return shared
     found: list[str] = []
@@ -283,9 +284,8 @@ def _check_variables(request: DesignRequest, description: ModelDescription) -> N
         _check_known(name, dotted("inputs", name), known, f"an input of experiment {like.id!r}")
         if variables[name].type == "Boolean":
             raise ProblemError(
-                f"{dotted('inputs', name)}: must take numbers to be designed but is true or false; "
-                "leave it "
-                "out, so that it is that of the experiment like"
+                f"{dotted('inputs', name)}: must be a number to be designed but is true or false; "
+                "leave it out, so that it is taken from the experiment like"
             )
     for key, names in (("signals", limits.signals), ("start", limits.start)):
         for name in names:
@@ -305,4 +305,4 @@ def _check_variables(request: DesignRequest, description: ModelDescription) -> N
 
 def _check_known(name: str, where: str, known: Collection[str], what: str) -> None:
     if name not in known:
-        raise ProblemError(f"{where}: must be {what} but is none{nearest(name, known)}")
+        raise ProblemError(f"{where}: must be {what} but is not{nearest(name, known)}")

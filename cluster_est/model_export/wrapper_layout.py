@@ -321,7 +321,7 @@ def _check_inputs(
             if variable is not None and variable.causality == "input" and name not in columns:
                 raise ModelError(
                     f"--fmu: effect {effect.effect.name!r}: the input {name!r} must be a real "
-                    f"variable of its own to be exported but is of type {variable.kind}"
+                    f"variable to be exported but is of type {variable.kind}"
                 )
 
 

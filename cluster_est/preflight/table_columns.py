@@ -156,7 +156,7 @@ def _notes_on_times(found: FoundTime) -> Iterator[str]:
         more = f" (and {len(gaps) - 1} more gaps)" if len(gaps) > 1 else ""
         yield (
             f"no rows between {first:.10g} and {last:.10g} of {found.column.name!r}{more}; gaps = "
-            '"split" or "bridge" in the experiment says what becomes of what is behind'
+            '"split" or "bridge" in the experiment says how to treat the part after it'
         )
 
 

@@ -174,8 +174,8 @@ class Resources:
         if self.instances is None or self.workers is None or self.workers <= self.instances:
             return ()
         return (
-            f"executor.instances: {self.instances} of the {self.workers} workers that "
-            "executor.workers asks for are started, because each has an instance of the FMU",
+            f"executor.instances: {self.instances} of the {self.workers} workers of "
+            "executor.workers are started, because each has an instance of the FMU",
         )
 
 

@@ -241,7 +241,7 @@ def _wrong_names(sweep: SweepSections) -> Iterator[str]:
             )
     axes = ["config", *(axis.name for axis in sweep.axes)]
     for name in sorted({name for name in axes if axes.count(name) > 1}):
-        yield f"axes.{name}: the name must be given once but is there again; rename one"
+        yield f"axes.{name}: the name must be used once but is used twice; rename one"
     for run in sweep.runs:
         if run.config and run.config not in sweep.configs:
             hint = nearest(run.config, sweep.configs)
@@ -301,7 +301,10 @@ def _wrong_runs(runs: list[SweepRun]) -> Iterator[str]:
             yield f"runs.{run.name}: the name is taken by a file of the sweep; give another one"
         other = seen.get(run.name.lower())  # some file systems ignore case
         if other is not None:
-            yield f"{run.name}: two runs must not have one name, but {other} has it; rename one"
+            yield (
+                f"{run.name}: two runs must not have the same name, but {other} has it too; "
+                "rename one"
+            )
         seen[run.name.lower()] = run.name
 
 
@@ -320,7 +323,7 @@ STATE = "sweep.json"
 SUCCESS = RunStatus.DONE
 FAILED_STATES = (RunStatus.FAILED, RunStatus.NOT_CONVERGED)
 NOT_RUN = "not run"
-GO_ON = "see that there is room and that it may be written, and give the same command again"
+GO_ON = "check that there is space and that it can be written, and repeat the command"
 
 
 @dataclass(frozen=True)

@@ -100,9 +100,9 @@ def test_a_good_fmu(examined, name, fmi):
         ("once_per_process", 2, "instances", "note", "and says so", "executor.name"),
         ("once_undeclared", 2, "instances", "note", "and does not say so", "executor.name"),
         ("shares_static", 2, "instances", "note", "give other results while", "executor.name"),
-        ("dead_parameter", 2, "dead parameters", "note", "depend on dead", "inputs are driven"),
+        ("dead_parameter", 2, "dead parameters", "note", "depend on dead", "data for the inputs"),
         ("wrong_directional", 2, "derivatives", "note", "differ from the model's slopes", "export"),
-        ("zero_directional", 2, "derivatives", "note", "all are silently 0", "export"),
+        ("zero_directional", 2, "derivatives", "note", "all of them are 0", "export"),
         ("needs_stop_time", 2, "stop time", "note", "only be initialised with", "model.stop_time"),
         pytest.param(
             *("robertson", 2, "stiffness", "note", "is stiff", 'model.solver = "cvode"'), marks=slow
@@ -436,8 +436,8 @@ def test_with_more_time_each_check_has_more(spring):
     ("verdicts", "end"),
     [
         (["not done"], "nothing was checked yet"),
-        (["not done", "ok"], "1 of 2 checks was not done; in the others no problem was found"),
-        (["not done"] * 2 + ["problem"], "2 of 3 checks were not done; in the others 1 problem"),
+        (["not done", "ok"], "1 of 2 checks was not done; the others: no problem was found"),
+        (["not done"] * 2 + ["problem"], "2 of 3 checks were not done; the others: 1 problem"),
         (["ok", "note"], "no problem was found; 1 note says what may be wrong"),
     ],
 )

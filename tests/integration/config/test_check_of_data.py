@@ -175,7 +175,7 @@ def rounded(sigma):
         (
             run(TRUTH | {"w": TRUTH["w"] + spikes(40.0)}, inputs=HELD),
             "output speed",
-            "2 of 401 samples stand alone, far from their neighbours",
+            "2 of 401 samples are far from all their neighbours",
             'if they are faults.* cost.name = "huber", which needs sigma.speed, counts them less',
         ),
         (

@@ -93,7 +93,7 @@ def test_true_and_false_are_1_and_0(tmp_path, delimiter):
         ("t,y,t\n0,1,2\n", "column 't': .*there once but 2 columns have that name; rename"),
         ("t,y\n0,1\n\n0.5\n", "as many cells in each row as .* header, 2, but row 4 has 1"),
         ("t,y\n0,1,\n0.5,2,\n", "as many cells in each row as .* header, 2, but row 2 has 3"),
-        ("", "a header and rows of numbers but has nothing in it"),
+        ("", "a header and rows of numbers but is empty"),
         ("t,y", "a header and rows of numbers but has only a header"),
         (b"t,\x81\n0,1\n", r"neither UTF-8 nor cp1252 \(byte 2\).*add encoding = "),
     ],

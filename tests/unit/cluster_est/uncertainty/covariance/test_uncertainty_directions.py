@@ -331,4 +331,4 @@ def test_an_output_that_is_followed_exactly_tells_its_noise_to_no_likelihood(sca
     found = examine(runner, space, solution)
     assert [d.labels for d in found.directions] == [("b", "c")]
     assert np.isnan([interval.std_error for interval in found.intervals]).all()
-    assert any("nothing is left of the residuals" in note for note in found.notes)
+    assert any("the residuals of an output are 0" in note for note in found.notes)
