@@ -125,8 +125,8 @@ class RecordFault:
             return f"it begins at another {name} than declared"
         low, high = self.frequencies
         return (
-            f"an unmeasured periodic disturbance acts on {name}, of {low:.4g} to {high:.4g} Hz, "
-            "which differ between records and are in no input"
+            f"an unmeasured periodic disturbance acts on {name}, with frequencies of {low:.4g} to "
+            f"{high:.4g} Hz, which differ between records and are in no input"
         )
 
     @property

@@ -46,7 +46,13 @@ def test_detect_sees_that_something_is_missing(seen):
     [
         (1e-5, 1e-5, 0.001, 40, "something is missing (p = 1e-05 among 40 candidates)"),
         (0.0, 0.0, 0.001, 1, "something is missing (p < 1e-300 among 1 candidate)"),
-        (1e-5, 0.3, 0.001, 40, "the residual is autocorrelated, and no candidate explains it (p = 0.3)"),
+        (
+            1e-5,
+            0.3,
+            0.001,
+            40,
+            "the residual is autocorrelated, and no candidate explains it (p = 0.3)",
+        ),
         (0.3, 0.3, 0.001, 40, "the residual has smooth structure (p = 0.001)"),
         (0.3, 0.3, 0.5, 40, "no missing effect is visible in the data (p = 0.3)"),
         (1.0, 1.0, 0.5, 0, "the residual looks like noise (p = 0.5), but no candidate was"),

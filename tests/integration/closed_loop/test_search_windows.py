@@ -137,7 +137,10 @@ def test_a_part_goes_on_from_where_its_record_stands(late, chosen):
     elsewhere = tuple(replace(own, start=own.start + 1.0) for own in part.own_starts)
     moved = (replace(part, own_starts=elsewhere), *chosen.problem.experiments[1:])
     wrong = replace(chosen, problem=replace(chosen.problem, experiments=moved))
-    for windows, said in ((chosen, ""), (wrong, "does not continue correctly from their beginning")):
+    for windows, said in (
+        (chosen, ""),
+        (wrong, "does not continue correctly from their beginning"),
+    ):
         with open_workbench(LoopRequest(windows.problem, settings=SETTINGS)) as bench:
             assert windows.unlike_records(bench.fitter).endswith(said)
             assert bool(windows.unlike_records(bench.fitter)) is bool(said)

@@ -244,7 +244,9 @@ def test_segments_that_are_too_long_are_cut_in_halves_and_that_is_said():
 def test_a_config_asks_for_it_and_a_run_that_was_cut_is_taken_up(tmp_path, capsys):
     given = ["fit", SPRING, "--out", str(tmp_path), "--no-report", "method.shooting.segments=6"]
     assert main(given) == 0
-    assert "result of multiple shooting with 24 segments" in " ".join(capsys.readouterr().out.split())
+    assert "result of multiple shooting with 24 segments" in " ".join(
+        capsys.readouterr().out.split()
+    )
     whole = values_of(tmp_path)
     cut(tmp_path / "evaluations", 60)
     change_facts(tmp_path, status="running", verdict=None)

@@ -134,7 +134,10 @@ HUBER = COSTS["huber"]()
             with_outputs(hidden_springs(detection_limit=LIMIT), lambda o: replace(o, sigma=1.0)),
             "must have a sigma with a detection_limit",
         ),
-        (replace(hidden_springs(detection_limit=LIMIT), cost=HUBER), "must be used with the cost sse"),
+        (
+            replace(hidden_springs(detection_limit=LIMIT), cost=HUBER),
+            "must be used with the cost sse",
+        ),
         (replace(observed(free_scale=True), cost=HUBER), "must be used with the cost sse"),
     ],
 )

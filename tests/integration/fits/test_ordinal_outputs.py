@@ -217,7 +217,10 @@ def test_a_config_gives_words(words):
         ([outputs("3")], "ordinal: must be .* at least two words"),
         ([outputs("true")], "row 2: must be a number but is ' medium '"),
         ([WORDS.replace("position", "place")], "has no column 'place'"),
-        ([outputs("true", ", free_scale='shared'")], 'free_scale: must not be "shared" for an ordinal output'),
+        (
+            [outputs("true", ", free_scale='shared'")],
+            'free_scale: must not be "shared" for an ordinal output',
+        ),
         ([WORDS, "cost.time_base=union"], "where it is ordinal"),
         ([WORDS, "cost.normalise=range"], "where it is ordinal"),
     ],

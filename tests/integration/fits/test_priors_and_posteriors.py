@@ -70,7 +70,10 @@ def test_every_method_finds_the_same_minimum(method, usual, tmp_path):
             r"prior: must have its centre within the bounds .0.1, 10",
         ),
         ("experiment_defaults.sigma={}", r"sigma\.y is missing; uncertainty\.posterior makes"),
-        ("cost.name=huber", r'uncertainty\.posterior: must be used with the cost "sse" or "likelihood"'),
+        (
+            "cost.name=huber",
+            r'uncertainty\.posterior: must be used with the cost "sse" or "likelihood"',
+        ),
         ("parameters.m.bounds=[0.1, inf]", r"parameters\.m: must have finite bounds or a prior"),
         ("uncertainty.walkers=5", r"uncertainty\.walkers: must be at least 8"),
     ],

@@ -74,7 +74,9 @@ def test_a_seat_of_another_process_is_waited_for_until_that_is_gone(seats, holde
 
 def test_what_this_process_has_already_is_refused_at_once(seats):
     own = Seat(seats.of_worker(0), "a.fmu")
-    with pytest.raises(ModelError, match=r"^a\.fmu: .* already has as many instances .*; raise exec"):
+    with pytest.raises(
+        ModelError, match=r"^a\.fmu: .* already has as many instances .*; raise exec"
+    ):
         Seat(seats.of_worker(0), "a.fmu")
     own.give_back()
     Seat(seats.of_worker(0), "a.fmu")

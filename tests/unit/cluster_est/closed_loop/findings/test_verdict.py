@@ -202,7 +202,10 @@ def test_where_a_declared_sigma_is_wrong_coloured_noise_is_measured_by_its_white
 @pytest.mark.parametrize(
     ("size", "said"),
     [
-        (1.0, "the remaining error is smoother than the noise of a sensor but no larger than its sigma "),
+        (
+            1.0,
+            "the remaining error is smoother than the noise of a sensor but no larger than its sigma ",
+        ),
         (3.0, "something is missing (residual 3 times the declared sigma)"),
     ],
 )
