@@ -52,7 +52,7 @@ ANY = re.compile(
     r"\bthe record\b|\brecords\b.*\b(fault|first)|periodic disturbance|far from all others"
 )
 """Words of a sentence that claims a fault of a record."""
-SET_ASIDE = re.compile(r"each alone among its neighbours")
+SET_ASIDE = re.compile(r"each far from all its neighbours")
 """Words of a loop that sets samples aside."""
 SETS = (*KINDS, "clean", "effect")
 

@@ -143,7 +143,7 @@ class Criterion:
         named = f"{field.name} is one of {', '.join(words)}; " if field and words else ""
         raise ConfigError(
             f"--fail-if: {first!r} must be a field of {self._command} but is none{meant}ts fields "
-            f"are {', '.join(self._fields)}; {named}a text stands in quotes"
+            f"are {', '.join(self._fields)}; {named}put text in quotes"
         )
 
     def _value(self, node: ast.expr, document: Mapping[str, Any]) -> Any:
@@ -166,7 +166,7 @@ class Criterion:
 
     def _negative(self, value: Any) -> Any:
         if isinstance(value, str | list | dict):
-            raise self._wrong("but a minus stands before what is no number")
+            raise self._wrong("but a minus is in front of something that is not a number")
         return -value
 
     def _compare(self, node: ast.Compare, document: Mapping[str, Any]) -> bool:

@@ -95,14 +95,14 @@ class OutliersOfOutput:
         of = f"{held}{100.0 * self.count / self.samples:.2g} %"
         if not self.few:
             return (
-                f"{of} of the samples of {self.output} stand alone, far from their neighbours: "
+                f"{of} of the samples of {self.output} are far from all their neighbours: "
                 f"{counted}, up to {largest:.0f} times the noise; these are too many for faults "
                 "of a sensor, so all were kept; look at the signal"
             )
         become = "errors and tables" if self.held_out else "fits, errors and tables"
         return (
             f"{of} of the samples of {self.output} are outliers: {counted}, up to {largest:.0f} "
-            f"times the noise, each alone among its neighbours; {become} are without them"
+            f"times the noise, each far from all its neighbours; {become} are without them"
         )
 
 

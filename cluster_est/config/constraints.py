@@ -315,8 +315,8 @@ def _check_limits(section: ConstraintSection, where: str, measured: set[str]) ->
     for key in given:
         if key in keys[2:] and len(given) > 1:
             raise ConfigError(
-                f"{where}.{key}: must stand alone but {' and '.join(given)} are there; make "
-                "another constraint of the others"
+                f"{where}.{key}: must be the only limit but {' and '.join(given)} are given too; "
+                "make another constraint of these"
             )
     if section.tracking is not None and section.signal not in measured:
         raise ConfigError(

@@ -362,8 +362,8 @@ def with_predictions(
     moved = tuple(each for each in found if each.jacobian.any())
     if not moved:
         raise ProblemError(
-            "predictions: must depend on what the run has estimated but none of them does; name "
-            "other outputs"
+            "predictions: must depend on estimates of the run but none of them does; name other "
+            "outputs"
         )
     return replace(fitted, targets=moved, notes=(*fitted.notes, *_notes(fitted, experiments)))
 

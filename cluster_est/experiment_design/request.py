@@ -235,8 +235,8 @@ def narrowed_labels(request: DesignRequest) -> tuple[str, ...]:
         own = [u.label for u in unknowns if name in (u.label, u.parameter.name)]
         if not own:
             raise ProblemError(
-                f"parameters: must be of what the run has estimated but has {name!r}"
-                f"{nearest(name, labels)}"
+                "parameters: must be among the estimates of the run but has "
+                f"{name!r}{nearest(name, labels)}"
             )
         found += own
     return tuple(dict.fromkeys(found))
@@ -261,7 +261,7 @@ def _check_comparable(problem: Problem) -> None:
     for experiment in problem.experiments:
         if experiment.curve is not None or experiment.cost_function is not None:
             raise ProblemError(
-                f"experiment {experiment.id!r}: must have outputs at measured times alone for a "
+                f"experiment {experiment.id!r}: must have only outputs at measured times for a "
                 "design but has a curve or a cost function; make the run without them"
             )
         for output in experiment.outputs:

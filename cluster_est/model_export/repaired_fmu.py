@@ -258,8 +258,8 @@ def _notes(layout: WrapperLayout) -> tuple[str, ...]:
     if layout.signals:
         one = len(layout.signals) == 1
         notes.append(
-            f"{', '.join(layout.signals)} {'is an input' if one else 'are inputs'} of the exported "
-            "FMU, because effects depend on what was measured there"
+            f"{', '.join(layout.signals)} {'is an input' if one else 'are inputs'} of the "
+            "exported FMU, because effects depend on the measurements there"
         )
     if layout.left_out:
         more = len(layout.left_out) - _MOST_NAMED

@@ -296,9 +296,8 @@ def _check_needed(repair: RepairedModel, left_out: tuple[str, ...]) -> None:
         if name in left_out:
             kind = repair.description.variables[name].type
             raise ModelError(
-                f"--fmu: what the run uses must be a variable of FMI 2.0 to be exported but "
-                f"{name!r} is a {kind} of FMI 3.0 that has no like there; use --ssv, --modelica or "
-                "--text"
+                f"--fmu: all variables that the run uses must exist in FMI 2.0 but {name!r} is a "
+                f"{kind} of FMI 3.0 with no equivalent there; use --ssv, --modelica or --text"
             )
 
 

@@ -282,7 +282,7 @@ def check_request(wanted: ExportRequest) -> None:
     """
     if not (wanted.fmu or wanted.ssv or wanted.csv or wanted.modelica or wanted.text):
         raise ConfigError(
-            "export: must be told what to write; add --fmu, --ssv, --csv, --modelica or --text"
+            "export: needs an output to write; add --fmu, --ssv, --csv, --modelica or --text"
         )
     _check_name(wanted.fmu, "--fmu", ".fmu")
     _check_name(wanted.ssv, "--ssv", ".ssv")

@@ -74,7 +74,7 @@ def _why(description: ModelDescription) -> str:
 
 def _parameters(draft: ConfigDraft) -> Iterator[str]:
     yield (
-        "# What is estimated, from all experiments together. Remove the # before values that "
+        "# These are estimated from all experiments together. Remove the # before values that "
         "are uncertain, and"
     )
     yield "# put one before values that you know; these keep the value of the FMU."

@@ -68,7 +68,7 @@ def effects(subject: CheckSubject) -> list[CheckFinding]:
     if alive:
         least, most = min(alive, key=alive.__getitem__), max(alive, key=alive.__getitem__)
         said = f"{len(alive)} of {len(names)} affect the outputs: for a change of 1 % of its size, "
-        said += f"{most} changes them by {alive[most]:.2g} of theirs"
+        said += f"{most} changes them by {alive[most]:.2g} of their size"
         said += f", {least} by {alive[least]:.2g}" if least != most else ""
         lines.append(passed("parameters", said))
         lines += _steps(subject, unknowns[names.index(most)][0])
@@ -156,7 +156,7 @@ def _faint(name: str, size: float) -> CheckFinding:
         return not_done(f"parameter {name}", said, "give it more time with --seconds")
     said = (
         f"has hardly any effect: a change of 1 % of its size changes the outputs by {size:.2g} "
-        "of theirs"
+        "of their size"
     )
     return note(f"parameter {name}", said, f"another {dotted('parameters', name)}.start, or fix it")
 
@@ -183,9 +183,11 @@ def _steps(subject: CheckSubject, column: int) -> list[CheckFinding]:
     least = min(good, default=TRIED_DIFFERENCE_STEPS[0])
     usual = math.sqrt(relative_noise(subject.problem.model.solver))
     if least <= max(usual, TRIED_DIFFERENCE_STEPS[-1]):
-        said = f"slopes hold down to relative steps of {least:.0e}; a fit takes {usual:.0e}"
+        said = f"slopes are reliable down to relative steps of {least:.0e}; a fit uses {usual:.0e}"
         return [passed("differences", said)]
-    said = f"slopes by {subject.space.unknowns[column].label} hold down to relative steps of "
+    said = (
+        f"slopes by {subject.space.unknowns[column].label} are reliable down to relative steps of "
+    )
     do = f"method.options.relative_step = {10.0 * least:.0e}, or a tighter model.rtol"
     return [note("differences", f"{said}{least:.0e} only", do)]
 

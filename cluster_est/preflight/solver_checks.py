@@ -115,7 +115,9 @@ def _judged(subject: CheckSubject, found: FloatArray, how: str, key: str) -> lis
         lines.append(fine if good else CheckFinding(verdict, "accuracy", said, do))
     name, far = max(others, key=_far, default=("", 0.0))
     if not far < GOOD_RELATIVE_CHANGE:
-        said = f"with {how} {name}, which is no continuous output, changes by {far:.2g} of its size"
+        said = (
+            f"with {how} {name}, which is not a continuous output, changes by {far:.2g} of its size"
+        )
         do = f"nothing if it counts steps or calls; otherwise {key}"
         lines.append(note("accuracy", said, do))
     return lines or [passed("accuracy", f"with {how} no output changes")]

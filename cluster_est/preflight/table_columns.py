@@ -128,7 +128,7 @@ def read_columns(path: Path, time_column: str = "", reading: Reading | None = No
     if not columns:
         raise DataError(
             f"init: {path} must have columns of numbers but has none{_why_none(others)}; check "
-            "what separates its columns, and that its first row holds their names"
+            "the separator of its columns, and that its first row has their names"
         )
     rising = [] if found is not None else [c.name for c in columns if c.increases]
     return TableColumns(

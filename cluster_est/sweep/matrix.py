@@ -271,7 +271,7 @@ def _wrong_override(where: str, key: str, value: Any) -> Iterator[str]:
             yield f"{where}.{key}: must be a list of experiments' ids but is {value!r}"
     elif isinstance(value, dict) and "." not in key:
         inner = next(iter(value), "KEY")
-        yield f'{where}.{key}: keys with dots must stand in quotes; write "{key}.{inner}" = ...'
+        yield f'{where}.{key}: keys with dots must be in quotes; write "{key}.{inner}" = ...'
     elif not key.strip() or "=" in key:
         yield f"{where}: a key must be like method.seed but is {key!r}; correct it"
 

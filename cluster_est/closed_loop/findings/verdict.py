@@ -233,7 +233,7 @@ def _nothing_added(found: SelectionResult, now: _Residual) -> ReasonedVerdict:
     if why == RejectionReason.COLOURED_NOISE:
         if screening.structure.p <= FAMILY_WISE_LEVEL:
             return ReasonedVerdict(Verdict.COLOURED, _coloured(found, now))
-        reason = "no candidate is significant once the residual is whitened"
+        reason = "no candidate is significant after whitening the residual"
         return ReasonedVerdict(Verdict.NONE, f"{reason} (family-wise p = {_p(found)})")
     if why == RejectionReason.NOT_SIGNIFICANT:
         reason = f"no candidate is significant (family-wise p = {_p(found)})"
@@ -241,7 +241,7 @@ def _nothing_added(found: SelectionResult, now: _Residual) -> ReasonedVerdict:
     return ReasonedVerdict(Verdict.NONE, f"the best candidate was not accepted: {why}")
 
 
-WORSE = "records that were left out worse than the declared model does"
+WORSE = "left-out records worse than the declared model"
 
 NOWHERE = (
     "closed_loop.effects and closed_loop.sites leave no site for an effect: no measured output, "

@@ -149,7 +149,7 @@ def _stamps(table: MeasuredTable, column: str, where: str) -> Stamps | None:
     found = read_stamps(table.column(column, where), table.reading)
     if found is None and table.reading.time_format:
         raise StampError(
-            "time_format: must be left out, because the column holds no text, but is there"
+            "time_format: must be left out, because the column has no text, but is given"
         )
     return found
 

@@ -200,7 +200,7 @@ def test_equations_for_a_modeller(export):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ([], "must be told what to write.*--fmu"),
+        ([], "needs an output to write.*--fmu"),
         (["--fmu", "no/such/a.fmu"], "--fmu: must be in a folder that exists.*no/such"),
         (["--ssv", "no/a.ssv"], "--ssv: must be in a folder that exists.*no does not"),
         (["--ssv", "values.xml"], r"must end in \.ssv.*'values\.xml'"),

@@ -225,7 +225,7 @@ FROM_TABLE = 'data = "{folder}/wrong.csv"'
     ("block", "table", "sentence"),
     [
         ('experiment = "exp7"', "", "experiment must be one of the run but is 'exp7'"),
-        ('outputs = ["F"]', "", "outputs must be of what the FMU computes but has 'F'"),
+        ('outputs = ["F"]', "", "outputs must be variables that the FMU computes but has 'F'"),
         ('data = "no.csv"', "", r"predictions\[0\]\.data"),
         ('data = "a.csv"\nexperiment = "exp4"', "", r"predictions\[0\]\.data: must be left"),
         ('time = "t"', "", r"predictions\[0\]\.time: must stand beside data"),
@@ -264,7 +264,7 @@ def test_another_criterion_has_nothing_to_predict(design, capsys):
 
 
 def test_what_depends_on_nothing_estimated_is_refused(linear):
-    with pytest.raises(ProblemError, match="must depend on what the run has estimated"):
+    with pytest.raises(ProblemError, match="must depend on estimates of the run"):
         wide(linear[0], 10, PredictionTarget("run", ("x",)))
 
 

@@ -115,7 +115,7 @@ def test_wrong_overrides_are_refused(tmp_path, overrides, phrase):
         ({"axes": [SEEDS, SEEDS]}, "axes.seed: the name must be used once"),
         ({"axes": [SEEDS | {"name": "config"}]}, "axes.config: the name must be used once"),
         ({"axes": [SEEDS | {"values": [*range(10_001)]}]}, "at most 10000 runs but make 10001"),
-        ({"overrides": {"method": {"seed": 1}}}, 'must stand in quotes; write "method.seed" = '),
+        ({"overrides": {"method": {"seed": 1}}}, 'must be in quotes; write "method.seed" = '),
         ({"overrides": {"only_experiments": "a"}}, "must be a list of experiments' ids"),
         ({"axes": [SEEDS], "skip": [{"sed": 1}]}, "skip[0].sed: there is no such axis; did you"),
         ({"axes": [SEEDS], "skip": [{"seed": 7}]}, "skip[0].seed: there is no '7'"),

@@ -215,8 +215,8 @@ def test_text_that_is_no_xml_is_mended(content, name):
     found = read(content)
     assert list(found.variables) == [name]
     assert found.warnings == (
-        "x.fmu: its modelDescription.xml is not well-formed XML and was corrected; check names that "
-        "look wrong",
+        "x.fmu: its modelDescription.xml is not well-formed XML and was corrected; check names "
+        "that look wrong",
     )
 
 

@@ -93,7 +93,7 @@ CASES = {
         Case(9.0, 9.0, NOISE, STRUCTURED, (), white=QUIET), Verdict.UNEXPLAINED,
         "too large for sensor noise"),
     "coloured noise that is not even smooth": (
-        Case(1.5, 1.5, NOISE, families=()), Verdict.NONE, "once the residual is whitened"),
+        Case(1.5, 1.5, NOISE, families=()), Verdict.NONE, "after whitening the residual"),
     "a candidate was not accepted": (
         Case(1.01, 1.01, LITTLE, families=()), Verdict.NONE, LITTLE),
     "nothing explains it": (
@@ -121,10 +121,10 @@ CASES = {
         "only 50% of the gap in records that were left out, and 75% in training"),
     "all, but what was left out is predicted worse": (
         Case(9.0, 1.0, CLEAN, left_out=13.0), Verdict.UNEXPLAINED,
-        "the best effect predicts records that were left out worse than the declared model does"),
+        "the best effect predicts left-out records worse than the declared model"),
     "some, but what was left out is predicted worse": (
         Case(9.0, 3.0, LITTLE, STRUCTURED, left_out=13.0), Verdict.UNEXPLAINED,
-        "the best effect predicts records that were left out worse than"),
+        "the best effect predicts left-out records worse than"),
     "the search ended with as many effects as it may add": (
         Case(9.0, 6.0, RejectionReason.LIMIT_OF_EFFECTS, STRUCTURED), Verdict.UNEXPLAINED,
         "nothing in the library explains it with 3 effects (closed_loop.max_effects)"),
@@ -204,7 +204,8 @@ def test_where_a_declared_sigma_is_wrong_coloured_noise_is_measured_by_its_white
     [
         (
             1.0,
-            "the remaining error is smoother than the noise of a sensor but no larger than its sigma ",
+            "the remaining error is smoother than the noise of a sensor but no larger than its "
+            "sigma ",
         ),
         (3.0, "something is missing (residual 3 times the declared sigma)"),
     ],
