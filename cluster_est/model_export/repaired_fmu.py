@@ -264,7 +264,7 @@ def _notes(layout: WrapperLayout) -> tuple[str, ...]:
     if layout.left_out:
         more = len(layout.left_out) - _MOST_NAMED
         notes.append(
-            "the exported FMU is without "
+            "the exported FMU lacks "
             f"{', '.join(layout.left_out[:_MOST_NAMED])}{f' and {more} more' if more > 0 else ''}, "
             "which FMI 2.0 cannot describe; they keep the values of the original"
         )

@@ -193,8 +193,8 @@ def _of_sigma(output: OutputDiagnostics) -> str:
         )
     if output.structure is ResidualStructure.WHITE:
         return (
-            f"{output.output}: error is {times} x sigma but white: nothing points to something "
-            f"missing, the declared sigma is probably {times} times too small; correct it"
+            f"{output.output}: error is {times} x sigma but white: nothing seems to be "
+            f"missing; the declared sigma is probably {times} times too small; correct it"
         )
     return small_sigma(output.output, [output.noise_over_sigma])
 

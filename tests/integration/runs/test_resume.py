@@ -288,7 +288,7 @@ def test_a_run_that_was_killed_before_it_began_is_begun(tmp_path):
         ("numpy", "numpy was 0.1 and is "),
         ("python", "python was 2.7.1 and is "),
         ("fmu", "mass_spring_damper.fmu was another FMU"),
-        ("exp2", "the data of experiment 'exp2' were others"),
+        ("exp2", "the data of experiment 'exp2' were different"),
         ("format", "its format is 1 and this version writes 2"),
     ],
 )
