@@ -307,7 +307,7 @@ def expensive_structures(path: Sequence[ComparedStructure]) -> tuple[str, ...]:
     worst = max(expensive, key=lambda each: each.relative_steps)
     tried = "1 structure" if len(expensive) == 1 else f"{len(expensive)} structures"
     said = (
-        f"{tried} of the {len(path)} sets that were tried needed more than {EXPENSIVE:g} times as "
+        f"{tried} of the {len(path)} that were tried needed more than {EXPENSIVE:g} times as "
         f"many steps of the solver as the declared model, most of all {' + '.join(worst.effects)} "
         f"({worst.relative_steps:.3g} times); structures.parquet has the figure of each "
         "(relative_steps)"

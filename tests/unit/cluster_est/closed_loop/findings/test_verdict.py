@@ -295,7 +295,7 @@ HELD_OUT = {
         "training experiment 'lost' could not be simulated"),
     "how much is too much is said of the size": (
         [*changes((90.0, 1.6), (90.0, 1.2)), change("test", NAN, NAN)], Verdict.PARTIAL,
-        "1.20 on held-out data, which is more than the 1.5 times"),
+        "1.20 on held-out data, which is more than the limit of 1.5"),
     "the noise is not known": (
         [ErrorChange("train", "train", "y", "m", 100, 9.0, 1.0, NAN, NAN)], Verdict.PARTIAL,
         "the noise of y is not known"),
