@@ -165,5 +165,5 @@ def test_a_parameter_that_the_fmu_declares_fixed_is_said_to_be_closed(problem, f
 
 
 def test_a_closed_site_that_was_asked_for_is_refused_with_the_cause(fixed_mass):
-    with pytest.raises(ProblemError, match=r"'parameter m' is closed, because .* tunable"):
+    with pytest.raises(ProblemError, match=r"'parameter m' cannot be used, because .* tunable"):
         ce.detect(fixed_mass, settings=SETTINGS.changed(sites=("parameter m",)))

@@ -57,7 +57,7 @@ SUITABLE = [
         options("scipy_least_squares") | {"cost.name": "sae"},
         "method.name: scipy_least_squares needs residuals.*cost.name is 'sae'",
     ),
-    ({"cost.name": "sae"}, "method.name: least_squares needs residuals.*'sae'.*choose another"),
+    ({"cost.name": "sae"}, "method.name: least_squares needs residuals.*'sae'.*change one"),
     (options("nelder_mead"), r'm.bounds: .*absent.*\[0.1, 10\].*bounds = "enforce"'),
     (options("de") | {"parameters.m.bounds": REMOVED}, "parameters.m.bounds: .*finite"),
 ]
@@ -78,7 +78,7 @@ KINDS = [
         constraint(expression="m <= k", signal="y", upper=1),
         r"constraints\[0\]: .*one of expression, signal and function.*has expression and signal",
     ),
-    (constraint(expression="m <= k", upper=1), r"\[0\].upper: .*left out beside expression"),
+    (constraint(expression="m <= k", upper=1), r"\[0\].upper: .*left out with expression"),
     (constraint(expression="m <= k", equality=True), r"\[0\].equality: .*left out"),
     (constraint(expression="m <= k", experiments=["a"]), r"\[0\].experiments: .*left out"),
     (constraint(name="mass", expression="m <= q"), r"constraints\[mass\].*unknown.*'q'.*'m', 'k'"),
@@ -100,7 +100,7 @@ SIGNALS = [
     (on_y(lower=[[0, 0], [0.3, 3]], upper=2), r"\[0\].lower: .*not be above upper.*at 0.2"),
     (on_y(upper=1, between=[5, 6]), r"\[0\].between: .*overlap with.*0 to 0.3.*\[5.0, 6"),
     (on_y(upper=1, between=[4, 3]), r"\[0\].between: .*\[from, to\].*\[4.0, 3.0\]"),
-    (on_y(final=1, between=[0, 1]), r"\[0\].between: .*left out beside final"),
+    (on_y(final=1, between=[0, 1]), r"\[0\].between: .*left out with final"),
     (on_y(upper=1, experiments=["b"]), r"\[0\].experiments: .*no 'b'.*'a'"),
     (on_y(upper=1, equality=True), r"\[0\].equality: .*left out"),
     (on_y(upper=1, samples=1), r"\[0\].samples: .*greater than 1.*1"),
@@ -171,4 +171,4 @@ def test_a_function_says_all_of_a_constraint(tmp_path, refuse, key):
     (tmp_path / "mine.py").write_text("def f(run):\n    return 0.0\n")
     changes = constraint(function="mine:f", **{key: 1})
     refuse(changes, r"constraints\[0\].function: 'mine:f' is Python code.*add --allow-code")
-    refuse(changes, rf"constraints\[0\].{key}: .*left out beside", more=("--allow-code",))
+    refuse(changes, rf"constraints\[0\].{key}: .*left out with", more=("--allow-code",))

@@ -139,7 +139,7 @@ def test_a_parameter_that_cannot_be_set_is_named_and_left_out(examined, fmi):
     refused = next(each for each in page.findings if "refuses" in each.found)
     assert refused.verdict == "note"
     assert refused.found.startswith("limit: ")
-    assert "1 of 1 act on the outputs" in line(page, "parameters").found
+    assert "1 of 1 affect the outputs" in line(page, "parameters").found
 
 
 @pytest.mark.parametrize(
@@ -214,7 +214,7 @@ def test_a_config_whose_parameter_is_dead(own_fmu, tmp_path, capsys):
     assert main(["check", str(write_input(tmp_path, changes)), "--seconds", "60"]) == 1
     said = capsys.readouterr().out
     assert "parameter dead" in said
-    assert "1 of 2 act on the outputs" in said
+    assert "1 of 2 affect the outputs" in said
 
 
 def test_an_experiment_at_rest_tells_nothing(capsys):
@@ -222,7 +222,7 @@ def test_an_experiment_at_rest_tells_nothing(capsys):
     config = ROOT / "configs" / "mass_spring_damper.toml"
     assert main(["check", str(config), "--seconds", "60"]) == 0
     said = capsys.readouterr().out
-    assert "3 of 3 act on the outputs" in said
+    assert "3 of 3 affect the outputs" in said
     assert "y changes by 0 of its size" not in said
 
 
@@ -358,7 +358,7 @@ NO_JACOBIAN = SimpleNamespace(error=np.nan, zero=False)
         (DirectionalProbe, NO_JACOBIAN, "derivatives", "note", "differ"),
         (CostProbe, SimulationCost(1e-3, None, 64), "memory", "not done", "64 simulations are too"),
         (CostProbe, SimulationCost(1e-3, 0.0, 64), "memory", "not done", "64 simulations are too"),
-        (CostProbe, SimulationCost(1.1, 0.0, 300), "few simulations", "ok", "takes long"),
+        (CostProbe, SimulationCost(1.1, 0.0, 300), "few simulations", "ok", "are slow"),
         (LeftoverProbe, NoAnswer("it would take 5 s", late=True), "values", "not done", "5 s"),
     ],
 )
@@ -465,7 +465,7 @@ def test_an_input_that_is_held_anyway_makes_no_ramps(tmp_path, name):
     columns = {"t": times, "u": steps, "y": np.sin(times)}
     run = ce.Experiment.from_table(columns, id="a", time="t", inputs=["u"], outputs=["y"])
     problem = ce.Problem(ce.read_model(fmu), [ce.Parameter("k", 1.0)], [run])
-    assert any("makes ramps" in each or "make ramps" in each for each in problem.notes()) is noted
+    assert any("makes ramps" in each or "into ramps" in each for each in problem.notes()) is noted
     with_hole = replace(run.inputs[0], times=np.delete(times, 5), values=np.delete(steps, 5))
     holed = replace(problem, experiments=(replace(run, inputs=(with_hole,)),))
     checks = {each.check for each in data_findings(holed, holed.describe())}

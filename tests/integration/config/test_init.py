@@ -562,7 +562,7 @@ class TestMistakes:
             ([str(FMU), "broken.parquet"], "a parquet file that can be read"),
             ([str(FMU), "text.csv"], "text.csv .*columns of numbers.*none"),
             ([str(FMU), "a.csv", "./a.csv"], "a.csv .*named once.*2 times"),
-            ([str(FMU), "a.csv", "--out", "there.toml"], "there.toml.* is there already"),
+            ([str(FMU), "a.csv", "--out", "there.toml"], "there.toml.* exists already"),
             ([str(FMU), "a.csv", "--out", "."], "a file but is a folder"),
             ([str(FMU), "a.csv", "--out", "a.csv/b.toml"], "must be written but cannot be"),
         ],

@@ -164,7 +164,7 @@ def test_more_points_make_a_map_no_rougher(read, count, rel):
         ({"points": [0.0, 0.0, 1.0]}, "maps.map.points: must increase"),
         ({"variables": ["a", "b"]}, "maps.map.variables: .*as many as the points, 3"),
         ({"start": [1.0]}, "maps.map.start: .*one for each of the 3 points"),
-        ({"slope_change": 1.0}, "maps.map.bounds: .*finite where slope_change"),
+        ({"slope_change": 1.0}, "maps.map.bounds: .*finite with slope_change"),
         ({"bounds": [2.0, 1.0]}, r"maps.map.bounds: .*\[lower, upper\]"),
         ({"slope_change": 0.0}, "maps.map.slope_change: .*greater than 0"),
         ({"start": 5.0, "bounds": [0.0, 2.0]}, "maps.map.start: .*within the bounds"),

@@ -128,7 +128,7 @@ def test_nothing_is_compiled(run, tmp_path, export, monkeypatch):
     monkeypatch.setattr(build, "build_into", None)
     monkeypatch.setattr(build.subprocess, "run", None)
     _, said = export("--fmu", tmp_path / "here.fmu", "--no-step")
-    assert "does not run on darwin64 and win64, as its original does" in said
+    assert "does not run on darwin64 and win64, although the original does" in said
     fmpy_platforms = supported_platforms(str(tmp_path / "here.fmu"))
     assert fmpy_platforms == [PLATFORM]
 

@@ -228,7 +228,7 @@ FROM_TABLE = 'data = "{folder}/wrong.csv"'
         ('outputs = ["F"]', "", "outputs must be variables that the FMU computes but has 'F'"),
         ('data = "no.csv"', "", r"predictions\[0\]\.data"),
         ('data = "a.csv"\nexperiment = "exp4"', "", r"predictions\[0\]\.data: must be left"),
-        ('time = "t"', "", r"predictions\[0\]\.time: must stand beside data"),
+        ('time = "t"', "", r"predictions\[0\]\.time: must be given with data"),
         ("outputs = 3", "", r"predictions\[0\]\.outputs"),
         (FROM_TABLE, "t,force\n0,1\n1,2\n", r"predictions\[0\]\.time"),
         (FROM_TABLE, "time,G\n0,1\n1,2\n", "has no variable 'G'"),
@@ -257,7 +257,7 @@ def test_the_command_refuses_in_a_sentence_too(design, tmp_path, capsys):
 def test_another_criterion_has_nothing_to_predict(design, capsys):
     assert design("--predict", "exp4", text='criterion = "d"\n' + LIMITS) == 2
     assert '--predict: predictions: must be used with the criterion "v"' in capsys.readouterr().err
-    with pytest.raises(ClusterEstError, match=r"predictions: must go with .*it is 'a'"):
+    with pytest.raises(ClusterEstError, match=r"predictions: must be used with .*it is 'a'"):
         read_text('criterion = "a"\n' + LIMITS + PREDICT)
     with pytest.raises(ProblemError, match="experiment must be the name of an experiment"):
         PredictionTarget(3)

@@ -287,7 +287,7 @@ def test_a_run_that_was_killed_before_it_began_is_begun(tmp_path):
         ("close-loop", "begun by another command"),
         ("numpy", "numpy was 0.1 and is "),
         ("python", "python was 2.7.1 and is "),
-        ("fmu", "mass_spring_damper.fmu was another FMU"),
+        ("fmu", "mass_spring_damper.fmu was a different FMU"),
         ("exp2", "the data of experiment 'exp2' were different"),
         ("format", "its format is 1 and this version writes 2"),
     ],
