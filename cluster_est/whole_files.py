@@ -19,9 +19,11 @@ SEAL = "cluster-est crc32:00000000"
 """What stands in the place of a seal until `sealed` fills it in."""
 SEAL_KEY = "checksum"
 """The key of a seal in run.json, and in the metadata of tables and of messages of a log."""
-MEND = "run the same command again with --resume, which does anew what is damaged"
-MAKE_ROOM_AND_RESUME = "see that there is room and that it may be written, and go on with --resume"
-ELSEWHERE = "see that there is room and that it may be written, or choose another"
+MEND = "run the same command again with --resume, which repeats the damaged parts"
+MAKE_ROOM_AND_RESUME = (
+    "check that there is space and that it can be written, and continue with --resume"
+)
+ELSEWHERE = "check that there is space and that it can be written, or choose another"
 _FILE_SEAL = re.compile(rb"cluster-est crc32:([0-9a-f]{8})")
 
 

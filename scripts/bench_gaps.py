@@ -29,7 +29,7 @@ from workers.fmu.description import describe
 MODELS = Path(__file__).resolve().parent.parent / "configs" / "models"
 OFF = 4.0
 """Standard errors from the truth from which on a parameter is wrong."""
-WORDS = re.compile(r"\bgap|missing|bridged|pause")
+WORDS = re.compile(r"\bgap|missing|interpolated|pause")
 INTERVALS = re.compile(r"from (-?[\d.e+-]+) to (-?[\d.e+-]+) s")
 MORE = re.compile(r"and \d+ more")
 

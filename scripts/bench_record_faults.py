@@ -44,13 +44,15 @@ WORDS = {
     "clock": r"clock",
     "unit": r"unit",
     "sentinel": r"far from all others",
-    "foreign": r"periodic source",
-    "transient": r"begins elsewhere",
+    "foreign": r"periodic disturbance",
+    "transient": r"begins at another",
 }
 """Words that only a sentence on this kind of fault has."""
-ANY = re.compile(r"\bthe record\b|\brecords\b.*\b(fault|first)|periodic source|far from all others")
+ANY = re.compile(
+    r"\bthe record\b|\brecords\b.*\b(fault|first)|periodic disturbance|far from all others"
+)
 """Words of a sentence that claims a fault of a record."""
-SET_ASIDE = re.compile(r"each alone among its neighbours")
+SET_ASIDE = re.compile(r"each far from all its neighbours")
 """Words of a loop that sets samples aside."""
 SETS = (*KINDS, "clean", "effect")
 

@@ -58,7 +58,7 @@ def notice() -> str:
         return ""
     meant, base = next(iter(_replaced.items()))
     why = (
-        f"{meant} is no folder that this user, and nobody else, can write"
+        f"{meant} is not a folder that only this user can write"
         if meant
         else ("this user has no home")
     )

@@ -54,7 +54,7 @@ def print_page(answer: Answer, page: CheckPage) -> None:
         said += f"; {_counted(notes, 'note')} {say_what} what may be wrong"
     if 0 < left < len(page.findings):
         are = "was" if left == 1 else "were"
-        said = f"{left} of {len(page.findings)} checks {are} not done; in the others {said}"
+        said = f"{left} of {len(page.findings)} checks {are} not done; the others: {said}"
     elif left:
         said = "nothing was checked yet"
     answer.say(said)
@@ -85,7 +85,7 @@ def print_check(answer: Answer, problem: Problem, simulations: Sequence[Simulati
     """Unknowns, experiments and one simulation of each."""
     train = make_space(problem, problem.indices("train"))
     answer.say(
-        f"{train.size} unknowns; a forward Jacobian costs {len(train.colours)} points x "
+        f"{train.size} unknowns; a forward Jacobian takes {len(train.colours)} points x "
         f"{len(train.experiments)} experiments",
     )
     experiments = [_simulated(problem, each) for each in simulations]

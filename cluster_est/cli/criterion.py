@@ -52,7 +52,10 @@ class Judgement:
     def sentence(self) -> str:
         """The result as a sentence."""
         if self.why:
-            return f"--fail-if: {self.expression!r} cannot be judged, so it counts: {self.why}"
+            return (
+                f"--fail-if: {self.expression!r} cannot be evaluated, so it counts as met: "
+                f"{self.why}"
+            )
         return f"--fail-if: {self.expression!r} is met"
 
 
@@ -78,7 +81,7 @@ class Criterion:
         self._command = command
         if len(expression) > MOST_LETTERS:
             raise ConfigError(
-                f"--fail-if: must have at most {MOST_LETTERS} letters but has {len(expression)}"
+                f"--fail-if: must have at most {MOST_LETTERS} characters but has {len(expression)}"
             )
         try:
             self._tree = ast.parse(expression.strip(), mode="eval").body
@@ -140,7 +143,7 @@ class Criterion:
         named = f"{field.name} is one of {', '.join(words)}; " if field and words else ""
         raise ConfigError(
             f"--fail-if: {first!r} must be a field of {self._command} but is none{meant}ts fields "
-            f"are {', '.join(self._fields)}; {named}a text stands in quotes"
+            f"are {', '.join(self._fields)}; {named}put text in quotes"
         )
 
     def _value(self, node: ast.expr, document: Mapping[str, Any]) -> Any:
@@ -163,7 +166,7 @@ class Criterion:
 
     def _negative(self, value: Any) -> Any:
         if isinstance(value, str | list | dict):
-            raise self._wrong("but a minus stands before what is no number")
+            raise self._wrong("but a minus is in front of something that is not a number")
         return -value
 
     def _compare(self, node: ast.Compare, document: Mapping[str, Any]) -> bool:

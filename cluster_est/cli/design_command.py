@@ -80,19 +80,23 @@ def _check_free(options: Namespace) -> None:
         )
     if has_measurements(out):
         raise RunFolderError(
-            f"--out: {out} holds measurements already, which are kept; choose another"
+            f"--out: {out} contains measurements, which are not overwritten; choose another file"
         )
     if out.exists() and not (options.overwrite or options.resume):
-        raise RunFolderError(f"--out: {out} is there already; choose another, or --overwrite")
+        raise RunFolderError(
+            f"--out: {out} exists already; choose another file, or use --overwrite"
+        )
     run, own = options.run_folder.resolve(), folder.resolve()
     if own == run or run in own.parents or own in run.parents:
         raise RunFolderError(
-            f"--out: the run folder of {out} would be {folder}, which holds or is the run that is "
+            f"--out: the run folder of {out} would be {folder}, which contains or is the run to "
             "read; choose another name"
         )
     facts = read_facts(folder) if (folder / "run.json").is_file() else {}
     if facts.get("verdict") or (folder / "parameters.parquet").is_file():
-        raise RunFolderError(f"--out: {folder} holds a run that is no design; choose another name")
+        raise RunFolderError(
+            f"--out: {folder} contains a run that is not a design; choose another name"
+        )
 
 
 def _path_from(run: ConfiguredStudy, out: Path) -> str:

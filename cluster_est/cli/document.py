@@ -60,11 +60,13 @@ class DocumentField:
 
 COMMON_FIELDS = (
     DocumentField("command", "text", "the command"),
-    DocumentField("version", "text", "of cluster-est; null where it is not installed"),
+    DocumentField("version", "text", "version of cluster-est; null if it is not installed"),
     DocumentField("status", "text", "the exit code in words", _statuses),
     DocumentField("exit_code", "whole number", "of the process"),
-    DocumentField("message", "text", "why the command has no result; empty if it has"),
-    DocumentField("sentences", "list", "all that is printed without --json, but for the tables"),
+    DocumentField("message", "text", "reason why the command has no result; empty if it has one"),
+    DocumentField(
+        "sentences", "list", "all sentences that are printed without --json, except the tables"
+    ),
     DocumentField("complaints", "list", "the sentences on standard error"),
     DocumentField("criteria", "list", "each --fail-if: `expression`, `met`, and `why`"),
 )
@@ -72,20 +74,20 @@ COMMON_FIELDS = (
 
 _OF_RUN = (
     DocumentField("run", "text", "folder of the run"),
-    DocumentField("run_status", "text", "of the run, as run.json says it", _run_statuses),
+    DocumentField("run_status", "text", "status of the run, as in run.json", _run_statuses),
     DocumentField("cost_before", "number", "the cost at the start values"),
     DocumentField("cost", "number", "the cost of the result"),
     DocumentField(
         "rmse_train",
         "number",
-        "root mean square of the training errors over sigma, in a closed loop over the "
-        "`errors_over` of `facts`; without a sigma in the outputs' units",
+        "root mean square of the training errors over sigma; in a closed loop, over the "
+        "`errors_over` of `facts`; without a sigma, in the units of the outputs",
     ),
-    DocumentField("rmse_test", "number", "the same of the held-out experiments"),
+    DocumentField("rmse_test", "number", "the same for the held-out experiments"),
     DocumentField("verdict", "text", "of a closed loop", verdicts),
-    DocumentField("summary", "text", "what a closed loop or a design has found, as a sentence"),
+    DocumentField("summary", "text", "result of a closed loop or a design, as a sentence"),
     DocumentField("effects", "list", "names of the effects that a closed loop has added"),
-    DocumentField("doubts", "list", "what is doubtful of the result, in a few words each"),
+    DocumentField("doubts", "list", "doubts about the result, in a few words each"),
     DocumentField("too_narrow", "true or false", "whether the intervals are too narrow"),
     DocumentField("notes", "list", "sentences on the result"),
     DocumentField("iterations", "whole number", "of the best search"),
@@ -95,7 +97,7 @@ _OF_RUN = (
     DocumentField("seconds", "number", "that the run took"),
     DocumentField("parameters", "object", "rows of parameters.parquet by label"),
     DocumentField("tables", "object", "rows of the run's other tables that `show` prints, by name"),
-    DocumentField("facts", "object", "all that run.json says"),
+    DocumentField("facts", "object", "the content of run.json"),
 )
 _WRITTEN = DocumentField("out", "text", "what was written")
 
@@ -103,7 +105,7 @@ FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
     "init": (
         _WRITTEN,
         DocumentField("to_fill_in", "list", "open lines of the config: `line` and `text`"),
-        DocumentField("missing_inputs", "list", "inputs that no column is like"),
+        DocumentField("missing_inputs", "list", "inputs for which no column was found"),
     ),
     "check": (
         DocumentField("model", "object", "`name`, `interface` and `solver`"),
@@ -111,7 +113,9 @@ FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
         DocumentField("problems", "whole number", "checks with the verdict problem"),
         DocumentField("check_notes", "whole number", "checks with the verdict note"),
         DocumentField("not_done", "whole number", "checks that were not done"),
-        DocumentField("unknowns", "whole number", "of a fit of the training experiments"),
+        DocumentField(
+            "unknowns", "whole number", "number of simulations of a fit of the training experiments"
+        ),
         DocumentField(
             "experiments",
             "list",
@@ -126,17 +130,19 @@ FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
     "design": (
         *_OF_RUN,
         _WRITTEN,
-        DocumentField("block", "text", "what the config needs for the next experiment"),
+        DocumentField("block", "text", "lines that the config needs for the next experiment"),
     ),
     "simulate": (
         _WRITTEN,
-        DocumentField("rows", "whole number", "of the table that was written"),
+        DocumentField("rows", "whole number", "number of rows of the written table"),
         DocumentField("experiments", "list", "each: `id`, `status` and `message`"),
     ),
     "show": (
         *_OF_RUN,
         DocumentField("iteration_rows", "list", "with --iterations or --search: rows of it"),
-        DocumentField("failed", "list", "with --failures: what failed, with its `number`"),
+        DocumentField(
+            "failed", "list", "with --failures: failed simulations, each with its `number`"
+        ),
     ),
     "report": (_WRITTEN,),
     "watch": (
@@ -159,11 +165,11 @@ FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
     "export": (DocumentField("files", "list", "what was written"),),
     "sweep": (
         _WRITTEN,
-        DocumentField("ran", "whole number", "runs that this call did"),
+        DocumentField("ran", "whole number", "runs that this call has done"),
         DocumentField("runs", "list", "rows of summary.parquet"),
-        DocumentField("counts", "object", "how many runs have each status"),
-        DocumentField("verdicts", "object", "how many closed loops have each verdict"),
-        DocumentField("doubtful", "whole number", "runs of whose solution something is doubtful"),
+        DocumentField("counts", "object", "number of runs for each status"),
+        DocumentField("verdicts", "object", "number of closed loops for each verdict"),
+        DocumentField("doubtful", "whole number", "number of runs with a doubtful solution"),
         DocumentField("worst_rmse_train", "number", "the largest `rmse_train` of the runs"),
         DocumentField("worst_rmse_test", "number", "the largest `rmse_test` of the runs"),
     ),
@@ -171,8 +177,10 @@ FIELDS: Mapping[str, tuple[DocumentField, ...]] = {
         DocumentField("logged", "object", "`number`, `experiment`, `search`, `purpose`, `effects`"),
         DocumentField("values", "object", "by parameter"),
         DocumentField("then", "object", "`status`, `message` and `cost` in the log"),
-        DocumentField("now", "object", "the same of the simulation of now"),
-        DocumentField("same_inputs", "true or false", "whether model, data and effects are those"),
+        DocumentField("now", "object", "the same for the repeated simulation"),
+        DocumentField(
+            "same_inputs", "true or false", "whether model, data and effects are those of the run"
+        ),
     ),
     "forms": (DocumentField("forms", "list", "each form at each kind of site"),),
 }

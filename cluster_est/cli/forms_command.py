@@ -21,25 +21,24 @@ from workers.fmu.description import nearest
 
 SITES: dict[SiteKind, tuple[str, str]] = {
     "derivative": ("der(STATE)", "The equation is added to the derivative of a state. `v` is that "
-                   "state where `variables` names no other argument."),
-    "pair": ("pair STATE,STATE", "The equation is added to the first derivative, the second one to "
-             "the other. `v` is the difference of the two states where `variables` names no other "
-             "argument."),
-    "input": ("input NAME", "The equation takes the place of the input `s`. `v` is a state or "
-              "another signal that `variables` names."),
-    "output": ("output NAME", "The equation takes the place of the output `s`: it is what the "
-               "sensor shows."),
-    "parameter": ("parameter NAME", "The equation takes the place of the parameter `s`, at every "
-                  "time."),
+                   "state unless `variables` names another argument."),
+    "pair": ("pair STATE,STATE", "The first equation is added to the first derivative, the second "
+             "equation to the other derivative. `v` is the difference of the two states unless "
+             "`variables` names another argument."),
+    "input": ("input NAME", "The equation replaces the input `s`. `v` is a state or another signal "
+              "that `variables` names."),
+    "output": ("output NAME", "The equation replaces the output `s`: it is the reading of the "
+               "sensor."),
+    "parameter": ("parameter NAME", "The equation replaces the parameter `s` at every time."),
 }  # fmt: skip
 """How a site of each kind is written, and what an equation does there."""
 SYMBOLS = (
     "In the equations, `v` and `w` are the variables that an effect is a function of, `t` is the "
-    "time, and `z` and `y` are states of its own. In the units, `site` is that of what the "
-    "equation gives, and `other` that of the second derivative. A strength does nothing at 0 "
-    "unless another value is given. A coefficient that the closed loop holds stays where it was "
-    "set when the effect is fitted; what you declare yourself is fitted unless it says "
-    "`fixed = true`."
+    "time, and `z` and `y` are internal states. In the units, `site` is the unit of the result "
+    "of the equation, and `other` that of the second derivative. A strength has no influence at "
+    "0, unless another value is given. A coefficient that the closed loop holds keeps its value "
+    "when the effect is fitted; a coefficient that you declare is fitted unless it has `fixed = "
+    "true`."
 )
 EVERY_FORM = FORMS | PROCESS_NOISE
 
@@ -123,8 +122,8 @@ def forms(options: Namespace, answer: Answer) -> int:
         known = [name for kind, name in EVERY_FORM if options.site in (None, kind)]
         where = f" at sites of the kind {options.site}" if options.site else ""
         raise ConfigError(
-            f"forms: {options.form!r} must be a form{where} but is none"
-            f"{nearest(str(options.form), dict.fromkeys(known))}"
+            f"forms: {options.form!r} must be a form{where} but is "
+            f"not{nearest(str(options.form), dict.fromkeys(known))}"
         )
     answer.add(forms=[_entry(kind, form) for (kind, _), form in chosen.items()])
     for kind, (site, meaning) in SITES.items():

@@ -28,7 +28,7 @@ def init(options: Namespace, answer: Answer) -> int:
         raise ConfigError(f"--out: {out} must be a file but is a folder; name a file in it")
     if out.exists() and not options.overwrite:
         raise ConfigError(
-            f"--out: {out} is there already; choose another, or replace it with --overwrite"
+            f"--out: {out} exists already; choose another file, or replace it with --overwrite"
         )
     reading = read_reading(options.read)
     found = draft(options.fmu, options.data, read_mapping(options.map), reading)
@@ -55,10 +55,10 @@ def init(options: Namespace, answer: Answer) -> int:
         where = ", ".join(repr(run.id) for run in found.runs if name in run.missing_inputs)
         place = _place(text, f'{dotted("inputs", name)} = "COLUMN"')
         answer.say(
-            f"{out}{place}: no column of {where} is like input {name!r}; name one there, or it "
-            "keeps its start value",
+            f"{out}{place}: no column of {where} matches input {name!r}; name one there, or the "
+            "input keeps its start value",
         )
-    answer.say(f"{out} is written; look through it, then: cluster-est check {out}")
+    answer.say(f"{out} was written; check its lines, then run: cluster-est check {out}")
     return ExitCode.DONE
 
 

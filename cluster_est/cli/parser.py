@@ -15,8 +15,8 @@ from workers.effects.kinds import SiteKind
 from workers.fmu.description import nearest
 
 CODES_IN_WORDS = (
-    "0 done; 1 ran, but reached no solution; 2 bad input; 3 a criterion of --fail-if is met; "
-    "130 interrupted"
+    "0 done; 1 ran, but reached no solution; 2 bad input; 3 a criterion of --fail-if is "
+    "met; 130 interrupted"
 )
 FIRST_EXAMPLES = (
     "init model.fmu monday.csv tuesday.csv --out first.toml",
@@ -164,19 +164,19 @@ def make_parser() -> argparse.ArgumentParser:
     check = _with_config(
         commands,
         "check",
-        "say what is wrong with a config, its data and its FMU, or with an FMU alone",
+        "find problems of a config, its data and its FMU, or of an FMU alone",
         config="the TOML file, or an FMU",
     )
     check.add_argument(
         "--seconds",
         type=_seconds,
         default=None,
-        help="that all checks share (default 4); 0: only read everything",
+        help="time for all checks together (default 4); 0: only read everything",
     )
     for name, summary in (
         ("fit", "estimate the parameters"),
-        ("close-loop", "find what the model lacks, add it and fit again"),
-        ("sensitivity", "rank what is estimated by how much it moves cost and outputs"),
+        ("close-loop", "find effects that the model lacks, add them and fit again"),
+        ("sensitivity", "rank the unknowns by their influence on cost and outputs"),
     ):
         command = _with_config(commands, name, summary)
         command.add_argument("--out", type=Path, required=True, help="folder to write the run to")
@@ -185,18 +185,20 @@ def make_parser() -> argparse.ArgumentParser:
     simulate = _with_config(
         commands,
         "simulate",
-        "simulate every experiment, at the start values or as a run has found them",
+        "simulate every experiment, with the start values or with the estimates of a run",
     )
     simulate.add_argument(
         "--out", type=Path, required=True, help="table to write: .parquet, .feather or .csv"
     )
     simulate.add_argument(
-        "--run", dest="run_folder", type=Path, help="take the values from this run's estimates"
+        "--run", dest="run_folder", type=Path, help="use the estimates of this run"
     )
     show = _with_run(_command(commands, "show", "print a run's parameters and errors"))
     show.add_argument("--iterations", action="store_true", help="print the iteration table instead")
-    show.add_argument("--failures", action="store_true", help="list what failed, for replay")
-    show.add_argument("--search", help="of this search, such as 'start 3'; without: of the best")
+    show.add_argument("--failures", action="store_true", help="list failed simulations, for replay")
+    show.add_argument(
+        "--search", help="iteration table of this search, such as 'start 3'; default: the best one"
+    )
     report = _command(
         commands,
         "report",
@@ -272,43 +274,46 @@ def _add_init(commands: Commands) -> None:
         metavar="DATA",
         type=Path,
         nargs="*",
-        help="tables, one an experiment (.csv, .parquet, .feather, .mat, and with "
-        "cluster-est[files] .h5, .mf4, .tdms, .xlsx), the last of several held out; or a folder of "
-        "PEtab-like tables; without: the reference results that the FMU carries",
+        help="tables, one for each experiment (.csv, .parquet, .feather, .mat, and with "
+        "cluster-est[files] .h5, .mf4, .tdms, .xlsx); the last of several is held out; "
+        "or a folder of PEtab-like tables; default: the reference results in the FMU",
     )
     init.add_argument(
         "--read",
         metavar="KEY=VALUE",
         action="append",
         default=[],
-        help="how the tables are to be read, a key of an experiment: encoding, skip_rows, decimal, "
-        "sheet, time_format or time_zone, as in --read encoding=cp1252; may be given several times",
+        help="a key that says how to read the tables: encoding, skip_rows, decimal, sheet, "
+        "time_format or time_zone, as in --read encoding=cp1252; may be given several "
+        "times",
     )
     init.add_argument(
         "--map",
         metavar="VARIABLE=COLUMN",
         action="append",
         default=[],
-        help="the column of a variable of the FMU, or of time, as in --map u='Voltage (V)'; may be "
-        "given several times; without: columns are found by their names",
+        help="the column of a variable of the FMU, or of time, as in --map u='Voltage (V)'; "
+        "may be given several times; default: columns are matched by name",
     )
     init.add_argument(
-        "--out", type=Path, help="TOML file to write; without: the FMU's name, in this folder"
+        "--out", type=Path, help="TOML file to write; default: the name of the FMU, in this folder"
     )
     init.add_argument("--overwrite", action="store_true", help="replace that file")
 
 
 def _add_design(commands: Commands) -> None:
-    summary = "choose the input of the next experiment, which tells rivals apart or narrows values"
+    summary = (
+        "choose the input of the next experiment, to distinguish rivals or reduce uncertainties"
+    )
     design = _with_run(_command(commands, "design", summary), "folder of a fit or a closed loop")
     design.add_argument(
         "overrides",
         metavar="KEY=VALUE",
         nargs="*",
-        help="overrides of the run's keys of executor, budget and log",
+        help="overrides of the keys of executor, budget and log of the run",
     )
     design.add_argument(
-        "--limits", type=Path, required=True, help="TOML file of what the experiment must keep"
+        "--limits", type=Path, required=True, help="TOML file with the limits of the experiment"
     )
     design.add_argument(
         "--out",
@@ -321,8 +326,8 @@ def _add_design(commands: Commands) -> None:
         metavar="EXPERIMENT[:OUTPUT,...]",
         action="append",
         default=[],
-        help="experiment of the run whose outputs the next one makes certain to predict; may be "
-        "given more than once",
+        help="experiment of the run whose outputs are to be predicted with small uncertainty; "
+        "may be given several times",
     )
     _add_existing(design)
     _add_moved_config(design)
@@ -334,36 +339,39 @@ def _add_existing(command: argparse.ArgumentParser) -> None:
     present.add_argument(
         "--resume",
         action="store_true",
-        help="resume the run in that folder where it was interrupted; begin if there is none",
+        help="resume the interrupted run in that folder; begin a new one if there is none",
     )
     command.add_argument("--no-report", action="store_true", help="write no report.html")
 
 
 def _add_watch(commands: Commands) -> None:
     summary = (
-        "follow a run from another terminal or machine, by its folder alone; with --json look once"
+        "follow a run from another terminal or machine, through its folder; with --json "
+        "print the state once"
     )
     watch = _with_run(_command(commands, "watch", summary))
-    watch.add_argument("--html", action="store_true", help="keep RUN/report.html fresh too")
+    watch.add_argument("--html", action="store_true", help="also update RUN/report.html")
     watch.add_argument(
         "--every", metavar="SECONDS", type=_period, default=1.0, help="between two looks (1)"
     )
 
 
 def _add_sweep(commands: Commands) -> None:
-    sweep = _command(commands, "sweep", "do every fit of a sweep that is not done yet")
+    sweep = _command(commands, "sweep", "do every run of a sweep that is not done yet")
     sweep.add_argument("sweep", metavar="SWEEP", type=Path, help="the TOML file of the sweep")
     sweep.add_argument(
         "--out", type=Path, required=True, help="folder with a run folder for each run"
     )
     sweep.add_argument(
-        "--retry-failed", action="store_true", help="try again what failed, even if unchanged"
+        "--retry-failed",
+        action="store_true",
+        help="try failed runs again, even if nothing has changed",
     )
     _add_allow_code(sweep)
 
 
 def _add_replay(commands: Commands) -> None:
-    summary = "run one logged simulation again and show what the FMU says"
+    summary = "repeat one logged simulation and show the messages of the FMU"
     replay = _with_run(_command(commands, "replay", summary))
     replay.add_argument(
         "number", metavar="ID", type=int, help="row of the log, from 0; see show RUN --failures"
@@ -372,7 +380,7 @@ def _add_replay(commands: Commands) -> None:
 
 
 def _add_export(commands: Commands) -> None:
-    summary = "write what a run has found: a repaired FMU, a parameter set, equations"
+    summary = "write the results of a run: a repaired FMU, a parameter set, equations"
     export = _with_run(_command(commands, "export", summary))
     export.add_argument(
         "--fmu", type=Path, help="write the FMU with the estimates and effects in it (.fmu)"
@@ -380,8 +388,8 @@ def _add_export(commands: Commands) -> None:
     export.add_argument(
         "--no-step",
         action="store_true",
-        help="do not measure the communication step that reproduces the run's error, which takes "
-        "some seconds",
+        help="do not look for the communication step that reproduces the error of the run "
+        "(this takes some seconds)",
     )
     export.add_argument("--ssv", type=Path, help="write the values as an SSP parameter set (.ssv)")
     export.add_argument(
@@ -392,28 +400,29 @@ def _add_export(commands: Commands) -> None:
     )
     export.add_argument("--text", action="store_true", help="print values and effects as text")
     export.add_argument(
-        "--experiment", metavar="ID", help="whose values, where parameters have one for each"
+        "--experiment",
+        metavar="ID",
+        help="id of the experiment whose values are used, if parameters have a value for each "
+        "experiment",
     )
     _add_moved_config(export)
 
 
 def _add_forms(commands: Commands) -> None:
-    summary = "list the forms that an effect may have, where, and with which coefficients"
+    summary = "list the forms of effects, with their sites and coefficients"
     forms = _command(commands, "forms", summary)
     forms.add_argument(
-        "form", metavar="FORM", nargs="?", help="describe this one, with a block for a config"
+        "form", metavar="FORM", nargs="?", help="describe this form, with a block for a config"
     )
     forms.add_argument(
         "--site",
         choices=get_args(SiteKind),
-        help="only those at sites of this kind",
+        help="only forms for sites of this kind",
     )
 
 
 def _add_moved_config(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--config", type=Path, help="the config that the run was made from, if it has moved"
-    )
+    command.add_argument("--config", type=Path, help="the config of the run, if it has moved")
     _add_allow_code(command)
 
 
@@ -421,7 +430,7 @@ def _add_allow_code(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--allow-code",
         action="store_true",
-        help="let Python functions that the config names run, here and on the workers",
+        help="allow Python functions in the config to run, here and on the workers",
     )
 
 

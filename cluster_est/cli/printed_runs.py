@@ -168,7 +168,7 @@ def print_loop(answer: Answer, run: StoredRun) -> None:
     _print_rest(answer, facts)
     if facts["effects"]:
         answer.say("")
-        answer.say("to name what was found in the config, so that cluster-est fit estimates it:")
+        answer.say("to add the effects to the config, so that cluster-est fit estimates them:")
         answer.say("")
         answer.say("\n".join(effect["config"] for effect in facts["effects"]))
     answer.say(f"tables: {run.path}/*.parquet")
@@ -195,11 +195,11 @@ def _print_effect(answer: Answer, effect: Facts, *, too_narrow: bool) -> None:
     for sentence in effect["evidence"]:
         answer.say(f"  {sentence}")
     for other in effect["alternatives"]:
-        answer.tell(f"  cannot be told apart from: {_alternative(other)}")
+        answer.tell(f"  cannot be distinguished from: {_alternative(other)}")
     if any(_differs(other) for other in effect["alternatives"]):
-        answer.say("  (an experiment that stays where they differ most would tell them apart)")
+        answer.say("  (an experiment at the point where they differ most would distinguish them)")
     elif effect["alternatives"]:
-        answer.say("  (nothing in these data tells them apart)")
+        answer.say("  (nothing in these data distinguishes them)")
     else:
         answer.tell(f"  {NO_ALTERNATIVE}")
 

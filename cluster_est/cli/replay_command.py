@@ -36,7 +36,7 @@ def print_question(answer: Answer, logged: LoggedSimulation, question: ReplayReq
     """Who asked for it, its values and effects, and what came of it then."""
     answer.say(f"evaluation {logged.number}: experiment {logged.experiment}")
     answer.say(
-        f"  asked by search {logged.search}, point {logged.evaluation}, for: {logged.purpose}",
+        f"  requested by search {logged.search}, point {logged.evaluation}, for: {logged.purpose}",
     )
     rows = [(name, repr(value)) for name, value in question.named_values]
     answer.add(
@@ -60,10 +60,10 @@ def print_question(answer: Answer, logged: LoggedSimulation, question: ReplayReq
     answer.say(f"then: {_ending(logged.status, logged.message, logged, logged.cost)}")
     if not question.same:
         answer.say(
-            "note: the FMU, its solver, the data, their weights or the effects are not those of "
-            "the run any more",
+            "note: the FMU, its solver, the data, their weights or the effects are no longer "
+            "those of the run",
         )
-    answer.say("what the FMU says, if anything:")
+    answer.say("messages of the FMU, if any:")
 
 
 def print_answer(answer: Answer, logged: LoggedSimulation, outcome: Outcome) -> None:
@@ -99,7 +99,7 @@ def print_failures(answer: Answer, run_folder: Path) -> None:
         ["ID", "search", "purpose", "experiment", "status", "message"],
         [(str(f.number), f.search, f.purpose, f.experiment, f.status, f.message) for f in failed],
     )
-    answer.say(f"to run one again: cluster-est replay {run_folder} ID")
+    answer.say(f"to repeat one: cluster-est replay {run_folder} ID")
 
 
 def _failed(each: LoggedSimulation) -> dict[str, Any]:

@@ -217,8 +217,8 @@ def read_estimates(run_folder: Path, problem: Problem) -> dict[str, float]:
     strange = list(dict.fromkeys(r["label"] for r in rows if r["parameter"] not in known))
     if strange:
         raise RunFolderError(
-            f"--run: {run_folder} must have estimated what the config declares but has "
-            f"{', '.join(strange)} besides; add the run's [[effects]] and parameters to the config"
+            f"--run: {run_folder} must have estimated what the config declares but also has "
+            f"{', '.join(strange)}; add the run's [[effects]] and parameters to the config"
         )
     return {row["label"]: row["value"] for row in rows}
 

@@ -32,8 +32,8 @@ HINT_SECONDS = 20.0
 """Seconds in which all workers were busy and as many simulations again were waiting."""
 
 BUILDS_CORE = (
-    "compiling the simulation core, once on this machine; it takes about 10 s, longer where other "
-    "programs keep the processor busy"
+    "compiling the simulation core, once on this machine; this takes about 10 s, or longer if "
+    "other programs keep the processor busy"
 )
 
 EXIT_CODES = {
@@ -145,7 +145,7 @@ class WorkerHint:
         return (
             f"{workers} of this machine's {self._cores} cores {verb} while {snapshot.waiting} "
             f"simulations wait; executor.workers={self._useful} would be faster, and the result "
-            "the same (stop with Ctrl-C, go on with --resume)"
+            "the same (stop with Ctrl-C, continue with --resume)"
         )
 
 

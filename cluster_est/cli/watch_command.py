@@ -128,7 +128,12 @@ def rendered(view: RunView) -> Group:
     if view.message:
         parts.append(Text(view.message))
     if not view.ended and view.quiet > QUIET_SECONDS:
-        parts.append(Text(f"nothing has come for {duration(view.quiet)}, not even a sign of life"))
+        parts.append(
+            Text(
+                f"nothing has arrived for {duration(view.quiet)}, not even a sign that "
+                "the run is alive"
+            )
+        )
     if view.searches:
         parts.append(_searches(view.searches))
     if view.failures:

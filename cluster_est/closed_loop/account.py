@@ -67,8 +67,8 @@ STRAIGHT_STEPS = 3
 """Iterations of a fit to all rows in the values of the parameters, before the one that counts."""
 
 NOT_ALLOWED_FOR = (
-    "the intervals allow for noise alone, and not for what is left beyond it: they are too narrow "
-    "by as much as that moves the estimates"
+    "the intervals account only for noise, not for the remaining error beyond it: they are too "
+    "narrow"
 )
 
 
@@ -237,14 +237,14 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
     after, kept = (grown, found.current) if keep else (before, found.base)
     judgement, held = at_bounds(judgement, kept, after) if keep else (judgement, ())
     unexplained = steps.do(
-        "the description of what nothing explains",
+        "the description of the unexplained residual",
         lambda: _unexplained(fitter, judgement.verdict, kept, found),
         (),
     )
     choices = None
     competing: tuple[CompetingModel, ...] = ()
     if keep:
-        often = "how often the choice falls on these effects"
+        often = "how often these effects are chosen"
         choices = steps.do(often, lambda: resampled_choices(fitter, found), None)
     if keep and not fitter.predicts:
         competing = steps.do("the models that compete", lambda: competing_models(fitter, found), ())
@@ -309,8 +309,8 @@ def at_bounds(
     if not held:
         return judged, ()
     said = (
-        f"with the effects the fit ends with {' and '.join(held)}: an effect may do what the bound "
-        "forbids, so widen it if it is not one of physics"
+        f"with the effects the fit ends with {' and '.join(held)}: an effect may replace what the "
+        "bound forbids, so widen the bound if it is not a physical one"
     )
     if judged.verdict is Verdict.FOUND:
         judged = replace(judged, verdict=Verdict.PARTIAL, reason=f"{judged.reason}; {said}")
@@ -389,7 +389,7 @@ def _disturbance(
         return ()
     if begun:
         return (f"{begun[0].sentence}; see to that first",)
-    said = f"if it is a disturbance that nobody measured, it makes {unexplained[0].sentence}"
+    said = f"if it is an unmeasured disturbance, it causes {unexplained[0].sentence}"
     return (said, *dict.fromkeys(c for each in unexplained for c in each.columns))
 
 
@@ -401,8 +401,8 @@ def _nothing_tried(found: SelectionResult, sites: tuple[str, ...]) -> tuple[str,
     forms = f"forms {', '.join(settings.forms)}" if settings.forms else "forms of the library"
     return (
         f"no effect was tried: none of the {forms} makes sense on these data at "
-        f"{', '.join(settings.sites or sites)} (some act at an output only where an "
-        "input acts on it at once); change closed_loop.effects or closed_loop.sites",
+        f"{', '.join(settings.sites or sites)} (some act at an output only if an input acts on it "
+        "directly); change closed_loop.effects or closed_loop.sites",
     )
 
 
@@ -429,8 +429,9 @@ def _not_converged(before: Result, after: Result) -> tuple[str, ...]:
     if after is not before:
         fits["the model with the effects"] = after
     return tuple(
-        f"the last fit of {model} did not converge ({str(fit.solution.ending).partition(';')[0]}): "
-        "its values, intervals and errors are those of the point where it stood"
+        f"the last fit of {model} did not converge "
+        f"({str(fit.solution.ending).partition(';')[0]}): its values, intervals and errors are "
+        "those of its last point"
         for model, fit in fits.items()
         if not fit.success
     )

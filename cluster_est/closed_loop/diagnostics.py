@@ -89,13 +89,16 @@ class DetectionResult:
             found = "has smooth structure" if smooth else "looks like noise"
             return f"the residual {found} ({_p(self.p_structure)}), but no candidate was compared"
         if self.p <= self.significance:
-            return f"the residual is autocorrelated, tied to no candidate (p = {self.p_white:.2g})"
+            return (
+                "the residual is autocorrelated, and no candidate explains it (p = "
+                f"{self.p_white:.2g})"
+            )
         if smooth:
             return (
                 f"no candidate is significant (p = {self.p:.2g}), but the residual has smooth "
                 f"structure ({_p(self.p_structure)})"
             )
-        return f"nothing is missing that could be seen (p = {self.p:.2g})"
+        return f"no missing effect is visible in the data (p = {self.p:.2g})"
 
 
 def detect(

@@ -56,7 +56,7 @@ FAINT = 0.3
 MANY = (LoopStage.TRIALS, LoopStage.REFITS, LoopStage.PROBE, LoopStage.SWAP, LoopStage.DROP)
 """Stages of most simulations."""
 
-CONFIRMED_ON_ALL = "estimates, errors and what they say of the effects are those of all rows"
+CONFIRMED_ON_ALL = "estimates, errors and conclusions are from all rows"
 
 
 def thinned_records(request: LoopRequest, most: int | None) -> ThinnedProblem:

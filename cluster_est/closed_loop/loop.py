@@ -164,7 +164,7 @@ def _with_data_findings(result: LoopResult, said: Sequence[tuple[str, str]]) -> 
     if not said:
         return result
     sentences = [f"look at the records first: {what}; {do}" for what, do in said]
-    aside = "; such samples of outputs are in no fit, error or table here"
+    aside = "; such samples of outputs are left out of fits, errors and tables here"
     message = f"{'; '.join(sentences)}{aside}; {result.message}"
     return replace(result, message=message)
 

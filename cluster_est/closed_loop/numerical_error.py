@@ -131,14 +131,14 @@ class NumericalError:
         if self.why_not:
             cannot = (
                 f"the numerical error of {self.scale.name} could not be measured: {self.why_not}; "
-                "what was found may be due to it"
+                "the finding may be due to it"
             )
             return (*self.beside, cannot)
         if self.hides_effects:
             why = f"no effect was looked for, because {self._said}"
             return (*self.beside, f"{why}; {self._advice} makes it negligible")
         if self.ratio > NUMERICAL_ERROR.small:
-            said = f"{self._said}; an effect that explains no more than it could is refused"
+            said = f"{self._said}; an effect that explains no more than this error could is refused"
             return (*self.beside, f"{said}; {self._advice} makes it negligible")
         if self.scale.rtol > NUMERICAL_ERROR.loose:
             said = f"{self._said}, which is negligible here"
@@ -150,7 +150,7 @@ class NumericalError:
         """Sentences on the error of a model with effects; none where it is small."""
         if not self.ratio > NUMERICAL_ERROR.small:
             return ()
-        refused = "a further effect that explains no more than it could is refused"
+        refused = "a further effect that explains no more than this error could is refused"
         return (f"with the effects, {self._said}; {refused}; {self._advice} makes it negligible",)
 
     @property
@@ -160,7 +160,7 @@ class NumericalError:
         figure = f"{self.ratio:.2g}" if self.ratio < 100.0 else f"{self.ratio:.0f}"
         size = f"{figure} times the noise"
         if not np.isfinite(self.ratio):  # there is none
-            size = f"{self.rms[largest] / self.residual[largest]:.2g} times all that is left"
+            size = f"{self.rms[largest] / self.residual[largest]:.2g} times the remaining residual"
         how = "" if np.isnan(self.order) else f", of order {self.order:.2g} in the step"
         return f"{self.scale.name} has an error of {size} (at {output}{how})"
 
@@ -290,7 +290,7 @@ def _error(
         return error, LEAST_ORDER
     second = once - _residuals(fitter, fitted, scale.finer(2), resources)
     if scale.fixed and float(np.add.reduce(second**2)) >= float(np.add.reduce(first**2)):
-        raise _NoSolutionError("the outputs change the more, the shorter its fixed step is made")
+        raise _NoSolutionError("the outputs change more with a shorter fixed step")
     order = observed_order(first, second, scale.ratio)
     return extrapolated(first, scale.ratio, order), order
 

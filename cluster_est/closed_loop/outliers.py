@@ -95,14 +95,14 @@ class OutliersOfOutput:
         of = f"{held}{100.0 * self.count / self.samples:.2g} %"
         if not self.few:
             return (
-                f"{of} of the samples of {self.output} stand alone, far from their neighbours: "
-                f"{counted}, up to {largest:.0f} times the noise; that is too many to be a "
-                "sensor's faults, so all were kept; look at the signal"
+                f"{of} of the samples of {self.output} are far from all their neighbours: "
+                f"{counted}, up to {largest:.0f} times the noise; these are too many for faults "
+                "of a sensor, so all were kept; look at the signal"
             )
         become = "errors and tables" if self.held_out else "fits, errors and tables"
         return (
             f"{of} of the samples of {self.output} are outliers: {counted}, up to {largest:.0f} "
-            f"times the noise, each alone among its neighbours; {become} are without them"
+            f"times the noise, each far from all its neighbours; {become} are without them"
         )
 
 
@@ -356,7 +356,7 @@ class GrowingNoise:
                 f"{said}, so each sample was weighted with its own; write {both} into the "
                 "experiments for a fit with the same weights"
             )
-        said += ", and one sigma gives the loud ones too much weight"
+        said += ", and one sigma for all gives the noisier samples too much weight"
         if np.isnan(self.sigma):
             larger = dotted("relative_sigma", name)
             return f"{said}; give it a larger {larger} beside {dotted('sigma', name)}"

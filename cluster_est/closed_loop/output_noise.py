@@ -167,7 +167,7 @@ class OutputNoise:
     @property
     def named(self) -> str:
         """Its name, with what its sigma may be but the user's."""
-        return self.output if self.given else f"{self.output} (1, as where none is given)"
+        return self.output if self.given else f"{self.output} (1, the default)"
 
     @property
     def sigma_too_small(self) -> bool:
@@ -324,9 +324,9 @@ def suspected_sigma(outputs: Sequence[OutputNoise]) -> str:
     ]
     if short:
         said.append(
-            f"what is left of {' and '.join(short)} is {from_to(short.values())} times the "
-            f"declared sigma, and with records of fewer than {SHORTEST_NOISE_RECORD} samples "
-            "nobody can say whether sigma is the error or something is missing"
+            f"the remaining error of {' and '.join(short)} is {from_to(short.values())} times the "
+            f"declared sigma; with records of fewer than {SHORTEST_NOISE_RECORD} samples, it "
+            "cannot be decided whether sigma is wrong or something is missing"
         )
     if small:
         said.append(small_sigma(" and ".join(small), small.values()))

@@ -42,12 +42,11 @@ from workers.messages import Role
 
 MOST_PASSES = 4
 NOT_LOOKED_FOR = (
-    "process noise: outliers and noise that grows with the signal were not looked for, nor effects "
-    "at outputs, delays, backlash and rate limits"
+    "process noise: these were not looked for: outliers, noise that grows with the signal, "
+    "effects at outputs, delays, backlash and rate limits"
 )
 NOT_AGAIN = (
-    "{} would take the place of a part of the process noise, but is not found any more under the "
-    "noise that it leaves"
+    "{} would replace a part of the process noise, but is no longer found under the remaining noise"
 )
 
 
@@ -85,7 +84,7 @@ def close_loop_under_noise(request: LoopRequest, begin: float) -> LoopResult:
                 result = account(fitter, LastAnswer(searched.found, judged, fits), workbench.scope)
                 result = _with_noise(fitter, result, searched, fits, passed)
                 return replace(with_all(result, spent), seconds=time.monotonic() - begin)
-            fitter.enter("the process noise that is left")
+            fitter.enter("the remaining process noise")
             start = released(searched.found.current.start, request.problem)
             held = hold_noise(fitter, request.problem, start, held.values)
             spent.append(SpentSimulations.at(fitter))
@@ -157,8 +156,8 @@ def _unsettled(passed: list[frozenset[str]]) -> str:
     if not passed[-1] or passed[-1] in passed[:-1]:
         return ""
     return (
-        f"after {len(passed)} passes the search still found other effects than in the pass before: "
-        "their names are uncertain"
+        f"after {len(passed)} passes the search still found other effects than in the previous "
+        "pass: their names are uncertain"
     )
 
 
@@ -214,8 +213,8 @@ def check_noise_parameters(problem: Problem) -> None:
             if given:
                 raise ProblemError(
                     f"close-loop: {dotted('parameters', parameter.name)}.{key}: must be left out, "
-                    "because a "
-                    f"search holds process noise by one number, but is {given!r}; remove it"
+                    f"because a search fixes process noise at one number, but is {given!r}; "
+                    "remove it"
                 )
 
 
@@ -332,7 +331,7 @@ def why_not_likely(size: int, found: SelectionResult, fits: LastFits) -> str:
     fall = _deviance(fits.before, "train") - _deviance(fits.after, "train")
     if not fall > needed:
         return (
-            f"-2 log likelihood falls by {fall:.1f} with noise that is estimated along, and must "
+            f"-2 log likelihood falls by {fall:.1f} if the noise is estimated too, and must fall "
             f"by {needed:.1f} for a choice among {count} candidates"
         )
     worse = _deviance(fits.after, "test") - _deviance(fits.before, "test")

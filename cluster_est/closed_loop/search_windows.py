@@ -123,9 +123,9 @@ class SearchWindows:
         said = f"effects were looked for in {of} of {which}, "
         if not late:
             return f"{said}from the beginning"
-        where = f"{in_a_row(late)}, where the declared model errs most"
+        where = f"{in_a_row(late)}, where the error of the declared model is largest"
         return said + (
-            where if len(late) == len(lengths) else f"from the beginning but for {where}"
+            where if len(late) == len(lengths) else f"from the beginning, except for {where}"
         )
 
     def unlike_records(self, fitter: Fitter) -> str:
@@ -146,13 +146,13 @@ class SearchWindows:
         space = fitter.space(FitStart(self.problem, self.fitted.estimates))
         ((at,),) = fitter.evaluate(LoopStage.DECLARED_MODEL, [(space, space.start[None])])
         if not at.ok:
-            return "the declared model cannot be simulated from where they begin"
+            return "the declared model cannot be simulated from their beginning"
         noise = noise_of(fitter, at.residuals)
         off = at.residuals - self.fitted.residuals[self.rows]
         sizes = [(item.output, _root_mean_square(off[item.rows])) for item in fitter.records.items]
         if all(size <= SAME * noise[output] for output, size in sizes):
             return ""
-        return "the declared model does not go on from where they begin"
+        return "the declared model does not continue correctly from their beginning"
 
     def on_whole_records(self, fitter: Fitter, starts: Sequence[FitStart]) -> list[FitStart]:
         """Return models of the search, to be fitted to whole records from where they stand.
@@ -193,7 +193,7 @@ class SearchWindows:
             A model, fitted to them; None if it cannot be simulated.
         """
         if fitted is None:
-            return "what was found there cannot be simulated in them"
+            return "the model that was found there cannot be simulated in them"
         left = _Misfit.of(fitter, fitted)
         inside = max(left.within(window.rows) for window in self.windows)
         for window in self.windows:
@@ -201,7 +201,7 @@ class SearchWindows:
             misfits = [left.within(other.rows) for other in others]
             worst = int(np.argmax(misfits))
             if misfits[worst] > WORSE_THERE * inside:
-                return f"what was found there leaves more in {others[worst].place}"
+                return f"the model that was found there leaves more error in {others[worst].place}"
         return ""
 
 

@@ -129,11 +129,13 @@ class LoopSettings(Settings):
     section: ClassVar[str] = "closed_loop"
     also: ClassVar[Mapping[str, str]] = {"forms": "effects"}
 
-    effects: Names = Field((), description="forms to try, such as coulomb; default: the library")
-    sites: Annotated[Names, AfterValidator(_sites)] = Field(
-        (), description='where to look, such as "der(v)"; default: all'
+    effects: Names = Field(
+        (), description="forms to try, such as coulomb; default: the whole library"
     )
-    max_effects: Positive = Field(3, description="effects to add at most")
+    sites: Annotated[Names, AfterValidator(_sites)] = Field(
+        (), description='sites to try, such as "der(v)"; default: all'
+    )
+    max_effects: Positive = Field(3, description="largest number of effects to add")
     significance: Finite = Field(
         0.01,
         gt=0.0,
@@ -143,31 +145,38 @@ class LoopSettings(Settings):
     draws: int = Field(
         2000, ge=100, le=LARGEST_INTEGER, description="Monte Carlo draws of each null distribution"
     )
-    trials: Positive = Field(30, description="candidates tried by a real simulation")
+    trials: Positive = Field(30, description="number of candidates that are tried by a simulation")
     refits: Positive = Field(
-        12, description="of those, how many are refitted shortly; a third of them in full"
+        12,
+        description="number of these candidates that get a short refit; a third of them get a full "
+        "one",
     )
     starts: Positive = Field(
-        8, description="starts of the declared fit, where one is not enough to reach the noise"
+        8,
+        description="starts for the fit of the declared model, if one is not enough to reach the "
+        "noise",
     )
     least_gain: Finite = Field(
-        0.2, ge=0.0, description="share of the gap to the noise that an effect must close"
+        0.2,
+        ge=0.0,
+        description="share of the gap between error and noise that an effect must close",
     )
     near_noise: Finite = Field(
         1.5,
         ge=1.0,
-        description='times the noise that may be left, training and held out, for "found"',
+        description="largest error over the noise, in training and held out, for the verdict "
+        '"found"',
     )
     beam: Positive = Field(
         4,
-        description="structures that each round grows, where more than noise is left; above 1 a "
-        "structure is also refitted from other starts, and two effects may be replaced by one",
+        description="number of structures that each round extends as long as more than noise is "
+        "left; above 1, a structure is also refitted from other starts, and two effects "
+        "may be replaced by one",
     )
-    pairs: bool = Field(True, description="try two effects at once where no single one is enough")
+    pairs: bool = Field(True, description="try two effects at once if no single one is enough")
     without: Annotated[Names, AfterValidator(_parts)] = Field(
         (),
-        description="parts of the search to leave out, such as restarts, to measure what they are "
-        "good for",
+        description="parts of the search to leave out, such as restarts, to measure their benefit",
     )
 
     @property

@@ -243,25 +243,24 @@ def _check_shape(problem: Problem) -> None:
     if not problem.plain or not isinstance(problem.cost, SumSquared):
         raise ProblemError(
             "closed loop: must have the cost sse, outputs measured over time and no constraints, "
-            "because its tests are made for those, but has something else; remove it, and fit "
-            "with it before or after"
+            "because its tests are made for these, but has something else; remove it, and use it "
+            "in a fit before or after"
         )
     for experiment in problem.experiments:
         for output in experiment.outputs:
             if not output.is_plain:
                 raise ProblemError(
                     f"closed loop: experiment {experiment.id!r}: output {output.variable} must be "
-                    "compared as it is, because its tests take residuals for differences, but has "
-                    f'{NOT_PLAIN}; free_scale = "shared" is a scale that all experiments share, '
-                    "which it takes"
+                    "compared as it is, because its tests treat residuals as differences, but "
+                    f'has {NOT_PLAIN}; a scale that all experiments share (free_scale = "shared") '
+                    "is allowed"
                 )
     for parameter in problem.parameters:
         if parameter.prior is not None:
             raise ProblemError(
                 f"closed loop: {dotted('parameters', parameter.name)}.prior must be left out, "
-                "because its "
-                "tests take all residuals for those of measurements; remove it here, and give it "
-                "to a fit with what was found"
+                "because its tests treat all residuals as those of measurements; remove it here, "
+                "and use it in a fit with the effects that were found"
             )
     train = make_space(problem, problem.indices("train"))
     check_method(BRIEF, train)
@@ -270,8 +269,8 @@ def _check_shape(problem: Problem) -> None:
     if samples < least:
         raise ProblemError(
             f"closed loop: the training experiments must have at least {least} measured values to "
-            f"tell a missing effect from {train.size} parameters but have {samples}; add data or "
-            "fix parameters"
+            f"distinguish a missing effect from {train.size} parameters but have {samples}; add "
+            "data or fix parameters"
         )
 
 
@@ -293,15 +292,16 @@ def _check_choices(problem: Problem, settings: LoopSettings, description: ModelD
     outputs = [site for site in settings.sites if site.startswith("output ")]
     if outputs and noise_names(problem):
         raise ProblemError(
-            f"closed_loop.sites: {outputs[0]!r} is closed beside process noise, because a Kalman "
-            "filter takes what is measured as it is; leave one of the two out"
+            f"closed_loop.sites: {outputs[0]!r} cannot be used with process noise, because a "
+            "Kalman filter uses measured values unchanged; leave one of the two out"
         )
     closed = {f"parameter {name}" for name in _closed_parameters(problem, description)}
     for site in settings.sites:
         if site in closed:
             raise ProblemError(
-                f"closed_loop.sites: {site!r} is closed, because {description.file} does not allow "
-                "it to change while it runs; export it with variability tunable, or leave it out"
+                f"closed_loop.sites: {site!r} cannot be used, because {description.file} does not "
+                "allow it to change during a simulation; export it with variability tunable, or "
+                "leave it out"
             )
         if site not in offered:
             raise ProblemError(
@@ -312,7 +312,7 @@ def _check_choices(problem: Problem, settings: LoopSettings, description: ModelD
     if settings.forms and not any((kind, f) in FORMS for kind in kinds for f in settings.forms):
         raise ProblemError(
             f"closed_loop.effects: must name a form for one of the sites but {settings.forms} are "
-            f"none at {' or '.join(sorted(kinds))} sites; change closed_loop.effects or sites"
+            f"not for {' or '.join(sorted(kinds))} sites; change closed_loop.effects or sites"
         )
 
 
@@ -339,7 +339,7 @@ def _weight_note(problem: Problem, noise: dict[str, float]) -> str:
     sigmas = {o.variable: o.sigma for e in problem.experiments for o in e.outputs}
     pairs = ", ".join(f"{name} = {sigma:.6g}" for name, sigma in sigmas.items())
     silent = [name for name in sigmas if not noise.get(name, np.nan) > 0.0]
-    but = f", but for {' and '.join(silent)}, of which no noise is known" if silent else ""
+    but = f", except {' and '.join(silent)}, whose noise is not known" if silent else ""
     return (
         "no sigma was given for several outputs, so each was weighted with its estimated noise"
         f"{but}; "
@@ -384,8 +384,8 @@ def _short_notes(fitter: Fitter) -> tuple[str, ...]:
         return ()
     return (
         f"no record of {', '.join(short)} has {SHORTEST_NOISE_RECORD} samples, so its noise "
-        "cannot be told from what is missing: all that the declared model leaves counts as noise, "
-        "and errors over it say nothing; give sigma",
+        "cannot be distinguished from missing effects: the whole residual of the declared model "
+        "counts as noise, and errors over it have no meaning; give sigma",
     )
 
 
@@ -401,17 +401,17 @@ def _notes(problem: Problem, description: ModelDescription) -> tuple[str, ...]:
         )
     if not problem.indices("test"):
         notes.append(
-            'no experiment has role = "test": nothing could veto what was found, and the errors '
-            "are those of the data that it was found on"
+            'no experiment has role = "test": no held-out data could contradict the finding, and '
+            "the errors are those of the data that led to it"
         )
     if len(problem.indices("train")) == 1:
         notes.append(
-            "there is only one training experiment: quarters of its record were predicted from the "
-            "rest instead of experiments from each other"
+            "there is only one training experiment: for cross-validation, quarters of its record "
+            "were predicted from the rest"
         )
     if problem.model.interface == "co_simulation":
         notes.append(
-            "co-simulation: state derivatives were closed; an effect inside the model can only be "
-            "seen as one at an input, an output or a parameter"
+            "co-simulation: state derivatives are not accessible; an effect inside the model can "
+            "only appear at an input, an output or a parameter"
         )
     return tuple(notes)

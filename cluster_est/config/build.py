@@ -230,13 +230,13 @@ def _check_shared(where: str, given: OutputSection, first: OutputSection) -> Non
             )
         if value == "shared" and given.ordinal:
             raise ConfigError(
-                f'{where}.{key}: must not be "shared" where the output is ordinal, for an order '
-                "says nothing of sizes, but both are given; remove one of the two"
+                f'{where}.{key}: must not be "shared" for an ordinal output, because an order has '
+                "no scale, but both are given; remove one of the two"
             )
     if given.free_offset == "shared" and given.free_scale is True:
         raise ConfigError(
-            f'{where}.free_offset: must not be "shared" where free_scale is true, for what is '
-            'shared would be scaled otherwise in each experiment; make free_scale "shared" too'
+            f'{where}.free_offset: must not be "shared" if free_scale is true, because each '
+            'experiment would scale it differently; make free_scale "shared" too'
         )
 
 
@@ -276,9 +276,8 @@ def with_maps(config: Config) -> Config:
         for key, parameter in _parameters(section, table).items():
             if key in parameters:
                 raise ConfigError(
-                    f"{dotted('maps', name)}: its value {key} must have a name of its own but "
-                    "there is a "
-                    "parameter of that name; rename one of the two"
+                    f"{dotted('maps', name)}: its value {key} must have a unique name but there "
+                    "is a parameter of that name; rename one of the two"
                 )
             parameters[key] = parameter
         if not section.fixed:
@@ -299,7 +298,7 @@ def _table(name: str, section: MapSection) -> ValueTable:
         )
     if isinstance(section.start, list) and len(section.start) != count:
         raise ConfigError(
-            f"{where}.start: must be a number, or one for each of the {count} points, but are "
+            f"{where}.start: must be one number, or one for each of the {count} points, but has "
             f"{len(section.start)}"
         )
     starts = section.start if isinstance(section.start, list) else [section.start] * count

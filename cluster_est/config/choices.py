@@ -133,7 +133,7 @@ class UserCode:
             raise ConfigError(f'{where}: must be "module:name" but is {text!r}')
         if not self.allowed:
             raise ConfigError(
-                f"{where}: {text!r} is Python code, which runs only where it is allowed; if you "
+                f"{where}: {text!r} is Python code, which runs only if it is allowed; if you "
                 "trust this config and its code, add --allow-code"
             )
         module, name = text.split(":")

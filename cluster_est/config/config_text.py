@@ -44,8 +44,7 @@ def read_toml(path: Path, missing: str) -> tuple[str, dict[str, Any]]:
         ) from None
     except OSError as error:
         raise ConfigError(
-            f"{path}: must be a file that can be read but cannot be ({error.strerror}); check "
-            "the path"
+            f"{path}: must be a readable file but is not ({error.strerror}); check the path"
         ) from error
     except (ValueError, RecursionError) as error:  # tomllib lets more out than its own error
         raise ConfigError(f"{path}: must be TOML but is not: {error}; correct that line") from None

@@ -112,7 +112,7 @@ def _check_step(step: StepSection, where: str) -> None:
     if step.initial == step.final:
         raise ConfigError(
             f"{where}.step_response.initial: must not be the final value but both are "
-            f"{step.final:g}; use lower and upper for a signal that stays where it is"
+            f"{step.final:g}; use lower and upper for a signal that does not change"
         )
 
 
@@ -160,7 +160,7 @@ def _level(
     if len(known) == 1:
         return np.full(len(times), values[0])
     if not (np.diff(known) >= 0.0).all():
-        raise ConfigError(f"{where}: its times must not go back but do; sort the points")
+        raise ConfigError(f"{where}: its times must not decrease but do; sort the points")
     return np.asarray(np.interp(times, known, values, left=none, right=none))
 
 
@@ -297,7 +297,7 @@ def _check_keys(section: ConstraintSection, kind: str, where: str) -> None:
         default = ConstraintSection.model_fields[key].get_default(call_default_factory=True)
         if key not in ("name", kind, *_KEYS[kind]) and value != default:
             raise ConfigError(
-                f"{where}.{key}: must be left out beside {kind}, where it means nothing; remove "
+                f"{where}.{key}: must be left out with {kind}, where it has no meaning; remove "
                 "one of the two"
             )
     for key, other, fits in (("tolerance", "final", True), ("between", "final", False)):
@@ -315,8 +315,8 @@ def _check_limits(section: ConstraintSection, where: str, measured: set[str]) ->
     for key in given:
         if key in keys[2:] and len(given) > 1:
             raise ConfigError(
-                f"{where}.{key}: must stand alone but {' and '.join(given)} are there; make "
-                "another constraint of the others"
+                f"{where}.{key}: must be the only limit but {' and '.join(given)} are given too; "
+                "make another constraint of these"
             )
     if section.tracking is not None and section.signal not in measured:
         raise ConfigError(

@@ -33,59 +33,61 @@ from workers.messages import GapRule, Interpolation
 class InputSection(ConfigSection):
     """Keys of an input or signal: its column and interpolation."""
 
-    column: str = Field(description="column of the data; * stands for any part of its name")
+    column: str = Field(description="column of the data; * stands for any text in its name")
     interpolation: Interpolation = Field("linear", description="between samples")
-    time: str = Field("", description="column with times of its own, where it is sampled otherwise")
+    time: str = Field("", description="column with its times, if it is sampled at other times")
 
 
 class OutputSection(ConfigSection):
     """Keys of a measured output."""
 
-    column: str = Field(description="column of the data; * stands for any part of its name")
+    column: str = Field(description="column of the data; * stands for any text in its name")
     interpolation: Interpolation = Field(
-        "linear", description="between samples, where the time base asks for other times"
+        "linear", description="interpolation between samples, if the time base has other times"
     )
-    time: str = Field("", description="column with times of its own, where it is sampled otherwise")
-    weight: Finite = Field(1.0, gt=0.0, description="of its squares in the cost")
+    time: str = Field("", description="column with its times, if it is sampled at other times")
+    weight: Finite = Field(1.0, gt=0.0, description="weight of its squares in the cost")
     free_scale: Free = Field(
         False,
-        description="known up to a factor: the best one in each experiment is found in closed "
-        'form; "shared": one for all experiments, estimated as sensor_OUTPUT.scale',
+        description="true: known up to a factor, which is computed in closed form for each "
+        'experiment; "shared": one factor for all experiments, estimated as '
+        "sensor_OUTPUT.scale",
     )
     free_offset: Free = Field(
         False,
-        description="known up to a constant that is added, found likewise; "
-        'sensor_OUTPUT.offset where it is "shared"',
+        description="true: known up to an added constant, which is computed for each experiment; "
+        '"shared": one for all experiments, estimated as sensor_OUTPUT.offset',
     )
     detection_limit: Finite | None = Field(
-        None, description="measured values at or below it say no more than that"
+        None, description="measured values at or below it count as not detected"
     )
     ordinal: Ordinal = Field(
         False,
-        description="the values say an order alone, such as grades from 1 to 5; or the words of "
-        'the column, the lowest first: ["low", "high"]; sigma is then in spreads of the simulated '
-        "signal",
+        description="true: only the order of the values counts, such as grades from 1 to 5; or the "
+        'words of the column, the lowest first: ["low", "high"]; sigma is then in '
+        "standard deviations of the simulated signal",
     )
 
 
 class ColumnSection(ConfigSection):
     """Conversion of a column of the data."""
 
-    factor: Finite = Field(1.0, description="the column is multiplied by it")
-    offset: Finite = Field(0.0, description="and this is added, in the new unit")
-    demean: bool = Field(False, description="subtract the mean of the used rows first")
-    late: Finite = Field(0.0, description="seconds by which its times are late; subtracted")
+    factor: Finite = Field(1.0, description="factor by which the column is multiplied")
+    offset: Finite = Field(0.0, description="offset that is added afterwards, in the new unit")
+    demean: bool = Field(False, description="true: first subtract the mean of the used rows")
+    late: Finite = Field(0.0, description="delay of its times in seconds, which is subtracted")
 
 
 class CurveSection(ConfigSection):
     """Keys of a measured curve without times."""
 
     columns: dict[str, str] = Field(
-        min_length=1, description="FMU output = column: points without times, in their order"
+        min_length=1, description="FMU output = column: points of the curve in their order"
     )
     tolerance: dict[str, Annotated[Finite, Field(ge=0.0)]] = Field(
         default_factory=dict,
-        description="FMU output = how far any simulated point may lie from the curve; a constraint",
+        description="FMU output = largest distance of a simulated point from the curve; a "
+        "constraint",
     )
     samples: Samples = Field(
         1000, description="points of the simulated curve, evenly from start to stop"
@@ -95,7 +97,7 @@ class CurveSection(ConfigSection):
 class LongSection(ConfigSection):
     """Keys of a table with a row for each value."""
 
-    names: str = Field(description="column that says which signal a value is of")
+    names: str = Field(description="column with the name of the signal")
     values: str = Field(description="column with the values")
 
 
@@ -104,8 +106,8 @@ class _NamedSection(ConfigSection):
 
     id: str = Field(
         min_length=1,
-        description="name of the experiment, unique; * stands for the name of a file or test where "
-        "several are meant",
+        description="unique name of the experiment; if it stands for several files or tests, * is "
+        "replaced by their names",
     )
 
 
@@ -115,47 +117,54 @@ class _ExperimentKeys(ConfigSection):
     data: str | None = Field(
         None,
         description="path of the table: csv, parquet, feather, mat, or with cluster-est[files] "
-        "HDF5, MDF, TDMS, xlsx; with * all such files, an experiment each; without: nothing is "
-        "measured",
+        "HDF5, MDF, TDMS, xlsx; with *, one experiment for each such file; default: "
+        "nothing is measured",
     )
     encoding: str = Field(
-        "", description='of a text file, such as "cp1252"; without: UTF-8, or a guess that is said'
+        "",
+        description='encoding of a text file, such as "cp1252"; default: UTF-8, or a guess, with a '
+        "message",
     )
     skip_rows: Count | None = Field(
-        None, description="lines above the header of a text file or sheet; without: found"
+        None,
+        description="number of lines above the header of a text file or sheet; default: detected",
     )
     decimal: Literal["", ".", ","] = Field(
-        "", description="the sign before decimals; the other one separates thousands"
+        "", description="decimal separator; the other sign separates thousands"
     )
-    sheet: str = Field("", description="of a workbook, or the experiment of an FMU")
+    sheet: str = Field("", description="sheet of a workbook, or experiment of an FMU")
     long: LongSection | None = Field(
         None, description="{ names, values }: the table has a row for each value"
     )
     split_by: str | None = Field(
-        None, description="column that tells tests in one file apart, an experiment each"
+        None, description="column that names the test of a row: one experiment for each test"
     )
-    split_value: str | None = Field(None, description="the test of that column that is meant")
+    split_value: str | None = Field(
+        None, description="the value of that column for the test to use"
+    )
     time: str | None = Field(
         None,
-        description="column with the time: seconds, or timestamps, which count from the first row; "
+        description="column with the time: seconds, or timestamps, counted from the first row; "
         '"DATE + CLOCK": two columns',
     )
     time_format: str = Field(
-        "", description='of times as text, such as "%d/%m/%Y %H:%M:%S"; without: found'
+        "", description='format of times as text, such as "%d/%m/%Y %H:%M:%S"; default: detected'
     )
     time_zone: str = Field(
-        "", description='of timestamps without one, such as "Europe/Berlin", for summer time'
+        "",
+        description='time zone of timestamps without one, such as "Europe/Berlin", for summer time',
     )
     sample_time: Finite | None = Field(
-        None, gt=0.0, description="seconds between rows, where there is no time column"
+        None, gt=0.0, description="seconds between rows, if there is no time column"
     )
     rows: Annotated[tuple[Count, Count], Strict(False)] | None = Field(
-        None, description="[from, to]: rows from (counted from 0) up to, not with, to"
+        None,
+        description='[from, to]: rows from "from" (counted from 0) up to, but not including, "to"',
     )
     missing: list[Finite] = Field(
         default_factory=list,
-        description="numbers in the columns that mean that nothing was measured, such as -9999; "
-        "they count as empty cells, before a column is converted",
+        description="numbers that stand for missing values, such as -9999; they count as empty "
+        "cells, before a column is converted",
     )
     inputs: dict[str, Annotated[InputSection, BeforeValidator(as_column)]] = Field(
         default_factory=dict, description="FMU input = column, or { column, interpolation }"
@@ -178,30 +187,36 @@ class _ExperimentKeys(ConfigSection):
     )
     relative_sigma: dict[str, Annotated[Finite, Field(ge=0.0)]] = Field(
         default_factory=dict,
-        description="FMU output = part of each measured value that its noise has besides sigma: "
+        description="FMU output = noise relative to the measured value, in addition to sigma: "
         "sqrt(sigma^2 + (relative_sigma value)^2)",
     )
-    start: Finite | None = Field(None, description="seconds; default: the first time in the data")
-    stop: Finite | None = Field(None, description="seconds; default: the last measured time")
-    warm_up: Finite = Field(0.0, ge=0.0, description="seconds from start on that do not count")
-    weight: Finite = Field(1.0, gt=0.0, description="of its squares in the cost")
+    start: Finite | None = Field(
+        None, description="start of the simulation in seconds; default: the first time in the data"
+    )
+    stop: Finite | None = Field(
+        None, description="end of the simulation in seconds; default: the last measured time"
+    )
+    warm_up: Finite = Field(
+        0.0, ge=0.0, description="time in seconds after start that does not count"
+    )
+    weight: Finite = Field(1.0, gt=0.0, description="weight of its squares in the cost")
     windows: list[Pair] = Field(
-        default_factory=list, description="[[from, to], ...] seconds that count"
+        default_factory=list, description="[[from, to], ...]: intervals in seconds that count"
     )
     test_windows: list[Pair] = Field(
         default_factory=list,
-        description="[[from, to], ...] seconds that are held out: only reported, as an experiment "
-        '"ID (held out)"',
+        description="[[from, to], ...]: intervals in seconds that are held out, and reported as an "
+        'experiment "ID (held out)"',
     )
     role: Literal["train", "test"] = Field("train", description="test: held out, only reported")
     gaps: GapRule = Field(
         "split",
-        description="where rows or cells are missing: split: what is behind a gap in which inputs "
-        "may have moved begins with states of its own, which are estimated; bridge: inputs are "
-        "drawn through",
+        description="treatment of gaps in rows or cells: split: after a gap in which inputs may "
+        "have changed, a new part begins, with estimated initial states; bridge: "
+        "inputs are interpolated across gaps",
     )
     values: dict[str, KnownValue] = Field(
-        default_factory=dict, description="known values of this run, by FMU name"
+        default_factory=dict, description="known values of this experiment, by FMU name"
     )
     group: Annotated[dict[str, str], BeforeValidator(as_group)] = Field(
         default_factory=dict, description='KEY = "label" for parameters that are per "group:KEY"'

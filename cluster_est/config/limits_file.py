@@ -26,22 +26,26 @@ from workers.messages.checks import as_path
 class PredictionSection(ConfigSection):
     """What is to be predicted: an experiment of the run, or one that is planned."""
 
-    experiment: str = Field("", description="of the run, a test one too; default: all of them")
+    experiment: str = Field(
+        "", description="an experiment of the run, training or test; default: all of them"
+    )
     data: str = Field(
         "",
-        description="instead: table of the inputs of a planned experiment, from the folder of this "
-        "file; what it does not have is that of the experiment like",
+        description="instead of experiment: table of the inputs of a planned experiment, "
+        "relative to the folder of this file; everything that the table lacks is "
+        "taken from the experiment like",
     )
-    time: str = Field("time", description="its column of times, in seconds")
+    time: str = Field("time", description="column of its times, in seconds")
     inputs: dict[str, str] = Field(
         default_factory=dict,
-        description="FMU input = its column; default: all columns, named as inputs",
+        description="FMU input = its column; default: all columns, which must have the names of "
+        "inputs",
     )
-    interpolation: Interpolation = Field("linear", description="or hold: between its samples")
+    interpolation: Interpolation = Field("linear", description="linear or hold, between samples")
     outputs: list[str] = Field(
         default_factory=list,
-        description="the FMU's names; default: those that are measured in it, for a planned one "
-        "those that the run measures",
+        description="names of outputs in the FMU; default: the measured outputs of the experiment, "
+        "or of the run if the experiment is planned",
     )
 
 
@@ -51,7 +55,7 @@ class LimitsSections(DesignSettings, ExperimentLimits):
     predictions: list[PredictionSection] = Field(  # type: ignore[assignment]
         default_factory=list, description=DesignSettings.model_fields["predictions"].description
     )
-    seed: Count = Field(0, description="of the random generator")
+    seed: Count = Field(0, description="seed of the random generator")
 
 
 OPTION = "--predict"
@@ -86,13 +90,13 @@ def _experiment(section: PredictionSection, where: str, base: Path) -> str | Exp
         for key in ("inputs", "time", "interpolation"):
             if key in section.model_fields_set:
                 raise ConfigError(
-                    f"{where}.{key}: must stand beside data, the table of a planned experiment, "
+                    f"{where}.{key}: must be given with data, the table of a planned experiment, "
                     "but there is none; add data or remove it"
                 )
         return section.experiment
     if section.experiment:
         raise ConfigError(
-            f"{where}.data: must be left out where an experiment of the run is named, but is "
+            f"{where}.data: must be left out if an experiment of the run is named, but is "
             f"{section.data!r}; remove one of the two"
         )
     table = read_table(base / section.data, f"{where}.data")
@@ -104,8 +108,8 @@ def _experiment(section: PredictionSection, where: str, base: Path) -> str | Exp
     )
     if not inputs or len(times) < 2:
         raise ConfigError(
-            f"{where}.data: {section.data} must have a column for an input, and two rows at least, "
-            f"but has {len(columns)} and {len(times)}"
+            f"{where}.data: {section.data} must have at least one column for an input and two "
+            f"rows but has {len(columns)} and {len(times)}"
         )
     name = Path(section.data).stem
     return Experiment(name, float(times[0]), float(times[-1]), inputs, ())

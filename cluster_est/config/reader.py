@@ -138,8 +138,8 @@ def _missing_starts(config: Config) -> Iterator[str]:
             yield f"{key}.start is missing; add it (where the estimation starts, in the FMU's unit)"
         elif parameter.start is not None and parameter.expression:
             yield (
-                f"{key}.start: must be left out where there is an expression, which says all of "
-                "the value, but is there; remove one of the two"
+                f"{key}.start: must be left out if there is an expression, which determines the "
+                "value, but is given; remove one of the two"
             )
 
 
@@ -281,9 +281,8 @@ def _starts_of_map(
     missing = [name for name, start in starts.items() if start is None]
     if missing:
         raise ConfigError(
-            f"{dotted('maps', key)}.start: must be there where the files of values have not all of "
-            "its "
-            f"variables, but is not, and {', '.join(missing)} stand in none; add start"
+            f"{dotted('maps', key)}.start: must be given unless the files of values have all of "
+            f"its variables, but is not, and no file has {', '.join(missing)}; add start"
         )
     return list(starts.values())
 
@@ -302,8 +301,9 @@ def _inner(section: dict[str, Any], key: str) -> dict[str, Any]:
 def _start(given: GivenValue) -> float:
     if isinstance(given.value, bool | str):
         raise ConfigError(
-            f"{VALUE_FILES}: {given.file}: {given.name} must be a number, because it is estimated, "
-            f"but is {shown(given.value)}; correct it (decimals stand behind a point)"
+            f"{VALUE_FILES}: {given.file}: {given.name} must be a number, because it is "
+            f"estimated, but is {shown(given.value)}; correct it (the decimal separator is a "
+            "point)"
         )
     return float(given.value)
 

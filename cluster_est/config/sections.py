@@ -44,10 +44,10 @@ class CostSection(ConfigSection):
     """Keys of the cost."""
 
     name: str = Field("sse", description=one_of(COSTS))
-    options: dict[str, Any] = Field(default_factory=dict, description="of the cost")
+    options: dict[str, Any] = Field(default_factory=dict, description="options of the cost")
     function: str = Field(
         "",
-        description='"module:name" of a Python function whose numbers take the place of the '
+        description='"module:name" of a Python function that returns numbers instead of the '
         "residuals; needs --allow-code",
     )
     time_base: TimeBase = Field(
@@ -60,8 +60,8 @@ class CostSection(ConfigSection):
     )
     normalise: Normalise = Field(
         "sigma",
-        description="what residuals are divided by: sigma, or the measured signal's largest "
-        "absolute value or range",
+        description="divisor of the residuals: sigma, or the largest absolute value or the range "
+        "of the measured signal",
     )
     weights: dict[str, Annotated[Finite, Field(gt=0.0)]] = Field(
         default_factory=dict, description="FMU output = weight of its squares; default 1"
@@ -72,34 +72,56 @@ class StepSection(ConfigSection):
     """Limits of a step response."""
 
     initial: Finite = Field(0.0, description="value before the step")
-    final: Finite = Field(description="value that it settles at")
-    time: Finite = Field(0.0, description="seconds; when the step begins")
-    rise_time: Finite = Field(gt=0.0, description="seconds after which it must have risen")
-    rise: Finite = Field(80.0, gt=0.0, lt=100.0, description="percent of the step by then")
-    settling_time: Finite = Field(gt=0.0, description="seconds after which it must have settled")
-    settling: Finite = Field(1.0, gt=0.0, description="percent of the step it may be off then")
-    overshoot: Finite = Field(10.0, ge=0.0, description="percent of the step, until it settles")
-    undershoot: Finite = Field(1.0, ge=0.0, description="percent of the step, while it rises")
+    final: Finite = Field(description="final value of the step")
+    time: Finite = Field(0.0, description="time of the step in seconds")
+    rise_time: Finite = Field(
+        gt=0.0, description="time in seconds after the step by which the signal must have risen"
+    )
+    rise: Finite = Field(
+        80.0,
+        gt=0.0,
+        lt=100.0,
+        description="percent of the step that the signal must reach by rise_time",
+    )
+    settling_time: Finite = Field(
+        gt=0.0, description="time in seconds after the step by which the signal must have settled"
+    )
+    settling: Finite = Field(
+        1.0, gt=0.0, description="largest deviation after settling_time, in percent of the step"
+    )
+    overshoot: Finite = Field(
+        10.0,
+        ge=0.0,
+        description="largest overshoot until the signal settles, in percent of the step",
+    )
+    undershoot: Finite = Field(
+        1.0, ge=0.0, description="largest undershoot while the signal rises, in percent of the step"
+    )
 
 
 class TrackingSection(ConfigSection):
     """A band around a measured signal."""
 
     absolute: Finite = Field(0.0, ge=0.0, description="tolerance in the signal's unit")
-    relative: Finite = Field(0.0, ge=0.0, description="and this part of the measured value")
+    relative: Finite = Field(
+        0.0, ge=0.0, description="additional tolerance as a part of the measured value"
+    )
     side: Literal["both", "upper", "lower"] = Field(
-        "both", description="upper: the signal must only not be above; lower: not below"
+        "both",
+        description="upper: only the upper limit of the band counts; lower: only the lower limit",
     )
 
 
 class ConstraintSection(ConfigSection):
     """Keys of a constraint on parameters, on a signal, or by a function."""
 
-    name: str = Field("", description="for tables; default: what it says")
+    name: str = Field("", description="name for tables; default: the constraint as text")
     expression: str = Field(
-        "", description='on parameters: two formulas with <=, >= or = between, "mu_d <= mu_s"'
+        "",
+        description="constraint on parameters: two formulas with <=, >= or = between them, such as "
+        '"mu_d <= mu_s"',
     )
-    signal: str = Field("", description="on a variable of the FMU")
+    signal: str = Field("", description="variable of the FMU that is limited")
     function: str = Field(
         "",
         description='"module:name" of a Python function that returns a number that must be at '
@@ -113,13 +135,15 @@ class ConstraintSection(ConfigSection):
         None, description="band around the measured signal, in each experiment that has it"
     )
     final: Finite | None = Field(None, description="value at the end of the simulation")
-    tolerance: Finite = Field(0.0, ge=0.0, description="how far it may be off; 0: an equality")
+    tolerance: Finite = Field(
+        0.0, ge=0.0, description="largest deviation from final; 0: an equality"
+    )
     between: Pair | None = Field(
         None, description="[from, to] seconds; default: the whole simulation"
     )
     samples: Samples = Field(200, description="times at which the signal is checked, evenly spaced")
     scale: Finite | None = Field(
-        None, gt=0.0, description="what a violation is counted in; default: the size of its limits"
+        None, gt=0.0, description="unit of a violation; default: the size of the limits"
     )
     experiments: list[str] = Field(
         default_factory=list, description="ids of the experiments; default: all"
@@ -129,20 +153,25 @@ class ConstraintSection(ConfigSection):
 class MethodSection(ConfigSection):
     """Keys of the method."""
 
-    name: str = Field("least_squares", description="see the documentation: which method when")
-    options: dict[str, Any] = Field(default_factory=dict, description="of the method")
-    seed: Count = Field(0, description="of the method's random generator")
+    name: str = Field(
+        "least_squares",
+        description='name of the method; the page "Which method" of the documentation helps to '
+        "choose",
+    )
+    options: dict[str, Any] = Field(default_factory=dict, description="options of the method")
+    seed: Count = Field(0, description="seed of the method's random generator")
     shooting: Shooting | None = Field(
         None,
-        description="{ segments = 20 } or { length = 0.5 }: go through parts of the records first, "
-        "each from states that are estimated too; for models that are chaotic, unstable or drift",
+        description="multiple shooting, { segments = 20 } or { length = 0.5 }: cut records into "
+        "segments whose initial states are estimated too; for chaotic, unstable or "
+        "drifting models",
     )
 
 
 class SensitivitySection(SensitivitySettings):
     """Keys of a sensitivity analysis."""
 
-    seed: Count = Field(0, description="starts the random generators")
+    seed: Count = Field(0, description="seed of the random generators")
 
 
 class MapSection(ConfigSection):
@@ -152,33 +181,35 @@ class MapSection(ConfigSection):
         min_length=2, description="the FMU's names of its values, in the order of the points"
     )
     points: list[Finite] = Field(
-        min_length=2, description="where the values hold, increasing, in the unit of the abscissa"
+        min_length=2, description="abscissae of the values, in increasing order"
     )
     start: Finite | list[Finite] = Field(
-        description="where the estimation starts: a number, or one for each point"
+        description="start values of the estimation: one number, or one for each point"
     )
     bounds: Bounds = Field(
         (float("-inf"), float("inf")),
-        description="[lower, upper] of every value; with slope_change of the first one, and of "
-        "what the others may differ from it by in one interval",
+        description="[lower, upper] of every value; with slope_change: of the first value, and "
+        "limits of the change from one point to the next",
     )
     slope_change: Finite | None = Field(
         None,
         gt=0.0,
-        description="smoothness: standard deviation of the change of its slope over one unit of "
-        "the abscissa, a prior; default: none; needs finite bounds",
+        description="smoothness, a prior: standard deviation of the change of slope over one "
+        "unit of the abscissa; needs finite bounds; default: none",
     )
-    monotone: Monotone = Field("", description="increasing or decreasing: a constraint")
-    fixed: bool = Field(False, description="keep every value at its start")
-    unit: str = Field("", description="of its values, for tables; default: the FMU's")
+    monotone: Monotone = Field(
+        "", description="constraint on the order of the values: increasing or decreasing"
+    )
+    fixed: bool = Field(False, description="true: keep every value fixed at its start")
+    unit: str = Field("", description="unit of the values, for tables; default: that of the FMU")
 
 
 class ModelSection(ConfigSection):
     """Keys of the model and its solver."""
 
-    fmu: str = Field(description="path of the FMU, from the config's folder")
+    fmu: str = Field(description="path of the FMU, relative to the folder of the config")
     interface: Literal["auto", "model_exchange", "co_simulation"] = Field(
-        "auto", description="which of the FMU's interfaces; auto prefers model exchange"
+        "auto", description="interface of the FMU that is used; auto prefers model exchange"
     )
     solver: Literal["auto", "dormand_prince", "rk4", "cvode", "fmu"] = Field(
         "auto",
@@ -188,44 +219,53 @@ class ModelSection(ConfigSection):
     step: Finite | None = Field(
         None,
         gt=0.0,
-        description="seconds; the step of rk4, the longest step of the others; "
-        "default: from one time in the data to the next, no limit for dormand_prince and cvode",
+        description="seconds: the step of rk4, or the longest step of the other solvers; default: "
+        "the interval between times in the data, and no limit for dormand_prince and "
+        "cvode",
     )
     rtol: Finite | None = Field(
-        None, gt=0.0, lt=1.0, description="relative tolerance; default 1e-8, the FMU's own for fmu"
+        None,
+        gt=0.0,
+        lt=1.0,
+        description="relative tolerance; default: 1e-8, or the FMU's own with solver fmu",
     )
     atol: Finite | None = Field(
-        None, gt=0.0, description="absolute tolerance over each state's nominal; default rtol"
+        None,
+        gt=0.0,
+        description="absolute tolerance, relative to the nominal value of each state; default: "
+        "rtol",
     )
     max_steps: Count = Field(
         1_000_000,
         gt=0,
-        description="steps from one time in the data to the next after which a simulation fails",
+        description="largest number of steps between two times in the data; a simulation that "
+        "needs more fails",
     )
     reset: Literal["auto", "reset", "instance", "process"] = Field(
         "auto",
-        description="what every simulation begins with: a reset of the instance, a new instance "
-        "or a new process; auto: the first that lets a simulation be repeated",
+        description="first step of every simulation: a reset of the instance, a new instance or a "
+        "new process; auto: the first of these with which a simulation can be repeated",
     )
     environment: dict[str, str] = Field(
         default_factory=dict,
-        description="environment variable = its value, as the FMU needs it when it is loaded; with "
-        "local they stay set in this process, where none may be something else already",
+        description="environment variable = its value, set before the FMU is loaded; with executor "
+        "local, it is set in this process, where it must not have another value",
     )
     working_folder: str = Field(
         "",
-        description='a folder in the FMU, such as "resources", that its process works in, for an '
-        "FMU that opens its files by relative paths; not with local",
+        description="working folder of the FMU's process, a folder in the FMU such as "
+        '"resources", for FMUs that open files by relative paths; not with executor '
+        "local",
     )
     stop_time: bool | None = Field(
         None,
-        description="whether the FMU is told when a simulation will end; default: only if it "
-        "cannot be initialised otherwise",
+        description="whether the stop time is passed to the FMU; default: only if the FMU cannot "
+        "be initialised without it",
     )
     units: dict[str, str] = Field(
         default_factory=dict,
-        description="variable of the FMU or signal = its unit, where the FMU names none or "
-        "another; for tables and words alone, no number changes",
+        description="variable of the FMU or signal = its unit, if the FMU has none or a wrong one; "
+        "only for tables and text, no number is converted",
     )
 
 
@@ -234,27 +274,31 @@ class ParameterSection(ConfigSection):
 
     start: Finite | None = Field(
         None,
-        description="where the estimation starts, in the FMU's unit; needed but for an expression",
+        description="start value of the estimation, in the unit of the FMU; required unless "
+        "there is an expression",
     )
     bounds: Bounds = Field((float("-inf"), float("inf")), description="[lower, upper]")
     scale: Literal["linear", "log"] = Field("linear", description="log: methods see ln(value)")
-    fixed: bool = Field(False, description="keep it at its start")
-    variable: str = Field("", description="the FMU's name for it; default: the key")
+    fixed: bool = Field(False, description="true: keep it fixed at its start")
+    variable: str = Field("", description="name of the variable in the FMU; default: the key")
     per: str | None = Field(
-        None, description='"experiment" or "group:KEY" for a value of its own there; default shared'
+        None,
+        description='"experiment" or "group:KEY": a separate value for each experiment or group; '
+        "default: one shared value",
     )
     unit: str = Field("", description="for tables; default: the FMU's")
     expression: str = Field(
-        "", description='instead of start: a formula in other parameters, such as "2 * k1"'
+        "", description='formula in other parameters, instead of start, such as "2 * k1"'
     )
     auxiliary: bool = Field(
-        False, description="not in the FMU: for expressions and constraints alone"
+        False,
+        description="true: not a variable of the FMU, used only in expressions and constraints",
     )
     prior: dict[str, Any] = Field(
         default_factory=dict,
-        description='known before the measurements: { name = "normal", mean = 2.0, sd = 0.1 } or '
-        '{ name = "lognormal", median = 2.0, factor = 1.5 }; counts like a measurement, so every '
-        "output needs its sigma",
+        description='knowledge before the measurements: { name = "normal", mean = 2.0, sd = 0.1 '
+        '} or { name = "lognormal", median = 2.0, factor = 1.5 }; it counts like a '
+        "measurement, so every output needs its sigma",
     )
 
 
@@ -262,33 +306,37 @@ class CoefficientSection(ConfigSection):
     """Keys of an effect's coefficient."""
 
     start: Finite | None = Field(
-        None, description="where the estimation starts; default: the value that does nothing"
+        None,
+        description="start value of the estimation; default: the value at which the effect has no "
+        "influence",
     )
     bounds: Bounds | None = Field(
         None,
-        description="[lower, upper]; default: what physics allows, and for a time constant, a "
-        "width, a speed or a frequency a thousandth of its start at least",
+        description="[lower, upper]; default: the physical range; the lower bound of a time "
+        "constant, a width, a speed or a frequency is at least a thousandth of its start",
     )
     scale: Literal["linear", "log"] | None = Field(
         None,
         description="log: methods see ln(value); default: log for a time constant, a width, a "
         "speed or a frequency whose start and bounds are above 0, else linear",
     )
-    fixed: bool = Field(False, description="keep it at its start")
+    fixed: bool = Field(False, description="true: keep it fixed at its start")
     neutral: Finite | None = Field(
-        None, description="of an equation of your own: the value at which it does nothing"
+        None, description="for your own equation: the value at which the effect has no influence"
     )
-    per: str | None = Field(None, description='"experiment" or "group:KEY"; default shared')
+    per: str | None = Field(
+        None, description='"experiment" or "group:KEY"; default: one shared value'
+    )
     unit: str = Field("", description="for tables")
     prior: dict[str, Any] = Field(
-        default_factory=dict, description="known before the measurements, as of a parameter"
+        default_factory=dict, description="knowledge before the measurements, as for a parameter"
     )
 
 
 class EffectSection(ConfigSection):
     """Keys of an effect."""
 
-    name: str = Field("", description="of the effect; default: its form")
+    name: str = Field("", description="name of the effect; default: its form")
     site: str = Field(
         description='"der(STATE)", "pair STATE,STATE", "input NAME", "output NAME" or '
         '"parameter NAME" of the FMU'
@@ -296,12 +344,14 @@ class EffectSection(ConfigSection):
     form: str = Field("", description="a form of the library, such as coulomb")
     variables: list[str] = Field(
         default_factory=list,
-        description="states, inputs or signals it is a function of, or differences like "
-        '"x - z"; default: the state of der(STATE), or the difference of a pair',
+        description='arguments of the effect: states, inputs, signals, or differences like "x - '
+        'z"; default: the state of der(STATE), or the difference of a pair',
     )
-    equation: str = Field("", description="instead of form: an equation in the FMU's names")
+    equation: str = Field("", description="equation in the names of the FMU, instead of form")
     reaction: str = Field(
-        "", description="of an equation at a pair: what is added to the second state's derivative"
+        "",
+        description="for an equation at a pair: the equation that is added to the derivative of "
+        "the second state",
     )
     parameters: dict[str, CoefficientSection] = Field(
         default_factory=dict, description="its coefficients = { start, bounds, ... }"
@@ -309,22 +359,22 @@ class EffectSection(ConfigSection):
     slope_change: Finite | None = Field(
         None,
         gt=0.0,
-        description="smoothness of a free curve, such as table: as of a map; default: none; needs "
-        "finite bounds, and holds low and high at their starts",
+        description="smoothness of a free curve such as table, as for a map; needs finite bounds, "
+        "and keeps low and high at their starts; default: none",
     )
     monotone: Monotone = Field(
-        "", description="of a free curve: increasing or decreasing: a constraint, as of a map"
+        "", description="for a free curve: increasing or decreasing, a constraint as for a map"
     )
     bounds: Bounds | None = Field(
         None,
-        description="[lower, upper] of every value of a free curve, as of a map; default: none",
+        description="[lower, upper] of every value of a free curve, as for a map; default: none",
     )
 
 
 class ClosedLoopSection(LoopSettings):
     """Keys of the closed loop."""
 
-    seed: Count = Field(0, description="of every random generator of the loop")
+    seed: Count = Field(0, description="seed of all random generators of the loop")
 
 
 _RESOURCES = Resources()
@@ -335,50 +385,54 @@ class ExecutorSection(ConfigSection):
 
     name: str = Field(_RESOURCES.executor, description=one_of(EXECUTORS))
     workers: Count | None = Field(
-        None, gt=0, description="default: every core of the cluster for ray, else 1"
+        None,
+        gt=0,
+        description="number of workers; default: every core of the cluster with ray, else 1",
     )
     instances: Count | None = Field(
         None,
         gt=0,
-        description="of the FMU that may exist at once, over all workers; default: any number",
+        description="largest number of instances of the FMU at a time, over all workers; "
+        "default: no limit",
     )
     address: str | None = Field(
-        None, description='of a Ray cluster, e.g. "auto"; default: this machine alone'
+        None, description='address of a Ray cluster, such as "auto"; default: only this machine'
     )
     timeout: Finite = Field(
         _RESOURCES.limits.seconds,
         gt=0.0,
-        description="seconds that one simulation may take; not with local",
+        description="longest duration of one simulation in seconds; not with executor local",
     )
     stall: Finite = Field(
         _RESOURCES.limits.stall,
         gt=0.0,
-        description="seconds that one may stand still, without a step that ends",
+        description="longest time in seconds in which no step of a simulation ends",
     )
     memory: Finite | None = Field(
-        None, gt=0.0, description="MB that a worker's simulation may have; default: no limit"
+        None, gt=0.0, description="largest memory of a simulation in MB; default: no limit"
     )
     growth: Finite = Field(
         _RESOURCES.limits.growth / 2.0**20,
         gt=0.0,
-        description="MB by which an FMU may leak before its process is replaced",
+        description="leak of the FMU in MB after which its process is replaced",
     )
 
 
 class Config(ConfigSection):
     """A whole config file."""
 
-    model: ModelSection = Field(description="the FMU and how to integrate it")
+    model: ModelSection = Field(description="the FMU and its solver")
     data_folders: list[str] = Field(
         default_factory=list,
-        description="folders to look for data in, after the config's own; $NAME is replaced",
+        description="folders in which to look for data, after that of the config; $NAME is an "
+        "environment variable",
     )
     parameters: dict[str, ParameterSection] = Field(
         default_factory=dict, description="what to estimate"
     )
     maps: dict[str, MapSection] = Field(
         default_factory=dict,
-        description="tables of values over points, each as parameters that belong together",
+        description="maps: tables of the FMU whose values are parameters",
     )
     values: dict[str, KnownValue] = Field(
         default_factory=dict, description="known values of all experiments, by FMU name"
@@ -386,25 +440,25 @@ class Config(ConfigSection):
     value_files: list[str] = Field(
         default_factory=list,
         exclude=True,  # the reader puts what is in them where it belongs
-        description="files of values, .ssv (SSP) or .csv with columns name, value and unit: of "
-        "parameters, variables of maps and coefficients (EFFECT.COEFFICIENT) they are starts, of "
-        "others known values",
+        description="files of values: .ssv (SSP), or .csv with the columns name, value and unit; "
+        "values of parameters, variables of maps and coefficients (EFFECT.COEFFICIENT) "
+        "become starts, all others known values",
     )
     experiment_defaults: ExperimentDefaultsSection = Field(
         ExperimentDefaultsSection(),
         exclude=True,  # the reader puts them into the experiments
-        description="keys that every experiment has unless it says otherwise: all but id",
+        description="default keys of all experiments: any key except id",
     )
     experiments: list[ExperimentSection] = Field(min_length=1, description="measured runs")
     effects: list[EffectSection] = Field(
         default_factory=list, description="terms that are added to the model"
     )
     closed_loop: ClosedLoopSection = Field(
-        ClosedLoopSection(), description="how close-loop looks for what the model lacks"
+        ClosedLoopSection(), description="settings of close-loop"
     )
     cost: CostSection = Field(CostSection(), description="what is minimised")
     constraints: list[ConstraintSection] = Field(
-        default_factory=list, description="what parameters and signals must satisfy"
+        default_factory=list, description="constraints on parameters and signals"
     )
     method: MethodSection = Field(MethodSection(), description="how")
     multistart: Multistart = Field(Multistart(), description="from how many starts")
@@ -412,14 +466,12 @@ class Config(ConfigSection):
         UncertaintySettings(), description="intervals that take refits"
     )
     sensitivity: SensitivitySection = Field(
-        SensitivitySection(), description="what cluster-est sensitivity samples and computes"
+        SensitivitySection(), description="settings of cluster-est sensitivity"
     )
-    thinning: ThinningSettings = Field(
-        ThinningSettings(), description="how many rows of long records a step is done on"
-    )
+    thinning: ThinningSettings = Field(ThinningSettings(), description="thinning of long records")
     executor: ExecutorSection = Field(ExecutorSection(), description="where")
     budget: Budget = Field(Budget(), description="for how long")
-    log: LogSettings = Field(LogSettings(), description="how much of each simulation is kept")
+    log: LogSettings = Field(LogSettings(), description="contents of the log")
     _units_of_files: Mapping[str, str] = PrivateAttr(default_factory=dict)
 
     @property

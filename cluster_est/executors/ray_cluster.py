@@ -80,14 +80,14 @@ def _judged(address: str, said: dict[str, dict[str, str] | str]) -> str:
         return found or (_no_node_here(address, nodes) if isinstance(nodes, dict) else "")
     if said["failed"] == "AuthenticationError":
         return (
-            f"the Ray cluster at {address!r} must be given its token, which is missing here or "
-            "another one; set RAY_AUTH_MODE=token, and put it into ~/.ray/auth_token or a file "
-            'that RAY_AUTH_TOKEN_PATH names (a node of the cluster prints it with "ray '
+            f"the Ray cluster at {address!r} needs its token, which is missing or wrong here; set "
+            "RAY_AUTH_MODE=token, and put it into ~/.ray/auth_token or a file that "
+            'RAY_AUTH_TOKEN_PATH names (a node of the cluster prints it with "ray '
             'get-auth-token")'
         )
     return (
-        f"what listens at {address!r} does not answer as the head of a Ray cluster; check the "
-        'port, which is that of "ray start --head --port", 6379 unless it says another one'
+        f"the program at {address!r} does not answer like the head of a Ray cluster; check the "
+        'port, which is that of "ray start --head --port" (default 6379)'
     )
 
 
@@ -123,9 +123,9 @@ def _no_node_here(address: str, nodes: dict[str, str]) -> str:
         )
     others = ", ".join([*dict.fromkeys(nodes.values())][:MOST_NAMED_NODES])
     return (
-        f"this machine must be a node of the Ray cluster at {address!r}, whose nodes are {others}, "
-        f'but is none; give "ray start --address={address}" here first (with --num-cpus=0 if it '
-        "shall not simulate), or submit the fit to the cluster with ray job submit"
+        f"this machine must be a node of the Ray cluster at {address!r}, whose nodes are "
+        f'{others}, but is not; run "ray start --address={address}" here first (with --num-cpus=0 '
+        "if this machine must not simulate), or submit the fit to the cluster with ray job submit"
     )
 
 
@@ -256,9 +256,9 @@ def _not_connected(address: str | None, line: str, *, local: bool) -> str:
             '"ray start --address=HOST:PORT", or remove the key to use this machine alone'
         )
     return (
-        f"executor.address: the Ray cluster at {address!r} could not be joined ({line}), though "
-        "nothing else is known against it; check that its nodes and this machine reach each other "
-        "at all of Ray's ports, or remove the key to use this machine alone"
+        f"executor.address: the Ray cluster at {address!r} could not be joined ({line}), and no "
+        "other reason is known; check that its nodes and this machine reach each other at all of "
+        "Ray's ports, or remove the key to use this machine alone"
     )
 
 

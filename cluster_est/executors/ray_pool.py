@@ -264,9 +264,9 @@ class RayPool(WorkerPool):
             if sum(self._frees_instance(name) for name in names) == len(names):
                 return
         raise ExecutorError(
-            f"executor.instances: a worker must let its instance of {self._model.name} go, but "
-            f"{LOSSES_BEFORE_GIVEN_UP} in its place were lost meanwhile; look at the cluster's "
-            "nodes"
+            f"executor.instances: a worker must free its instance of {self._model.name}, but "
+            f"{LOSSES_BEFORE_GIVEN_UP} replacements of it were lost meanwhile; check the nodes of "
+            "the cluster"
         )
 
     def _frees_instance(self, name: str) -> bool:

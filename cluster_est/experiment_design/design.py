@@ -72,8 +72,8 @@ CONFIRMED = 0.02
 ALLOWED_EXCURSION = 0.5
 """Share of an output's range by which an experiment may leave it where no limits are given."""
 UNCONFIRMED = (
-    "the budget left no room to fit the rivals to what each model predicts of the best input: what "
-    "is expected of it rests on derivatives alone, and may be too much"
+    "the budget was too small to fit the rivals to the predictions for the best input: the "
+    "expectations are estimates from derivatives, and may be too high"
 )
 
 

@@ -311,15 +311,15 @@ class DesignResult:
         broken = [each for each in self.candidates if not each.ok]
         if broken:
             found.append(
-                f"{len(broken)} of {len(self.candidates)} inputs would leave the limits with one "
-                "of the models, at its estimates or a standard deviation off, or could not be "
-                "simulated, and were not looked at further"
+                f"{len(broken)} of {len(self.candidates)} inputs were rejected: they would "
+                "violate the limits with one of the models, at its estimates or one standard "
+                "deviation away, or could not be simulated"
             )
         found += self._repeated
         found.append(
-            "what is expected rests on the models being exact, on what the uncertainty of "
-            "their parameters does to the outputs being linear, and on noise as the run has found "
-            "it; repeat the fit with the new data to know"
+            "the expectations assume that the models are exact, that the uncertainty of their "
+            "parameters has a linear effect on the outputs, and that the noise is that of the "
+            "run; repeat the fit with the new data"
         )
         return (*found, *self.remarks)
 
@@ -332,7 +332,7 @@ class DesignResult:
             return []
         longer = self.duration > (self.like.stop - self.like.start) * (1.0 + 1e-9)
         end = ", and keep their last values beyond its end" if longer else ""
-        return [f"{', '.join(kept)}: taken for what they were in {self.like.id}{end}"]
+        return [f"{', '.join(kept)}: taken from {self.like.id}{end}"]
 
     @property
     def _discriminates(self) -> bool:

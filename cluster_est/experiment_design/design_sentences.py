@@ -137,13 +137,13 @@ def evidence_sentence(
     own = [row for row in evidence if row.true_model == first and row.evidence >= TOLD_APART]
     if not own:
         return (
-            f"if {first} is right, the best of the {looked_at} inputs that were looked at does not "
-            f"tell it from its rivals{_of_others(probabilities)}"
+            f"if {first} is right, the best of the {looked_at} inputs that were tried does not "
+            f"distinguish it from its rivals{_of_others(probabilities)}"
         )
     nearest = min(own, key=lambda row: row.evidence)
     said = (
-        f"if {first} is right, {nearest.rival}, its rival that is hardest to tell, is expected to "
-        f"be {times(nearest.evidence)} less likely after this experiment"
+        f"if {first} is right, {nearest.rival}, its rival that is hardest to distinguish, is "
+        f"expected to be {times(nearest.evidence)} less likely after this experiment"
     )
     others = []
     if not math.isnan(nearest.random):
@@ -171,9 +171,9 @@ def alike_sentences(evidence: Sequence[ExpectedEvidence], looked_at: int) -> lis
     if not alike:
         return []
     return [
-        f"if {first} is right, the best of the {looked_at} inputs that were looked at does not "
-        f"tell it from {in_a_row(alike)}: they predict nearly the same, or one holds the other as "
-        "a special case; wider limits or more candidates may tell them"
+        f"if {first} is right, the best of the {looked_at} inputs that were tried does not "
+        f"distinguish it from {in_a_row(alike)}: they predict nearly the same, or one contains "
+        "the other as a special case; wider limits or more candidates may help"
     ]
 
 
@@ -190,7 +190,7 @@ def narrowed_sentence(rows: Sequence[ExpectedPrecision]) -> str:
         return math.exp(sum(math.log(max(each, 1e-300)) for each in known) / len(known))
 
     if not share("std_error_after") < NO_CHANGE:
-        return "it is expected to tell next to nothing of the parameters"
+        return "it is expected to give almost no information about the parameters"
     said = (
         "the standard errors are expected to fall to "
         f"{share('std_error_after'):.2g} of what they are, as a geometric mean"
@@ -219,7 +219,7 @@ def predicted_sentence(rows: Sequence[ExpectedPredictionError]) -> str:
         return math.sqrt(sum(squares) / len(squares))
 
     if not share("std_error_after") < NO_CHANGE:
-        return "it is expected to tell next to nothing of what is to be predicted"
+        return "it is expected to give almost no information about the predictions"
     first = f"{rows[0].output} in {rows[0].experiment}"
     more = f" and {len(rows) - 1} other prediction{'s' if len(rows) > 2 else ''}"
     several = len(rows) > 1

@@ -224,8 +224,8 @@ def none_keeps_limits(found: Sequence[ScoredCandidate]) -> ProblemError:
     """Say that no input keeps its limits, and how far the closest is off."""
     if not found:
         return ProblemError(
-            "waveforms: must leave an input to look at, but none of the run's experiments keeps "
-            "the limits as it was recorded; name another family, or widen the limits"
+            "waveforms: must leave an input to try, but no recorded input of the run keeps the "
+            "limits; name another family, or widen the limits"
         )
     leaving = [each for each in found if np.isfinite(each.violation)]
     if not leaving:
@@ -238,6 +238,6 @@ def none_keeps_limits(found: Sequence[ScoredCandidate]) -> ProblemError:
     off = closest.violation * scales.get(name.rpartition(".")[0], 1.0)
     return ProblemError(
         f"limits: {name} must be kept but none of {len(found)} inputs keeps it with every model, "
-        f"not the smallest either: the closest is {off:.3g} off; widen it, narrow the inputs or "
-        "begin elsewhere"
+        f"not even the smallest: the closest is {off:.3g} off; widen it, narrow the inputs or "
+        "choose other start values"
     )

@@ -28,12 +28,12 @@ class InputLimits(Settings):
     lower: Finite = Field(description="in the input's unit")
     upper: Finite = Field(description="in the input's unit")
     rate: float = Field(math.inf, gt=0.0, description="largest change in a second")
-    start: Finite | None = Field(None, description="value that it begins at; default: any")
+    start: Finite | None = Field(None, description="first value of the input; default: any")
     hold: Finite = Field(
         0.0,
         ge=0.0,
-        description="seconds for which a level is held at least, and the shortest half period of "
-        "a wave; 0: four samples",
+        description="shortest time in seconds for which a level is held, and shortest half "
+        "period of a wave; 0: four samples",
     )
 
 
@@ -61,7 +61,7 @@ class ExperimentLimits(Settings):
     section: ClassVar[str] = "limits"
 
     inputs: dict[str, InputLimits] = Field(
-        default_factory=dict, description="inputs that are designed, by the FMU's names"
+        default_factory=dict, description="inputs to be designed, by their names in the FMU"
     )
     duration: Annotated[Pair, BeforeValidator(_pair)] = Field(
         description="seconds, or [shortest, longest]"
@@ -72,15 +72,16 @@ class ExperimentLimits(Settings):
     signals: dict[str, SignalLimits] = Field(
         default_factory=dict,
         description="outputs and other variables that must stay within limits; default: outputs "
-        "leave what the run has seen by half of its range at most",
+        "may leave their range in the run by at most half of this range",
     )
     like: str = Field(
         "",
-        description="experiment of the run that the next one begins like, and whose outputs are "
-        "measured; default: the first training experiment",
+        description="experiment of the run with the same initial state and the same measured "
+        "outputs as the next one; default: the first training experiment",
     )
     start: dict[str, StartLimits] = Field(
-        default_factory=dict, description="start values that may be chosen, by the FMU's names"
+        default_factory=dict,
+        description="start values that may be chosen, by their names in the FMU",
     )
 
     @model_validator(mode="after")

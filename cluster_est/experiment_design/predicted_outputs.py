@@ -256,7 +256,7 @@ def predicted_experiment(
     leaving = [at for at in evaluations if at.ok and at.violation > TOLERANCE]
     if leaving:
         name = space.constraint_names[int(np.argmax(leaving[0].constraints))]
-        return f"{limit_name(name)} with parameters a standard deviation off"
+        return f"{limit_name(name)} with parameters one standard deviation away"
     changes, moves = [], []
     for i in range(1, 1 + count):
         ends = [k for k in (i, i + count) if evaluations[k].ok]
@@ -355,15 +355,15 @@ def with_predictions(
         if isinstance(predicted, str):
             raise ProblemError(
                 f"predictions: experiment {experiment.id!r} must be simulated with the estimates, "
-                f"and with some a standard deviation off, but could not be ({predicted}); name "
-                "others"
+                "and with some of them one standard deviation away, but could not be "
+                f"({predicted}); name other experiments"
             )
         found += _outputs(fitted, experiment, predicted, units)
     moved = tuple(each for each in found if each.jacobian.any())
     if not moved:
         raise ProblemError(
-            "predictions: must depend on what the run has estimated but none of them does; name "
-            "other outputs"
+            "predictions: must depend on estimates of the run but none of them does; name other "
+            "outputs"
         )
     return replace(fitted, targets=moved, notes=(*fitted.notes, *_notes(fitted, experiments)))
 

@@ -34,27 +34,31 @@ class DesignSettings(Settings):
 
     criterion: str = Field(
         "",
-        description=f"{one_of(CRITERIA)}: tell the rivals of a finding apart, narrow parameters "
-        "together (d) or each (a), or narrow predictions (v); default: v where there are "
-        "predictions, discriminate where there are rivals, else d",
+        description=f"{one_of(CRITERIA)}: distinguish the rivals of a finding (discriminate), or "
+        "reduce the uncertainty of the parameters together (d), of each parameter (a), "
+        "or of predictions (v); default: v with predictions, discriminate with rivals, "
+        "else d",
     )
     parameters: Names = Field(
         (),
-        description="names of the parameters that are narrowed; default: all that experiments "
-        "share",
+        description="names of the parameters whose uncertainty is reduced; default: all that "
+        "experiments share",
     )
     rivals: Names = Field(
         (),
-        description="names of the models that are told apart, as show prints them; default: all "
-        "that the run kept",
+        description="names of the models to distinguish, as show prints them; default: all that "
+        "the run kept",
     )
     waveforms: Names = Field(
         (), description=f"families of inputs: {one_of([*WAVEFORMS, RECORDED])}; default: all"
     )
-    candidates: int = Field(120, ge=10, le=LARGEST_INTEGER, description="inputs that are looked at")
+    candidates: int = Field(
+        120, ge=10, le=LARGEST_INTEGER, description="number of inputs that are tried"
+    )
     predictions: Annotated[tuple[InstanceOf[PredictionTarget], ...], Strict(False)] = Field(
         (),
-        description="what is predicted, for v; default: all outputs of all experiments of the run",
+        description="targets of the predictions, for v; default: all outputs of all experiments of "
+        "the run",
     )
 
     @model_validator(mode="after")
@@ -67,8 +71,8 @@ class DesignSettings(Settings):
             )
         if self.predictions and self.criterion and not CRITERIA[self.criterion].predicts:
             raise sentence(
-                f'predictions: must go with the criterion "v", which narrows them, but it is '
-                f"{self.criterion!r}; change one of the two"
+                f'predictions: must be used with the criterion "v", but it is {self.criterion!r}; '
+                "change one of the two"
             )
         known_waveforms = [*WAVEFORMS, RECORDED]
         for name in self.waveforms:
@@ -175,7 +179,7 @@ def chosen_models(
     for name in settings.rivals:
         if name not in names:
             raise ProblemError(
-                f"rivals: must be of the models that the run leaves room for "
+                "rivals: must be among the possible models of the run "
                 f"({', '.join(map(repr, names))}) but has {name!r}{nearest(name, names)}"
             )
     return tuple(m for i, m in enumerate(models) if i == 0 or m.name in settings.rivals)
@@ -198,8 +202,9 @@ def check_design(request: DesignRequest) -> None:
     criterion = request.criterion
     if criterion.compares and len(request.models) < 2:
         raise ProblemError(
-            f"criterion: {criterion.name!r} must have at least two models to tell apart but the "
-            'run leaves one; take "d" or "a", which narrow its parameters, or "v"'
+            f"criterion: {criterion.name!r} must have at least two models to distinguish but the "
+            'run leaves one; choose "d" or "a", which reduce the uncertainty of its parameters, '
+            'or "v"'
         )
 
 
@@ -221,8 +226,8 @@ def narrowed_labels(request: DesignRequest) -> tuple[str, ...]:
         shared = tuple(unknown.label for unknown in unknowns if _is_shared(unknown, groups))
         if not shared:
             raise ProblemError(
-                "parameters: must share a value between experiments to be narrowed by another one "
-                "but each has its own in every experiment; make one shared"
+                "parameters: must be shared by experiments, or a new experiment cannot determine "
+                "them better, but each has its own value in every experiment; make one shared"
             )
         return shared
     found: list[str] = []
@@ -230,8 +235,8 @@ def narrowed_labels(request: DesignRequest) -> tuple[str, ...]:
         own = [u.label for u in unknowns if name in (u.label, u.parameter.name)]
         if not own:
             raise ProblemError(
-                f"parameters: must be of what the run has estimated but has {name!r}"
-                f"{nearest(name, labels)}"
+                "parameters: must be among the estimates of the run but has "
+                f"{name!r}{nearest(name, labels)}"
             )
         found += own
     return tuple(dict.fromkeys(found))
@@ -256,7 +261,7 @@ def _check_comparable(problem: Problem) -> None:
     for experiment in problem.experiments:
         if experiment.curve is not None or experiment.cost_function is not None:
             raise ProblemError(
-                f"experiment {experiment.id!r}: must have outputs at measured times alone for a "
+                f"experiment {experiment.id!r}: must have only outputs at measured times for a "
                 "design but has a curve or a cost function; make the run without them"
             )
         for output in experiment.outputs:
@@ -279,9 +284,8 @@ def _check_variables(request: DesignRequest, description: ModelDescription) -> N
         _check_known(name, dotted("inputs", name), known, f"an input of experiment {like.id!r}")
         if variables[name].type == "Boolean":
             raise ProblemError(
-                f"{dotted('inputs', name)}: must take numbers to be designed but is true or false; "
-                "leave it "
-                "out, so that it is that of the experiment like"
+                f"{dotted('inputs', name)}: must be a number to be designed but is true or false; "
+                "leave it out, so that it is taken from the experiment like"
             )
     for key, names in (("signals", limits.signals), ("start", limits.start)):
         for name in names:
@@ -301,4 +305,4 @@ def _check_variables(request: DesignRequest, description: ModelDescription) -> N
 
 def _check_known(name: str, where: str, known: Collection[str], what: str) -> None:
     if name not in known:
-        raise ProblemError(f"{where}: must be {what} but is none{nearest(name, known)}")
+        raise ProblemError(f"{where}: must be {what} but is not{nearest(name, known)}")

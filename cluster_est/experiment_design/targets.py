@@ -109,8 +109,8 @@ def _experiments(
     if isinstance(own, Experiment):
         if own.id in known and planned.get(own.id) is not own:
             raise ProblemError(
-                f"predictions: a planned experiment must have a name of its own but {own.id!r} is "
-                "one of the run or of the others; rename it"
+                f"predictions: a planned experiment must have a unique name but {own.id!r} is one "
+                "of the run or of the others; rename it"
             )
         planned[own.id] = own
         known[own.id] = _completed(own, like)
@@ -151,8 +151,8 @@ def _output(experiment: Experiment, name: str, description: ModelDescription) ->
     ]
     if name not in numbers:
         raise ProblemError(
-            f"predictions: outputs must be of what the FMU computes but has {name!r}"
-            f"{nearest(name, numbers)}"
+            "predictions: outputs must be variables that the FMU computes but has "
+            f"{name!r}{nearest(name, numbers)}"
         )
     own = [o.times for o in experiment.outputs if o.variable == name and len(o.times)]
     others = [o.times for o in experiment.outputs if len(o.times)]

@@ -138,20 +138,21 @@ def curves(run: ReportedRun) -> ReportSection:
 
 def _how(run: ReportedRun, known: Mapping[Key, OutputCurves], shown: int, columns: int) -> str:
     """Say what is drawn and what is left out."""
-    said = f"Before: {run.before}. The lower part of each chart is measured less simulated."
+    said = f"Before: {run.before}. The lower part of each chart is measured minus simulated."
     longest = max(len(each.measured) for each in known.values())
     if longest > 2 * columns + 2:
         samples = sum(len(each.measured) for each in known.values())
         said += (
-            f" Of {count(samples)} measured values, each of {columns} columns of a chart shows the "
-            "lowest and the highest, so that no peak is lost; on zooming in, no others appear."
+            f" Of {count(samples)} measured values, each of {columns} columns of a chart shows "
+            "the lowest and the highest, so that no peak is lost; zooming in shows no other "
+            "values."
         )
     else:
         said += " Every sample is drawn."
     if any(each.band is not None for each in known.values()):
         said += (
-            " The shaded band is where the output lies by the posterior of the values; a "
-            "measurement has its noise besides."
+            " The shaded band shows the output for the posterior of the values; it does not "
+            "include the noise of a measurement."
         )
     if shown < len(known):
         said += f" Of {count(len(known))} charts the {shown} with the largest errors are drawn."
@@ -220,7 +221,7 @@ def _chart(key: Key, each: OutputCurves, row: Row | None, unit: TimeUnit, column
     plots = (
         Plot(f"{name}: measured and simulated over time", with_unit(key[1], quantity), x,
              Scale.around(*values), upper, HEIGHT),
-        Plot(f"{name}: measured less simulated over time", with_unit("residual", quantity), x,
+        Plot(f"{name}: measured minus simulated over time", with_unit("residual", quantity), x,
              Scale.around(*rest, np.zeros(1)), lower, RESIDUAL_HEIGHT),
     )  # fmt: skip
     return Chart(plots, f"time ({unit.name})", legend=False, across=5)

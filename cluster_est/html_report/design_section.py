@@ -25,10 +25,10 @@ MOST_MODELS = 5
 """Number of models whose predictions are drawn."""
 COVERED = 1.96
 Curve = tuple[FloatArray, FloatArray, FloatArray]
-INPUT_NOTE = "It is in the table beside the run's folder, to be fed in as it is."
+INPUT_NOTE = "The table next to the run's folder has the input, ready for the experiment."
 OUTPUT_NOTE = (
-    "What each model predicts; the bands are the uncertainty of its parameters (95 %), without the "
-    "noise of the sensors. Where curves part, the measurement will tell."
+    "Predictions of each model; the bands are the uncertainty of its parameters (95 %), without "
+    "the noise of the sensors. Where curves differ, the measurement will distinguish the models."
 )
 
 
@@ -117,8 +117,8 @@ def _models(run: ReportedRun) -> list[Block]:
                 )
                 for row in models
             ],
-            "The probability that each model is expected to have if it is the right one, among "
-            "itself and the rivals that some input tells from it",
+            "Expected probability of each model if it is the right one, among itself and the "
+            "rivals that some input can distinguish from it",
         ),
         table(
             ("rival", "#after it", "#a random input", "#at best"),
@@ -140,7 +140,7 @@ def _parameters(run: ReportedRun) -> list[Block]:
                 (code(row["label"]), digits(row["value"]), *_errors(row))
                 for row in run.tables["precision"]
             ],
-            "What the experiment is expected to do to the parameters",
+            "Expected effect of the experiment on the parameters",
         )
     ]
 
@@ -158,7 +158,7 @@ def _predictions(run: ReportedRun) -> list[Block]:
         table(
             ("predicted", "of", "#standard deviation now", "#after it", "#a random input"),
             [(code(row["output"]), row["experiment"], *_errors(row)) for row in rows],
-            "What the experiment is expected to do to predictions: what the uncertainty of the "
-            "parameters makes of them, as a root mean square over the samples",
+            "Expected effect of the experiment on predictions: their uncertainty from the "
+            "parameters, as a root mean square over the samples",
         )
     ]

@@ -41,11 +41,14 @@ from workers.messages import FloatArray
 BAND_MARGIN = 1.5
 """Heights of a curve by which its band may be drawn beyond it: a wide one would hide it."""
 EVIDENCE = (
-    "Dots are what the residuals alone ask for at a few places, without any form, with 95 % bars; "
-    "the line is the effect that was fitted. Where dots lie on the line, the data agree with its "
-    "shape. "
+    "Dots are estimates from the residuals alone at a few points, without assuming a form, with "
+    "95 % bars; the line is the fitted effect. If the dots lie on the line, the data agree with "
+    "its shape. "
 )
-RANGE = "The bars below count the samples of the training experiments: beyond them it is a guess."
+RANGE = (
+    "The bars below count the samples of the training experiments; beyond them, the line is "
+    "extrapolated."
+)
 
 
 def shape_figure(row: Row, number: int) -> FigureBlock:
@@ -95,7 +98,7 @@ def _evidence(row: Row, floor: float, ceiling: float) -> tuple[list[Mark], Float
     low, high = np.maximum(free - spread, floor), np.minimum(free + spread, ceiling)
     marks = [
         ErrorBars("", "measured", at, low, high),
-        Dots("what the residuals ask for", "measured", at, free),
+        Dots("estimate from the residuals", "measured", at, free),
     ]
     return [*marks], np.concatenate([low, high])
 
@@ -115,9 +118,7 @@ def effects(run: ReportedRun) -> ReportSection:
     rejected = run.facts.get("rejected") or []
     if rejected:
         blocks.append(
-            TextBlock(
-                "Not accepted; what follows shows where to look, not what is missing.", "faint"
-            )
+            TextBlock("Not accepted: this shows where to look, not what is missing.", "faint")
         )
         rows = [(code(e["site"]), e["form"], code(e["equation"])) for e in rejected]
         blocks.append(table(("site", "form", "equation"), rows))
@@ -146,7 +147,7 @@ def _effect(run: ReportedRun, effect: Row) -> list[Block]:
     shapes = [row for row in run.tables["shapes"] if row["effect"] == effect["name"]]
     blocks += _shapes(shapes)
     if not shapes:
-        blocks.append(TextBlock("This run's folder holds no shapes to draw.", "faint"))
+        blocks.append(TextBlock("The folder of this run contains no shapes.", "faint"))
     blocks.append(SourceBlock("As a block for a config", effect["config"]))
     return blocks
 
@@ -184,10 +185,10 @@ def candidates(run: ReportedRun) -> ReportSection:
         blocks.insert(
             0,
             TextBlock(
-                "Each step ranks everything that could be missing by how well it points along the "
-                "residual. Explained is the share of the residual's squares that its direction "
-                "carries; the criterion is that of its refit less that of the model without it, "
-                "where it was refitted (lower is better)."
+                "Each step ranks everything that could be missing by its correlation with the "
+                'residual. "Explained" is the share of the sum of squares of the residual that '
+                "the candidate explains to first order; the criterion is that of its refit minus "
+                "that of the model without it, if it was refitted (lower is better)."
             ),
         )
     for step in sorted({row["step"] for row in rows}):
@@ -198,10 +199,10 @@ def candidates(run: ReportedRun) -> ReportSection:
 
 
 LEFT_OUT = (
-    "Left out is the error of what refits without each part of the training data predict of it; "
-    "held out is the error on held-out experiments over the noise, both of what the search "
-    "accepted. The answer is the set whose refits predict best; what is held out chooses nothing, "
-    "and may veto it."
+    '"Left out" is the error of cross-validation on the training data; "held out" is the error '
+    "on held-out experiments over the noise. Both are given for sets that the search accepted. "
+    "The answer is the set with the best cross-validation; held-out experiments do not choose "
+    "it, but may reject it."
 )
 
 
@@ -303,4 +304,4 @@ def _rivals(effect: Row) -> Block:
         criterion, said = other["criterion"], f"{other['words']} at {other['site']}"
         worse = "" if criterion is None else ("+" if criterion >= 0 else "") + digits(criterion, 3)
         lines.append((said, code(other["equation"]), worse, at, by))
-    return table(names, lines, f"{effect['name']}: {len(lines)} that explain the data alike")
+    return table(names, lines, f"{effect['name']}: {len(lines)} that explain the data equally well")

@@ -68,7 +68,7 @@ def error_sizes(run: ReportedRun) -> ErrorSizes:
     if run.is_loop:
         measure = {
             "estimated noise": "the estimated noise",
-            "predicted spread": "what the noise that is left explains",
+            "predicted spread": "the error that the remaining noise explains",
         }.get(str(run.facts.get("errors_over")), "the declared noise (sigma)")
         return ErrorSizes(measure, True, rows, (1.0,) * len(rows))
     outputs: Mapping[str, Mapping[str, Any]] = {
@@ -144,7 +144,7 @@ def error_picture(run: ReportedRun) -> FigureBlock | None:
     names = list(groups)
     note = f"Before: {run.before}."
     if sizes.is_noise:
-        note += " A model that lacks nothing comes near the line of the noise."
+        note += " A complete model comes near the line of the noise."
     if sizes.is_noise and "estimated" in sizes.measure:
         note += " The noise of an output is estimated over all training experiments together."
     below = f"error over {sizes.measure}"
@@ -182,8 +182,9 @@ def errors(run: ReportedRun) -> ReportSection:
         return ReportSection("errors", "Errors", ())
     blocks: list[Block] = [
         TextBlock(
-            f"Root mean square of measured less simulated. Before: {run.before}. Of the signal: "
-            "the error after as a share of the measured signal's standard deviation."
+            f'Root mean square of measured minus simulated. Before: {run.before}. "Of the '
+            'signal": the error after, as a share of the standard deviation of the measured '
+            "signal."
         )
     ]
     outputs = list(dict.fromkeys((row["output"], row["role"]) for row in rows))

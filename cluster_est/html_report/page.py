@@ -169,8 +169,8 @@ VERDICTS: dict[str, tuple[str, Tone]] = {
     "found": ("The missing effects were found", "good"),
     "partial": ("A part of what is missing was found", ""),
     "unexplained": ("Something is missing, and nothing explains it", "bad"),
-    "none": ("Nothing is missing that these data show", "good"),
-    "none (coloured noise)": ("What is left looks like coloured noise of a sensor", "good"),
+    "none": ("These data do not show that anything is missing", "good"),
+    "none (coloured noise)": ("The remaining residual looks like coloured sensor noise", "good"),
     "done": ("The fit reached a solution", "good"),
     "not converged": ("The fit did not converge", "bad"),
     "interrupted": ("The run was interrupted", "bad"),
@@ -184,7 +184,7 @@ def summarise(run: ReportedRun) -> ReportSummary:
     known = run.facts.get("verdict") or run.status
     verdict, tone = VERDICTS.get(str(known), (str(known), ""))
     if run.is_sensitivity:
-        verdict, tone = "The parameters are ranked by what they move", ""
+        verdict, tone = "The parameters are ranked by their influence", ""
     if run.is_design:
         verdict, tone = "The next experiment", ""
     if run.finished and not (run.is_loop or run.is_sensitivity or run.is_design):
@@ -220,7 +220,7 @@ def _ranked(run: ReportedRun) -> list[str]:
     rows = [row for row in run.tables["ranking"] if row["value"] is not None]
     known = [row["label"] for row in rows if math.isfinite(row["value"]) and row["value"] > 0.0]
     if not known:
-        return ["Nothing moves the cost between the bounds of the parameters."]
+        return ["No parameter changes the cost within its bounds."]
     of_all, together = len(run.tables["ranking"]), run.facts["sensitivity"]["together"]
     said = [f"The cost depends on {known[0]}."]
     if of_all > 1:
@@ -246,9 +246,14 @@ def _opening(run: ReportedRun) -> list[str]:
         return [_sentence(facts.get("summary") or ""), added]
     if not run.finished:
         if run.is_running:
-            return ["What follows is what its folder holds so far; results come when it ends."]
+            return [
+                "This page shows the current content of its folder; results follow when it ends."
+            ]
         message = facts.get("message") or ""
-        return [_sentence(message), "It left no results; what its folder holds is shown."]
+        return [
+            _sentence(message),
+            "It left no results; this page shows the content of its folder.",
+        ]
     message = facts.get("message") or ""
     ended = f"The search ended: {message}." if message else ""
     return [ended] if ended else []
@@ -277,7 +282,7 @@ def _errors(run: ReportedRun) -> list[str]:
     """Return a sentence where nothing was held out."""
     held_out = any(row["role"] == "test" for row in run.tables["errors"])
     if run.finished and not held_out:
-        return ["There is no held-out experiment, so nothing tells how it predicts."]
+        return ["There is no held-out experiment, so its predictions were not tested."]
     return []
 
 

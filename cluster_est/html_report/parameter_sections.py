@@ -109,7 +109,7 @@ def _intervals(run: ReportedRun) -> list[Block]:
         for row in run.tables["intervals"]
     ]
     names = ("parameter", "from", "#confidence", "#lower", "#upper")
-    return [table(names, lines, "Intervals that took refits or draws")] if lines else []
+    return [table(names, lines, "Intervals from refits or draws")] if lines else []
 
 
 def _constraints(run: ReportedRun) -> list[Block]:
@@ -130,7 +130,7 @@ def _directions(run: ReportedRun) -> list[Block]:
     found = tuple(dict.fromkeys(row["sentence"] for row in run.tables["directions"]))
     if not found:
         return []
-    return [TextBlock("What the data do not determine", kind="heading"), ItemsBlock(found)]
+    return [TextBlock("Undetermined directions", kind="heading"), ItemsBlock(found)]
 
 
 def _correlations(run: ReportedRun) -> list[Block]:
@@ -169,8 +169,8 @@ def _map(labels: list[str], rows: tuple[Row, ...]) -> MapBlock:
         "Correlations",
         tuple(labels[:-1]),
         lines,
-        "How far an error of one estimate goes with an error of another: where the size is near 1, "
-        "the data hardly tell the two apart.",
+        "Correlation of the errors of two estimates: if its size is near 1, the data can hardly "
+        "distinguish the two.",
     )
 
 
@@ -185,8 +185,8 @@ def _cell(labels: list[str], matrix: FloatArray, i: int, j: int, *, small: bool)
 MOST_RANKED, MOST_UNKNOWNS_OVER_TIME, MOST_OUTPUTS_OVER_TIME = 40, 6, 12
 """Unknowns in the picture of the ranking, unknowns over time, outputs over time."""
 
-RANKING_NOTE = "The bars are 95 % intervals; what stands at 0 does not change the cost."
-TIME_NOTE = "Where a curve is high, that part of a record says something about the parameter."
+RANKING_NOTE = "The bars are 95 % intervals; a parameter at 0 does not change the cost."
+TIME_NOTE = "Where a curve is high, that part of a record contains information about the parameter."
 
 
 def sensitivity(run: ReportedRun) -> ReportSection:
@@ -228,7 +228,7 @@ def _order(rows: tuple[Row, ...]) -> Block:
             (code(row["label"]), digits(row["size"]), _index(row["collinearity"]), _together(row))
             for row in ordered
         ],
-        "The order in which parameters are best estimated, from derivatives at the start values",
+        "The best order of estimation, from derivatives at the start values",
     )
 
 

@@ -40,7 +40,10 @@ STEPS_NOTE = (
     "The number is the step of the search. At 100 %, nothing but noise is left; below 0 %, a set "
     "fits worse than the declared model."
 )
-PATH_NOTE = "The best way down is steep and then level; one that still falls has not ended."
+PATH_NOTE = (
+    "A good search falls steeply and then becomes flat; a search that still falls at its "
+    "end has not converged."
+)
 
 
 def search(run: ReportedRun) -> ReportSection:
@@ -124,7 +127,7 @@ def _all_searches(run: ReportedRun) -> list[Block]:
     rows = rows[:: max(1, len(rows) // MOST_DRAWN_COSTS)]
     if not rows:
         return [
-            TextBlock("The folder does not tell its searches apart, so none is drawn.", "faint")
+            TextBlock("The folder does not distinguish its searches, so none is drawn.", "faint")
         ]
     marks = []
     titles = {row["search"]: stage_title(row["search"]) for _, row in rows}
@@ -139,8 +142,9 @@ def _all_searches(run: ReportedRun) -> list[Block]:
         legend=len(marks) <= MOST_LEGEND_ENTRIES,
     )
     note = (
-        "A closed loop makes many searches, here by their purposes. Each dot is an iteration of "
-        "one of them. Some look at a part of the experiments alone, and have lower costs for that."
+        "A closed loop makes many searches, here coloured by their purpose. Each dot is an "
+        "iteration of one of them. Some use only a part of the experiments, and have lower costs "
+        "for that reason."
     )
     return [FigureBlock("convergence", title, chart, note)]
 
@@ -172,7 +176,7 @@ def _starts(run: ReportedRun) -> list[Block]:
     if marks:
         title = f"Waterfall of {len(rows)} starts"
         chart = Chart((_plot(title, "cost", marks),), "starts, the best first")
-        note = "A level step at the left is one minimum that many starts have reached."
+        note = "A flat step at the left is one minimum that many starts have reached."
         blocks.append(FigureBlock("waterfall", title, chart, note))
     return [*blocks, *_minima(run, rows)]
 
@@ -251,7 +255,7 @@ def _failures(run: ReportedRun) -> list[Block]:
         )
         for each in found
     )
-    hint = TextBlock("To run one again: cluster-est replay RUN ID.", "faint")
+    hint = TextBlock("To repeat one: cluster-est replay RUN ID.", "faint")
     return [table(names, rows, "Simulations that failed", folded=len(rows) > 20), hint]
 
 

@@ -160,7 +160,7 @@ def _axes(rows: Sequence[Row]) -> list[str]:
 
 def _left_out(rows: Sequence[Row], drawn: Sequence[Row]) -> list[Block]:
     left = len(rows) - len(drawn)
-    said = f"{count(left)} of {count(len(rows))} runs are not drawn; the table has them all."
+    said = f"{count(left)} of {count(len(rows))} runs are not drawn; the table has all of them."
     return [TextBlock(said, "faint")] if left else []
 
 
@@ -205,5 +205,5 @@ def _runs(rows: Sequence[Row]) -> ReportSection:
     )
     blocks: list[Block] = [table(names, lines)] if lines else []
     if reasons:
-        blocks.append(table(("run", "", "why"), reasons, "Why runs did not end well"))
+        blocks.append(table(("run", "", "why"), reasons, "Reasons of failed runs"))
     return ReportSection("runs", "Runs", tuple(blocks))

@@ -127,7 +127,7 @@ def without_guesses(
         else ""
     )
     message = (
-        f"{Ending.DERIVATIVES_MISSING}: simulations beside the last point failed for {shown}{more}"
+        f"{Ending.DERIVATIVES_MISSING}: simulations near the last point failed for {shown}{more}"
     )
     return replace(solution, ending=Ending.DERIVATIVES_MISSING, message=message)
 

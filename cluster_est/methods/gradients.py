@@ -100,8 +100,8 @@ class JacobianProvider:
             return False
         self._longer *= LENGTHENING
         self.note = (
-            f"differences took relative steps of {relative:.1g}, as shorter ones were doubtful: "
-            "simulations are noisy, or the cost has a kink"
+            f"differences took relative steps of {relative:.1g}, because shorter ones were "
+            "unreliable: simulations are noisy, or the cost has a kink"
         )
         return True
 
@@ -122,7 +122,7 @@ class JacobianProvider:
                 found = (yield from check_sensitivities(self._space, x, found)) or found
             if isinstance(found, ResidualJacobian):
                 return found
-            self.note = f"differences took the place of sensitivities: {found.reason}"
+            self.note = f"differences replaced sensitivities: {found.reason}"
             self.scheme = "forward"
         space = scaled if self.scheme == "central" else self._space
         relative = self._relative(self._longer)
@@ -156,7 +156,9 @@ def forward_sensitivities(
         if not np.isfinite(dr_dp).all():
             bad = used[np.flatnonzero(~np.isfinite(dr_dp).all(axis=0))[0]]
             name = space.problem.model.parameters[bad]
-            return UnusableSensitivities(f"the model has no finite ones by {name!r}")
+            return UnusableSensitivities(
+                f"the model has no finite derivatives with respect to {name!r}"
+            )
         dr_dx, priors = dr_dp @ dp_dx[used], space.priors.jacobian(e, x, space.acting[e])
         count = at.rows[e].stop - at.rows[e].start - len(priors)
         blocks.append(np.vstack([dr_dx[:count], priors]))

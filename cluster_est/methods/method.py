@@ -204,8 +204,8 @@ class Ending(enum.StrEnum):
     STALLED = "no step lowers the cost any more, but the gradient is not zero"
     START_FAILED = "the start could not be simulated"
     DERIVATIVES_FAILED = "no derivative could be computed"
-    DERIVATIVES_MISSING = "some derivatives could not be computed, so that it may not be a minimum"
-    NO_EFFECT = "no unknown changes the residuals, so that there is nothing to go by"
+    DERIVATIVES_MISSING = "some derivatives could not be computed, so this may not be a minimum"
+    NO_EFFECT = "no unknown changes the residuals, so there is no direction of descent"
     INFEASIBLE = "no point was found that satisfies the constraints"
     BUDGET = "the budget is used up"
     INTERRUPTED = "interrupted"
@@ -323,8 +323,7 @@ class Method(ABC):
 
 
 CUT_SHORT = (
-    f"{Ending.STALLED}: the steps became too short because simulations at the end of longer ones "
-    "failed"
+    f"{Ending.STALLED}: the steps became too short because simulations of longer ones failed"
 )
 """The message of a search that ends there."""
 

@@ -237,8 +237,8 @@ class _LineSearch:
 NEGLIGIBLE_SIMPLEX = 1e-3
 """Part of `xtol`: a simplex so small has converged even if its costs differ, as at a jump."""
 COLLAPSES = (
-    "the simplex collapsed after every restart where a poll leads further down; raise "
-    'method.options.max_restarts, or use method "pattern_search"'
+    "the simplex collapsed after every restart at a point where a poll still lowers the cost; "
+    'raise method.options.max_restarts, or use method "pattern_search"'
 )
 
 
@@ -311,8 +311,7 @@ class NelderMead(Method):
             p = space.unknowns[bounded[0]].parameter
             raise ProblemError(
                 f'{dotted("parameters", p.name)}.bounds: must be absent for method "nelder_mead", '
-                "whose "
-                f"simplex knows no bounds, but are [{p.lower:g}, {p.upper:g}]; set "
+                f"whose simplex cannot keep bounds, but are [{p.lower:g}, {p.upper:g}]; set "
                 'method.options.bounds = "enforce", remove them, or use method "pattern_search"'
             )
 

@@ -60,7 +60,7 @@ _SIMULATION = """The original is for co-simulation, so this FMU is too; it makes
 run."""
 _STEP = """In co-simulation, {sentence}.
 
-The run took inputs as linear between their samples, or held, as its config says. Here they were
+In the run, inputs were linear between their samples, or held, as in its config. Here they were
 kept constant within each communication step, as most tools do, and every experiment had its own
 values. Tools that set input derivatives (fmi2SetRealInputDerivatives) may take longer steps."""
 
@@ -115,7 +115,7 @@ def _errors(repair: RepairedModel) -> str:
     if not repair.errors:
         return "Nothing was reported."
     lines = [
-        f"Root mean square errors; before: {repair.without}; after: with all that is in this FMU.",
+        f"Root mean square errors; before: {repair.without}; after: with everything in this FMU.",
         "",
         "| experiment | role | output | unit | before | after |",
         "|---|---|---|---|---|---|",
@@ -244,28 +244,29 @@ def _notes(layout: WrapperLayout) -> tuple[str, ...]:
     if layout.repair.problem.model.solver.name == "cvode":
         notes.append(
             "in co-simulation the exported FMU integrates with dormand_prince where the run used "
-            "cvode, which is slow if the model is stiff; in model exchange the importer's solver "
-            "integrates"
+            "cvode, which is slow if the model is stiff; in model exchange, the solver of the "
+            "importer integrates"
         )
     there = wrapper_platforms()
     absent = [p for p in _original_platforms(layout) if p in FMI2_PLATFORMS and p not in there]
     if absent:
         notes.append(
-            f"the exported FMU does not run on {' and '.join(absent)}, as its original does: this "
-            "installation of cluster-est has no library for it; a wheel has those of all platforms"
+            f"the exported FMU does not run on {' and '.join(absent)}, although the original "
+            "does: this installation of cluster-est has no library for it; a wheel has libraries "
+            "for all platforms"
         )
     if layout.signals:
         one = len(layout.signals) == 1
         notes.append(
-            f"{', '.join(layout.signals)} {'is an input' if one else 'are inputs'} of the exported "
-            "FMU, because effects depend on what was measured there"
+            f"{', '.join(layout.signals)} {'is an input' if one else 'are inputs'} of the "
+            "exported FMU, because effects depend on the measurements there"
         )
     if layout.left_out:
         more = len(layout.left_out) - _MOST_NAMED
         notes.append(
-            f"the exported FMU is without {', '.join(layout.left_out[:_MOST_NAMED])}"
-            f"{f' and {more} more' if more > 0 else ''}, which FMI 2.0 cannot say; they keep the "
-            "values that the original has"
+            "the exported FMU lacks "
+            f"{', '.join(layout.left_out[:_MOST_NAMED])}{f' and {more} more' if more > 0 else ''}, "
+            "which FMI 2.0 cannot describe; they keep the values of the original"
         )
     return tuple(notes)
 

@@ -279,8 +279,9 @@ class ParameterReader:
             at += len(own)
             if effect.is_noise:
                 notes.append(
-                    f"effect {effect.name!r} is process noise and is left out: the run's errors "
-                    "are those of predictions, and a simulation of the exported model has others"
+                    f"effect {effect.name!r} is process noise and is left out: the errors of the "
+                    "run are those of predictions, and differ from those of a simulation of the "
+                    "exported model"
                 )
                 continue
             units = coefficient_units(definition, self.description)
@@ -289,7 +290,9 @@ class ParameterReader:
                 for p, unit in zip(own, units, strict=True)
             )
             if definition.is_neutral(np.array([value.value for value in values])):
-                notes.append(f"effect {effect.name!r} does nothing at its values and is left out")
+                notes.append(
+                    f"effect {effect.name!r} has no influence at its values and is left out"
+                )
                 continue
             kept.append(definition)
             coefficients.append(values)
@@ -438,8 +441,8 @@ def _check_same(run_folder: Path, facts: Row, problem: Problem) -> None:
     then, now = facts["fmu"]["sha256"], problem.model.archive_hash
     if then != now:
         raise RunFolderError(
-            f"{run_folder}: {problem.model.name} must be the FMU that the run was made with but "
-            "has changed since; put that one back, or fit again"
+            f"{run_folder}: {problem.model.name} must be the FMU of the run but has changed "
+            "since; restore that FMU, or fit again"
         )
 
 

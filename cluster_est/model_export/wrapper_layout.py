@@ -296,9 +296,8 @@ def _check_needed(repair: RepairedModel, left_out: tuple[str, ...]) -> None:
         if name in left_out:
             kind = repair.description.variables[name].type
             raise ModelError(
-                f"--fmu: what the run uses must be a variable of FMI 2.0 to be exported but "
-                f"{name!r} is a {kind} of FMI 3.0 that has no like there; use --ssv, --modelica or "
-                "--text"
+                f"--fmu: all variables that the run uses must exist in FMI 2.0 but {name!r} is a "
+                f"{kind} of FMI 3.0 with no equivalent there; use --ssv, --modelica or --text"
             )
 
 
@@ -321,7 +320,7 @@ def _check_inputs(
             if variable is not None and variable.causality == "input" and name not in columns:
                 raise ModelError(
                     f"--fmu: effect {effect.effect.name!r}: the input {name!r} must be a real "
-                    f"variable of its own to be exported but is of type {variable.kind}"
+                    f"variable to be exported but is of type {variable.kind}"
                 )
 
 

@@ -86,7 +86,7 @@ class _ModelicaPrinter(StrPrinter):  # type: ignore[misc]
 
 def modelica(repair: RepairedModel) -> str:
     """The effects as declarations and equations, and the parameters as modifiers."""
-    lines = [f"// {repair.description.file} with what run {repair.run} has found"]
+    lines = [f"// {repair.description.file} with the results of run {repair.run}"]
     if repair.parameters:
         lines.append("// parameters and initial states of the model:")
         lines += [f"//   {f.name} = {f.value!r}{_comment(f)}" for f in repair.parameters]
@@ -149,7 +149,7 @@ def _equations(effect: EffectDefinition) -> Iterator[str]:
         if site.at_rates:
             yield f"  // add {result} to the right side of der({target})"
         else:
-            yield f"  // put {result} in the place of {target}"
+            yield f"  // replace {target} by {result}"
     for own, slope in zip(effect.form.states, effect.derivatives, strict=True):
         yield f"  der({_name(name, own.name)}) = {text(slope)};"
     starts = zip(effect.form.states, effect.starts, strict=True)
@@ -282,7 +282,7 @@ def check_request(wanted: ExportRequest) -> None:
     """
     if not (wanted.fmu or wanted.ssv or wanted.csv or wanted.modelica or wanted.text):
         raise ConfigError(
-            "export: must be told what to write; add --fmu, --ssv, --csv, --modelica or --text"
+            "export: needs an output to write; add --fmu, --ssv, --csv, --modelica or --text"
         )
     _check_name(wanted.fmu, "--fmu", ".fmu")
     _check_name(wanted.ssv, "--ssv", ".ssv")

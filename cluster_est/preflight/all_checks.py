@@ -79,12 +79,12 @@ def at_rest(subject: CheckSubject, simulations: Sequence[Simulation]) -> list[Ch
     far = float(np.ptp(output.values))
     unit = "" if output.ordinal else subject.description.variables[output.variable].unit
     said = (
-        f"nothing moves in the simulation of {where}{_though(experiment)}: its start is an "
-        f"equilibrium; the measured {output.variable} moves by {f'{far:.3g} {unit}'.strip()}"
+        f"nothing changes in the simulation of {where}{_though(experiment)}: its start is an "
+        f"equilibrium; the measured {output.variable} changes by {f'{far:.3g} {unit}'.strip()}"
     )
     return [
         note(
-            "start", said, f"{free_start_advice(subject.problem)}; or give the input that moves it"
+            "start", said, f"{free_start_advice(subject.problem)}; or give the input that drives it"
         )
     ]
 
@@ -164,8 +164,8 @@ def _few_simulations(seconds: float) -> list[CheckFinding]:
     if seconds < LONG:
         return []
     said = (
-        "a simulation takes long, and least_squares asks for more of them than it must, so that "
-        "many workers have something to do: on the embedded example for 189 in place of 99"
+        "simulations are slow, and by default least_squares uses more of them than necessary to "
+        "keep many workers busy: 189 instead of 99 in the embedded example"
     )
     do = (
         'with few workers method.options = { trials = 1, differences = "forward" }, and with ten '
@@ -186,7 +186,7 @@ def _time(subject: CheckSubject, seconds: float, count: int) -> CheckFinding:
     if together > 1:
         said += f"; a worker gets up to {together} at a time"
     if seconds < SHORT_SIMULATION_SECONDS:
-        said += "; too short to be worth the way to another process"
+        said += "; too short to be sent to another process"
         do = "" if subject.in_process else 'executor.name = "local" is enough'
     elif cores > 1 and not CAN_FORK:
         do = f"executor.workers = {cores}"
@@ -405,7 +405,7 @@ def _simulation_findings(
             said = f"at the start values: {outcome.status}: {outcome.message}"
             do = _advice(outcome)
             if cure.step is not None and simulation is simulations[0]:
-                do = f"model.step = {cure.step:.3g}, with which it ends well"
+                do = f"model.step = {cure.step:.3g}, with which it succeeds"
             lines.append(fault(name, said, do))
     if successful:
         said = f"{len(successful)} of {len(simulations)} experiments, at the start values"
@@ -419,12 +419,12 @@ def _advice(outcome: Outcome) -> str:
         return "a config whose experiment has a stop before that time"
     if 'model.solver = "cvode"' in outcome.message:
         return 'model.solver = "cvode" in a config, or other start values'
-    return _ADVICE.get(outcome.status, "what the FMU says of it, or other start values")
+    return _ADVICE.get(outcome.status, "see the messages of the FMU, or try other start values")
 
 
 _MORE = "give it more time with --seconds"
 _ADVICE = {
-    Status.CRASH: "simulate it in another tool: if it crashes there too, ask whoever exported "
-    "it, and look for files, libraries or a licence that it needs",
+    Status.CRASH: "simulate it in another tool: if it crashes there too, ask its exporter, and "
+    "look for files, libraries or a licence that it needs",
     Status.OUT_OF_MEMORY: "raise executor.memory",
 }

@@ -124,13 +124,15 @@ def _outlying(problem: Problem) -> list[CheckFinding]:
         found = [_alone(each, output) for each, output in own]
         count, samples = sum(found), sum(len(output.values) for _, output in own)
         if 0 < count <= FEW_OUTLIERS * samples:
-            said = f"{count} of {samples} samples stand alone, far from their neighbours"
+            said = f"{count} of {samples} samples are far from all their neighbours"
             needs = (
                 ""
                 if all(o.has_sigma for _, o in own)
                 else f", which needs {dotted('sigma', name)},"
             )
-            do = f'if they are faults of the sensor: cost.name = "huber"{needs} counts them less'
+            do = (
+                f'if they are faults of the sensor: cost.name = "huber"{needs} reduces their weight'
+            )
             lines.append(note(f"output {name}", said, do))
     return lines
 
@@ -174,9 +176,9 @@ def _rounded(problem: Problem) -> list[CheckFinding]:
     return [
         note(
             f"output {name}",
-            f"its values in experiment {each.id} are whole steps of {step:.3g}: rounding alone "
-            f"makes an error of {step / STEP_OVER_DEVIATION:.3g}, {times:.2g} times the sigma that "
-            "is given",
+            f"its values in experiment {each.id} are multiples of {step:.3g}: rounding alone "
+            f"causes an error of {step / STEP_OVER_DEVIATION:.3g}, {times:.2g} times the given "
+            "sigma",
             f"{dotted('sigma', name)} = NUMBER, of {step / STEP_OVER_DEVIATION:.3g} or more, or "
             "measure with a finer resolution",
         )
@@ -223,7 +225,8 @@ def _gaps(times: FloatArray, rows: FloatArray, experiment: Experiment) -> tuple[
     missing = sum(gap[3] for gap in gaps)
     said = (
         f"{missing} of {len(rows)} samples are missing in experiment {experiment.id} and are "
-        f"bridged; the longest gap is {after - before:.3g} s, from {before:.4g} to {after:.4g} s"
+        f"interpolated; the longest gap is {after - before:.3g} s, from {before:.4g} to "
+        f"{after:.4g} s"
     )
     return after - before, said
 
@@ -233,14 +236,14 @@ def long_records(config: Config, problem: Problem) -> list[CheckFinding]:
     most = config.thinning.most()
     found = thinned(problem, most)
     said = (
-        f"for close-loop, sensitivity and design {found.sentence}; close-loop takes more rows, or "
-        "all of them, where the declared model would not be the same on these"
+        f"for close-loop, sensitivity and design {found.sentence}; close-loop uses more rows, or "
+        "all of them, if thinning changes the declared model"
     )
     parts = looked_at_in_parts(found.problem, most)
     if most is not None and parts:
         said += (
             f"; {len(parts)} of them still have more than {IN_PARTS * most:,} rows: effects are "
-            "looked for in a part of each, the first or where the declared model errs more"
+            "looked for in a part of each, the first one or the one with the largest error"
         )
     return [passed("long records", said)] if found.is_thinner else []
 

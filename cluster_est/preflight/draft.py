@@ -42,8 +42,8 @@ def check_variables(mapping: Mapping[str, str], description: ModelDescription) -
             variable = description.variables[name]
             what = variable.causality if variable.kind != "string" else "text"
             raise ModelError(
-                f"--map {name}: must be an input of {description.file} or something that it "
-                f"computes but is a {what}; give the column to another variable"
+                f"--map {name}: must be an input of {description.file} or a computed variable but "
+                f"is a {what}; give the column to another variable"
             )
 
 
@@ -205,13 +205,13 @@ def _with_known(
         return candidate
     given = known.get(candidate.variable.name)
     if given is None or not given.estimate:
-        return replace(candidate, why_not="the folder's parameters do not ask for it")
+        return replace(candidate, why_not="not estimated according to the folder's parameters")
     bounds = given.bounds or candidate.bounds
     return replace(
         candidate,
         start=given.start,
         bounds=bounds,
-        origin="as the folder's parameters say",
+        origin="from the folder's parameters",
         why_not="",
         scale=given.scale,
     )
@@ -372,11 +372,11 @@ def _why_not(variable: ModelVariable, start: float) -> str:
     if _INITIAL.search(variable.name):
         return "named like an initial value; estimate it where the experiments begin differently"
     if _SPECIFIC_HEAT.fullmatch(variable.unit):
-        return "a specific heat, which is known of most substances"
+        return "a specific heat, which is known for most substances"
     if _SETTINGS.search(variable.name):
         return "named like a setting, not like a property"
     if start == 0.0:
-        return "its start is 0, which says nothing of its size; give a start and bounds"
+        return "its start is 0, which does not show its size; give a start and bounds"
     return ""
 
 
@@ -389,7 +389,7 @@ def _bounds(variable: ModelVariable, start: float) -> tuple[tuple[float, float] 
     if low is not None and high is not None and low < high:
         return (low, high), "bounds: the FMU's min and max"
     if start == 0.0:
-        return None, "no bounds: nothing says how large it is"
+        return None, "no bounds: its size is unknown"
     if low == 0.0 < start:
         return guess, f"bounds: a guess, {how}; the FMU's min is 0"  # a model may divide by it
     if low is not None:

@@ -73,8 +73,11 @@ def _why(description: ModelDescription) -> str:
 
 
 def _parameters(draft: ConfigDraft) -> Iterator[str]:
-    yield "# What is estimated, from all experiments together. Remove the # of what you doubt, and"
-    yield "# put one before what you know; its value is then the FMU's own."
+    yield (
+        "# These are estimated from all experiments together. Remove the # before values that "
+        "are uncertain, and"
+    )
+    yield "# put one before values that you know; these keep the value of the FMU."
     yield "[parameters]"
     if not draft.parameters:
         yield f"# {draft.fmu.name} declares no real parameter with a start value, so there is"
@@ -123,7 +126,7 @@ def experiments(
     shared = _shared(bodies)
     if shared:
         yield ""
-        yield "# What every experiment has unless it says otherwise below."
+        yield "# Defaults of all experiments; an experiment below may have its own value."
         yield "[experiment_defaults]"
         yield from shared
         bodies = [[line for line in body if line not in shared] for body in bodies]
@@ -177,7 +180,7 @@ def _body(
         yield from _open_conversions(run, unused)
         yield from _signals(unused, description)
     if columns.unusable:
-        yield f"# columns that hold no numbers: {', '.join(columns.unusable)}"
+        yield f"# columns without numbers: {', '.join(columns.unusable)}"
 
 
 def _reading(run: DraftExperiment) -> Iterator[str]:
@@ -221,7 +224,7 @@ def _time(run: DraftExperiment) -> Iterator[str]:
     why = "no column is called time"
     for name in run.columns.unusable:
         if fold(split_unit(name)[0]) in TIME_COLUMN_NAMES:
-            why = f"column {name!r} holds no numbers: dates, or a row of units that must go?"
+            why = f"column {name!r} has no numbers: dates, or a row of units to remove?"
     yield f'sample_time = "{FILL_IN}: seconds between rows"  # {why}'
     for name in run.columns.increasing[:3]:
         yield f"# time = {inline(name)}  # instead, if that is it: it increases from row to row"
@@ -240,7 +243,7 @@ def _input(match: ColumnMatch, columns: tuple[TableColumn, ...], unusable: str) 
         yield f"{key} = {value}{said(variable, '; '.join(filter(None, why)))}"
     else:
         start = variable.start or 0.0
-        kept = f"{unusable or 'no column is like it'}, so it keeps its start value {start:g}"
+        kept = f"{unusable or 'no column matches it'}, so it keeps its start value {start:g}"
         yield f'# {key} = "COLUMN"{said(variable, kept)}'
 
 
@@ -278,7 +281,7 @@ def _outputs(run: DraftExperiment) -> Iterator[str]:
             key = dotted("outputs", match.variable.name)
             yield f"{key} = {inline(match.column.name)}{said(match.variable, 'no output')}"
     if not certain and not run.outputs:
-        yield "# The FMU has no output: name a variable that it computes, as it is called there."
+        yield "# The FMU has no output: give the name of a variable that it computes."
         yield f'outputs = "{FILL_IN}: {{ VARIABLE = COLUMN }}"'
 
 
@@ -298,7 +301,7 @@ def _open_outputs(run: DraftExperiment) -> Iterator[str]:
         asked = not certain and match in first
         if match.column is None and match.similar is None and not asked:
             variable = match.variable
-            why = said(variable, "no column is like it")
+            why = said(variable, "no column matches it")
             yield f'# {dotted("outputs", variable.name)} = "COLUMN"{why}'
 
 

@@ -44,7 +44,7 @@ def effects(subject: CheckSubject) -> list[CheckFinding]:
     if not unknowns:
         return []
     if not subject.repeats:
-        said = "not moved: one simulation after the other differs, whatever is moved"
+        said = "not tested: simulations differ even with the same parameters"
         return [not_done("parameters", said)]
     points = np.array([_moved(subject, column, CHANGE) for column, _ in unknowns])
     probe = MovementProbe(*subject.probe_arguments, points, max(subject.budget.left / 2.0, 0.1))
@@ -67,8 +67,8 @@ def effects(subject: CheckSubject) -> list[CheckFinding]:
     alive = {name: size for name, size in sizes.items() if size >= ROUNDING_OF_OUTPUTS}
     if alive:
         least, most = min(alive, key=alive.__getitem__), max(alive, key=alive.__getitem__)
-        said = f"{len(alive)} of {len(names)} act on the outputs: moved by 1 % of its size, "
-        said += f"{most} changes them by {alive[most]:.2g} of theirs"
+        said = f"{len(alive)} of {len(names)} affect the outputs: for a change of 1 % of its size, "
+        said += f"{most} changes them by {alive[most]:.2g} of their size"
         said += f", {least} by {alive[least]:.2g}" if least != most else ""
         lines.append(passed("parameters", said))
         lines += _steps(subject, unknowns[names.index(most)][0])
@@ -118,7 +118,7 @@ def _moved(subject: CheckSubject, column: int, share: float) -> FloatArray:
 def _dead(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
     said = "is dead: the outputs do not depend on it at the start"
     if subject.declared:
-        do = "fixed = true, or remove it, or measure what it acts on"
+        do = "fixed = true, or remove it, or measure an output that it affects"
         return [
             fault(f"parameter {name}", said, f"{dotted('parameters', name)}.{do}") for name in names
         ]
@@ -126,9 +126,9 @@ def _dead(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
         return []
     given = {each.variable for each in subject.problem.experiments[subject.experiment].inputs}
     open_ = [v.name for v in subject.description.inputs() if v.name not in given]
-    do = "they may act once the inputs are driven, as a config's data do"
+    do = "they may have an effect with data for the inputs, as in a config"
     if not open_:
-        do = "what the FMU shows in its default experiment does not determine them"
+        do = "the default experiment of the FMU does not determine them"
     said = f"the outputs do not depend on {listed(names)} at the start values"
     said += f", with nothing at the inputs {listed(open_)}" if open_ else ""
     return [note("dead parameters", said, do)]
@@ -152,15 +152,18 @@ def _waiting(names: list[str], subject: CheckSubject) -> list[CheckFinding]:
 
 def _faint(name: str, size: float) -> CheckFinding:
     if size == UNKNOWN_EFFECT:
-        said = "does not act in one experiment, and there was no time to try all others"
+        said = "has no effect in one experiment, and there was no time to try the others"
         return not_done(f"parameter {name}", said, "give it more time with --seconds")
-    said = f"hardly acts: moved by 1 % of its size it changes the outputs by {size:.2g} of theirs"
+    said = (
+        f"has hardly any effect: a change of 1 % of its size changes the outputs by {size:.2g} "
+        "of their size"
+    )
     return note(f"parameter {name}", said, f"another {dotted('parameters', name)}.start, or fix it")
 
 
 def _failed(name: str, said: str) -> CheckFinding:
     do = f"another {dotted('parameters', name)}.start or narrower bounds"
-    return note(f"parameter {name}", f"moved by 1 % of its size: {said}", do)
+    return note(f"parameter {name}", f"changed by 1 % of its size: {said}", do)
 
 
 def _steps(subject: CheckSubject, column: int) -> list[CheckFinding]:
@@ -180,9 +183,11 @@ def _steps(subject: CheckSubject, column: int) -> list[CheckFinding]:
     least = min(good, default=TRIED_DIFFERENCE_STEPS[0])
     usual = math.sqrt(relative_noise(subject.problem.model.solver))
     if least <= max(usual, TRIED_DIFFERENCE_STEPS[-1]):
-        said = f"slopes hold down to relative steps of {least:.0e}; a fit takes {usual:.0e}"
+        said = f"slopes are reliable down to relative steps of {least:.0e}; a fit uses {usual:.0e}"
         return [passed("differences", said)]
-    said = f"slopes by {subject.space.unknowns[column].label} hold down to relative steps of "
+    said = (
+        f"slopes by {subject.space.unknowns[column].label} are reliable down to relative steps of "
+    )
     do = f"method.options.relative_step = {10.0 * least:.0e}, or a tighter model.rtol"
     return [note("differences", f"{said}{least:.0e} only", do)]
 
@@ -237,7 +242,7 @@ def corners(subject: CheckSubject) -> list[CheckFinding]:
         note(
             "bounds",
             f"with all parameters at their {name} bounds: {each}",
-            "narrower bounds; a search steps back from such points, but they cost it time",
+            "narrower bounds; a search steps back from such points, but they take time",
         )
         for (name, _), each in zip(named, found, strict=False)
         if isinstance(each, str)

@@ -91,7 +91,7 @@ def later(subject: CheckSubject, earlier: EarlierSimulation) -> list[CheckFindin
     begun, first = earlier
     wait = max(begun + reset_policy.LATER_SECONDS - time.monotonic(), 0.0)
     if wait > subject.budget.left:
-        said = "not tried a second later: there was no time left for it"
+        said = "not repeated a second later: there was no time left"
         return [not_done("later", said, "more time with --seconds")]
     time.sleep(wait)
     found = subject.ask(RepeatProbe(subject.experiment, subject.start, ()), 1)
@@ -118,7 +118,10 @@ def _not_repeatable(
     )
     if len(differing) < len(names):
         they = "it counts" if len(differing) == 1 else "they count"
-        do = f"leave out what is not measured (perhaps {they} processor time); else {do}"
+        do = (
+            f"leave out outputs that are not measured (perhaps {they} processor time); otherwise "
+            f"{do}"
+        )
     return fault("repeatable", said, do)
 
 
@@ -127,11 +130,13 @@ def _reset(subject: CheckSubject, found: RepetitionResult, crash: str) -> CheckF
         return passed("reset", "a reset instance gives the same bits as a fresh one")
     how = f"a simulation after a reset fails{f': {crash}' if crash else ''}"
     if found.reset is not None:
-        how = f"a reset instance is {found.reset:.2g} of the outputs' size away from a fresh one"
+        how = (
+            f"a reset instance is {found.reset:.2g} of the outputs' size different from a fresh one"
+        )
     if found.instance == 0.0:
-        do = 'model.reset = "auto" takes care of it, with a new instance for each simulation'
+        do = 'model.reset = "auto" handles this, with a new instance for each simulation'
         return _reset_advice(subject, "instance", how, do)
-    do = 'model.reset = "auto" takes care of it, with a new process for each simulation'
+    do = 'model.reset = "auto" handles this, with a new process for each simulation'
     if subject.in_process:
         do = 'executor.name = "processes", for a new process for each simulation'
         return fault("reset", how, do)
@@ -156,8 +161,8 @@ def _leftovers(subject: CheckSubject) -> list[CheckFinding]:
     return [
         note(
             "values",
-            "values that were set survive a reset; this does no harm where each simulation sets "
-            "them again, as in a fit",
+            "values that were set survive a reset; this is harmless if each simulation sets them "
+            "again, as in a fit",
             "if experiments differ in the keys of their values, give all the same keys, or set "
             'model.reset = "instance"',
         )
@@ -173,11 +178,11 @@ def stop_time(subject: CheckSubject) -> CheckFinding:
     if without:
         said = "it starts without one" + ("" if told else ", and not with one")
         return passed("stop time", said)
-    said = "it can only be initialised with one, which it is told"
+    said = "it can only be initialised with a stop time, which is passed to it"
     if subject.problem.model.stop_time:
         return passed("stop time", said)
     said += " after a first initialisation that fails"
-    do = "model.stop_time = true in a config, for no such failure"
+    do = "set model.stop_time = true in a config to avoid this failure"
     return note("stop time", said, do)
 
 
@@ -213,7 +218,7 @@ def _side_by_side(subject: CheckSubject, count: int) -> CheckFinding:
     if isinstance(found, NoAnswer) and found.crashed:
         return _one_only(subject, f"{can_be}, but with two of them {found.message}")
     if found is False:
-        can_be += ", two of which do not disturb each other"
+        can_be += ", and two of them do not disturb each other"
     return passed("instances", can_be)
 
 
@@ -290,7 +295,7 @@ def refused_parameters(names: Sequence[str]) -> CheckFinding:
         "parameters",
         f"{listed(names)}: the FMU refuses to be given a value, though its modelDescription.xml "
         "lists a parameter that can be set; checked without",
-        "do not estimate it, or ask whoever exported the FMU",
+        "do not estimate it, or ask the exporter of the FMU",
     )
 
 

@@ -85,7 +85,7 @@ def accuracy(subject: CheckSubject) -> list[CheckFinding]:
         subject.problem.model.interface == "co_simulation"
         and not subject.description.variable_steps
     ):
-        said = "its communication step is fixed, so that it cannot be halved to compare"
+        said = "its communication step is fixed, so it cannot be halved for a comparison"
         return [not_done("accuracy", said)]
     solver = subject.problem.model.solver
     other, how, key = _finer(subject, solver)
@@ -115,8 +115,10 @@ def _judged(subject: CheckSubject, found: FloatArray, how: str, key: str) -> lis
         lines.append(fine if good else CheckFinding(verdict, "accuracy", said, do))
     name, far = max(others, key=_far, default=("", 0.0))
     if not far < GOOD_RELATIVE_CHANGE:
-        said = f"with {how} {name}, which is no continuous output, changes by {far:.2g} of its size"
-        do = f"nothing, if it counts steps or calls; else {key}"
+        said = (
+            f"with {how} {name}, which is not a continuous output, changes by {far:.2g} of its size"
+        )
+        do = f"nothing if it counts steps or calls; otherwise {key}"
         lines.append(note("accuracy", said, do))
     return lines or [passed("accuracy", f"with {how} no output changes")]
 
@@ -194,9 +196,9 @@ def derivatives(subject: CheckSubject) -> list[CheckFinding]:
     found = subject.ask(DirectionalProbe(subject.experiment, subject.start), 1)
     if isinstance(found, NoAnswer):
         return [unanswered(check, found)]
-    do = "let no fit rely on them; export it again without, or tell its maker"
+    do = "do not use them in a fit; export it again without them, or report this to its exporter"
     if found.zero:
-        said = "directional derivatives are offered, but all are silently 0"
+        said = "directional derivatives are declared, but all of them are 0"
         return [note(check, said, do)]
     if not found.error <= MAX_JACOBIAN_ERROR:  # NaN is no agreement
         said = f"directional derivatives differ from the model's slopes by {found.error:.2g}"

@@ -199,7 +199,7 @@ def unanswered(check: str, stopped: NoAnswer) -> CheckFinding:
     if stopped.late:
         more = "give it more time with --seconds"
         return not_done(check, f"too little time: {stopped.message}", more)
-    return note(check, f"could not be found out: {stopped.message}")
+    return note(check, f"could not be determined: {stopped.message}")
 
 
 MOST_CHECKED_PARAMETERS, MOST_CHECKED_OUTPUTS = 12, 50

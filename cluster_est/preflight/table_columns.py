@@ -128,7 +128,7 @@ def read_columns(path: Path, time_column: str = "", reading: Reading | None = No
     if not columns:
         raise DataError(
             f"init: {path} must have columns of numbers but has none{_why_none(others)}; check "
-            "what separates its columns, and that its first row holds their names"
+            "the separator of its columns, and that its first row has their names"
         )
     rising = [] if found is not None else [c.name for c in columns if c.increases]
     return TableColumns(
@@ -156,7 +156,7 @@ def _notes_on_times(found: FoundTime) -> Iterator[str]:
         more = f" (and {len(gaps) - 1} more gaps)" if len(gaps) > 1 else ""
         yield (
             f"no rows between {first:.10g} and {last:.10g} of {found.column.name!r}{more}; gaps = "
-            '"split" or "bridge" in the experiment says what becomes of what is behind'
+            '"split" or "bridge" in the experiment says how to treat the part after it'
         )
 
 

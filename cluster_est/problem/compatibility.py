@@ -54,13 +54,13 @@ def check_observed_outputs(problem: Problem) -> None:
             where = f"experiment {experiment.id!r}: output {output.variable}"
             if not isinstance(problem.cost, SumSquared):
                 raise ProblemError(
-                    f"{where}: must go with the cost sse where it has {NOT_PLAIN}, but the cost is "
-                    f"{problem.cost.name}; change one of the two"
+                    f"{where}: must be used with the cost sse if it has {NOT_PLAIN}, but the cost "
+                    f"is {problem.cost.name}; change one of the two"
                 )
             if output.detection_limit is not None and not output.has_sigma:
                 raise ProblemError(
-                    f"{where}: must have a sigma where it has a detection_limit, for how likely a "
-                    "value below it is depends on the noise, but has none; add it"
+                    f"{where}: must have a sigma with a detection_limit, because the probability "
+                    "of a value below the limit depends on the noise, but has none; add it"
                 )
             if output.ordinal and experiment.role == "train":
                 _check_categories(output, where)
@@ -76,8 +76,8 @@ def refuse_ordinal_outputs(space: SearchSpace, key: str, why: str) -> None:
     """
     if space.has_ordinal_values:
         raise ProblemError(
-            f"{key}: must go with outputs whose noise is known, but an output is ordinal, of which "
-            f"the order of the values is known alone; {why}"
+            f"{key}: must be used with outputs whose noise is known, but an output is ordinal, so "
+            f"only the order of its values is known; {why}"
         )
 
 
@@ -86,8 +86,8 @@ def _check_categories(output: Output, where: str) -> None:
     count = len(np.unique(output.values))
     if len(output.times) and count < 2:
         raise ProblemError(
-            f"{where}: must have at least two different values where it is ordinal, for an order "
-            f"is one between them, but all {len(output.values)} are {output.values[0]:g}; use more "
+            f"{where}: must have at least two different values if it is ordinal, because only "
+            f"their order counts, but all {len(output.values)} are {output.values[0]:g}; use more "
             "of the record, or leave the output out"
         )
 
@@ -109,9 +109,9 @@ def check_priors(problem: Problem) -> None:
         return
     if not isinstance(problem.cost, SumSquared):
         raise ProblemError(
-            f'{dotted("parameters", name)}.prior: must go with the cost "sse", in which it counts '
-            "like a "
-            f"measurement, but cost.name is {problem.cost.name!r}; change one of the two"
+            f'{dotted("parameters", name)}.prior: must be used with the cost "sse", in which it '
+            f"counts like a measurement, but cost.name is {problem.cost.name!r}; change one of "
+            "the two"
         )
     refuse_distances(problem, f"{dotted('parameters', name)}.prior")
     need_sigmas(
@@ -142,8 +142,8 @@ def refuse_distances(problem: Problem, where: str) -> None:
         ):
             if there:
                 raise ProblemError(
-                    f"{where}: must go with outputs measured over time, each with its sigma, but "
-                    f"experiment {experiment.id!r} has {key}; remove one of the two"
+                    f"{where}: must be used with outputs measured over time, each with its sigma, "
+                    f"but experiment {experiment.id!r} has {key}; remove one of the two"
                 )
 
 
@@ -168,10 +168,9 @@ def need_sigmas(problem: Problem, why: str) -> None:
         for output in experiment.outputs:
             if len(output.times) and not output.has_sigma:
                 raise ProblemError(
-                    f"experiment {experiment.id!r}: {dotted('sigma', output.variable)} is missing; "
-                    f"{why}; "
-                    "give every output its own, and write 1.000001 where it is 1, which stands "
-                    "for none"
+                    f"experiment {experiment.id!r}: {dotted('sigma', output.variable)} is "
+                    f"missing; {why}; give every output its own, and write 1.000001 instead of 1, "
+                    "which stands for no sigma"
                 )
 
 

@@ -126,7 +126,7 @@ def make_effect(declared: DeclaredEffect) -> MadeEffect:
         has = "both" if declared.form else "neither"
         raise ConfigError(f"{where}: must have either form or equation but has {has}")
     if not name:
-        raise ConfigError("effects: one with an equation must have a name; add name")
+        raise ConfigError("effects: an effect with an equation must have a name; add name")
     given = declared.coefficients
     own = tuple((n, c.neutral) for n, c in given.items()) if declared.equation else ()
     effect = Effect(
@@ -187,13 +187,13 @@ def _start(
     if start is None or not math.isfinite(start):
         raise ConfigError(
             f"{where}: parameters.{coefficient.name}.start is missing; {coefficient.name} of "
-            f"{declared.form or 'an own equation'} has no value to start from by itself"
+            f"{declared.form or 'an own equation'} has no default start"
         )
     if singular and start == 0.0 and not (chosen.fixed and coefficient.neutral == 0.0):
         raise ConfigError(
             f"{where}: parameters.{coefficient.name}.start: must not be 0, because "
             f"{declared.form} divides by {coefficient.name}, but is 0; give a value of the "
-            "size that you expect"
+            "expected size"
         )
     return start
 

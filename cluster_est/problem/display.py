@@ -98,8 +98,8 @@ def _text(value: str | float) -> str:
 
 
 NO_ALTERNATIVE = (
-    "were the rest of the model exact, there would be very strong evidence against all else that "
-    "was tried"
+    "if the rest of the model were exact, there would be very strong evidence against all other "
+    "candidates"
 )
 """What is said of an effect without alternatives; a criterion takes models for exact."""
 

@@ -48,7 +48,7 @@ class DistributionPrior(Prior):
         if edge or not 0.5 < self._bend(0.1) / self._bend(1.0) < 2.0:
             raise ProblemError(
                 f"prior: must have a density with one smooth mode inside but {self.said()} has "
-                "none; a uniform distribution is what bounds say alone: bounds=(0.1, 10.0)"
+                "none; for a uniform distribution, give bounds alone: bounds=(0.1, 10.0)"
             )
 
     def _log(self, value: float) -> float:

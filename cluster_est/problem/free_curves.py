@@ -138,8 +138,8 @@ class ValueTable:
         smooth = self.shape.slope_change is not None
         if smooth and not (math.isfinite(low) and math.isfinite(high)):
             raise ConfigError(
-                f"{self.where}.bounds: must be finite where slope_change says how smooth it is, "
-                f"but are {[low, high]}; say between which values it lies"
+                f"{self.where}.bounds: must be finite with slope_change, but are {[low, high]}; "
+                "give the range of its values"
             )
 
     def unknowns(self) -> Iterator[TableUnknown]:
@@ -279,15 +279,16 @@ class ShapedCurve:
         if not self.form.free:
             key = next(key for key in vars(UNSHAPED) if self._says(key))
             raise ConfigError(
-                f"{where}.{key}: must go with a free curve, which is a form like table, "
-                f"coulomb_table or characteristic, but the form is {self.form.name!r}; leave it out"
+                f"{where}.{key}: must be used with a free curve, which is a form like table, "
+                f"coulomb_table or characteristic, but the form is {self.form.name!r}; leave it "
+                "out"
             )
         check_table_name(self.name, where, "NAME.k1, NAME.k2, ...")
         if self.form.is_characteristic and self.shape.monotone == "decreasing":
             raise ConfigError(
-                f'{where}.monotone: must be "increasing", because beyond its ends a characteristic '
-                "is the signal itself, but is 'decreasing'; use one that increases, and an effect "
-                "gain that changes the sign"
+                f'{where}.monotone: must be "increasing", because outside its range a '
+                "characteristic is the signal itself, but is 'decreasing'; use an increasing "
+                "one, and an effect gain that changes the sign"
             )
         if self.shape.slope_change is not None:
             self._check_free_of_keys(where)
@@ -299,15 +300,13 @@ class ShapedCurve:
     def _check_free_of_keys(self, where: str) -> None:
         """Refuse keys of what follows from other values, or is held."""
         whys = dict.fromkeys(self.form.curve_values, "the value follows from changes of slope")
-        whys |= dict.fromkeys(
-            CURVE_END_COEFFICIENTS, "changes of slope are counted over fixed points"
-        )
+        whys |= dict.fromkeys(CURVE_END_COEFFICIENTS, "changes of slope refer to fixed points")
         for name, why in whys.items():
             for key in self.chosen.get(name or "", ()):
                 if not (name in CURVE_END_COEFFICIENTS and key == "fixed"):
                     raise ConfigError(
-                        f"{where}.parameters.{name}.{key}: must be left out where there is "
-                        f"slope_change, because {why}; remove one of the two"
+                        f"{where}.parameters.{name}.{key}: must be left out with slope_change, "
+                        f"because {why}; remove one of the two"
                     )
 
     @cached_property

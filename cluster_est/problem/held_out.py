@@ -49,8 +49,8 @@ def hold_out(
     _check_windows(windows, where)
     if experiment.role != "train":
         raise DataError(
-            f'{where}: must be of an experiment that trains but its role is "test", so that all of '
-            "it is held out already; remove one of the two"
+            f'{where}: must belong to a training experiment but its role is "test", so all of it '
+            "is held out already; remove one of the two"
         )
     inside = [within(output.times, windows) for output in experiment.outputs]
     train = replace(experiment, outputs=_kept(experiment.outputs, [~each for each in inside]))

@@ -18,8 +18,8 @@ NEAR_LOWER_BOUND = 1e-6
 """Distance of a strength from its lower bound, over the range of both, that is negligible."""
 FILTERED = (
     "process noise ({names}): errors, curves and residuals are those of predictions from each "
-    "measured time to the next, by an extended Kalman filter, and not of a simulation that goes "
-    "its own way"
+    "measured time to the next, by an extended Kalman filter, and not those of a simulation of "
+    "the whole record"
 )
 
 
@@ -73,8 +73,8 @@ def vanished_noise(
                 found.append(
                     f"{label} ended at its lower end, {values[label]:.3g}: the data are as likely "
                     "without this noise as with a little of it, and the intervals of all other "
-                    "values are right only if there is none; take a profile of it "
-                    "(uncertainty.profiles) or more data"
+                    "values are right only without it; compute a profile of it "
+                    "(uncertainty.profiles) or use more data"
                 )
     return tuple(found)
 
@@ -97,8 +97,8 @@ def refuse_process_noise(problem: Problem, where: str) -> None:
     names = noise_names(problem)
     if names:
         raise ProblemError(
-            f"{where}: cannot be used with process noise, but effect {names[0]!r} is some; leave "
-            "one of the two out"
+            f"{where}: cannot be used with process noise, but effect {names[0]!r} is process "
+            "noise; leave one of the two out"
         )
 
 
@@ -133,8 +133,8 @@ def check_process_noise(problem: Problem) -> None:
     acting = [(effect.site, effect.form) for effect in problem.effects if effect.is_noise]
     if len(set(acting)) < len(acting):
         raise ProblemError(
-            f"{where} must stand once at a site in each form, as only the sum of two could be "
-            "known, but stands there twice; remove one"
+            f"{where} must be used once at a site in each form, because only the sum of two could "
+            "be determined, but is used twice; remove one"
         )
     for experiment in problem.experiments:
         _check_experiment(experiment, where)
@@ -161,6 +161,6 @@ def _check_beside(problem: Problem, where: str) -> None:
         if found.site.kind == "output" or found.form.memory:
             effect = found.effect
             raise ProblemError(
-                f"{where} cannot stand beside effect {effect.name!r} at {effect.site}, which "
+                f"{where} cannot be combined with effect {effect.name!r} at {effect.site}, which "
                 "changes a signal after or before the simulation; leave one of the two out"
             )

@@ -85,8 +85,9 @@ class ThinningSettings(Settings):
 
     rows: Literal["auto", "no"] | Positive = Field(
         "auto",
-        description="that are left of each output of a record while close-loop looks for effects; "
-        f"auto: about {MOST_ROWS} or less of more than {LONG * MOST_ROWS:.0f}; no: all",
+        description="number of rows of each output that close-loop keeps while it looks for "
+        f"effects; auto: about {MOST_ROWS} or less of more than "
+        f"{LONG * MOST_ROWS:.0f}; no: all",
     )
 
     def most(self, *, auto: bool = True) -> int | None:

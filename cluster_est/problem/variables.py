@@ -73,8 +73,8 @@ def check_experiment(
         chosen = dict(model.structure).get(variable.name, variable.start)
         if variable.causality == "structuralParameter" and value != chosen:
             raise ProblemError(
-                f"{where}.values: {variable.name!r} says how large arrays are, so it must be the "
-                "same in all experiments but is not; give it under values of the whole problem"
+                f"{where}.values: {variable.name!r} is the size of arrays, so it must be the same "
+                "in all experiments but is not; give it under values of the whole problem"
             )
     _check_inputs(experiment, description, where)
     for name in experiment.recorded:
@@ -113,7 +113,7 @@ def _check_set_once(
         variable = description.variables.get(name)
         for own in (o for o in (variable.aliases if variable is not None else ()) if o in seen):
             raise ProblemError(
-                f"{place}: {name!r} must be a variable of its own but is another name of {own!r}, "
+                f"{place}: {name!r} must be a different variable but is another name of {own!r}, "
                 f"which {seen[own]} gives; remove one of the two"
             )
         seen[name] = place

@@ -129,8 +129,8 @@ def compare(results: Mapping[str, ResultView] | ResultView, *others: ResultView)
     missing = {name: each.why_not for name, each in found.items() if each.why_not}
     if not missing and len({each.data for each in found.values()}) > 1:
         raise ProblemError(
-            "compare: must be given results of the same measured values but their training "
-            "experiments differ; fit all of them to the same"
+            "compare: must be given fits to the same measured values but their training "
+            "experiments differ; fit all models to the same data"
         )
     notes = [f"no criteria, because of {name}: {reason}" for name, reason in missing.items()]
     aic = np.array([math.nan if missing else each.aic for each in found.values()])
@@ -143,7 +143,8 @@ def compare(results: Mapping[str, ResultView] | ResultView, *others: ResultView)
         error = {k: _number(v) for k, v in (facts.get("rmse_over_sigma") or {}).items()}
         if (facts.get("residuals") or {}).get("too_narrow"):
             notes.append(
-                f"{name}: its residuals are no white noise: AIC and BIC trust the data too much"
+                f"{name}: its residuals are not white noise: AIC and BIC overestimate the "
+                "information in the data"
             )
         rows.append(
             ComparedModel(

@@ -163,9 +163,10 @@ def _not_repeated(space: SearchSpace, solution: Solution, after: list[Simulation
     if not change > SAME_SIMULATION * size:
         return ""
     return (
-        f"simulated once more with the same values, the outputs differ by {change / size:.1g} of "
-        "what was measured: the FMU depends on more than its inputs (its process, a clock), or on "
-        "its parameters so strongly that rounding decides; check it with cluster-est check"
+        "in a repeated simulation with the same values, the outputs differ by "
+        f"{change / size:.1g} of the measured size: the FMU depends on more than its inputs (its "
+        "process, a clock), or so strongly on its parameters that rounding matters; check it "
+        "with cluster-est check"
     )
 
 

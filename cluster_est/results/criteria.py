@@ -131,16 +131,16 @@ def _why_not(problem: Problem, outputs: Iterable[Output]) -> str:
     given = [output.has_sigma for output in outputs]
     sums = isinstance(problem.cost, SumSquared)
     reasons = {
-        f"the cost {problem.cost.name!r} is no likelihood of normal noise": not (
+        f"the cost {problem.cost.name!r} is not a likelihood of normal noise": not (
             sums or isinstance(problem.cost, GaussianLikelihood)
         ),
-        "curves, cost functions and constraints are no measured values": not problem.plain,
-        "priors count besides the measured values": any(p.prior for p in problem.parameters),
-        "process noise makes another likelihood of innovations": bool(noise_names(problem)),
-        "an output has a free scale or offset, a detection limit or an order": any(
+        "curves, cost functions and constraints are not measured values": not problem.plain,
+        "priors count in addition to the measured values": any(p.prior for p in problem.parameters),
+        "process noise has another likelihood, that of innovations": bool(noise_names(problem)),
+        "an output has a free scale or offset, a detection limit or ordinal values": any(
             not output.is_plain for output in outputs
         ),
-        "sigma is given for some outputs alone": sums and any(given) and not all(given),
+        "sigma is given only for some outputs": sums and any(given) and not all(given),
     }
     return next((reason for reason, holds in reasons.items() if holds), "")
 

@@ -63,7 +63,7 @@ def prior_sentences(problem: Problem, estimates: Sequence[Estimate]) -> tuple[st
             where = "above" if residual > 0.0 else "below"
             said.append(
                 f"{each.label} = {each.value:.4g} lies {abs(residual):.2g} standard deviations "
-                f"{where} its prior ({prior.said()}): the measurements say another value"
+                f"{where} its prior ({prior.said()}): the measurements contradict the prior"
             )
     return tuple(said)
 
@@ -178,11 +178,11 @@ def fit_doubts(result: Result) -> tuple[str, ...]:
     if held_out > HELD_OUT * training > 0.0:
         doubts.append(f"its held-out error is {held_out / training:.2g} times that of training")
     if worse_than_constants(result.errors):
-        doubts.append("a constant would follow an output better")
+        doubts.append("a constant would fit an output better")
     if result.record_faults:
         doubts.append("a record looks wrong")
     if result.problem.data_findings:
-        doubts.append("its data have numbers that hardly are measurements")
+        doubts.append("its data have numbers that are probably not measurements")
     return tuple(doubts)
 
 

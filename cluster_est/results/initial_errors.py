@@ -60,8 +60,8 @@ class InitialError:
         several = "experiments begin" if self.count > 1 else "experiment begins"
         where = f"{self.found} of {self.count} {several}"
         return (
-            f"{where} elsewhere than the model: at the first sample {self.output} is up to {size} "
-            f"off, {self.over_noise:.3g} times its noise"
+            f"{where} at another state than the model: at the first sample {self.output} is up to "
+            f"{size} off, {self.over_noise:.3g} times its noise"
         )
 
 
@@ -131,7 +131,7 @@ def free_start_advice(problem: Problem) -> str:
     more = f" and the other {len(states) - len(named)} states" if len(states) > len(named) else ""
     first = named[0]
     return (
-        f"estimate the initial states, {keys}{more}; or give those that were measured, "
+        f"estimate the initial states, {keys}{more}; or give the measured ones, "
         f"{dotted('values', first)} = NUMBER"
     )
 

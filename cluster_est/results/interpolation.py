@@ -94,13 +94,13 @@ class PreferredInterpolation:
     def sentence(self) -> str:
         """What the measurements say, and what to set."""
         held = self.preferred == "hold"
-        how = "to be held between its samples" if held else "to be joined by straight lines"
+        how = "to be held between its samples" if held else "to be interpolated by straight lines"
         after = "" if np.isnan(self.time) else f" after the jump at {self.time:.6g} s"
         return (
-            f"the measurements prefer input {self.variable} {how}: the squares of what is left "
-            f"fall by {100.0 * self.fall:.2g} %, most of it in experiment "
-            f"{self.experiment}{after} ({self.share:.2f} +- {self.error:.2g} of the difference, "
-            f"where the fit has 0 and the other 1); set {self.key} and fit again"
+            f"the measurements prefer input {self.variable} {how}: the sum of squares falls by "
+            f"{100.0 * self.fall:.2g} %, most of it in experiment {self.experiment}{after} "
+            f"({self.share:.2f} +- {self.error:.2g} of the difference, where the fit has 0 and "
+            f"the other 1); set {self.key} and fit again"
         )
 
 

@@ -121,12 +121,12 @@ def observation_notes(problem: Problem, simulations: Sequence[Simulation]) -> tu
         if turned:
             notes.append(
                 f"the best scale of {name} is negative in {', '.join(turned[:3])}: the signal is "
-                "turned round; check the sign of the column"
+                "inverted; check the sign of the column"
             )
     for name, (hidden, count) in _hidden(problem).items():
         notes.append(
-            f"{hidden} of {count} values of {name} are at or below its detection limit and say no "
-            "more than that; residuals are not tested for what the model lacks"
+            f"{hidden} of {count} values of {name} are at or below its detection limit and count "
+            "as not detected; residuals are not tested for missing effects"
         )
     return (*notes, *_order_notes(problem, simulations))
 
@@ -167,8 +167,9 @@ def _order_notes(problem: Problem, simulations: Sequence[Simulation]) -> list[st
             ordered[output.variable, experiment.role] = before[0] + right, before[1] + pairs
     roles = {"train": "training", "test": "held-out"}
     return [
-        f"{name} is compared by the order of its values alone: of the pairs of {roles[role]} "
-        f"values that differ, {right / pairs:.3%} are simulated in their order (categories.parquet)"
+        f"{name} is compared only by the order of its values: of the pairs of {roles[role]} "
+        f"values that differ, {right / pairs:.3%} are simulated in their order "
+        "(categories.parquet)"
         for (name, role), (right, pairs) in ordered.items()
         if pairs
     ]

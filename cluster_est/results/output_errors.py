@@ -213,7 +213,7 @@ def worse_than_constants(errors: Sequence[OutputError]) -> list[str]:
             known = worst.setdefault(each.output, each)
             worst[each.output] = max(known, each, key=lambda e: e.relative_after)
     return [
-        f"a constant would follow {name} better than the fitted model does: its error in "
+        f"a constant would fit {name} better than the fitted model: its error in "
         f"{each.experiment} is {each.relative_after:.3g} times the measured standard deviation; "
         "check columns and units"
         for name, each in worst.items()

@@ -93,7 +93,7 @@ def plot_profile(view: ResultView, label: str, ax: Axes | None) -> Axes:
     labels = list(dict.fromkeys(row["label"] for row in rows))
     if label not in labels:
         asked = f"{nearest(label, labels)}" if labels else (
-            f'; ask for it: fit(..., uncertainty={{"profiles": ["{label}"]}})'
+            f'; request it: fit(..., uncertainty={{"profiles": ["{label}"]}})'
         )  # fmt: skip
         raise ProblemError(f"plot_profile: there is no profile of {label!r}{asked}")
     ax = new_axes(ax)

@@ -88,10 +88,11 @@ class ShootingSummary:
         if self.continuity_p > SURPRISING:
             return ()
         return (
-            f"while segments need not follow each other their cost is {self.free_cost:.4g}, as one "
-            f"trajectory {self.cost:.4g}: more than noise explains (p = {self.continuity_p:.1g}). "
-            "The search has ended at a wrong point (try other starts or shorter segments), the "
-            "model lacks something, or something unmeasured pushes it (process noise)",
+            f"the cost of free segments is {self.free_cost:.4g}, that of one trajectory "
+            f"{self.cost:.4g}: the difference is more than noise explains (p = "
+            f"{self.continuity_p:.1g}). The search has ended at a wrong point (try other starts "
+            "or shorter segments), the model lacks something, or an unmeasured disturbance acts "
+            "on it (process noise)",
         )
 
     @property
@@ -108,13 +109,13 @@ class ShootingSummary:
     def _ended(self) -> tuple[str, ...]:
         if self.reason:
             return (
-                f"multiple shooting on {self.segments} segments led nowhere ({self.reason}); the "
-                "fit began at the declared start",
+                f"multiple shooting on {self.segments} segments failed ({self.reason}); the fit "
+                "began at the declared start",
             )
         if self.joined:
             return (
-                f"the fit began at what multiple shooting found on {self.segments} segments, whose "
-                f"cost was {self.cost:.6g}",
+                f"the fit began at the result of multiple shooting with {self.segments} segments, "
+                f"whose cost was {self.cost:.6g}",
             )
         return (
             f"estimates, errors and curves are those of {self.segments} segments, each begun at "
@@ -123,7 +124,7 @@ class ShootingSummary:
             "piece",
             self._whole,
             *(
-                f"{name} was asked for and left out, because it simulates whole records"
+                f"{name} was requested but left out, because it simulates whole records"
                 for name in self.left_out
             ),
         )
@@ -137,11 +138,11 @@ class ShootingSummary:
             return "a training record cannot be simulated in one piece: the model is unstable"
         if self.promised < 1.0:
             return (
-                "in one piece, records would promise standard errors down to "
-                f"{self.promised:.2g} of those of the segments, as where a model is chaotic: that "
-                "is the width of one minimum among very many, so it is not believed"
+                f"in one piece, records would give standard errors down to {self.promised:.2g} of "
+                "those of the segments, as for a chaotic model: that is the width of one minimum "
+                "among very many, so it is not used"
             )
         return (
             f"in one piece, from its start, the cost is {self.whole_cost:.3g} instead of "
-            f"{self.cost:.3g}, as where a model is chaotic or unstable"
+            f"{self.cost:.3g}, as for a chaotic or unstable model"
         )

@@ -90,11 +90,13 @@ class RunContext:
         self._logged = LoggedOutcomes(self.out / "evaluations")
         self.earlier = EarlierRun(self._logged, recorded(read_facts(self.out)))
         count = len(self._logged)
-        self._say(f"{self.out} is resumed; {count} simulations stand in its log")
+        self._say(f"{self.out} is resumed; {count} simulations are in its log")
         if self._logged.damaged:
             lost = self._logged.lost
             what = f"{lost} others that it had are" if lost else "a part of it is"
-            self._say(f"the log was damaged: {what} not as written, and what is lost is done again")
+            self._say(
+                f"the log was damaged: {what} not as written, and the lost simulations are repeated"
+            )
 
     def begin(self) -> RunFolder:
         """Open the folder, if it is not open yet."""
@@ -125,9 +127,9 @@ class RunContext:
         """Write all tables, and return how the run stands."""
         if self._logged is not None and self._logged.differing:
             self._say(
-                f"{self._logged.differing} of the simulations that were done again gave other "
-                "residuals than those whose hashes the log has: the FMU or the machine does not "
-                "repeat them bit for bit, and the result may not be that of an uninterrupted run"
+                f"{self._logged.differing} of the repeated simulations gave residuals that differ "
+                "from their hashes in the log: the FMU or the machine does not repeat them bit "
+                "for bit, and the result may differ from that of an uninterrupted run"
             )
         return self.begin().write(result)
 

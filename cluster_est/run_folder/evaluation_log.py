@@ -307,8 +307,8 @@ class EvaluationLog:
                     self._is_full = True
                     self._say(
                         f"the log has reached {self._settings.max_megabytes:g} MB "
-                        "(log.max_megabytes): residuals and trajectories leave it from now on, "
-                        "the oldest first; a run that is resumed simulates those again"
+                        "(log.max_megabytes): from now on, residuals and trajectories are "
+                        "removed, the oldest first; a resumed run repeats these simulations"
                     )
                 total -= path.stat().st_size
                 if not self._slim_one(path):

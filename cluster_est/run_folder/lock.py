@@ -43,8 +43,8 @@ def lock(folder: Path, name: str = LOCK) -> BaseFileLock | None:
         held.acquire()
     except Timeout:
         raise RunFolderError(
-            f"{folder}: another process is at work here ({_named(folder / OWNER)}); wait for it or "
-            "end it"
+            f"{folder}: another process is running here ({_named(folder / OWNER)}); wait for it "
+            "or end it"
         ) from None
     except OSError:
         return None
@@ -115,7 +115,7 @@ def locked_by_sweep(folder: Path) -> Iterator[None]:
         held = lock(folder, SWEEP_LOCK)
     except RunFolderError:
         raise RunFolderError(
-            f"{folder}: another sweep is at work here ({_named(owner)}); wait for it or end it"
+            f"{folder}: another sweep is running here ({_named(owner)}); wait for it or end it"
         ) from None
     try:
         _own(owner, certain=held is not None)
@@ -141,7 +141,7 @@ def _own(owner: Path, *, certain: bool) -> None:
         except FileExistsError:
             if not certain or _read(owner).get("host") != here["host"]:
                 raise RunFolderError(
-                    f"{owner.parent}: another sweep is at work here ({_named(owner)}); wait for "
+                    f"{owner.parent}: another sweep is running here ({_named(owner)}); wait for "
                     f"it, or remove {owner} if that process is gone"
                 ) from None
             owner.write_text(json.dumps(here), encoding="utf-8")

@@ -301,7 +301,7 @@ def read_log(folder: Path, *, ended: bool = False) -> pa.Table:
         reader.check(path, ended=ended)
         batches += [batch for _, batch in found]
         if reader.torn:
-            warnings.warn(f"{path}: its torn end was dropped", stacklevel=2)
+            warnings.warn(f"{path}: its incomplete end was removed", stacklevel=2)
     if not batches:
         return pa.Table.from_batches([], schema=SCHEMA)
     return pa.Table.from_batches(batches)

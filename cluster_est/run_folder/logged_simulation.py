@@ -261,8 +261,8 @@ def _effects(problem: Problem, logged: LoggedSimulation, where: str) -> tuple[Ef
     for name in logged.effects:
         if name not in known:
             raise RunFolderError(
-                f"{where}: must have no effects but those of the config to be replayed but has "
-                f"{name!r}, which a closed loop tried; add it to the config and fit or check that"
+                f"{where}: must have only effects of the config to be replayed but has {name!r}, "
+                "which a closed loop tried; add it to the config and run fit or check"
             )
     return tuple(known[name] for name in logged.effects)
 
@@ -296,7 +296,7 @@ def comparison(logged: LoggedSimulation, outcome: Outcome) -> str:
             )
         if logged.failed is outcome.failed:
             same = (logged.status, logged.message) == (outcome.status, outcome.message)
-            return "it failed as it did then" if same else "it failed then too, but otherwise"
+            return "it failed as it did then" if same else "it failed then too, but in another way"
         return "it failed then and does not now" if logged.failed else "it did not fail then"
     now = outcome.residuals
     known = logged.residuals_hash or residuals_hash(logged.residuals)

@@ -67,7 +67,7 @@ def check_resumable(out: Path, identity: RunIdentity) -> bool:
     if different:
         raise RunFolderError(
             f"{out}: must hold a run of the same problem to be resumed, but {different}; choose "
-            "another --out, or begin anew with --overwrite"
+            "another --out, or begin again with --overwrite"
         )
     return True
 
@@ -80,11 +80,11 @@ def _difference(out: Path, facts: dict[str, Any], identity: RunIdentity) -> str:
     if facts.get("config_hash") != identity.config_hash:
         return _different_key(out, identity)
     if facts.get("fmu", {}).get("sha256") != problem.model.archive_hash:
-        return f"{problem.model.name} was another FMU then, of the same name"
+        return f"{problem.model.name} was a different FMU with the same name"
     known = facts.get("experiments", {})
     for experiment in problem.experiments:
         if known.get(experiment.id) != experiment.key:
-            return f"the data of experiment {experiment.id!r} were others then"
+            return f"the data of experiment {experiment.id!r} were different"
     return _different_version(facts.get("versions", {}))
 
 

@@ -282,7 +282,7 @@ def check_free(path: Path, *, overwrite: bool) -> None:
     if not overwrite:
         how = "choose another --out, or replace it with --overwrite"
         if may_be_resumed(path):
-            how = f"take it up where it ended with --resume, {how}"
+            how = f"continue it with --resume, {how}"
         raise RunFolderError(f"{path}: holds a run already; {how}")
 
 

@@ -125,15 +125,15 @@ def check_method(method: Method, space: SearchSpace) -> None:
     """
     if space.size == 0:
         raise ProblemError(
-            "parameters: at least one must be free to be estimated from the training experiments, "
-            "but all are fixed or known; to simulate only, use: cluster-est simulate"
+            "parameters: at least one must be free to be estimated from the training "
+            "experiments, but all are fixed or known; to simulate only, use: cluster-est simulate"
         )
     cost = space.problem.cost
     probe = np.ones(len(space.outputs))
     if method.needs_residuals and cost.weights(probe, space.outputs) is None:
         raise ProblemError(
             f"method.name: {method.name} needs residuals whose squares can be weighted, but "
-            f"cost.name is {cost.name!r}; choose another of the two, such as the methods sqp or "
+            f"cost.name is {cost.name!r}; change one of the two, for example to the method sqp or "
             "pattern_search"
         )
     if space.constraint_names and not method.keeps_constraints:

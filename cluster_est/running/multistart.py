@@ -132,35 +132,38 @@ class Multistart(Settings):
     section: ClassVar[str] = "multistart"
 
     n: Positive = Field(
-        1, description="starts: the parameters' own first, then points, then samples of the bounds"
+        1,
+        description="number of starts: first the start values of the parameters, then points, then "
+        "samples within the bounds",
     )
     sampler: Sampler = Field(
         "sobol",
-        description="how the others are spread over the bounds: evenly by sobol and "
-        "latin_hypercube, at random by uniform",
+        description="how starts are sampled within the bounds: sobol and latin_hypercube sample "
+        "evenly, uniform at random",
     )
     points: Annotated[tuple[dict[str, Finite], ...], Strict(False)] = Field(
         (),
-        description="starts of your own: [{ parameter = value }, ...]; what is not named keeps its "
-        "own start",
+        description="additional starts: [{ parameter = value }, ...]; parameters that are not "
+        "named keep their start values",
     )
     screen: Positive = Field(
-        1, description="points looked at for each start; the best ones are started from"
+        1, description="points evaluated for each start; the best ones become starts"
     )
     at_once: Positive = Field(
         16,
-        description="starts under way at the same time, whatever the number of workers; fewer "
-        "where a budget is too short for all",
+        description="starts that run at the same time, for any number of workers; fewer if a "
+        "budget is too small for all",
     )
     patience: Count = Field(
-        0, description="stop after so many starts in a row without a new minimum; 0: never"
+        0, description="stop after this number of starts in a row without a new minimum; 0: never"
     )
     same: Finite = Field(
         1e-3,
         gt=0.0,
-        description="part of the range of each unknown up to which two minima are the same",
+        description="two minima count as the same if they differ by less than this part of the "
+        "range in each unknown",
     )
-    seed: Count = Field(0, description="of the sampler")
+    seed: Count = Field(0, description="seed of the sampler")
 
     @property
     def searches(self) -> int:

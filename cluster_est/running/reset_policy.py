@@ -173,8 +173,8 @@ def open_with_reset(
         if disturbs and resources.workers is not None:
             raise UnsuitableExecutorError(
                 f"executor.workers: two instances of {problem.model.name} in one process must not "
-                f"disturb each other to be run by {pool.workers} workers in this process, but they "
-                f'{disturbs}; choose executor.name = "processes" or "ray", or set '
+                f"disturb each other to be run by {pool.workers} workers in this process, but "
+                f'they {disturbs}; choose executor.name = "processes" or "ray", or set '
                 "executor.workers = 1"
             )
     except BaseException:
@@ -214,16 +214,16 @@ def _open(
             )
         if policy == "process" and pool.in_process:
             raise UnsuitableExecutorError(
-                'model.reset: "process" needs workers that are processes of their own but '
-                f'executor.name is "{kind}"; choose "processes" or "ray" there'
+                'model.reset: "process" needs workers in separate processes but executor.name is '
+                f'"{kind}"; choose "processes" or "ray" there'
             )
         return pool.open(model, problem.experiments, count, resources.address, limits)
 
     if problem.model.working_folder and executor_class(resources.executor).in_process:
         raise UnsuitableExecutorError(
-            "model.working_folder: needs workers that are processes of their own, because a "
-            f'process has one working folder, but executor.name is "{resources.executor}"; choose '
-            '"processes" or "ray" there'
+            "model.working_folder: needs workers in separate processes, because a process has "
+            f'one working folder, but executor.name is "{resources.executor}"; choose "processes" '
+            'or "ray" there'
         )
     declared = problem.model.reset
     if known is None and declared != "auto":
@@ -237,8 +237,8 @@ def _open(
 
 
 _UNKNOWN = (
-    "each simulation begins with a reset, but it could not be tried whether a reset instance is as "
-    "good as a new one, because a simulation at the start values gave no result"
+    "each simulation begins with a reset, but the reset could not be tested, because a "
+    "simulation at the start values gave no result"
 )
 
 
@@ -332,8 +332,8 @@ def _compared(
         return decision
     return ResetDecision(
         decision.policy,
-        f"{problem.model.name} does not repeat itself: the same simulation gives another result in "
-        "another process, later, or after others, and so may this run; check it with "
+        f"{problem.model.name} is not repeatable: the same simulation gives another result in "
+        "another process, later, or after other simulations, and so may this run; check it with "
         "cluster-est check",
     )
 
@@ -358,8 +358,8 @@ def _never_the_same(file: str, answers: Mapping[ResetPolicy, RepeatabilityAnswer
     """Return the least policy that does not crash, for an FMU that does not repeat itself."""
     safe = [policy for policy, answer in answers.items() if not answer.crashed]
     said = (
-        f"{file} does not repeat itself: the same simulation gives other results each time, even "
-        f"in a new {'process' if 'process' in answers else 'instance'}, and so may this run"
+        f"{file} is not repeatable: the same simulation gives other results each time, even in a "
+        f"new {'process' if 'process' in answers else 'instance'}, and so may this run"
     )
     return ResetDecision(safe[0] if safe else "reset", said)
 
@@ -371,14 +371,15 @@ def _refuse_here(
     if answer.same is None and answer.crashed:
         raise UnsuitableExecutorError(
             f"executor.name: {file} must survive its first simulation to be run in this process, "
-            f'but it does not ({answer.message}); choose "processes" or "ray", where only the '
+            f'but it does not ({answer.message}); choose "processes" or "ray", where only '
             "simulations that crash are lost"
         )
     if policy == "process":
         raise UnsuitableExecutorError(
-            f"executor.name: {file} keeps something from one simulation to the next, even in "
-            f'a new instance, so each needs a process of its own, but "{executor}" has one for '
-            'all; choose "processes" or "ray", or set model.reset = "reset" if that does not matter'
+            f"executor.name: {file} keeps data from one simulation to the next, even in a new "
+            f'instance, so each simulation needs a separate process, but "{executor}" has one for '
+            'all; choose "processes" or "ray", or set model.reset = "reset" if that does not '
+            "matter"
         )
 
 

@@ -26,10 +26,12 @@ class Budget(Settings):
     evaluations: Count | None = Field(
         None,
         gt=0,
-        description="points to evaluate at most, each with all experiments, of all searches "
-        "together",
+        description="largest number of points that all searches evaluate together, each with all "
+        "experiments",
     )
-    seconds: Finite | None = Field(None, gt=0.0, description="after which nothing new is asked")
+    seconds: Finite | None = Field(
+        None, gt=0.0, description="time in seconds after which no new points are requested"
+    )
 
 
 class LogSettings(Settings):
@@ -42,17 +44,19 @@ class LogSettings(Settings):
 
     residuals: bool = Field(
         True,
-        description="false: leave residuals and trajectories out; a resumed run computes them anew",
+        description="false: do not write residuals and trajectories; a resumed run computes them "
+        "again",
     )
     keep_residuals: bool = Field(
         False,
-        description="true: they stay in the log when the run is done; else only their hashes do",
+        description="true: residuals and trajectories stay in the log when the run is done; false: "
+        "only hashes stay",
     )
     max_megabytes: Finite = Field(
         1024.0,
         ge=0.0,
-        description="size beyond which the oldest simulations lose theirs, all but some 270 bytes "
-        "of each; 0: no limit",
+        description="size of the log above which residuals and trajectories of the oldest "
+        "simulations are removed; about 270 bytes of each simulation stay; 0: no limit",
     )
 
 
@@ -170,8 +174,8 @@ class Resources:
         if self.instances is None or self.workers is None or self.workers <= self.instances:
             return ()
         return (
-            f"executor.instances: {self.instances} of the {self.workers} workers that "
-            "executor.workers asks for are started, because each has an instance of the FMU",
+            f"executor.instances: {self.instances} of the {self.workers} workers of "
+            "executor.workers are started, because each has an instance of the FMU",
         )
 
 

@@ -223,9 +223,9 @@ def analyse_on(
     lost = groups - int(kept.sum()) // design.group(space.size)
     if groups - lost < design.fewest:
         raise ProblemError(
-            f"sensitivity: at least {design.fewest} groups of points must be simulated between the "
-            f"bounds but in {lost} of {groups} a simulation failed, or gave no finite cost or "
-            "output; tighten the bounds of the parameters, or take more sensitivity.groups"
+            f"sensitivity: at least {design.fewest} groups of points must be simulated between "
+            f"the bounds but in {lost} of {groups} a simulation failed, or gave no finite cost or "
+            "output; narrow the bounds of the parameters, or use more sensitivity.groups"
         )
     quantities, values = with_log_cost(reader.quantities, values[kept], space.problem.cost)
     found = [design.indices(points[kept], column, generator) for column in values.T]
@@ -268,7 +268,7 @@ def check_bounds(problem: Problem) -> SearchSpace:
         if not np.isfinite([low, high]).all():
             parameter = unknown.parameter
             above = unknown.log and parameter.lower <= 0.0
-            must = "bounds above 0, for its scale is log," if above else "finite bounds"
+            must = "bounds above 0, because its scale is log," if above else "finite bounds"
             raise ProblemError(
                 f"{_key_of(space, parameter.name)}: must be {must} between which a sensitivity "
                 f"analysis samples but is [{parameter.lower:g}, {parameter.upper:g}]"

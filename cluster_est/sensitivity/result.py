@@ -282,17 +282,17 @@ class SensitivityResult:
         found = list(self.problem.notes())
         if self.lost:
             found.append(
-                f"{self.lost} of {self.groups} groups of points had a simulation that failed, or "
-                "no finite cost, and count for nothing: the indices are those of the part of the "
-                "bounds that can be simulated"
+                f"{self.lost} of {self.groups} groups of points had a failed simulation or no "
+                "finite cost, and are not used: the indices apply to the part of the bounds that "
+                "can be simulated"
             )
         if not self._largest:
-            found.append("nothing moves the cost between the bounds")
+            found.append("no parameter changes the cost within the bounds")
         wide = [u.label for u in self.ranking if u.half_width > UNSETTLED * self._largest]
         if wide:
             found.append(
-                f"the intervals of {_named(wide)} are wide beside the largest index: take more "
-                "sensitivity.groups before you rank by them"
+                f"the intervals of {_named(wide)} are wide compared with the largest index: use "
+                "more sensitivity.groups before you rank by them"
             )
         if self._largest and not any(row.output not in (COST, LOG_COST) for row in self.indices):
             found.append("only the cost was analysed, and no output over time")
@@ -311,8 +311,8 @@ class SensitivityResult:
             )
         if unseen:
             found.append(
-                f"at the start values the residuals do not depend on {_named(unseen)}, or no more "
-                "than others make up for"
+                f"at the start values the residuals do not depend on {_named(unseen)}, or only in "
+                "a way that others compensate"
             )
         return tuple(found)
 

@@ -18,18 +18,18 @@ class SensitivitySettings(Settings):
 
     method: str = Field(
         "morris",
-        description=f"{one_of(DESIGNS)}; morris: which of many unknowns matter, for few "
-        "simulations; sobol: the shares of the variance that each makes",
+        description=f"{one_of(DESIGNS)}; morris: ranks many unknowns with few simulations; sobol: "
+        "the share of each in the variance",
     )
     groups: Count = Field(
         0,
-        description="trajectories of morris, each of one point more than there are unknowns, or "
-        "base samples of sobol, each of two more; 0: 20 or 512",
+        description="number of trajectories of morris or base samples of sobol; a trajectory has "
+        "one point more than there are unknowns, a base sample two; 0: 20 or 512",
     )
     times: Count = Field(
         20,
-        description="of each output in each experiment that indices are computed at; 0: only of "
-        "the cost",
+        description="number of times at which indices of each output in each experiment are "
+        "computed; 0: only indices of the cost",
     )
     collinearity: Finite = Field(
         15.0, ge=1.0, description="index above which unknowns cannot be estimated together"

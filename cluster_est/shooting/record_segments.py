@@ -35,10 +35,12 @@ class Shooting(Settings):
     segments: int | None = Field(
         None,
         ge=2,
-        description="parts that each training record is cut into; fewer where it has fewer "
-        "measured times",
+        description="number of segments of each training record; fewer if it has fewer measured "
+        "times",
     )
-    length: Finite | None = Field(None, gt=0.0, description="seconds of a part at most, instead")
+    length: Finite | None = Field(
+        None, gt=0.0, description="instead of segments: longest segment in seconds"
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -103,8 +105,8 @@ def segment_states(problem: Problem, description: ModelDescription) -> SegmentSt
     names = description.states
     if not names:
         raise ProblemError(
-            f"method.shooting: needs a model with states but {description.file} has none, so that "
-            "each sample stands alone already; leave method.shooting out"
+            f"method.shooting: needs a model with states but {description.file} has none, so each "
+            "sample is independent already; leave method.shooting out"
         )
     owner = {
         alias: state for state in names for alias in (state, *description.variables[state].aliases)
@@ -254,10 +256,10 @@ def _check_effects(problem: Problem, description: ModelDescription) -> None:
         problem.effects, description, problem.model.interface, problem.experiments
     ):
         if defined.states or defined.form.memory:
-            what = "has a state of its own" if defined.states else "depends on the past"
+            what = "has an internal state" if defined.states else "depends on the past"
             raise ProblemError(
                 f"method.shooting: cannot be used with effect {defined.effect.name!r}, which "
-                f"{what}: a segment does not know what came before it; leave one of the two out"
+                f"{what}: a segment has no history; leave one of the two out"
             )
 
 
@@ -265,8 +267,7 @@ def _check_record(experiment: Experiment) -> None:
     where = f"method.shooting: cannot cut experiment {experiment.id!r}, because it has"
     for what in besides_plain_outputs(experiment):
         raise ProblemError(
-            f"{where} {what}, which belongs to the record as a whole; leave that or "
-            "method.shooting out"
+            f"{where} {what}, which applies to the whole record; leave that or method.shooting out"
         )
 
 

@@ -181,8 +181,8 @@ def check_shooting(train: SearchSpace, method: Method, shooting: Shooting) -> Se
     cost = train.problem.cost
     if cost.name != "sse":
         raise ProblemError(
-            'method.shooting: needs cost.name = "sse", against which the continuity of states is '
-            f"weighed, but it is {cost.name!r}; change it, or leave method.shooting out"
+            'method.shooting: needs cost.name = "sse", because the weight of continuity is '
+            f"relative to it, but it is {cost.name!r}; change it, or leave method.shooting out"
         )
     return cut(train.problem, shooting)
 
@@ -282,7 +282,7 @@ def _honest(solution: Solution, found: SegmentSolution) -> Solution:
         return solution
     message = (
         f"the segments do not join: the largest jump between two is {found.largest_jump:.2g} of a "
-        "state's spread; start closer, or take shorter segments"
+        "state's spread; start closer, or use shorter segments"
     )
     return replace(solution, ending=Ending.STALLED, message=message)
 

@@ -134,18 +134,19 @@ def residual_sentences(diagnostics: ResidualDiagnostics) -> tuple[str, ...]:
     if missing:
         sentences.append(
             f"{_each(missing, _over_sigma)}: these intervals are too narrow, {reason}something is "
-            f"missing from the model, which they do not allow for; {ADVICE}"
+            f"missing from the model, which they do not include; {ADVICE}"
         )
     if sized:
         sentences.append(
             f"{_each(sized, _no_larger)}: {reason}the sensor's noise is coloured, which the "
-            f"intervals allow for, or something small is missing, which they do not; {ADVICE}"
+            "intervals include, or something small is missing, which they do not include; "
+            f"{ADVICE}"
         )
     if others:
         sentences.append(
             f"{_each(others, _times_noise)}: {reason}something is missing from the model, and "
             "these intervals are too narrow, or the sensor's noise is coloured, which they "
-            f"allow for; {ADVICE}"
+            f"include; {ADVICE}"
         )
     return (*sentences, *(_of_sigma(output) for output in found if output.sigma))
 
@@ -187,13 +188,13 @@ def _of_sigma(output: OutputDiagnostics) -> str:
         return (
             f"{output.output}: residuals are white, but the largest is "
             f"{output.largest_over_rms:.2g} times their root mean square: a few samples are "
-            "outliers, or show something sudden that the model lacks; look at them, or take the "
+            "outliers, or show something sudden that the model lacks; look at them, or use the "
             'cost "huber"'
         )
     if output.structure is ResidualStructure.WHITE:
         return (
-            f"{output.output}: error is {times} x sigma but white: nothing points to something "
-            f"missing, the declared sigma is probably {times} times too small; correct it"
+            f"{output.output}: error is {times} x sigma but white: nothing seems to be "
+            f"missing; the declared sigma is probably {times} times too small; correct it"
         )
     return small_sigma(output.output, [output.noise_over_sigma])
 
@@ -221,8 +222,8 @@ def large_sigma(named: str, errors: Collection[float]) -> str:
     """Say of some outputs that their errors over sigma are far below 1."""
     return (
         f"{named}: error is {from_to(errors)} x sigma: the declared sigma is probably "
-        f"{from_to([1.0 / error for error in errors])} times too large; correct it, or errors over "
-        "sigma say nothing"
+        f"{from_to([1.0 / error for error in errors])} times too large; correct it, or errors "
+        "over sigma have no meaning"
     )
 
 

@@ -76,7 +76,7 @@ def read_design(
         if given.partition(".")[0] not in UNHASHED:
             raise ConfigError(
                 f"{given}: must be a key of {', '.join(UNHASHED)} for a design, whose problem is "
-                "that of the run, but is another; leave it out"
+                "that of the run, but is not; leave it out"
             )
     config_text = read_config_text(run_folder)
     resolved = read_config(run_folder / "config.toml", overrides)

@@ -105,8 +105,9 @@ class Fit(Study[Result]):
             check_kind(self.shooting, Shooting, "method.shooting", ProblemError)
             if self.multistart.searches > 1:
                 raise ProblemError(
-                    "method.shooting: begins once, at the parameters' starts, but multistart asks "
-                    f"for {self.multistart.searches} starts; leave one of the two out"
+                    "method.shooting: begins once, at the start values of the parameters, but "
+                    f"multistart requests {self.multistart.searches} starts; leave one of the two "
+                    "out"
                 )
         self.problem.describe()
         self.space()
@@ -217,7 +218,7 @@ class Fit(Study[Result]):
             starts, minima = rows.starts_and_minima(train, found.minima)
             after = result.simulations
             left = steps.do(
-                "what is left in the residuals",
+                "the test of the residuals",
                 lambda: diagnose_residuals(train, linear, after),
                 None,
             )

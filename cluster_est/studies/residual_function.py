@@ -213,6 +213,6 @@ def _check(space: SearchSpace) -> None:
     check_observed_outputs(problem)
     if space.constraint_names:
         raise ProblemError(
-            "constraints: must be none for residuals, which cannot say them, but there is "
+            "constraints: must be none for residuals, which cannot express them, but there is "
             f"{space.constraint_names[0]!r}; remove them, or use fit"
         )

@@ -86,20 +86,22 @@ def _names(value: Any) -> Any:
 class AxisSection(ConfigSection):
     """One axis of a sweep: values of a key, or sets of overrides."""
 
-    name: str = Field(min_length=1, description="of the axis: a column of the summary")
-    key: str = Field("", description='that its values are for, such as "method.seed"')
+    name: str = Field(min_length=1, description="name of the axis: a column of the summary")
+    key: str = Field(
+        "", description='key of the config that the values are for, such as "method.seed"'
+    )
     values: Annotated[dict[str, Any], BeforeValidator(_values)] = Field(
         min_length=1,
-        description="with key: a list of values, or { NAME = value }; "
-        'without: { NAME = { "KEY" = value } }, overrides for each',
+        description="with key: a list of values, or { NAME = value }; without key: overrides, { "
+        'NAME = { "KEY" = value } }',
     )
 
 
 class SingleRunSection(ConfigSection):
     """One run of a sweep besides the combinations."""
 
-    name: str = Field(min_length=1, description="of the run: its folder")
-    config: str = Field("", description="name of the config; needed where there are several")
+    name: str = Field(min_length=1, description="name of the run and its folder")
+    config: str = Field("", description="name of the config; required if there are several")
     overrides: dict[str, Any] = Field(default_factory=dict, description='"KEY" = value')
 
 
@@ -114,10 +116,10 @@ class SweepSections(ConfigSection):
         description='paths of configs from the sweep\'s folder, or a table: { NAME = "path" }',
     )
     study: Literal[STUDY_NAMES] = Field(  # type: ignore[valid-type]
-        "fit", description="what is done with each config"
+        "fit", description="study that is run for each config"
     )
     overrides: dict[str, Any] = Field(
-        default_factory=dict, description='"KEY" = value, for every run'
+        default_factory=dict, description='"KEY" = value: overrides for every run'
     )
     axes: list[AxisSection] = Field(
         default_factory=list, description="every combination of their values is a run"
@@ -126,7 +128,7 @@ class SweepSections(ConfigSection):
         default_factory=list, description="combinations to leave out: AXIS = value or values"
     )
     runs: list[SingleRunSection] = Field(
-        default_factory=list, description="single runs besides the combinations"
+        default_factory=list, description="single runs in addition to the combinations"
     )
 
 
@@ -239,7 +241,7 @@ def _wrong_names(sweep: SweepSections) -> Iterator[str]:
             )
     axes = ["config", *(axis.name for axis in sweep.axes)]
     for name in sorted({name for name in axes if axes.count(name) > 1}):
-        yield f"axes.{name}: the name must be given once but is there again; rename one"
+        yield f"axes.{name}: the name must be used once but is used twice; rename one"
     for run in sweep.runs:
         if run.config and run.config not in sweep.configs:
             hint = nearest(run.config, sweep.configs)
@@ -269,7 +271,7 @@ def _wrong_override(where: str, key: str, value: Any) -> Iterator[str]:
             yield f"{where}.{key}: must be a list of experiments' ids but is {value!r}"
     elif isinstance(value, dict) and "." not in key:
         inner = next(iter(value), "KEY")
-        yield f'{where}.{key}: keys with dots must stand in quotes; write "{key}.{inner}" = ...'
+        yield f'{where}.{key}: keys with dots must be in quotes; write "{key}.{inner}" = ...'
     elif not key.strip() or "=" in key:
         yield f"{where}: a key must be like method.seed but is {key!r}; correct it"
 
@@ -299,7 +301,10 @@ def _wrong_runs(runs: list[SweepRun]) -> Iterator[str]:
             yield f"runs.{run.name}: the name is taken by a file of the sweep; give another one"
         other = seen.get(run.name.lower())  # some file systems ignore case
         if other is not None:
-            yield f"{run.name}: two runs must not have one name, but {other} has it; rename one"
+            yield (
+                f"{run.name}: two runs must not have the same name, but {other} has it too; "
+                "rename one"
+            )
         seen[run.name.lower()] = run.name
 
 
@@ -318,7 +323,7 @@ STATE = "sweep.json"
 SUCCESS = RunStatus.DONE
 FAILED_STATES = (RunStatus.FAILED, RunStatus.NOT_CONVERGED)
 NOT_RUN = "not run"
-GO_ON = "see that there is room and that it may be written, and give the same command again"
+GO_ON = "check that there is space and that it can be written, and repeat the command"
 
 
 @dataclass(frozen=True)

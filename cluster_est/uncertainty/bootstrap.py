@@ -111,8 +111,8 @@ class BootstrapResult:
         count, found = len(self.draws), []
         if self.failures:
             found.append(
-                f"bootstrap: {self.failures} of {count} draws have no refit, which failed or was "
-                "cut off, and count for nothing; the intervals are those of the others"
+                f"bootstrap: {self.failures} of {count} draws have no refit, because it failed or "
+                "was stopped, and are not used; the intervals are those of the others"
             )
         if self.unfinished:
             found.append(
@@ -123,7 +123,7 @@ class BootstrapResult:
         if silent:
             found.append(
                 f"bootstrap: there is no interval of {', '.join(silent)}, because fewer than "
-                f"{LEAST_DRAWS} draws tell of it"
+                f"{LEAST_DRAWS} draws include it"
             )
         return tuple(found)
 
@@ -206,15 +206,15 @@ def check_bootstrap(space: SearchSpace) -> None:
     named = next((u.label for u in space.unknowns if u.prior is not None), "")
     if named:
         raise ProblemError(
-            f"uncertainty.bootstrap: must be 0 with priors but {named} has one, which would be the "
-            "same in every draw, so that the intervals would be too narrow; take "
+            f"uncertainty.bootstrap: must be 0 with priors but {named} has one, which would be "
+            "the same in every draw, so the intervals would be too narrow; use "
             "uncertainty.profiles instead"
         )
     count = len(set(space.experiments))
     if count < LEAST_EXPERIMENTS:
         raise ProblemError(
             f"uncertainty.bootstrap: needs at least {LEAST_EXPERIMENTS} training experiments to "
-            f"draw from, but there are {count}; take uncertainty.profiles instead"
+            f"draw from, but there are {count}; use uncertainty.profiles instead"
         )
 
 

@@ -98,25 +98,25 @@ def check_posterior(space: SearchSpace, walkers: int = 0) -> None:
     if walkers and walkers < least:
         raise ProblemError(
             f"uncertainty.walkers: must be at least {least}, twice the unknowns and no fewer than "
-            f"{LEAST_WALKERS}, but is {walkers}; 0 takes as many as are needed"
+            f"{LEAST_WALKERS}, but is {walkers}; 0 uses as many as are needed"
         )
     if space.equality.any():
         name = space.constraint_names[int(np.argmax(space.equality))]
         raise ProblemError(
             f"uncertainty.posterior: no draw satisfies the equality {name!r} exactly; make the "
-            "parameter follow from the others by an expression, or take uncertainty.profiles"
+            "parameter depend on the others by an expression, or use uncertainty.profiles"
         )
     check_priors(problem)
     refuse_distances(problem, "uncertainty.posterior")
     if isinstance(problem.cost, SumSquared):
         need_sigmas(
             problem,
-            "uncertainty.posterior makes a likelihood of its squares by its standard deviation "
-            '(or take cost.name = "likelihood", which estimates it)',
+            "uncertainty.posterior needs the standard deviation to form a likelihood (or use "
+            'cost.name = "likelihood", which estimates it)',
         )
     elif not isinstance(problem.cost, GaussianLikelihood):
         raise ProblemError(
-            'uncertainty.posterior: must go with the cost "sse" or "likelihood", which are '
+            'uncertainty.posterior: must be used with the cost "sse" or "likelihood", which are '
             f"likelihoods, but cost.name is {problem.cost.name!r}; change one of the two"
         )
     for unknown, low, high in zip(space.unknowns, space.lower, space.upper, strict=True):
@@ -343,7 +343,7 @@ def sample_posterior(
         return _without_draws(space, chain, settings, why)
     if len(chain.states) < settings.posterior:
         done = f"{len(chain.states):,} of {settings.posterior:,} steps"
-        return _without_draws(space, chain, settings, f"it was cut short after {done}")
+        return _without_draws(space, chain, settings, f"it was stopped after {done}")
     if not np.isfinite(chain.densities[-1]).all():
         lost = int((~np.isfinite(chain.densities[-1])).sum())
         return _without_draws(

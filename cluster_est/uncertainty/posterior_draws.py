@@ -166,7 +166,7 @@ class PosteriorResult:
             wanted = int(np.ceil(1.2 * LEAST_CHAIN_LENGTH * self.slowest * self.steps / kept))
             return (
                 f"{said}; no interval, because the chains are too short to have mixed: draws of "
-                f"{worst.label} are alike over {self.slowest:.0f} of {kept:,} steps, and "
+                f"{worst.label} are correlated over {self.slowest:.0f} of {kept:,} steps, and "
                 f"{LEAST_CHAIN_LENGTH:.0f} times as many are needed: at least "
                 f"uncertainty.posterior = {wanted}",
             )
@@ -174,7 +174,7 @@ class PosteriorResult:
         return (
             f"{said}; no interval, because the walkers have not mixed: they disagree on "
             f"{apart.label} (shrink factor {apart.shrink_factor:.2f}, at most {SHRINKS:g} is "
-            "wanted), as where there are several minima; more steps, or narrower bounds",
+            "wanted), as with several minima; use more steps, or narrower bounds",
         )
 
 

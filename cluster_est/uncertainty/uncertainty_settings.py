@@ -26,42 +26,46 @@ class UncertaintySettings(Settings):
 
     profiles: ProfiledNames = Field(
         (),
-        description='labels ("k", "x0[exp5]") or parameters whose likelihood profiles are taken; '
-        '"shared" for all that several experiments determine, "all" or true for all; a profile '
-        "costs some ten fits that begin close to their minimum",
+        description='labels ("k", "x0[exp5]") or parameters to compute likelihood profiles for; '
+        '"shared": all that several experiments determine; "all" or true: all; a profile '
+        "takes about ten fits that begin close to their minimum",
     )
     bootstrap: Count = Field(
         0,
-        description="draws of experiments with a refit each, at least 200, and 1000 for fewer "
-        "than 10 experiments; 0: none",
+        description="number of draws of the experiments, each with a refit: at least 200, or 1000 "
+        "for fewer than 10 experiments; 0: none",
     )
     posterior: Count = Field(
         0,
-        description="steps of each walker that draws from the posterior, some thousands: the "
-        "chains must be 50 times as long as their draws stay alike; 0: none",
+        description="steps of each walker that draws from the posterior, usually some thousands: "
+        "the chains must be 50 times as long as their autocorrelation time; 0: none",
     )
     walkers: Count = Field(
-        0, description="their number; 0: four times the unknowns, and 16 at least"
+        0, description="number of walkers; 0: four times the unknowns, and at least 16"
     )
     confidence: Finite = Field(
-        0.95, ge=0.5, lt=1.0, description="of profiles, bootstrap and posterior"
+        0.95, ge=0.5, lt=1.0, description="confidence level of profiles, bootstrap and posterior"
     )
     steps: Positive = Field(
         4,
-        description="refits at least on each side of a profile; more draw a smoother curve, its "
-        "ends are found to a thousandth in any case",
+        description="smallest number of refits on each side of a profile; more refits give a "
+        "smoother curve; the ends are accurate to a thousandth in any case",
     )
     max_steps: int = Field(
-        20, ge=2, le=LARGEST_INTEGER, description="refits on a side, then it is called flat"
+        20,
+        ge=2,
+        le=LARGEST_INTEGER,
+        description="largest number of refits on a side; a profile that has not risen by then is "
+        "called flat",
     )
     rise: Finite = Field(
         0.0,
         ge=0.0,
-        description="of the cost at a profile's ends, for costs that have no weights, such as sae; "
-        "0: from the residuals",
+        description="rise of the cost at the ends of a profile, for costs without weights, such as "
+        "sae; 0: from the residuals",
     )
     at_once: Positive = Field(
-        16, description="refits under way at the same time, whatever the number of workers"
+        16, description="refits that run at the same time, for any number of workers"
     )
 
     @property

@@ -40,21 +40,22 @@ HEAD = (
 )
 
 EXPLANATION = """\
-A row is about the closed loop without a part of its search, or without several at once: moves that
-propose structures, gates that refuse them, and what moves share
-([How it works](how_it_works.md) says what each does). Each case is run with and without it. Where
-the whole loop shows that the part changed nothing, it need not be run again: only the part's
-simulations are missing. "Acts" counts the other cases.
+Each row compares the closed loop with a loop without one part of its search, or without several at
+once. Parts are moves that propose structures, gates that refuse them, and functions that moves
+share ([How it works](how_it_works.md) describes each). Each case is run with and without the part.
+If the run of the whole loop shows that the part changed nothing, the run without it is not needed:
+only the simulations of the part are missing. "Where it acts" counts the other cases.
 
-Right are cases in which every effect has one of its names or the structure is the same model; in
-which nothing is claimed where nothing is missing; and in which a free curve follows held-out data
-to within 1.5 times the truth's error where the library cannot express the effect. "Lost" are right
-with the part alone, "won" without it alone; p is that of the exact McNemar test. False names are
-effects that were named and are none of the true ones, with the part and without. Held-out errors
-and simulations are those without it over those with it: median and largest; geometric mean.
+A case is right if every effect has one of its names or the structure is the same model. If nothing
+is missing, it is right if no effect is claimed. If the library cannot express the effect, it is
+right if a free curve follows held-out data to within 1.5 times the error of the truth. "Lost" cases
+are right only with the part, "won" cases only without it; p is that of the exact McNemar test.
+"False names" are named effects that are not among the true ones, with the part and without it.
+Held-out errors (median and largest) and simulations (geometric mean) are those without the part
+over those with it.
 
-All systems are such that may be tuned on. Pairs and triples are drawn by seed among the effects of
-the benchmark, beside those that it lists.
+All systems may be used for tuning. Pairs and triples are drawn at random from the effects of the
+benchmark, in addition to those that it lists.
 """
 
 

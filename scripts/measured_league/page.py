@@ -22,25 +22,26 @@ SAME = 1e-3
 
 INTRODUCTION = """# The league of measured cases
 
-Written by `scripts/league.py` from its runs, each with default settings on one core.
+`scripts/league.py` writes this page from its runs, each with default settings on one core.
 
-Each case is a public measurement with a base model from the textbook and the effect that this
-model lacks. `cluster-est close-loop` is told nothing of that effect. The base model and the
-textbook's are fitted by name to the same data. Errors are root mean squares over all samples of all
-outputs and records. What is held out chooses nothing; where a held-out record begins at a state
-that is unknown, that is fitted to it for each of the three.
+Each case is a public measurement with a base model from the textbook. This model lacks one effect,
+which the textbook adds. `cluster-est close-loop` does not know this effect. The base model and the
+textbook's model are fitted to the same data. Errors are root mean squares over all samples of all
+outputs and records. Held-out data do not take part in any choice. If a held-out record begins at an
+unknown state, that state is fitted to the record in each of the three models.
 
-The splits, base models and effects were chosen with all data in view, so the gap between base and
-textbook flatters the latter. Anything may be tuned on these cases: a good score here proves nothing
-about others.
+The splits, base models and effects were chosen with all data in view, so the difference between
+base model and textbook is optimistic. Anything may be tuned on these cases: a good score proves
+nothing about others.
 
-Where the config gives no sigma, the loop weights several outputs by the noise that it estimates,
-while the two fits weight them alike. So a loop that adds nothing may show other errors than the
-base model; "made worse" counts loops that have added something.
+If the config gives no sigma, the loop weights several outputs by its estimate of the noise. The two
+fits give them equal weights. So even a loop that adds nothing may have other errors than the base
+model; "made worse" counts only loops that have added something.
 
-By definition a loop adds nothing that does not halve the error beyond the noise, in training and
-held out: three quarters of the squares. It then says `unexplained`, and what came nearest as a
-hint. Where the textbook's own effect does less, that it was not added is no failure.
+By definition a loop adds nothing unless it halves the error beyond the noise, in training and held
+out. That is three quarters of the sum of squares. Otherwise it says `unexplained` and names the
+best candidate as a hint. If the textbook's own effect does not halve the error, such a result is
+not a failure.
 """
 
 
@@ -112,10 +113,10 @@ def _summary(found: Sequence[CaseFigures], known: Mapping[str, CaseJudgements]) 
         (f"held-out error at most {NEAR_TEXTBOOK} times the textbook's", near_textbook),
         ("the effect of the textbook named, or an alias", lambda each: named(each, known)),
         ("held-out error made worse", made_worse),
-        (f"more than {NEAR_NOISE} times the noise left, and the verdict says so", says_so),
-        (f"more than {NEAR_NOISE} times the noise left, and `found` said", overclaims),
+        (f"more than {NEAR_NOISE} times the noise left, and the verdict reports it", says_so),
+        (f"more than {NEAR_NOISE} times the noise left, but the verdict is `found`", overclaims),
         ("the textbook's effect halves the held-out error", textbook_halves),
-        ("the same, and the verdict is a kind of `none`", overlooked),
+        ("the textbook's effect halves it, but the verdict is `none`", overlooked),
     )
     rows = [[text, f"{sum(map(question, ended))} of {len(ended)}"] for text, question in questions]
     text = table(["", "cases"], rows)

@@ -173,7 +173,9 @@ def test_a_process_for_each_simulation_is_refused_where_there_is_but_this_one():
     here = [name for name in EXECUTORS if executor_class(name).in_process]
     assert "local" in here
     for name in here:
-        with pytest.raises(ExecutorError, match=rf'own but executor.name is "{name}"; choose'):
+        with pytest.raises(
+            ExecutorError, match=rf'separate processes but executor.name is "{name}"; choose'
+        ):
             open_with_reset(problem, Resources(executor=name))
 
 

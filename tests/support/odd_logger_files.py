@@ -70,7 +70,7 @@ MIDNIGHT = START.replace(hour=0)
 case("Excel's line on the separator", written("sep=;\n" + table(**DE)))
 case("the same behind a mark", written("\ufeffsep=;\r\n" + table(**DE, end="\r\n")))
 SUMMARY = "\nMaximum,3,0.09\nSamples: 60\n"
-case("a summary below", text(LINE, below=SUMMARY), notes="below its table is left out: 2 lines")
+case("a summary below", text(LINE, below=SUMMARY), notes="below its table are left out: 2 lines")
 case("an end mark", text(LINE, below="*** end of file ***\n"), notes="left out: 1 line")
 case("zeros where the power failed", text(LINE, below="\0" * 512), notes="left out: zeros")
 case("an end mark behind blanks", text("{t} {f} {y}", "time F y\n", ".prn", "END\n"))
@@ -190,7 +190,7 @@ case(
 case(
     "newest first",
     written("time,F,y\n" + "\n".join(reversed(rows(LINE).split())) + "\n"),
-    said="turn the order of the rows round",
+    said="reverse the order of the rows",
 )
 case("before the trigger", at_times(plain(t - 0.2) for t in T), t=T - 0.2)
 case("milliseconds of a controller", at_times((f"{1e3 * t:.0f}" for t in T), "millis"))

@@ -210,8 +210,8 @@ class _Code:
         """Return the register of an element of an array that equations read."""
         if index >= self._sizes[array]:
             raise EffectError(
-                f"effects: {symbol} is number {index + 1} of {array}, of which there must be as "
-                f"many but are {self._sizes[array]}; give all of them"
+                f"effects: {symbol} is number {index + 1} of {array}, which has only "
+                f"{self._sizes[array]} entries; give all of them"
             )
         return self._first[array] + index
 
@@ -388,7 +388,9 @@ class _Writer:
             written = [self._condition(each) for each in sorted(condition.args, key=key)]
             return reduce(lambda a, b: self._emit(name, a, b), written)
         if type(condition) not in _COMPARISONS:
-            raise EffectError(f"effects: an equation asks for {condition}, which is no comparison")
+            raise EffectError(
+                f"effects: an equation asks for {condition}, which is not a comparison"
+            )
         name, swapped = _COMPARISONS[type(condition)]
         left, right = (self.write(side) for side in condition.args)
         return self._emit(name, right, left) if swapped else self._emit(name, left, right)

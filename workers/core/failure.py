@@ -14,7 +14,7 @@ DISCARD_STATUS, FATAL_STATUS = 2, 4
 
 MESSAGES = {
     INITIALISATION: "the FMU could not be initialised",
-    STEP: "the FMU could not go on",
+    STEP: "the FMU could not continue",
     OUTPUT: "the FMU could not compute its outputs",
     STEP_TOO_SMALL: "no step was short enough for the tolerance",
     TOO_MANY_STEPS: "the limit on the steps between two times in the data, model.max_steps, "
@@ -22,12 +22,12 @@ MESSAGES = {
     NOT_FINITE: "an output became infinite or not a number",
     EVENT: "the FMU could not handle an event",
     TERMINATED: "the FMU ended the simulation by itself",
-    LINEARISATION: "the FMU could not answer close to its trajectory",
+    LINEARISATION: "the FMU could not compute a point close to its trajectory",
     CHATTERING: "events followed each other without end",
-    DISCARDED: "the FMU could not go on",
+    DISCARDED: "the FMU could not continue",
     PENDING: "the FMU computes in the background, which is not supported",
     SENSITIVITIES: "the FMU could not give its directional derivatives",
-    HAS_EVENTS: "an event was met, across which sensitivities cannot be carried",
+    HAS_EVENTS: "an event occurred, and sensitivities cannot be continued across it",
     ENDED_EARLY: "its sum of squares was above the bound already",
     NO_MEMORY: "there was not enough memory",
     WRONG_SIZES: "the FMU, its effects and the experiment do not have the same numbers of states "

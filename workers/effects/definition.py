@@ -303,7 +303,7 @@ def _chosen(effect: Effect, site: EffectSite, where: str) -> EffectForm:
     """Return the form that an effect names, or that of its own equation."""
     if effect.reaction and (site.kind != "pair" or not effect.equation):
         raise EffectError(
-            f"{where}: reaction: must stand beside an equation at a pair, but site is "
+            f"{where}: reaction: must be given with an equation at a pair, but site is "
             f"{effect.site!r} and {'form is ' + repr(effect.form) if effect.form else 'no pair'}; "
             "leave it out"
         )
@@ -311,8 +311,8 @@ def _chosen(effect: Effect, site: EffectSite, where: str) -> EffectForm:
         return form(site.kind, effect.form, where)
     if site.kind == "pair" and not effect.reaction:
         raise EffectError(
-            f"{where}: reaction: must be what is added to der({site.other}), where equation is "
-            f"added to der({site.target}), but is missing; add reaction"
+            f"{where}: reaction: must be the equation that is added to der({site.other}), as "
+            f"equation is added to der({site.target}), but is missing; add reaction"
         )
     return _own_form(effect, site)
 

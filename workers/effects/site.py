@@ -126,13 +126,14 @@ def check_site(
         return
     if site.at_rates and interface == "co_simulation":
         raise EffectError(
-            f"{where}: {site} is closed, because a co-simulation FMU keeps its states to itself; "
-            'use model.interface = "model_exchange" or a site at an input, output or parameter'
+            f"{where}: {site} cannot be used, because a co-simulation FMU gives no access to its "
+            'states; use model.interface = "model_exchange" or a site at an input, output or '
+            "parameter"
         )
     if site.kind == "parameter" and site.target in description.variables:
         raise EffectError(
-            f"{where}: {site} is closed, because {description.file} does not allow "
-            f"{site.target!r} to change while it runs (its variability is not tunable)"
+            f"{where}: {site} cannot be used, because {description.file} does not allow "
+            f"{site.target!r} to change during a simulation (its variability is not tunable)"
         )
     known = [s.target for s in offered if s.kind == missing[0].kind]
     raise EffectError(

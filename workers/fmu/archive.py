@@ -211,7 +211,7 @@ def open_archive(name: str, archive: bytes) -> zipfile.ZipFile:
     if unpacked > MAX_UNPACKED_BYTES or unpacked > max(HARMLESS_BYTES, MAX_RATIO * len(archive)):
         raise ModelError(
             f"{name}: would unpack to {unpacked / 2**20:.0f} MiB from {len(archive) / 2**20:.1f} "
-            "MiB, which is no ordinary FMU; nothing was unpacked"
+            "MiB, which is not usual for an FMU; nothing was unpacked"
         )
     return opened
 

@@ -99,8 +99,9 @@ def load_failure(binary: Path, system_message: str = "") -> str | None:
         beside = [name for name in missing if (binary.parent / name).is_file()]
         if len(beside) == len(missing):
             return (
-                f"its library {binary.name} needs {_listed(missing)}, beside it, where the system "
-                f"does not look; set LD_LIBRARY_PATH to {binary.parent} and start again"
+                f"its library {binary.name} needs {_listed(missing)}, which are in its folder, "
+                f"where the system does not look; set LD_LIBRARY_PATH to {binary.parent} and "
+                "start again"
             )
         absent = [name for name in missing if name not in beside]
         plural = "libraries" if len(absent) > 1 else "library"

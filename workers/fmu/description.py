@@ -244,7 +244,8 @@ def describe_model(model: Model) -> ModelDescription:
 def _content(file: str, archive_file: zipfile.ZipFile) -> bytes:
     if XML not in archive_file.namelist():
         raise ModelError(
-            f"{file}: must hold a {XML} but does not, so it is no FMU; export the model as an FMU"
+            f"{file}: must hold a {XML} but does not, so it is not an FMU; export the model as an "
+            "FMU"
         )
     try:
         return archive_file.read(XML)

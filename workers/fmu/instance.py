@@ -425,5 +425,5 @@ class FmuInstance:
                 "it with another version of its tool"
             )
         if any(is_about_licence(line) for line in (*self.log, str(error))):
-            advice = "Get the licence that it asks for, or export it without the need of one"
+            advice = "Get the licence that it needs, or export it so that it needs none"
         return f"{self._model.name}: cannot be loaded and instantiated ({error}).{log} {advice}"

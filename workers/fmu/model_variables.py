@@ -162,7 +162,7 @@ def read_variables(
         names_by_key.setdefault(raw.key, tuple(v.name for v in elements))
         for variable in (*elements, *(a for n in aliases if n for a in renamed(elements, n))):
             if found.setdefault(variable.name, variable) is not variable:
-                notes.add("names that are there twice mean the first variable", variable.name)
+                notes.add("a name that occurs twice refers to the first variable", variable.name)
     _add_derivatives(raws, found, names_by_key, notes)
     _add_aliases(found, version)
     return DeclaredVariables(found, names_by_key)

@@ -63,7 +63,7 @@ def missing_binary(
         )
     if has_sources:
         return (
-            f"{must} holds sources alone; compile them, for example with the command "
-            "`fmpy compile`, or export it with binaries"
+            f"{must} has only sources; compile them, for example with the command `fmpy compile`, "
+            "or export it with binaries"
         )
     return f"{must} has one for no platform at all; export it for {wanted}"

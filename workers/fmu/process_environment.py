@@ -50,8 +50,8 @@ def set_environment_here(model: Model) -> None:
             )
         if name.startswith(READ_AT_START):
             raise ModelError(
-                f"model.environment.{name}: must be set before a process starts to be heeded, but "
-                f"this one, which simulates too, has started; {elsewhere}, or set it before"
+                f"model.environment.{name}: must be set before a process starts, but this "
+                f"process, which simulates too, has started; {elsewhere}, or set it before"
             )
     os.environ.update(model.environment)
 

@@ -112,9 +112,9 @@ def _take(seats: Seats, file: str) -> tuple[str, int]:
                 raise ModelError(_all_here(seats, file))
         if time.monotonic() > end:
             raise ModelError(
-                f"{file}: executor.instances allows no further instance, and none of the others "
-                f"was given back within {WAIT_SECONDS:.0f} s; look for a process that hangs in it, "
-                "or raise executor.instances"
+                f"{file}: executor.instances allows no more instances, and none of the others was "
+                f"freed within {WAIT_SECONDS:.0f} s; look for a process that hangs in it, or "
+                "raise executor.instances"
             )
         time.sleep(SEAT_POLL_SECONDS)
 
@@ -145,6 +145,6 @@ def _all_here(seats: Seats, file: str) -> str:
             'executor.name = "processes" or "ray", where its process is ended'
         )
     return (
-        f"{file}: this process has as many instances already as executor.instances allows it; "
-        "raise executor.instances"
+        f"{file}: this process already has as many instances as executor.instances allows; raise "
+        "executor.instances"
     )

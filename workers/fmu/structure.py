@@ -114,7 +114,7 @@ def _states(
     states: list[str] = []
     for position, unknown in enumerate(derivatives, start=1):
         if unknown.names is None:
-            return (), f"its state derivative {position} is no variable"
+            return (), f"its state derivative {position} is not a variable"
         for name in unknown.names:
             state = declared.variables[name].derivative_of
             inner = name[4:-1] if name.startswith("der(") else ""
@@ -140,7 +140,7 @@ def _indicators(
         return count, ""
     found = list(_unknowns(section, version, "indicator", declared))
     if any(u.names is None for u in found):
-        return 0, "one of its event indicators is no variable"
+        return 0, "one of its event indicators is not a variable"
     return sum(len(u.names or ()) for u in found), ""
 
 

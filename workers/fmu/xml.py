@@ -72,7 +72,9 @@ def parse(file: str, content: bytes, notes: ReadingNotes) -> Element:
             tree = _tree(file, _mended(content.decode(codec)).encode(), "utf-8")
         except (expat.ExpatError, ValueError):
             continue
-        notes.add(f"its {XML} is no well-formed XML and was corrected; check names that look odd")
+        notes.add(
+            f"its {XML} is not well-formed XML and was corrected; check names that look wrong"
+        )
         return tree
     raise ModelError(
         f"{file}: its {XML} must be XML but cannot be read ({first_line(first)}); export it again"
@@ -141,7 +143,7 @@ def number(text: str | None, notes: ReadingNotes, what: str, name: str) -> float
         value = float(plain)
         return value if math.isfinite(value) else None
     if not _NOT_FINITE.fullmatch(plain):
-        notes.add(f"attributes {what} that are no number are ignored", name)
+        notes.add(f"attributes {what} that are not numbers are ignored", name)
     return None
 
 
@@ -256,7 +258,7 @@ def read_units(root: Element, notes: ReadingNotes) -> dict[str, UnitDefinition]:
         powers = [whole(base.get(key, "0")) for key in BASE_UNITS]
         offset = number(base.get("offset"), notes, "offset", name)
         if None in powers:
-            notes.add("units with powers that are no whole numbers count as names alone", name)
+            notes.add("units with powers that are not integers count only as names", name)
             continue
         found.setdefault(name, UnitDefinition(tuple(p or 0 for p in powers), offset or 0.0))
     return found

@@ -156,7 +156,7 @@ class SignalBound:
             limit = getattr(self, side)
             for i in np.flatnonzero(~np.isfinite(limit)):
                 if self.equality or limit[i] != none:
-                    other = "" if self.equality else f", or {none} where there is no bound,"
+                    other = "" if self.equality else f", or {none} for no bound,"
                     raise DataError(
                         f"{where}.{side}, index {i}: must be a finite number{other} but is "
                         f"{limit[i]}; correct it"
@@ -200,8 +200,7 @@ def _check_points(points: FloatArray, variables: tuple[str, ...]) -> None:
         )
     if len(points) < 2:
         raise DataError(
-            f"curve.points: must be at least two but are {len(points)}; a curve goes from one "
-            "point to the next"
+            f"curve.points: must be at least two but are {len(points)}; a curve connects points"
         )
     for name, column in zip(variables, points.T, strict=True):
         check_finite(column, f"curve.points of {name!r}")

@@ -145,7 +145,7 @@ def _remedy(times: FloatArray) -> str:
             "place of time"
         )
     if np.all(steps < 0.0):
-        return "turn the order of the rows round"
+        return "reverse the order of the rows"
     return "sort the rows and remove repeated ones"
 
 
@@ -167,8 +167,8 @@ def check_length(values: FloatArray, times: FloatArray, where: str) -> None:
 def refuse_value(value: float, where: str, absent: str) -> DataError:
     """The error for a sample that is no finite number; `absent` says how one is left out."""
     return DataError(
-        f"{where}: must be a finite number but is {value}; correct it, or {absent} where nothing "
-        "was measured"
+        f"{where}: must be a finite number but is {value}; correct it, or {absent} if nothing was "
+        "measured"
     )
 
 
@@ -279,8 +279,8 @@ class Output:
             object.__setattr__(self, "values", hidden)  # 0 and the limit say the same
             if self.free_scale or self.free_offset:
                 raise DataError(
-                    f"{where}.detection_limit: must not go with free_scale or free_offset, whose "
-                    "values would depend on what was not measured; remove one of the two"
+                    f"{where}.detection_limit: must not be used with free_scale or free_offset, "
+                    "which would depend on values that were not measured; remove one of the two"
                 )
         check_number(self.sigma, f"{where}.sigma", DataError, above=0.0)
         check_number(self.relative_sigma, f"{where}.relative_sigma", DataError, least=0.0)
@@ -310,8 +310,8 @@ class Output:
         for key, there in given.items():
             if there:
                 raise DataError(
-                    f"{where}.ordinal: must not go with {key}, for an order says nothing of sizes, "
-                    "but both are given; remove one of the two"
+                    f"{where}.ordinal: must not be used with {key}, because an order has no "
+                    "scale, but both are given; remove one of the two"
                 )
 
     @property

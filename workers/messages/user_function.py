@@ -75,7 +75,7 @@ class UserFunction:
             reason = " ".join(str(error).split())
             raise DataError(
                 f"{where}: must be a function that can be sent to workers but {shown(function)} "
-                f"holds something that cannot ({reason}); let it make that when it is called"
+                f"contains an object that cannot ({reason}); create it inside the function"
             ) from None
         name = str(getattr(function, "__name__", type(function).__name__))
         module = str(getattr(function, "__module__", None) or "__main__")

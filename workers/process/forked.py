@@ -320,9 +320,8 @@ class ForkClient:
     def __init__(self, installation: Installation) -> None:
         if not CAN_FORK:
             raise ModelError(
-                "an FMU in a process of its own needs a system that can fork processes, as Linux "
-                'and macOS can, but this one cannot; there is executor.name = "local", in this '
-                "process"
+                "an FMU in a separate process needs a system that can fork processes, such as "
+                'Linux and macOS, but this one cannot; use executor.name = "local"'
             )
         prepare_folder()
         self._installation = installation

@@ -58,9 +58,9 @@ def too_late(watch: ProgressWatch, limits: Limits) -> ProcessFailure | None:
     if watch.still > most:
         return ProcessFailure(
             Status.TIMEOUT,
-            f"the simulation stood still for {most:.3g} s, in which no step ended, and was "
-            "stopped; check that the FMU does not wait for a licence or a window, or raise "
-            "executor.stall if one step of it takes so long",
+            f"the simulation stalled: no step ended for {most:.3g} s, and it was stopped; check "
+            "that the FMU does not wait for a licence or a window, or raise executor.stall if "
+            "one step of it takes so long",
         )
     return None
 
@@ -71,9 +71,9 @@ def _too_late_outside(watch: ProgressWatch, most: float) -> ProcessFailure | Non
         return None
     return ProcessFailure(
         Status.TIMEOUT,
-        f"what comes before or after the simulation, such as loading or a function of "
-        f"the config's, took {most:.3g} s without an end and was stopped; check that function, or "
-        "raise executor.stall",
+        "a step before or after the simulation, such as loading or a Python function of the "
+        f"config, took {most:.3g} s without ending and was stopped; check that function, or raise "
+        "executor.stall",
     )
 
 

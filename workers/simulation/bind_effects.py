@@ -208,8 +208,8 @@ def _constant_input(name: str, experiment: Experiment, description: ModelDescrip
     value = dict(experiment.values).get(name, description.variables[name].start)
     if value is None:
         raise EffectError(
-            f"experiment {experiment.id!r}: an effect needs the input {name!r}, which no column "
-            "drives and which has no start value; give it one under values"
+            f"experiment {experiment.id!r}: an effect needs the input {name!r}, which has no "
+            "column and no start value; give it a value under values"
         )
     times = np.array([experiment.start, experiment.stop])
     return Input(name, times, np.full(2, float(value)), "hold")

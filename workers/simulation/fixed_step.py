@@ -163,7 +163,7 @@ def _note(file: str, step: float, names: Sequence[str]) -> str:
         f"{file} communicates in steps of fixed length, every {step:g} s; {which} "
         f"{'has' if one else 'have'} times between them, at which real outputs are interpolated "
         "linearly, others keep their last value, and inputs act from the next step on; a shorter "
-        "model.step, where the FMU takes it, makes that finer"
+        "model.step, if the FMU accepts it, reduces this error"
     )
 
 

@@ -303,7 +303,7 @@ class FmuIntegrator:
         log = " | ".join(dict.fromkeys(self.instance.log)) if code != failure.ENDED_EARLY else ""
         message = f"{failure.MESSAGES[code % failure.FATAL]} at t = {time:.9g} s"
         if code in failure.SUGGEST_STIFFNESS and self._model.solver.name == "dormand_prince":
-            message += '; if the model is stiff, model.solver = "cvode" goes on in long steps'
+            message += '; if the model is stiff, model.solver = "cvode" continues with long steps'
         return f"{message}; it said: {log}" if log else message
 
 

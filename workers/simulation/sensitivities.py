@@ -67,16 +67,17 @@ class SensitivitySource:
         if not self._description.offer("model_exchange").provides_directional_derivatives:
             return "the FMU provides no directional derivatives"
         if solver not in SOLVERS:
-            return f"solver {solver!r} carries no sensitivities along"
+            return f"solver {solver!r} cannot compute sensitivities"
         jumps = any(v.variability == "discrete" for v in known.values()) and bound.grid.jumps.any()
         if self._description.event_indicators > 0 or jumps:
-            return "the FMU has events, across which sensitivities cannot be carried"
+            return "the FMU has events, and sensitivities cannot be continued across them"
         unsupported = [
             n for n in (*self._description.states, *bound.outputs) if not _is_plain(known[n])
         ]
         if unsupported:
             return (
-                f"{unsupported[0]!r} is no float64 scalar, which alone have directional derivatives"
+                f"{unsupported[0]!r} is not a float64 scalar; only these have directional "
+                "derivatives"
             )
         if set(self._derivatives()) < set(self._description.states):
             return "the FMU does not name the derivative of every state"
@@ -142,7 +143,7 @@ class SensitivitySource:
                 continue
             status = self._status_of_derivatives(integrator, bound, point, variable.reference)
             if status is None:
-                return "the FMU could not be started to be asked for its directional derivatives"
+                return "the FMU could not be started to compute its directional derivatives"
             kinds[p] = KNOWN if status < DISCARD_STATUS else self._add_perturbed_instances()
         self._kinds = kinds
         return kinds

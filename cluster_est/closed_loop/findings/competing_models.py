@@ -239,7 +239,7 @@ class ResampledChoices:
             if share > 0.0
         ]
         said = in_a_row(named[:MOST_NAMED_CHOICES])
-        return f"of {DRAWS} times that {self.drawn} were drawn anew, the best set is {said}"
+        return f"in {DRAWS} resamplings of {self.drawn}, the best set is {said}"
 
 
 def resampled_choices(fitter: Fitter, found: SelectionResult) -> ResampledChoices | None:
@@ -307,13 +307,13 @@ def expensive_structures(path: Sequence[ComparedStructure]) -> tuple[str, ...]:
     worst = max(expensive, key=lambda each: each.relative_steps)
     tried = "1 structure" if len(expensive) == 1 else f"{len(expensive)} structures"
     said = (
-        f"{tried} of the {len(path)} that were tried needed more than {EXPENSIVE:g} times as many "
-        f"steps of the solver as the declared model, most of all {' + '.join(worst.effects)} "
+        f"{tried} of the {len(path)} that were tried needed more than {EXPENSIVE:g} times as "
+        f"many steps of the solver as the declared model, most of all {' + '.join(worst.effects)} "
         f"({worst.relative_steps:.3g} times); structures.parquet has the figure of each "
         "(relative_steps)"
     )
     kept = [each for each in expensive if each.accepted]
     if kept:
         most = kept[-1].relative_steps
-        said += f"; with what was added a simulation takes {most:.3g} times the steps"
+        said += f"; with the added effects a simulation takes {most:.3g} times the steps"
     return (said,)

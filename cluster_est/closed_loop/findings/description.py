@@ -49,8 +49,8 @@ def shared_arguments(added: Sequence[EffectCandidate]) -> tuple[str, ...]:
             place = str(candidate.site), candidate.effect.variables
             places.setdefault(place, []).append(candidate.form.name)
     return tuple(
-        f"{in_a_row(names)} are functions of {argument} at {site}: the data show their sum, and "
-        "how it splits between them, and so their names, is less certain than that"
+        f"{in_a_row(names)} are functions of {argument} at {site}: the data determine their sum; "
+        "its split between them, and so their names, are less certain"
         for (site, (argument,)), names in places.items()
         if len(names) > 1
     )
@@ -119,8 +119,8 @@ def where_left(fitter: Fitter, fitted: FittedModel) -> str:
             )
     share = best[0] / total
     if share < STANDS_OUT * best[1]:
-        return "what is left is spread over all records, with no part that stands out"
-    return f"of what is left, the largest part ({share:.0%}) is in {best[2]}"
+        return "the remaining error is spread over all records, and no part stands out"
+    return f"the largest part of the remaining error ({share:.0%}) is in {best[2]}"
 
 
 def _describe(
@@ -254,8 +254,8 @@ def _evidence(found: SelectionResult, candidate: EffectCandidate, period: float)
     if np.isfinite(period):
         sentences.append(
             f"a sinusoid in time with a period of {readable_time(period)}, with one phase in all "
-            "experiments: this assumes that their times are those of one clock; if something "
-            "measured oscillates with it, declare that as a signal"
+            "experiments: this assumes that their times are from one clock; if a measured "
+            "quantity oscillates with it, declare it as a signal"
         )
     for finding in found.findings:
         own = (finding.site, finding.form, finding.variables)
@@ -263,8 +263,8 @@ def _evidence(found: SelectionResult, candidate: EffectCandidate, period: float)
             continue
         if finding.stage is CandidateStage.ACCEPTED:
             sentences.append(
-                f"step {finding.step}: carries {finding.explained:.0%} of the residual, criterion "
-                f"falls by {-finding.criterion:.0f}"
+                f"step {finding.step}: explains {finding.explained:.0%} of the residual, "
+                f"criterion falls by {-finding.criterion:.0f}"
             )
     return tuple(sentences)
 
@@ -348,5 +348,5 @@ def _agreement(also: AgreeingEquation, curve: EffectCurve) -> str:
     return (
         f"On that range it is{off if also.share > ROUNDING else ' '}also {named}: at "
         f"{curve.variable} = {also.told_at:.3g}{over} the two would differ by "
-        f"{also.told_by:.2g}{unit}, so measure there to tell them apart."
+        f"{also.told_by:.2g}{unit}, so measure there to distinguish them."
     )

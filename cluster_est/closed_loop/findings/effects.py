@@ -235,8 +235,8 @@ def what_is_left(errors: Sequence[ErrorChange], over: str = "the noise", remark:
     silent = without_noise(errors)
     if silent:
         said.append(
-            f"the noise of {', '.join(silent)} is not known, so what is left there was not "
-            "compared with it"
+            f"the noise of {', '.join(silent)} is not known, so the error there was not compared "
+            "with it"
         )
     for role, kind in (("train", "training"), ("test", "held-out")):
         failed = not_simulated([e for e in errors if e.role == role])

@@ -315,10 +315,10 @@ FRICTION = {
     Law.LINEAR: "viscous friction",
     Law.ODD_SQUARE: "quadratic drag",
     Law.CUBE: "damping that grows with the cube of the speed",
-    Law.POWER: "drag that goes with a power of the speed",
+    Law.POWER: "drag proportional to a power of the speed",
     Law.SWITCH: "Coulomb friction",
     Law.SWITCH_WITH_PEAK: "Stribeck friction",
-    Law.TWO_SWITCHES: "Coulomb friction, unlike in the two directions",
+    Law.TWO_SWITCHES: "Coulomb friction that differs between the two directions",
     Law.SWITCH_BY_MAGNITUDE: "Coulomb friction proportional to the magnitude of {w}",
     Law.SWITCH_BY_CURVE: "Coulomb friction that depends on {w}",
     Law.HYSTERESIS: "friction with presliding (Dahl)",
@@ -374,7 +374,7 @@ def _heat(placed: PlacedLaw) -> str:
         pair = (placed.argument, placed.second)
         carried = any(d.same_as(FLOW, MASS_FLOW, SPEED) for d in pair)
         warm = any(d.same_as(TEMPERATURE) for d in pair)
-        return "convection (heat that a flow carries)" if carried and warm else ""
+        return "convection (heat transport by a flow)" if carried and warm else ""
     return ""
 
 

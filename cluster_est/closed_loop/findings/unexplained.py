@@ -210,8 +210,8 @@ class VaryingColumn:
         if np.isfinite(self.period):
             return f"{name} has the same period, {readable_time(self.period)}: {self._advice}"
         return (
-            f"{name} varies with it (it carries {self.share:.0%} of the residual of {self.output}"
-            f"): {self._advice}, unless it is a consequence itself"
+            f"{name} varies with it (it explains {self.share:.0%} of the residual of "
+            f"{self.output}): {self._advice}, unless the column is a consequence"
         )
 
     @property

@@ -129,8 +129,9 @@ class _Residual:
             if smooth:
                 of = f" of {' and '.join(smooth)}" if len(self.outputs) > 1 else ""
                 return (
-                    f"what is left{of} is smoother than a sensor's own noise but no larger than "
-                    f"its sigma ({self.level}): the noise was filtered, or something is missing"
+                    f"the remaining error{of} is smoother than the noise of a sensor but no "
+                    f"larger than its sigma ({self.level}): the noise was filtered, or something "
+                    "is missing"
                 )
         return f"something is missing ({self.level})"
 
@@ -142,7 +143,7 @@ class _Residual:
             return f"residual {np.sqrt(1.0 + self.excess):.2f} times the noise"
         named = f" of {worst.output}" if len(self.outputs) > 1 else ""
         if not np.isfinite(worst.level):
-            return f"the residual{named} has no noise in it"
+            return f"the residual{named} contains no noise"
         return f"residual {worst.level:.3g} times the {worst.over}{named}"
 
 
@@ -178,7 +179,7 @@ def _judged(
     closes = "the effects close" if several else "the effect closes"
     share = f"{closes} {training:.0%} of the gap between error and noise"
     if f"{predicted:.0%}" != f"{training:.0%}" and predicted < training:
-        share += f", and {predicted:.0%} in records that were left out to be predicted"
+        share += f", and {predicted:.0%} in records that were left out for prediction"
     tables = any(c.form.free for c in found.current.added)
     # a curve that is at the right place leaves nothing: it needs no right name
     most = VERDICT.most_by_curve if tables else VERDICT.most
@@ -189,7 +190,7 @@ def _judged(
     quiet = not now.structured and predicted >= 0.0
     if quiet or closed > VERDICT.nearly_all:
         if tables:
-            share += ", with a free curve: a shape that no form of the library has"
+            share += ", with a free curve: a shape that is not in the library"
         return ReasonedVerdict(Verdict.FOUND, share, closed, most)
     better = np.mean(found.prediction.squares < found.base_prediction.squares)
     mostly = predicted >= 0.0 and better >= SELECTION.mostly_better
@@ -242,7 +243,7 @@ def _nothing_added(found: SelectionResult, now: _Residual) -> ReasonedVerdict:
     if why == RejectionReason.COLOURED_NOISE:
         if screening.structure.p <= FAMILY_WISE_LEVEL:
             return ReasonedVerdict(Verdict.COLOURED, _coloured(found, now))
-        reason = "no candidate is significant once the residual is whitened"
+        reason = "no candidate is significant after whitening the residual"
         return ReasonedVerdict(Verdict.NONE, f"{reason} (family-wise p = {_p(found)})")
     if why == RejectionReason.NOT_SIGNIFICANT:
         reason = f"no candidate is significant (family-wise p = {_p(found)})"
@@ -250,11 +251,11 @@ def _nothing_added(found: SelectionResult, now: _Residual) -> ReasonedVerdict:
     return ReasonedVerdict(Verdict.NONE, f"the best candidate was not accepted: {why}")
 
 
-WORSE = "records that were left out worse than the declared model does"
+WORSE = "left-out records worse than the declared model"
 
 NOWHERE = (
-    "closed_loop.effects and closed_loop.sites leave no measured output, no driven input, no "
-    "estimated parameter and no state derivative at which an effect may act"
+    "closed_loop.effects and closed_loop.sites leave no site for an effect: no measured output, "
+    "driven input, estimated parameter or state derivative"
 )
 
 
@@ -265,13 +266,13 @@ def _why_not(why: RejectionReason | None) -> str:
         return "but no candidate is significant, though the residual has smooth structure"
     if why == RejectionReason.COLOURED_NOISE:
         return (
-            "and nothing explains it: the residual is autocorrelated, too large for the noise of a "
-            "sensor, and no effect explains it once that is allowed for"
+            "and nothing explains it: the residual is autocorrelated, too large for sensor "
+            "noise, and no effect explains it when autocorrelation is taken into account"
         )
     if why == RejectionReason.COLOURED_GAIN:
         return (
-            "and nothing explains it: the residual is autocorrelated, and once that is allowed "
-            "for, the best candidate does not explain more than chance would"
+            "and nothing explains it: the residual is autocorrelated, and when this is taken "
+            "into account, the best candidate is not significant"
         )
     if why in (RejectionReason.LITTLE_EXPLAINED, RejectionReason.NUMERICAL_ERROR):
         return f"and nothing explains it: the best candidate {why.removeprefix('it ')}"
@@ -285,8 +286,8 @@ def _coloured(found: SelectionResult, now: _Residual) -> str:
         rest = f"no candidate is significant (family-wise p = {screening.p:.2g})"
     elif screening.p_white > found.settings.significance:
         rest = (
-            "no effect explains it once that is allowed for "
-            f"(family-wise p = {screening.p_white:.2g})"
+            "no effect explains it when this is taken into account (family-wise p = "
+            f"{screening.p_white:.2g})"
         )
     else:
         rest = f"the best candidate was not accepted: {why}"
@@ -313,8 +314,8 @@ def _autocorrelated(residual: _Residual) -> str:
     if doubted:
         of = f" of {' and '.join(doubted)}" if len(doubted) < len(residual.outputs) else ""
         size += (
-            f"; without a declared sigma{of} that fits the data, a slow effect of this size cannot "
-            "be distinguished from such noise"
+            f"; without a declared sigma{of} that fits the data, a slow effect of this size "
+            "cannot be distinguished from such noise"
         )
     return (
         f"the residual{named} is {autocorrelated(worst.correlation)} and no larger than a sensor's "
@@ -379,18 +380,18 @@ def confirmed(
     verdict, remark = judged.verdict, ""
     if verdict is Verdict.FOUND and np.any(left > near):
         verdict = Verdict.PARTIAL
-        remark = f", which is more than the {near:.3g} times up to which all counts as found"
+        remark = f', which is more than the limit of {near:.3g} times for "found"'
     elif (
         verdict is Verdict.FOUND
         and not judged.filtered
         and _more_held_out(errors, judged.independent)
     ):
         verdict = Verdict.PARTIAL
-        remark = ", which is more than noise makes by chance: something is left that training hides"
+        remark = ", significantly more than on training data: something is left"
     said = what_is_left(errors, judged.over, remark)
     if verdict is Verdict.FOUND and (without_noise(errors) or not_simulated(errors)):
         verdict = Verdict.PARTIAL
-        said += ", so it is not known whether all was found"
+        said += ", so it is not known whether everything was found"
     return replace(judged, verdict=verdict, reason="; ".join(filter(None, (said, judged.reason))))
 
 
@@ -418,7 +419,7 @@ def veto(judged: ReasonedVerdict, errors: Sequence[ErrorChange], settings: LoopS
     near, errors = settings.near_noise, over_noise(errors, judged.noise)
     lost = no_longer_simulated(errors)
     if lost:
-        return f"with them experiment {', '.join(lost)} cannot be simulated any more"
+        return f"with the effects, experiment {', '.join(lost)} can no longer be simulated"
     both = comparable(errors)
     old, new = (pooled_error(both, "test", after=after) for after in (False, True))
     if new > old and not judged.filtered:  # there likelihoods have been compared

@@ -187,7 +187,9 @@ def undetermined_sentence(model: FittedModel, fit: Result) -> str:
         return ""
     p = strength_p(model.added, model.space, fit.solution.x, fit.uncertainty)
     doubtful = [c.label for c, own in zip(model.added, p, strict=True) if own > STRENGTH_LEVEL]
-    return f"by the last fit the strength of {doubtful[0]} may be zero" if doubtful else ""
+    return (
+        f"according to the last fit, the strength of {doubtful[0]} may be zero" if doubtful else ""
+    )
 
 
 def strength_p(

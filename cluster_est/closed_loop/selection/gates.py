@@ -207,7 +207,7 @@ STOPS = (
         LoopPart.CURVE_ENDS,
         lambda begun: any(candidate.form.free for candidate in begun.model.added),
         RejectionReason.FREE_CURVE,
-        "by definition: what a curve leaves is partly its own error",
+        "by definition: the remaining error of a curve is partly its own",
     ),
 )
 """In the order in which they are asked."""
@@ -225,7 +225,7 @@ FILTERS = (
         lambda fitter, begun, contenders: admissible(fitter, begun.model, contenders),
         RejectionReason.ONLY_WAVES,
         TIME_FUNCTIONS.periods,
-        "signal: of fewer periods a drift looks the same",
+        "signal: with fewer periods, a drift looks the same",
     ),
 )
 """In the order in which they are asked. What is left must besides stay bounded (`BOUNDED`), which
@@ -244,7 +244,7 @@ GATES = (
         lambda attempt, _: attempt.coloured and _may_leave_noise(attempt),
         RejectionReason.COLOURED_GAIN,
         SELECTION.autoregression,
-        "signal: the noise of a sensor with that of a process on it",
+        "signal: sensor noise with process noise added",
     ),
     Gate(
         LoopPart.NUMERICAL,
@@ -258,14 +258,14 @@ GATES = (
         lambda attempt, _: not attempt.predicts_better and not attempt.of_few,
         RejectionReason.NOT_PREDICTED,
         SELECTION.solo_gain,
-        "benchmark: the gain with which an effect may live in a minority of the experiments",
+        "benchmark: the gain above which an effect may act in a minority of the experiments",
     ),
     Gate(
         LoopPart.LEAST_GAIN,
         lambda attempt, fitter: _explains_little(attempt, fitter),
         RejectionReason.LITTLE_EXPLAINED,
         VERDICT.gap,
-        "setting: least_gain; benchmark: the gap from which it is asked for",
+        "setting: least_gain; benchmark: the gap above which it is required",
     ),
 )
 """In the order in which they are asked."""

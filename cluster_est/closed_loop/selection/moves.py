@@ -351,7 +351,7 @@ def revise(fitter: Fitter, begun: RoundStart, end: RoundEnd, rivals: Rivals) -> 
         If nothing has won.
     """
     if end.won is None:
-        raise ValueError("only what has won a round can be revised")
+        raise ValueError("only a set that has won a round can be revised")
     found = rivals_of(end.won, end.seen.contenders)
     rivals = {**found, **rivals, **{name: own for name, own in found.items() if own[1]}}
     grown = Revised(end.won.fitted, rivals)

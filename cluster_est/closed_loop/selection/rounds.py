@@ -61,24 +61,24 @@ class RejectionReason(enum.StrEnum):
     NOT_SIGNIFICANT = "nothing significant"
     COLOURED_NOISE = "coloured noise"
     LIMIT_OF_EFFECTS = "limit of effects"
-    FREE_CURVE = "a free curve was added, whose own error is part of what is left"
-    LITTLE_PROMISED = "no candidate that can be simulated promises to explain enough"
+    FREE_CURVE = "a free curve was added, and its own error is part of the remaining error"
+    LITTLE_PROMISED = "no candidate that can be simulated is expected to explain enough"
     NO_IMPROVEMENT = "no candidate improves the fit and stays bounded"
     ONLY_WAVES = (
         "the only candidates that help are sinusoids or drifts in time, each seen too briefly, at "
         "a resonance of the model, or different in each experiment"
     )
-    REFITS = "what was added to it predicts parts that were left out of a refit no better"
-    STRENGTHS = "the strengths of what was added may be zero for all that the data say"
+    REFITS = "the added effects do not improve the prediction of parts that were left out"
+    STRENGTHS = "the data allow the strengths of the added effects to be zero"
     FUNCTIONS_OF_TIME = (
-        "drifts or waves in time would close a part of the gap, as they do with any slow "
+        "drifts or sinusoids in time would close a part of the gap, as with any slow "
         "disturbance, and leave more than noise"
     )
-    LITTLE_GAIN = "the gain is not significant among so many candidates"
-    COLOURED_GAIN = "noise that is autocorrelated would explain as much"
-    NOT_PREDICTED = "what was left out to be predicted is not predicted better"
-    NUMERICAL_ERROR = "it explains no more than the error of the solver and its steps may be"
-    LITTLE_EXPLAINED = "it explains too little of what is missing"
+    LITTLE_GAIN = "the gain is not significant, given the number of candidates"
+    COLOURED_GAIN = "autocorrelated noise would explain as much"
+    NOT_PREDICTED = "the prediction of left-out data does not improve"
+    NUMERICAL_ERROR = "it explains no more than the error of the solver could"
+    LITTLE_EXPLAINED = "it explains too little of the gap"
 
 
 @dataclass(frozen=True)

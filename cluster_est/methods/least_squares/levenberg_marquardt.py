@@ -144,7 +144,7 @@ MATTERS = 1e-3
 below which its derivative does not matter."""
 DOUBTED = (Ending.CONVERGED, Ending.STALLED, Ending.NO_EFFECT)
 """Endings that better derivatives may show to be none."""
-NO_ROOM = "the budget had no room for better derivatives"
+NO_ROOM = "the budget was too small for more accurate derivatives"
 CONSTRAINED_XTOL = 1e-6
 """Shortest step under constraints; at their kinks the cost stops falling long before it."""
 

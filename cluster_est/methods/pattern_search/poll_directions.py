@@ -130,5 +130,5 @@ class PatternMethod(Method):
         if not self.contraction < 1.0:
             raise ProblemError(
                 f"method.options.contraction: must be below 1 but is {self.contraction:g}; 0.5 "
-                "halves the mesh where no direction leads down"
+                "halves the mesh if no direction lowers the cost"
             )

@@ -70,16 +70,16 @@ class Nsga2(PymooMethod):
         super().check(space)
         if space.priors:
             raise ProblemError(
-                f"method.name: {self.name} keeps the costs of outputs or experiments apart, and a "
-                "prior belongs to none of them; remove the priors, or take another method"
+                f"method.name: {self.name} treats the costs of outputs or experiments separately, "
+                "and a prior belongs to none of them; remove the priors, or use another method"
             )
         if self.objectives == "outputs" and any(
             space.problem.experiments[e].cost_function for e in space.experiments
         ):
             raise ProblemError(
-                'method.options.objectives: must be "experiments" where an experiment has a cost '
-                'function, which says nothing of single outputs, but is "outputs"; change it, or '
-                "remove the cost functions"
+                'method.options.objectives: must be "experiments" if an experiment has a cost '
+                'function, which is not a cost of a single output, but is "outputs"; change it, '
+                "or remove the cost functions"
             )
         count = ParetoFront.count(self.objectives, space)
         if count < 2:

@@ -258,8 +258,8 @@ class PopulationMethod(Method):
             name = space.constraint_names[int(np.argmax(space.equality))]
             raise ProblemError(
                 f'constraints: must be inequalities for method "{self.name}", but {name!r} is an '
-                'equality, along which hardly any point of a population lies; use method "isres", '
-                '"sqp" or "least_squares", or let a parameter follow from others by an expression'
+                'equality, which hardly any point of a population satisfies; use method "isres", '
+                '"sqp" or "least_squares", or make a parameter depend on others by an expression'
             )
         if self.needs_bounds and not UnitBox(space).bounded.all():
             unknown = space.unknowns[int(np.argmin(UnitBox(space).bounded))]
@@ -363,7 +363,7 @@ def _ending(
 ) -> tuple[Ending, str] | None:
     """Return the ending of a search and its message, if it has ended."""
     if progress.step <= method.xtol:
-        return Ending.CONVERGED, "converged: the population has drawn together to within xtol"
+        return Ending.CONVERGED, "converged: the population has contracted to within xtol"
     if settled:
         no_progress = f"the last {method.window} generations gained no more than ftol"
         return Ending.CONVERGED, f"converged: {no_progress}"
@@ -371,7 +371,7 @@ def _ending(
         ended = f"stopped after {method.max_generations} generations"
         return Ending.MAX_ITERATIONS, f"{ended}; raise method.options.max_generations"
     if exhausted:
-        return Ending.STALLED, "the population makes no new points any more"
+        return Ending.STALLED, "the population no longer makes new points"
     return None
 
 

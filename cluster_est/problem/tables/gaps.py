@@ -54,7 +54,7 @@ class RecordGap:
     treatment
         "split": what is behind it is an experiment of its own. "left out": it is not used.
         "bridged": inputs are drawn through. "run through": the model may, as nothing moves.
-        "before": the record begins behind it.
+        "before": the record begins after it.
     moving
         The inputs that may have moved in it.
     why
@@ -252,17 +252,17 @@ MOST_NAMED_GAPS, MOST_FINDINGS = 4, 12
 """Gaps of a record that a sentence names, and sentences."""
 EFFECTS: Mapping[Treatment, tuple[str, str]] = {
     "split": (
-        " may have moved there, so what is behind begins with initial states of its own, which are "
-        "estimated",
-        'gaps = "bridge" in the experiment draws the inputs through instead',
+        " may have changed there, so the part after it begins with its own initial states, which "
+        "are estimated",
+        'gaps = "bridge" in the experiment interpolates the inputs instead',
     ),
-    "left out": (" may have moved there, and what is behind is left out", ""),
+    "left out": (" may have changed there, and the part after it is left out", ""),
     "bridged": (
-        " may have moved there, and is drawn through in a straight line or held",
-        'gaps = "split" in the experiment lets what is behind begin anew',
+        " may have changed there, and is interpolated in a straight line or held",
+        'gaps = "split" in the experiment starts a new part after it',
     ),
-    "before": ("the record begins behind it", ""),
-    "run through": ("the inputs are known there, and the model runs through", ""),
+    "before": ("the record begins after it", ""),
+    "run through": ("the inputs are known there, and the simulation continues through it", ""),
 }
 """What became of gaps, and what changes it."""
 

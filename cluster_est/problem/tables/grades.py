@@ -38,7 +38,7 @@ def with_grades(
     repeated = [word for word, count in Counter(grades).items() if count > 1]
     if repeated:
         raise DataError(
-            f"{where}.ordinal: must name each grade once but names {repeated[0]!r} more often; "
+            f"{where}.ordinal: must name each grade once but names {repeated[0]!r} several times; "
             "remove one"
         )
     cells = table.columns.get(column)

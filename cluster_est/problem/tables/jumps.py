@@ -241,9 +241,9 @@ def jump_findings(
     """
     return tuple(
         (
-            f"input {name}{_of_column(columns.get(f'inputs.{name}', ''))} jumps {_where(records)}; "
-            "straight lines between its samples make ramps of the jumps, which a fit may take for "
-            "a delay",
+            f"input {name}{_of_column(columns.get(f'inputs.{name}', ''))} jumps "
+            f"{_where(records)}; straight lines between its samples turn the jumps into ramps, "
+            "which a fit may confuse with a delay",
             f"{interpolated(name, columns, 'hold')}, if it keeps each sample until the next",
         )
         for name, records in jumping_inputs(experiments, holds).items()

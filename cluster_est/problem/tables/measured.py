@@ -179,8 +179,8 @@ class MeasuredColumns:
             return times
         if self.rows is not None:
             raise DataError(
-                f"{self.where}.rows: must be left out where columns have times of their own, as "
-                f"{name!r} has, but is there; use start and stop"
+                f"{self.where}.rows: must be left out if columns have their own times, as "
+                f"{name!r} has, but is given; use start and stop"
             )
         first, rows = self.clock(clock.time), table.rows_of(resolved)
         source = clock.time if selected else str(own)
@@ -302,8 +302,8 @@ class MeasuredColumns:
         if len(without):
             raise DataError(
                 f"{self.where}: {self.table.path}, column {name!r}, row "
-                f"{self.table.row(int(without[0]), name)}: must have a time where it has a value "
-                "but has none; correct that row"
+                f"{self.table.row(int(without[0]), name)}: must have a time for each value but "
+                "has none; correct that row"
             )
         return known
 
@@ -366,8 +366,8 @@ def sigma_without_output(where: str, name: str, outputs: Collection[str]) -> str
 def relative_without_sigma(where: str, name: str) -> str:
     """The sentence on noise that would be 0 where the signal is 0."""
     return (
-        f"{where}.relative_sigma.{name}: must have sigma.{name} beside it, the noise where the "
-        "signal is 0, but has not; add it"
+        f"{where}.relative_sigma.{name}: must be given with sigma.{name}, the noise at a signal "
+        "of 0, but is given alone; add it"
     )
 
 

@@ -177,8 +177,8 @@ class MeasuredTable:
         if len(fitting) > 1 and where:
             listed = ", ".join(repr(each) for each in fitting[:MOST_NAMED_COLUMNS])
             raise DataError(
-                f"{where}: {self.path}, column {name!r}: must fit one column but fits {listed}; "
-                "write more of its name"
+                f"{where}: {self.path}, column {name!r}: must match one column but matches "
+                f"{listed}; write more of its name"
             )
         return fitting[0] if len(fitting) == 1 else name
 
@@ -189,7 +189,7 @@ class MeasuredTable:
             except AmbiguousNumberError as error:
                 raise UndecidedError(
                     f"{where}: {self.path}, column {name!r}, row {self.line(error.index)}: "
-                    f"{error.cell!r} may have decimals or separate thousands; say which with "
+                    f"{error.cell!r} may have decimals or a thousands separator; say which with "
                     'decimal = "." or decimal = ","'
                 ) from None
             except pa.ArrowInvalid:
@@ -270,9 +270,9 @@ class MeasuredTable:
         index = first_text(column, self.reading.decimal, self.decimal)
         value = repr(column[index].as_py())
         raise DataError(
-            f"{where}: {self.path}, column {name!r}, row {self.line(index)}: must be a number "
-            f"but is {value if len(value) < 60 else value[:57] + '...'}; correct it, or leave it "
-            "empty where nothing was measured"
+            f"{where}: {self.path}, column {name!r}, row {self.line(index)}: must be a number but "
+            f"is {value if len(value) < 60 else value[:57] + '...'}; correct it, or leave it "
+            "empty if nothing was measured"
         )
 
 

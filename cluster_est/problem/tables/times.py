@@ -107,8 +107,8 @@ def read_times(
         return _of_numbers(table, column, rows, where, (factor, offset), since)
     if factor not in (None, 1.0) or offset:
         raise DataError(
-            f"{where}.columns: the time, column {column!r}, must have no factor or offset, because "
-            "it has timestamps, but has; remove them"
+            f"{where}.columns: the time, column {column!r}, must have no factor or offset, "
+            "because it has timestamps, but has one; remove it"
         )
     ns, known = stamps.ns, stamps.known
     if not known.any():
@@ -149,7 +149,7 @@ def _stamps(table: MeasuredTable, column: str, where: str) -> Stamps | None:
     found = read_stamps(table.column(column, where), table.reading)
     if found is None and table.reading.time_format:
         raise StampError(
-            "time_format: must be left out, because the column holds no text, but is there"
+            "time_format: must be left out, because the column has no text, but is given"
         )
     return found
 
@@ -171,7 +171,7 @@ def _of_numbers(
     if factor is None and _are_days(values):
         change = f"{dotted('columns', column)} = {{ factor = "
         raise UndecidedError(
-            f"{at}: must be in seconds but look like days, as Excel and MATLAB count them; write "
+            f"{at}: must be in seconds but look like the days of Excel or MATLAB; write "
             f"{change}86400 }} if they are, or {change}1.0 }}"
         )
     if factor is None and _are_ticks(values):
@@ -187,7 +187,7 @@ def _of_numbers(
     size = 1.0 / factor if factor != 1.0 else EPOCH_UNITS[unit]
     origin = float(values[np.isfinite(values)][0]) if since is None else since.origin
     if not isinstance(origin, float):
-        raise DataError(f"{at}: must count from where the other times do but counts from 1970")
+        raise DataError(f"{at}: must count from the same time as the others but counts from 1970")
     day = np.datetime64(int(origin / size * 1e3), "ms").astype(str).replace("T", " ")
     said = (
         f"its times, column {column!r}, are {unit} since 1970, and seconds since the first row, "

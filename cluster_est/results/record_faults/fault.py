@@ -89,8 +89,8 @@ class RecordFault:
             return f"look at the records first: {self.said}; {self.remedy}"
         own = f"experiment {self.experiment}"
         apart = (
-            f"{own} is the odd one: without it the others fit at the level of the noise, and "
-            f"it is off by {self.before:.2g} times the noise, {self.after:.2g} once mended"
+            f"{own} is the faulty one: without it, the others fit to within the noise; its own "
+            f"error is {self.before:.2g} times the noise, {self.after:.2g} after the correction"
         )
         alike = f" ({' or '.join(self.others)} would look the same)" if self.others else ""
         return f"look at the record of {own} first: {self.said}{alike}; {apart}; {self.remedy}"
@@ -110,7 +110,7 @@ class RecordFault:
             where = "high" if self.size > 0.0 else "low"
             return f"{what} {name} is {abs(self.size):.4g}{unit} too {where}"
         if self.kind == "unit":
-            return f"{what} {name} looks as if it were in another unit: {self.unit}"
+            return f"{what} {name} seems to be in another unit: {self.unit}"
         late = "late" if self.size > 0.0 else "early"
         if self.kind == "delay":
             return f"{what} {name} is {readable_time(abs(self.size))} {late}"
@@ -122,11 +122,11 @@ class RecordFault:
         if self.kind == "swapped":
             return f"{self.sort} {name} look swapped"
         if self.kind == "initial state":
-            return f"it begins elsewhere than it says, at another {name}"
+            return f"it begins at another {name} than declared"
         low, high = self.frequencies
         return (
-            f"a periodic source that nobody measured acts on {name}, of {low:.4g} to {high:.4g} "
-            "Hz, another frequency in each record and in no input"
+            f"an unmeasured periodic disturbance acts on {name}, with frequencies of {low:.4g} to "
+            f"{high:.4g} Hz, which differ between records and are in no input"
         )
 
     @property
@@ -154,8 +154,10 @@ class RecordFault:
         if self.kind == "initial state":
             state, start = self.variables[0], f"{self.offset:.4g}"
             free = f'{dotted("parameters", state)} = {{ start = {start}, per = "experiment" }}'
-            return f"{dotted('values', state)} = {start}{where} mends it, or estimate it by {free}"
-        return "measure it and name its column in signals, or find it and stop it"
+            return (
+                f"{dotted('values', state)} = {start}{where} corrects it, or estimate it by {free}"
+            )
+        return "measure it and name its column in signals, or find and remove it"
 
 
 def as_unit(factor: float, offset: float, spread: float) -> str:

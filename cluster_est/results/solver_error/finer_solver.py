@@ -143,7 +143,7 @@ def solver_scale(
         return replace(found, exchange="model_exchange" in description.interfaces)
     rtol = DEFAULT_RTOL if solver.rtol is None else solver.rtol
     tight = max(rtol / RTOL_TIGHTENING, LEAST_RTOL)
-    why = "" if tight < rtol else "no tighter tolerance can be kept in 64 bits"
+    why = "" if tight < rtol else "a smaller tolerance is not possible with 64 bits"
     name = f"the tolerance model.rtol = {rtol:.1g}"
     return SolverScale(solver, name, rtol=rtol, longest=step, ratio=rtol / tight, why_not=why)
 
@@ -161,7 +161,7 @@ def step_never_taken(
         return ""
     return (
         f"model.step = {solver.step:.4g} is never taken: the times of inputs and measurements are "
-        f"at most {longest:.4g} s apart, and no step goes across one of them; leave it out"
+        f"at most {longest:.4g} s apart, and no step crosses one of them; leave it out"
     )
 
 

@@ -84,10 +84,10 @@ class SolverError:
         worst = max(noticed, key=lambda output: output.over_residual)
         advice = self.scale.advice(worst.over_residual / NOTICED, 1.0)
         return (
-            f"{self.scale.name} is too long: it makes an error in {worst.output} of "
-            f"{worst.over_residual:.2g} times what the fit has left there, and of "
-            f"{worst.over_spread:.1%} of the signal, which the parameters may have been bent to; "
-            f"set {advice} and fit again",
+            f"{self.scale.name} is too long: it causes an error in {worst.output} of "
+            f"{worst.over_residual:.2g} times the remaining residual there, and of "
+            f"{worst.over_spread:.1%} of the signal, which may have biased the parameters; set "
+            f"{advice} and fit again",
         )
 
 

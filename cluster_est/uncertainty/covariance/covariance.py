@@ -120,7 +120,7 @@ def not_assessed(space: SearchSpace, solution: Solution, why: str = "") -> Uncer
     found = tuple(ConfidenceInterval(np.nan, np.nan, np.nan, bound) for bound in bounds)
     names = _without_derivative(space, solution)
     if not why and names and has_jacobian(solution):
-        why = f"simulations for the derivatives by {joined(names)} failed"
+        why = f"simulations for the derivatives with respect to {joined(names)} failed"
     why = why or "no derivatives are known at the solution"
     note = f"there are no intervals, because {why}"
     none = np.zeros((0, 0))
@@ -261,8 +261,8 @@ def _notes(layout: UnknownLayout, system: ScaledJacobian) -> tuple[str, ...]:
         count = len(system.weighting.factor)
         rank = system.factors.rank
         notes.append(
-            f"there are no intervals, because {count} residuals determine {rank} directions and "
-            "none are left to estimate their scatter from"
+            f"there are no intervals, because {count} residuals determine {rank} directions, so "
+            "none are left to estimate their scatter"
         )
     if layout.active:
         names = ", ".join(repr(name) for name in layout.active)
@@ -293,11 +293,11 @@ def _noise_notes(
     times = most if least == most else f"{least} to {most}"
     if basis is NoiseBasis.AUTOREGRESSION:
         return (
-            "the residuals are autocorrelated, and the intervals allow for noise that is: standard "
-            f"errors are {times} times what they would be for white noise",
+            "the residuals are autocorrelated, and the intervals include autocorrelated noise: "
+            f"standard errors are {times} times those for white noise",
         )
     return (
         f"the {len(system.factors.parts)} experiments differ by more than their noise explains, "
-        "and the intervals are made of that scatter: standard errors are "
-        f"{times} times what they would be for white noise",
+        f"and the intervals follow from that scatter: standard errors are {times} times those for "
+        "white noise",
     )

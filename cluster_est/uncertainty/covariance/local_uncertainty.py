@@ -122,7 +122,7 @@ def _sentence(labels: Sequence[str], weights: FloatArray, relative: FloatArray, 
         how = _how(labels, weights, relative, grow="can grow", grows="can grow")
         return f"the data determine {names} only together: {how} without changing any residual"
     how = _how(labels, weights, relative, grow="grow", grows="grows")
-    return f"the data hardly tell {names} apart: the residuals hardly change where {how}"
+    return f"the data hardly distinguish {names}: the residuals hardly change if {how}"
 
 
 def _how(

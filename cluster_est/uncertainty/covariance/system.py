@@ -78,7 +78,7 @@ class ResidualScatter:
     spread: FloatArray | None
 
 
-NO_RESIDUALS_LEFT = "nothing is left of the residuals of an output whose noise is taken from them"
+NO_RESIDUALS_LEFT = "the residuals of an output are 0, so its noise cannot be estimated from them"
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def row_weighting(
     for group in np.unique(groups):
         means[groups == group] = psi_derivatives[groups == group].mean()
     if not (means > 0.0).all():
-        reason = "most residuals are outliers to the cost, whose scale is too small"
+        reason = "most residuals are outliers for this cost: its scale is too small"
         return RowWeighting(np.ones(count), True, problem=reason)
     psi = weights * residuals
     factor = np.sqrt(means)
@@ -207,8 +207,8 @@ WEAK = 1e-6
 ROUNDING_OF_DIRECTION = 1e-6
 """Part of an unknown in a direction below which it is rounding."""
 ORDINAL = (
-    "of an ordinal output the order of the values is known alone, and their distances to the bounds"
-    " of categories say nothing of its noise"
+    "for an ordinal output only the order of the values is known, and their distances to the "
+    "bounds of categories do not show its noise"
 )
 
 

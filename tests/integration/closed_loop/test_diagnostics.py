@@ -46,9 +46,15 @@ def test_detect_sees_that_something_is_missing(seen):
     [
         (1e-5, 1e-5, 0.001, 40, "something is missing (p = 1e-05 among 40 candidates)"),
         (0.0, 0.0, 0.001, 1, "something is missing (p < 1e-300 among 1 candidate)"),
-        (1e-5, 0.3, 0.001, 40, "the residual is autocorrelated, tied to no candidate (p = 0.3)"),
+        (
+            1e-5,
+            0.3,
+            0.001,
+            40,
+            "the residual is autocorrelated, and no candidate explains it (p = 0.3)",
+        ),
         (0.3, 0.3, 0.001, 40, "the residual has smooth structure (p = 0.001)"),
-        (0.3, 0.3, 0.5, 40, "nothing is missing that could be seen (p = 0.3)"),
+        (0.3, 0.3, 0.5, 40, "no missing effect is visible in the data (p = 0.3)"),
         (1.0, 1.0, 0.5, 0, "the residual looks like noise (p = 0.5), but no candidate was"),
         (1.0, 1.0, 0.001, 0, "has smooth structure (p = 0.001), but no candidate was compared"),
     ],
@@ -65,7 +71,7 @@ def test_detect_sees_nothing_in_noise(tmp_path):
     seen = ce.detect(read(tmp_path, friction=0.0), settings=SETTINGS)
     assert not seen.missing
     assert seen.rms["y"] == pytest.approx(1e-3, rel=0.2)
-    assert "nothing is missing" in seen.sentence
+    assert "no missing effect" in seen.sentence
 
 
 def test_locate_ranks_the_candidates(problem):
@@ -159,5 +165,5 @@ def test_a_parameter_that_the_fmu_declares_fixed_is_said_to_be_closed(problem, f
 
 
 def test_a_closed_site_that_was_asked_for_is_refused_with_the_cause(fixed_mass):
-    with pytest.raises(ProblemError, match=r"'parameter m' is closed, because .* tunable"):
+    with pytest.raises(ProblemError, match=r"'parameter m' cannot be used, because .* tunable"):
         ce.detect(fixed_mass, settings=SETTINGS.changed(sites=("parameter m",)))

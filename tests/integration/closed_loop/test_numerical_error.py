@@ -196,14 +196,14 @@ def test_the_refusal_says_how_large_and_what_to_set(of_a_step):
     said += "no missing effect can be distinguished.*set model.step = 0.0007813.* first"
     assert re.search(said, found.refusal)
     assert found.notes[0].startswith("no effect was looked for, because the commun")
-    assert "1 times all that is left" in sized(of_a_step, 1e-9, 1e-9, noise=0.0).refusal
+    assert "1 times the remaining residual" in sized(of_a_step, 1e-9, 1e-9, noise=0.0).refusal
 
 
 @pytest.mark.parametrize(
     ("rms", "noise", "order", "said"),
     [
         (0.12, 1.0, 2.0, ("0.12 times the noise", "model.step = 0.05", "makes it negligible")),
-        (1e-9, 0.0, 1.0, ("an error of 1e-09 times all that is left",)),
+        (1e-9, 0.0, 1.0, ("an error of 1e-09 times the remaining residual",)),
         (0.04, 1.0, 1.0, ()),
         (0.0, 0.0, 1.0, ()),
     ],

@@ -118,7 +118,7 @@ def test_what_does_not_work_with_it_is_one_sentence():
     with pytest.raises(ProblemError, match="detect and locate: cannot be used with process noise"):
         ce.locate(made)
     output = SETTINGS.changed(sites=("output y",))
-    with pytest.raises(ProblemError, match="'output y' is closed beside process noise"):
+    with pytest.raises(ProblemError, match="'output y' cannot be used with process noise"):
         ce.close_loop(made, settings=output)
     *others, strength, lasting = made.parameters
     each = (*others, replace(strength, per="experiment"), lasting)

@@ -101,7 +101,7 @@ def test_an_effect_that_acts_late_is_found_where_it_acts(found):
     assert effect.effect.form == "saturation"
     assert effect.coefficients[0].value == pytest.approx(LIMIT, rel=0.01)
     assert "'e0' from 45.02 to 60 s" in result.notes[0]
-    assert "where the declared model errs most" in result.notes[0]
+    assert "where the error of the declared model is largest" in result.notes[0]
     assert "then in all of them" not in result.notes[0]
     # what is reported is of all rows, and has nothing of the parts' own
     assert [len(run.outputs[0].times) for run in result.problem.experiments] == [len(TIMES)] * 2
@@ -137,7 +137,10 @@ def test_a_part_goes_on_from_where_its_record_stands(late, chosen):
     elsewhere = tuple(replace(own, start=own.start + 1.0) for own in part.own_starts)
     moved = (replace(part, own_starts=elsewhere), *chosen.problem.experiments[1:])
     wrong = replace(chosen, problem=replace(chosen.problem, experiments=moved))
-    for windows, said in ((chosen, ""), (wrong, "does not go on from where they begin")):
+    for windows, said in (
+        (chosen, ""),
+        (wrong, "does not continue correctly from their beginning"),
+    ):
         with open_workbench(LoopRequest(windows.problem, settings=SETTINGS)) as bench:
             assert windows.unlike_records(bench.fitter).endswith(said)
             assert bool(windows.unlike_records(bench.fitter)) is bool(said)
@@ -151,7 +154,7 @@ def test_what_acts_outside_of_the_parts_alone_is_noticed(late, chosen):
             rows = item.rows.start + np.flatnonzero(item.times <= 15.0)
             early.append(replace(window, start=0.0, stop=15.0, rows=rows))
         said = replace(chosen, windows=tuple(early)).missed(bench.fitter, chosen.fitted)
-    assert said.startswith("what was found there leaves more in 'e")
+    assert said.startswith("the model that was found there leaves more error in 'e")
     assert said.endswith("to 60 s")
 
 

@@ -57,7 +57,7 @@ SUITABLE = [
         options("scipy_least_squares") | {"cost.name": "sae"},
         "method.name: scipy_least_squares needs residuals.*cost.name is 'sae'",
     ),
-    ({"cost.name": "sae"}, "method.name: least_squares needs residuals.*'sae'.*choose another"),
+    ({"cost.name": "sae"}, "method.name: least_squares needs residuals.*'sae'.*change one"),
     (options("nelder_mead"), r'm.bounds: .*absent.*\[0.1, 10\].*bounds = "enforce"'),
     (options("de") | {"parameters.m.bounds": REMOVED}, "parameters.m.bounds: .*finite"),
 ]
@@ -78,7 +78,7 @@ KINDS = [
         constraint(expression="m <= k", signal="y", upper=1),
         r"constraints\[0\]: .*one of expression, signal and function.*has expression and signal",
     ),
-    (constraint(expression="m <= k", upper=1), r"\[0\].upper: .*left out beside expression"),
+    (constraint(expression="m <= k", upper=1), r"\[0\].upper: .*left out with expression"),
     (constraint(expression="m <= k", equality=True), r"\[0\].equality: .*left out"),
     (constraint(expression="m <= k", experiments=["a"]), r"\[0\].experiments: .*left out"),
     (constraint(name="mass", expression="m <= q"), r"constraints\[mass\].*unknown.*'q'.*'m', 'k'"),
@@ -94,22 +94,22 @@ SIGNALS = [
     (on_y(upper="high"), r"\[0\].upper: .*finite number or \[\[time, value\], ...\].*'high'"),
     (on_y(upper=[[0]]), r"\[0\].upper\[0\]: .*two numbers.*\[0\]"),
     (on_y(upper=10**400), r"\[0\].upper: .*finite number.*1000"),
-    (on_y(upper=[[1, 0], [0, 1]]), r"\[0\].upper: .*times must not go back.*sort"),
+    (on_y(upper=[[1, 0], [0, 1]]), r"\[0\].upper: .*times must not decrease.*sort"),
     (on_y(upper=[[7, 1], [8, 1]]), r"\[0\].upper: .*limit the signal.*0 to 0.3 s"),
     (on_y(upper=1, lower=2), r"\[0\].lower: .*not be above upper.*0 s.*swap them"),
     (on_y(lower=[[0, 0], [0.3, 3]], upper=2), r"\[0\].lower: .*not be above upper.*at 0.2"),
     (on_y(upper=1, between=[5, 6]), r"\[0\].between: .*overlap with.*0 to 0.3.*\[5.0, 6"),
     (on_y(upper=1, between=[4, 3]), r"\[0\].between: .*\[from, to\].*\[4.0, 3.0\]"),
-    (on_y(final=1, between=[0, 1]), r"\[0\].between: .*left out beside final"),
+    (on_y(final=1, between=[0, 1]), r"\[0\].between: .*left out with final"),
     (on_y(upper=1, experiments=["b"]), r"\[0\].experiments: .*no 'b'.*'a'"),
     (on_y(upper=1, equality=True), r"\[0\].equality: .*left out"),
     (on_y(upper=1, samples=1), r"\[0\].samples: .*greater than 1.*1"),
     (on_y(upper=1, samples=2**62), r"\[0\].samples: .*at most 1e\+07.*46"),
     (on_y(upper=1, scale=0), r"\[0\].scale: .*greater than 0.*0"),
-    (on_y(final=1, upper=2), r"\[0\].final: .*stand alone.*upper and final"),
+    (on_y(final=1, upper=2), r"\[0\].final: .*be the only limit.*upper and final"),
     (on_y(final=1, tolerance=-1), r"\[0\].tolerance: .*at least 0.*-1"),
     (on_y(upper=2, tolerance=1), r"\[0\].tolerance: .*beside final"),
-    (on_y(upper=2, step_response=STEP), r"\[0\].step_response: .*stand alone"),
+    (on_y(upper=2, step_response=STEP), r"\[0\].step_response: .*be the only limit"),
     (on_y(step_response=3), r"\[0\].step_response: .*a table.*3"),
     (step(rise=120), "step_response.rise: .*less than 100.*120"),
     (step(rise_tme=1), "unknown key .*step_response.rise_tme.*'rise_time'"),
@@ -171,4 +171,4 @@ def test_a_function_says_all_of_a_constraint(tmp_path, refuse, key):
     (tmp_path / "mine.py").write_text("def f(run):\n    return 0.0\n")
     changes = constraint(function="mine:f", **{key: 1})
     refuse(changes, r"constraints\[0\].function: 'mine:f' is Python code.*add --allow-code")
-    refuse(changes, rf"constraints\[0\].{key}: .*left out beside", more=("--allow-code",))
+    refuse(changes, rf"constraints\[0\].{key}: .*left out with", more=("--allow-code",))

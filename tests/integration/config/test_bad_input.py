@@ -129,7 +129,7 @@ def test_faults_that_do_no_harm_are_said_by_check(tmp_path, capsys):
     path = write_input(tmp_path, {"model.fmu": "x.fmu"})
     assert main(["check", str(path), "--seconds", "0"]) == 0
     out, error = capsys.readouterr()
-    assert "x.fmu: attributes nominal that are no number are ignored: 'x'\n" in out
+    assert "x.fmu: attributes nominal that are not numbers are ignored: 'x'\n" in out
     assert error == ""
 
 
@@ -152,7 +152,7 @@ def test_an_out_folder_that_is_not_free(tmp_path, refused, capsys):
     ("arguments", "pattern"),
     [
         (["fit", "no.toml", "--out", "out"], "there is no config file no.toml; check the path"),
-        (["check", "."], r".: must be a file that can be read.*\(Is a directory\)"),
+        (["check", "."], r".: must be a readable file but is not.*\(Is a directory\)"),
         (["check", "a.csv"], "a.csv: must be TOML but is not"),
         ([*SIMULATE, "out.txt"], "must end in one of .parquet, .feather, .csv.*'out.txt'"),
         ([*SIMULATE, "out.csv", "--run", "."], ".: must be the folder of a finished run"),

@@ -84,7 +84,7 @@ def test_a_missing_key_is_named_with_what_it_is_for(refuse, path, pattern):
         (f"{A}.outputs.F", "force", "outputs.F: .*not be an input"),
         (f"{A}.sigma", {"y": 0.0}, f"{EXPERIMENT}.sigma.y: .*greater than 0.*0.0"),
         (f"{A}.sigma", {"yy": 1.0}, "sigma.yy: .*one of its outputs"),
-        (f"{A}.relative_sigma", {"y": 0.1}, "relative_sigma.y: .*sigma.y beside it"),
+        (f"{A}.relative_sigma", {"y": 0.1}, "relative_sigma.y: .*given with sigma.y"),
         (f"{A}.relative_sigma", {"y": -1.0}, "relative_sigma.y: .*at least 0.*-1.0"),
         (f"{A}.relative_sigma", {"yy": 0.1}, "relative_sigma.yy: .*one of its outputs"),
         (f"{A}.start", NAN, f"{EXPERIMENT}.start: .*finite number"),

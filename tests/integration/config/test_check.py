@@ -100,9 +100,9 @@ def test_a_good_fmu(examined, name, fmi):
         ("once_per_process", 2, "instances", "note", "and says so", "executor.name"),
         ("once_undeclared", 2, "instances", "note", "and does not say so", "executor.name"),
         ("shares_static", 2, "instances", "note", "give other results while", "executor.name"),
-        ("dead_parameter", 2, "dead parameters", "note", "depend on dead", "inputs are driven"),
+        ("dead_parameter", 2, "dead parameters", "note", "depend on dead", "data for the inputs"),
         ("wrong_directional", 2, "derivatives", "note", "differ from the model's slopes", "export"),
-        ("zero_directional", 2, "derivatives", "note", "all are silently 0", "export"),
+        ("zero_directional", 2, "derivatives", "note", "all of them are 0", "export"),
         ("needs_stop_time", 2, "stop time", "note", "only be initialised with", "model.stop_time"),
         pytest.param(
             *("robertson", 2, "stiffness", "note", "is stiff", 'model.solver = "cvode"'), marks=slow
@@ -139,7 +139,7 @@ def test_a_parameter_that_cannot_be_set_is_named_and_left_out(examined, fmi):
     refused = next(each for each in page.findings if "refuses" in each.found)
     assert refused.verdict == "note"
     assert refused.found.startswith("limit: ")
-    assert "1 of 1 act on the outputs" in line(page, "parameters").found
+    assert "1 of 1 affect the outputs" in line(page, "parameters").found
 
 
 @pytest.mark.parametrize(
@@ -214,7 +214,7 @@ def test_a_config_whose_parameter_is_dead(own_fmu, tmp_path, capsys):
     assert main(["check", str(write_input(tmp_path, changes)), "--seconds", "60"]) == 1
     said = capsys.readouterr().out
     assert "parameter dead" in said
-    assert "1 of 2 act on the outputs" in said
+    assert "1 of 2 affect the outputs" in said
 
 
 def test_an_experiment_at_rest_tells_nothing(capsys):
@@ -222,7 +222,7 @@ def test_an_experiment_at_rest_tells_nothing(capsys):
     config = ROOT / "configs" / "mass_spring_damper.toml"
     assert main(["check", str(config), "--seconds", "60"]) == 0
     said = capsys.readouterr().out
-    assert "3 of 3 act on the outputs" in said
+    assert "3 of 3 affect the outputs" in said
     assert "y changes by 0 of its size" not in said
 
 
@@ -358,7 +358,7 @@ NO_JACOBIAN = SimpleNamespace(error=np.nan, zero=False)
         (DirectionalProbe, NO_JACOBIAN, "derivatives", "note", "differ"),
         (CostProbe, SimulationCost(1e-3, None, 64), "memory", "not done", "64 simulations are too"),
         (CostProbe, SimulationCost(1e-3, 0.0, 64), "memory", "not done", "64 simulations are too"),
-        (CostProbe, SimulationCost(1.1, 0.0, 300), "few simulations", "ok", "takes long"),
+        (CostProbe, SimulationCost(1.1, 0.0, 300), "few simulations", "ok", "are slow"),
         (LeftoverProbe, NoAnswer("it would take 5 s", late=True), "values", "not done", "5 s"),
     ],
 )
@@ -436,8 +436,8 @@ def test_with_more_time_each_check_has_more(spring):
     ("verdicts", "end"),
     [
         (["not done"], "nothing was checked yet"),
-        (["not done", "ok"], "1 of 2 checks was not done; in the others no problem was found"),
-        (["not done"] * 2 + ["problem"], "2 of 3 checks were not done; in the others 1 problem"),
+        (["not done", "ok"], "1 of 2 checks was not done; the others: no problem was found"),
+        (["not done"] * 2 + ["problem"], "2 of 3 checks were not done; the others: 1 problem"),
         (["ok", "note"], "no problem was found; 1 note says what may be wrong"),
     ],
 )
@@ -465,7 +465,7 @@ def test_an_input_that_is_held_anyway_makes_no_ramps(tmp_path, name):
     columns = {"t": times, "u": steps, "y": np.sin(times)}
     run = ce.Experiment.from_table(columns, id="a", time="t", inputs=["u"], outputs=["y"])
     problem = ce.Problem(ce.read_model(fmu), [ce.Parameter("k", 1.0)], [run])
-    assert any("makes ramps" in each or "make ramps" in each for each in problem.notes()) is noted
+    assert any("makes ramps" in each or "into ramps" in each for each in problem.notes()) is noted
     with_hole = replace(run.inputs[0], times=np.delete(times, 5), values=np.delete(steps, 5))
     holed = replace(problem, experiments=(replace(run, inputs=(with_hole,)),))
     checks = {each.check for each in data_findings(holed, holed.describe())}

@@ -175,19 +175,19 @@ def rounded(sigma):
         (
             run(TRUTH | {"w": TRUTH["w"] + spikes(40.0)}, inputs=HELD),
             "output speed",
-            "2 of 401 samples stand alone, far from their neighbours",
-            'if they are faults.* cost.name = "huber", which needs sigma.speed, counts them less',
+            "2 of 401 samples are far from all their neighbours",
+            'if they are faults.*cost.name = "huber", .*sigma.speed, reduces their weight',
         ),
         (
             rounded(0.01),
             "output speed",
-            "whole steps of 0.25.*an error of 0.0722, 7.2 times the sigma",
+            "multiples of 0.25.*an error of 0.0722, 7.2 times the given sigma",
             "0.0722 or more",
         ),
         (
             COASTING,
             "start",
-            "nothing moves .* experiment run.*equilibrium.*measured speed moves by 78.5 rad/s",
+            "nothing changes .* experiment run.*equilibrium.*measured speed changes by 78.5 rad/s",
             'parameters.i = { start = 0, per = "experiment" }',
         ),
     ],

@@ -142,7 +142,7 @@ class TestWhereExperimentsAreAlike:
             files.append(table(tmp_path / f"run{i}.csv", noisy, time=TIMES, force=FORCE))
         text, tree, said = written(*files)
         assert said.count("fill in") == 1
-        assert "# What every experiment has unless it says otherwise below." in text
+        assert "# Defaults of all experiments; an experiment below may have its own value." in text
         assert tree["experiment_defaults"]["time"] == "time"
         assert tree["experiment_defaults"]["outputs"] == {"y": "y", "v": "v"}
         sigma = tree["experiment_defaults"]["sigma"]
@@ -212,7 +212,7 @@ class TestColumnsThatAreGiven:
         [
             (["F=Voltage"], r"map F: a.csv has no column 'Voltage'.*'Voltage \(V\)'.*'time'"),
             (["f=Voltage (V)"], "map f: .*no variable 'f'.*'F'"),
-            (["m=y"], "map m: .*an input of mass_spring_damper.fmu or something that it"),
+            (["m=y"], "map m: .*an input of mass_spring_damper.fmu or a computed variable"),
             (["F"], "map: .*VARIABLE=COLUMN.*'F'; write it as in --map u='Voltage"),
             (["F=y", "F=time"], "map: F .*one column.*'y' and 'time'"),
             (["F=words"], "map F: column 'words' of a.csv .*numbers"),
@@ -427,7 +427,7 @@ class TestWhereSomethingIsOpen:
         path = tmp_path / "a.csv"
         path.write_text("time,F,y\nnoon,1,2\nlater,1,2\n", encoding="utf-8")
         text, _, _ = written(path)
-        assert "# column 'time' holds no numbers: dates, or a row of units" in text
+        assert "# column 'time' has no numbers: dates, or a row of units" in text
 
     def test_a_time_with_two_meanings_is_asked_for(self, written, tmp_path, capsys):
         path = tmp_path / "a.csv"
@@ -455,7 +455,7 @@ def test_columns_without_a_name_or_a_number_are_left_out(written, tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("time,uEst,uVal,empty,words,\n0,1,2,,x,\n1,1,2,,y,\n", encoding="utf-8")
     text, _, _ = written(path)
-    assert "# columns that hold no numbers: empty, words\n" in text
+    assert "# columns without numbers: empty, words\n" in text
     for name in ("uEst", "uVal"):
         assert f'= "{name}"' in text
 
@@ -562,7 +562,7 @@ class TestMistakes:
             ([str(FMU), "broken.parquet"], "a parquet file that can be read"),
             ([str(FMU), "text.csv"], "text.csv .*columns of numbers.*none"),
             ([str(FMU), "a.csv", "./a.csv"], "a.csv .*named once.*2 times"),
-            ([str(FMU), "a.csv", "--out", "there.toml"], "there.toml.* is there already"),
+            ([str(FMU), "a.csv", "--out", "there.toml"], "there.toml.* exists already"),
             ([str(FMU), "a.csv", "--out", "."], "a file but is a folder"),
             ([str(FMU), "a.csv", "--out", "a.csv/b.toml"], "must be written but cannot be"),
         ],

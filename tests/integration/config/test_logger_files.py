@@ -175,7 +175,7 @@ def test_a_column_may_be_named_by_a_part_of_its_name(tmp_path, monkeypatch):
     Path("a.csv").write_text(content, encoding="utf-8")
     config('[[experiments]]\nid = "a"\ndata = "a.csv"\ninputs.F = "*.F*"\noutputs.y = "CAN1.y*"\n')
     np.testing.assert_array_equal(ce.read_problem("first.toml").experiments[0].inputs[0].values, F)
-    with pytest.raises(DataError, match=r"'CAN1\*': must fit one column but fits 'CAN1.F \[N"):
+    with pytest.raises(DataError, match=r"'CAN1\*': must match one column but matches 'CAN1.F \[N"):
         ce.read_problem("first.toml", ["experiments.a.inputs.F=CAN1*"])
 
 

@@ -17,6 +17,7 @@ from docs.pages import (
 )
 from pydantic import BaseModel
 from support.problems.springs import ROOT
+from support.reported import chromium
 
 from cluster_est.cli import main
 from cluster_est.cli.forms_command import EVERY_FORM
@@ -59,6 +60,28 @@ def test_the_site_has_every_page_and_asks_no_other_host_for_anything(site):
     page = (site / "python.html").read_text(encoding="utf-8")  # in the words of the docstrings
     assert "Estimate all parameters of a problem from its training experiments" in page
     assert "The residuals of the training experiments as a function" in page
+
+
+@pytest.mark.slow
+def test_the_search_works_when_the_site_is_opened_from_its_folder(site):
+    path = chromium()
+    if path is None:
+        pytest.skip("needs a Chromium, or its path in CLUSTER_EST_CHROMIUM")
+    playwright = pytest.importorskip("playwright.sync_api")
+    with playwright.sync_playwright() as started:
+        browser = started.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        page = browser.new_page()
+        said: list[str] = []
+        page.on("console", lambda message: said.append(message.text))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.goto((site / "index.html").as_uri())
+        page.locator("input[name=query]").press_sequentially("multiple shooting")
+        page.wait_for_selector(".md-search-result__link", state="attached")
+        links = page.locator(".md-search-result__link")
+        found = [link.get_attribute("href") for link in links.all()]
+        browser.close()
+    assert (site / "multiple_shooting.html").as_uri() in found
+    assert said == []
 
 
 def keys(section: type[BaseModel], seen: set[type[BaseModel]]) -> list[str]:

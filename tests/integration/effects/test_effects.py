@@ -186,8 +186,8 @@ def test_a_declared_effect_is_fitted_together_with_the_parameters():
         (("pair v,q", "gap"), r"no such site der\(q\).*'x', 'v'"),
         (("pair x,v", "jiont"), "'jiont'.*did you mean 'joint'"),
         (("pair x,v", "", (), "x"), r"reaction: must be.*to der\(v\).*missing"),
-        (("der(v)", "", (), "x", (), "x"), "reaction: must stand.*no pair"),
-        (("pair x,v", "gap", (), "", (), "x"), "reaction: must stand.*form is 'gap'"),
+        (("der(v)", "", (), "x", (), "x"), "reaction: must be given.*no pair"),
+        (("pair x,v", "gap", (), "", (), "x"), "reaction: must be given.*form is 'gap'"),
         (("der(v)", "", (), "2 *"), r"must be an equation.*'2 \*'"),
         (("der(v)", "", (), "2 * q"), "unknown variable 'q'"),
         (("der(v)", "", (), "sinn(x)"), "unknown function 'sinn'.*'sin'"),
@@ -205,7 +205,7 @@ def test_an_effect_that_cannot_be_is_refused_with_a_sentence(effect, said):
 @pytest.mark.parametrize(("site", "form"), [("der(v)", "coulomb"), ("pair x,v", "gap")])
 def test_co_simulation_closes_the_sites_at_derivatives(site, form):
     problem = Problem(model_of(SOLVERS["co_simulation"]), PARAMETERS, (driven(),))
-    with pytest.raises(EffectError, match=r"(der|pair).* is closed.*keeps its states"):
+    with pytest.raises(EffectError, match=r"(der|pair).* cannot be used.*gives no access"):
         add_effect(problem, site, form)
 
 

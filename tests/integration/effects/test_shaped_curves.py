@@ -196,7 +196,7 @@ def test_what_python_gives_is_checked(tmp_path, own_fmu, keys, said):
 ENDS = ends(1.0)
 BLOCK = {"site": "der(v)", "form": "table", "slope_change": 1.0, "bounds": [-9.0, 9.0]}
 BLOCK |= {"parameters": ENDS}
-LEFT_OUT = "must be left out where there is slope_change"
+LEFT_OUT = "must be left out with slope_change"
 
 
 @pytest.mark.parametrize(
@@ -204,11 +204,11 @@ LEFT_OUT = "must be left out where there is slope_change"
     [
         (
             {"form": "coulomb", "parameters": {"width": {"start": 0.1}}},
-            r"slope_change: must go with a free curve",
+            r"slope_change: must be used with a free curve",
         ),
         ({"bounds": [2.0, 1.0]}, r"bounds: must be \[lower, upper\]"),
         ({"bounds": [1.0, 2.0]}, r"start: must lie within the bounds"),
-        ({"bounds": [-np.inf, np.inf]}, r"bounds: must be finite where slope_change"),
+        ({"bounds": [-np.inf, np.inf]}, r"bounds: must be finite with slope_change"),
         ({"slope_change": -1.0}, r"slope_change: must be greater than 0"),
         ({"monotone": "up"}, r"monotone: must be.*increasing.*decreasing"),
         (

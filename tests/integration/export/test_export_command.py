@@ -128,7 +128,7 @@ def test_nothing_is_compiled(run, tmp_path, export, monkeypatch):
     monkeypatch.setattr(build, "build_into", None)
     monkeypatch.setattr(build.subprocess, "run", None)
     _, said = export("--fmu", tmp_path / "here.fmu", "--no-step")
-    assert "does not run on darwin64 and win64, as its original does" in said
+    assert "does not run on darwin64 and win64, although the original does" in said
     fmpy_platforms = supported_platforms(str(tmp_path / "here.fmu"))
     assert fmpy_platforms == [PLATFORM]
 
@@ -200,7 +200,7 @@ def test_equations_for_a_modeller(export):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ([], "must be told what to write.*--fmu"),
+        ([], "needs an output to write.*--fmu"),
         (["--fmu", "no/such/a.fmu"], "--fmu: must be in a folder that exists.*no/such"),
         (["--ssv", "no/a.ssv"], "--ssv: must be in a folder that exists.*no does not"),
         (["--ssv", "values.xml"], r"must end in \.ssv.*'values\.xml'"),
@@ -234,4 +234,4 @@ def test_an_fmu_that_has_changed_is_refused(run, export):
     original.write_bytes(before + b"\0")
     said = export("--text", code=2)[1]
     original.write_bytes(before)
-    assert "must be the FMU that the run was made with" in said
+    assert "must be the FMU of the run but has changed" in said

@@ -51,9 +51,9 @@ def write(folder, missing):
 @pytest.mark.parametrize(
     ("missing", "found"),
     [
-        ("tFy", "nothing measured: input F may have moved there, so what is behind begins"),
-        ("Fy", "nothing measured: input F may have moved there, so what is behind begins"),
-        ("F", "input F not measured: input F may have moved there, so what is behind begins"),
+        ("tFy", "nothing measured: input F may have changed there, so the part after it begins"),
+        ("Fy", "nothing measured: input F may have changed there, so the part after it begins"),
+        ("F", "input F not measured: input F may have changed there, so the part after it begins"),
         ("y", "output y not measured: the inputs are known there"),
     ],
 )

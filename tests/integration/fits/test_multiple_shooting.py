@@ -139,7 +139,7 @@ def test_a_stable_model_is_fitted_as_without_segments(problem):
     assert shot.cost == pytest.approx(plain.cost, rel=1e-7)
     for label, value in plain.x.items():
         assert shot.x[label] == pytest.approx(value, rel=1e-4, abs=1e-5)
-    assert any("multiple shooting found on 10 segments" in note for note in shot.notes)
+    assert any("result of multiple shooting with 10 segments" in note for note in shot.notes)
 
 
 @pytest.mark.parametrize(
@@ -230,7 +230,7 @@ def test_workers_change_no_bit_and_what_needs_whole_records_is_left_out(standing
     )
     assert again.x == standing.x
     assert again.cost == standing.cost
-    assert "uncertainty.profiles was asked for and left out" in " ".join(again.notes)
+    assert "uncertainty.profiles was requested but left out" in " ".join(again.notes)
 
 
 @pytest.mark.slow
@@ -244,7 +244,9 @@ def test_segments_that_are_too_long_are_cut_in_halves_and_that_is_said():
 def test_a_config_asks_for_it_and_a_run_that_was_cut_is_taken_up(tmp_path, capsys):
     given = ["fit", SPRING, "--out", str(tmp_path), "--no-report", "method.shooting.segments=6"]
     assert main(given) == 0
-    assert "multiple shooting found on 24 segments" in " ".join(capsys.readouterr().out.split())
+    assert "result of multiple shooting with 24 segments" in " ".join(
+        capsys.readouterr().out.split()
+    )
     whole = values_of(tmp_path)
     cut(tmp_path / "evaluations", 60)
     change_facts(tmp_path, status="running", verdict=None)
@@ -257,7 +259,7 @@ def test_a_config_asks_for_it_and_a_run_that_was_cut_is_taken_up(tmp_path, capsy
     ("override", "sentence"),
     [
         ("method.shooting={segments=1}", "method.shooting.segments"),
-        ("multistart.n=4", "multistart asks for 4 starts"),
+        ("multistart.n=4", "multistart requests 4 starts"),
     ],
 )
 def test_what_a_config_cannot_ask_for_is_one_sentence(tmp_path, capsys, override, sentence):
@@ -295,12 +297,12 @@ FREE = with_outputs(springs(), lambda o: replace(o, free_offset=True))
         (springs(), {"length": 0.0}, {}, r"shooting\.length: must be .*0"),
         (springs(), {"parts": 3}, {}, "unknown key method.shooting.parts"),
         (FREE, THREE, {}, "'e0'.*a free scale or offset"),
-        (remembering("lag", "output y"), THREE, {}, "'late', which has a state of its own"),
+        (remembering("lag", "output y"), THREE, {}, "'late', which has an internal state"),
         (remembering("delay", "input F"), THREE, {}, "'late', which depends on the past"),
         (stateless(), THREE, {}, "needs a model with states"),
         (replace(springs(), cost=COSTS["huber"]()), THREE, {}, 'needs cost.name = "sse"'),
         (springs(), THREE, {"method": "pattern_search"}, "needs .*least_squares.* pattern_search"),
-        (springs(), THREE, {"multistart": ce.Multistart(n=3)}, "multistart asks for 3 starts"),
+        (springs(), THREE, {"multistart": ce.Multistart(n=3)}, "multistart requests 3 starts"),
     ],
 )
 def test_what_segments_cannot_help_is_refused(problem, shooting, how, said):

@@ -100,7 +100,7 @@ def test_values_below_a_detection_limit_pull_nothing_towards_it():
     table = censored.table("residuals").to_pydict()
     hidden = np.array(table["measured"]) <= LIMIT
     assert np.array(table["simulated"])[hidden].min() < -LIMIT  # and not the limit
-    assert not any("a constant would follow" in note for note in censored.notes)
+    assert not any("a constant would fit" in note for note in censored.notes)
     zeros = ce.fit(hidden_springs(written=0.0, detection_limit=LIMIT))
     assert zeros.x == pytest.approx(censored.x, rel=1e-9)
 
@@ -132,10 +132,13 @@ HUBER = COSTS["huber"]()
     [
         (
             with_outputs(hidden_springs(detection_limit=LIMIT), lambda o: replace(o, sigma=1.0)),
-            "must have a sigma where it has a detection_limit",
+            "must have a sigma with a detection_limit",
         ),
-        (replace(hidden_springs(detection_limit=LIMIT), cost=HUBER), "must go with the cost sse"),
-        (replace(observed(free_scale=True), cost=HUBER), "must go with the cost sse"),
+        (
+            replace(hidden_springs(detection_limit=LIMIT), cost=HUBER),
+            "must be used with the cost sse",
+        ),
+        (replace(observed(free_scale=True), cost=HUBER), "must be used with the cost sse"),
     ],
 )
 def test_a_limit_without_a_sigma_and_another_cost_are_refused(problem, said):

@@ -76,7 +76,7 @@ def test_what_an_order_says_nothing_of_is_named():
 def test_there_are_no_intervals_and_no_tests_of_the_residuals(ranked):
     assert all(np.isnan(each.std_error) for each in ranked.estimates if each.label in ("k", "c"))
     assert ranked.diagnostics is None
-    assert any("there are no intervals, because of an ordinal output" in n for n in ranked.notes)
+    assert any("there are no intervals, because for an ordinal output" in n for n in ranked.notes)
 
 
 def test_the_note_counts_the_pairs_in_order():
@@ -94,7 +94,7 @@ def test_the_note_counts_the_pairs_in_order():
         tau = kendalltau(output.values, values, variant="c").statistic
         excess = tau * len(values) ** 2 * (1.0 - 1.0 / 4.0) / 2.0
         there, agreeing = there + unequal, agreeing + (unequal + excess) / 2.0
-    (note,) = [n for n in result.notes if "by the order of its values alone" in n]
+    (note,) = [n for n in result.notes if "only by the order of its values" in n]
     assert f"{agreeing / there:.3%} are simulated in their order" in note
 
 
@@ -161,8 +161,8 @@ def still(problem):
 @pytest.mark.parametrize(
     ("change", "how", "said"),
     [
-        (still, {}, "output y: must have at least two different values where it is ordinal"),
-        (lambda p: replace(p, cost=COSTS["huber"]()), {}, "must go with the cost sse"),
+        (still, {}, "output y: must have at least two different values if it is ordinal"),
+        (lambda p: replace(p, cost=COSTS["huber"]()), {}, "must be used with the cost sse"),
         (None, {"uncertainty": ce.UncertaintySettings(profiles=("k",))}, "uncertainty.profiles"),
         (None, {"uncertainty": ce.UncertaintySettings(posterior=1000)}, "has an ordinal output"),
         (None, {"shooting": {"segments": 3}}, "cannot cut experiment 'e0'"),
@@ -217,7 +217,10 @@ def test_a_config_gives_words(words):
         ([outputs("3")], "ordinal: must be .* at least two words"),
         ([outputs("true")], "row 2: must be a number but is ' medium '"),
         ([WORDS.replace("position", "place")], "has no column 'place'"),
-        ([outputs("true", ", free_scale='shared'")], 'free_scale: must not be "shared" where'),
+        (
+            [outputs("true", ", free_scale='shared'")],
+            'free_scale: must not be "shared" for an ordinal output',
+        ),
         ([WORDS, "cost.time_base=union"], "where it is ordinal"),
         ([WORDS, "cost.normalise=range"], "where it is ordinal"),
     ],

@@ -69,8 +69,11 @@ def test_every_method_finds_the_same_minimum(method, usual, tmp_path):
             "{name='normal', mean=20.0, sd=0.1}",
             r"prior: must have its centre within the bounds .0.1, 10",
         ),
-        ("experiment_defaults.sigma={}", r"sigma\.y is missing; uncertainty\.posterior makes"),
-        ("cost.name=huber", r'uncertainty\.posterior: must go with the cost "sse" or "likelihood"'),
+        ("experiment_defaults.sigma={}", r"sigma\.y is missing; uncertainty\.posterior needs"),
+        (
+            "cost.name=huber",
+            r'uncertainty\.posterior: must be used with the cost "sse" or "likelihood"',
+        ),
         ("parameters.m.bounds=[0.1, inf]", r"parameters\.m: must have finite bounds or a prior"),
         ("uncertainty.walkers=5", r"uncertainty\.walkers: must be at least 8"),
     ],
@@ -150,7 +153,7 @@ def test_a_posterior_predicts_bands_that_the_report_draws(tmp_path):
     expected = np.abs(ends[1] - ends[0])
     assert np.linalg.norm(widths) == pytest.approx(np.linalg.norm(expected), rel=0.25)
     page = (folder / "report.html").read_text(encoding="utf-8")
-    assert "where the output lies by the posterior of the values" in page
+    assert "the output for the posterior of the values" in page
     assert 'class="band after"' in page
 
 
@@ -158,5 +161,5 @@ def test_a_budget_that_ends_it_leaves_no_draws_and_says_so(tmp_path):
     folder = fitted(tmp_path, DRAWN, "budget.evaluations=300", "--no-report")
     assert not (folder / "posterior.parquet").exists()
     (said,) = [note for note in facts(folder)["notes"] if note.startswith("posterior:")]
-    assert said.startswith("posterior: there are no draws, because it was cut short after ")
+    assert said.startswith("posterior: there are no draws, because it was stopped after ")
     assert said.endswith(" of 40 steps")

@@ -248,9 +248,9 @@ TWICE = with_effect(ce.Effect("more", "der(v)", "diffusion"), "q")
         (
             with_effect(ce.Effect("late", "output y", "lag"), "tau"),
             None,
-            "cannot stand beside effect 'late' at output y",
+            "cannot be combined with effect 'late' at output y",
         ),
-        (TWICE, None, "must stand once at a site in each form"),
+        (TWICE, None, "must be used once at a site in each form"),
         (spring([shaken(1)]), {"segments": 4}, "shooting: cannot be used with process noise"),
     ],
 )
@@ -260,7 +260,7 @@ def test_where_a_filter_cannot_be_is_one_sentence(problem, shooting, said):
 
 
 def test_a_simulation_refuses_the_same_noise_twice_too():
-    with pytest.raises(ProblemError, match="must stand once at a site"):
+    with pytest.raises(ProblemError, match="must be used once at a site"):
         ce.simulate(TWICE)
 
 

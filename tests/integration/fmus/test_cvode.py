@@ -224,7 +224,7 @@ def test_memory_does_not_grow(opened):
 def test_failures_are_sentences_and_nothing_is_printed(opened, capfd):
     long = oscillation(np.linspace(0.0, 2000.0, 11))
     for rtol, mu, reason in (
-        (1e-8, 1e300, "the FMU could not go on"),
+        (1e-8, 1e300, "the FMU could not continue"),
         (1e-300, 1.0, "no step was short enough for the tolerance"),
     ):
         (outcome,) = run(oscillator(opened, rtol, long), np.array([[mu]]))

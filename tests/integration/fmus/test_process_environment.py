@@ -100,7 +100,7 @@ def test_one_that_is_read_when_a_process_starts(own_fmu, fitted, tmp_path, capsy
     given = f'environment = {{ LD_LIBRARY_PATH = "{folder}" }}'
     assert fitted(fmu, given, "executor.name=processes") in (0, 1)
     assert fitted(fmu, given) == 2
-    assert "must be set before a process starts to be heeded" in capsys.readouterr().err
+    assert "must be set before a process starts, but" in capsys.readouterr().err
 
 
 @BOTH
@@ -115,7 +115,7 @@ def test_a_file_among_the_resources_is_opened_by_a_relative_path(fitted, with_fi
 @pytest.mark.parametrize(
     ("folder", "executor", "said"),
     [
-        ("resources/tables", "local", "needs workers that are processes"),
+        ("resources/tables", "local", "needs workers in separate processes"),
         ("tables", "processes", "must be a folder in with_file_fmi2.fmu"),
         ("../outside", "processes", "must be a folder in the FMU"),
         ("/tmp", "processes", "must be a folder in the FMU"),

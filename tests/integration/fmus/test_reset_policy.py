@@ -126,7 +126,7 @@ def test_chance_is_named(fitted, tmp_path, capsys, monkeypatch, can_fork):
     fitted("random_output", 2, "budget.evaluations=3")
 
     assert chosen(tmp_path) == "reset"
-    assert "does not repeat itself" in (said := capsys.readouterr().err)
+    assert "is not repeatable" in (said := capsys.readouterr().err)
     assert can_fork or "even in a new instance" in said
 
 
@@ -321,4 +321,4 @@ def test_a_file_that_is_opened_by_a_relative_path_lies_in_the_working_folder(
 @SLOW_IN_3
 def test_what_an_fmu_writes_into_its_folder_and_reads_again_is_found_out(fitted, fmi, capsys):
     fitted("writes_folder", fmi, "executor.name=processes", "budget.evaluations=3")
-    assert "does not repeat itself" in capsys.readouterr().err
+    assert "is not repeatable" in capsys.readouterr().err

@@ -199,7 +199,7 @@ def test_a_derivative_out_of_range_ends_adaptive_solvers(simulate, solver, fmi, 
 
 @pytest.mark.parametrize("fmi", [2, pytest.param(3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
-    ("status", "why"), [(DISCARD, "no step was short enough"), (ERROR, "could not go on")]
+    ("status", "why"), [(DISCARD, "no step was short enough"), (ERROR, "could not continue")]
 )
 def test_cvode_takes_its_jacobian_from_the_fmu_which_may_refuse_it(simulate, fmi, status, why):
     refused = {"function": "GetDirectionalDerivative", "nth": -1, "status": status}

@@ -80,7 +80,7 @@ def test_what_the_residuals_ask_for_without_a_form_is_the_friction(figures, shap
     truth = -FRICTION * np.sign(at[known])
     assert np.all(np.abs(free[known] - truth) < 4.0 * error[known] + 0.1 * FRICTION)
     plot = figures.by_id(f"shape-{shape['effect']}-0").plots[0]
-    across, up = plot.curve("what the residuals ask for")
+    across, up = plot.curve("estimate from the residuals")
     order = [int(np.abs(at - x).argmin()) for x in across]
     assert up == pytest.approx(free[order], abs=plot.grain(plot.y))
 

@@ -68,7 +68,7 @@ def test_it_says_what_the_experiment_will_tell_before_anybody_measures(folder, c
     printed = " ".join(capsys.readouterr().out.split())
     assert f"next experiment: {facts(folder / 'next')['design']['summary']}" in printed
     assert "rival of coulomb at der(v)" in printed
-    assert "rests on the models being exact" in printed
+    assert "assume that the models are exact" in printed
     page = (folder / "next" / "report.html").read_text(encoding="utf-8")
     for text in ("The next experiment", "What is fed in", "What is expected", "coulomb at der(v)"):
         assert text in page
@@ -117,7 +117,7 @@ def test_a_design_is_resumed_from_its_log(folder, design, tmp_path, capsys):
     (cut / "next_input.parquet").unlink()
     change_facts(cut, status="interrupted")
     assert design("--resume") == 0
-    assert "simulations stand in its log" in capsys.readouterr().err
+    assert "simulations are in its log" in capsys.readouterr().err
     assert tables(cut) == tables(folder / "next")
     assert design("--resume") == 0
     assert "holds a finished run" in capsys.readouterr().err
@@ -127,10 +127,10 @@ def test_what_is_there_is_not_overwritten(folder, tmp_path, capsys):
     loop, full = folder / "loop", tmp_path / "measured.csv"
     full.write_text("time,F,y\n0.0,1.0,0.5\n", encoding="utf-8")
     for out, how, said in (
-        (folder / "next.csv", [], "is there already"),
-        (folder / "loop.csv", ["--overwrite"], "which holds or is the run that is read"),
-        (full, ["--overwrite"], "holds measurements already, which are kept"),
-        (full, ["--resume"], "holds measurements already, which are kept"),
+        (folder / "next.csv", [], "exists already"),
+        (folder / "loop.csv", ["--overwrite"], "which contains or is the run to read"),
+        (full, ["--overwrite"], "contains measurements, which are not overwritten"),
+        (full, ["--resume"], "contains measurements, which are not overwritten"),
     ):
         assert designed(loop, out, LIMITS, *how) == 2
         assert said in capsys.readouterr().err
@@ -168,8 +168,8 @@ def test_overrides_say_where_it_runs_and_for_how_long(folder, design, tmp_path, 
         ("[inputs.F]", "[inputs.G]", "inputs.G: must be an input of experiment"),
         ("[signals.y]", "[signals.q]", "signals.q: must be a variable of the FMU"),
         ("duration", 'like = "exp9"\nduration', "like: must be an experiment of the run but is"),
-        ("duration", 'rivals = ["viscous"]\nduration', "rivals: must be of the models that"),
-        ("duration", 'parameters = ["K"]\nduration', "parameters: must be of what the run has"),
+        ("duration", 'rivals = ["viscous"]\nduration', "rivals: must be among the possible models"),
+        ("duration", 'parameters = ["K"]\nduration', "parameters: must be among the estimates of"),
         ("lower = -1.0\nupper = 1.0", "lower = 5.0\nupper = 6.0", "limits: signals.y.lower must"),
     ],
 )  # fmt: skip
@@ -185,16 +185,16 @@ def test_what_does_not_fit_the_run_is_refused_in_a_sentence(
 def test_an_input_that_moves_nothing_tells_nothing_apart(design, tmp_path):
     """The mass is at rest, and stays there with either friction."""
     assert design(text=limits_text(within=(-1e-6, 1e-6), candidates=10)) == 0
-    assert "does not tell it from its rivals" in facts(tmp_path / "new")["design"]["summary"]
+    assert "does not distinguish it from its rivals" in facts(tmp_path / "new")["design"]["summary"]
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (limits_text('criterion = "discriminate"'), "must have at least two models to tell apart"),
+        (limits_text('criterion = "discriminate"'), "must have at least two models to distinguish"),
         (
             limits_text('waveforms = ["recorded"]', within=(50.0, 60.0), duration=[9.0, 9.0]),
-            "waveforms: must leave an input to look at",
+            "waveforms: must leave an input to try",
         ),
     ],
 )

@@ -99,7 +99,7 @@ def test_eight_workers_share_three_instances(run, counted, executor, tmp_path, c
     wanted = "executor.workers=8", "executor.instances=3", f"executor.name={executor}"
     assert run("fit", *wanted) == 0
     assert counted.most == 3
-    assert capsys.readouterr().err.count("3 of the 8 workers that executor.workers asks for") == 1
+    assert capsys.readouterr().err.count("3 of the 8 workers of executor.workers") == 1
 
     counted.forget()  # the second time the FMU is known, and no more than simulated
     assert run("fit", *wanted) == 0
@@ -157,7 +157,7 @@ def test_a_check_keeps_to_it(run, counted, capsys, instances, solver):
     assert counted.most == instances
     page = " ".join(capsys.readouterr().out.split())
     tried = "not tried: executor.instances = 1 allows one at once"
-    several = f"{instances} at once in a process, two of which do not disturb each other"
+    several = f"{instances} at once in a process, and two of them do not disturb each other"
     assert (tried if instances == 1 else several) in page
 
 

@@ -157,7 +157,7 @@ def test_the_command_says_what_becomes_certain(folder, capsys):
     assert "the standard deviation of y in exp4 is expected to fall to" in printed
     assert "predicted of unit std deviation now after it after a random input" in printed
     page = (folder / "next" / "report.html").read_text(encoding="utf-8")
-    assert "What the experiment is expected to do to predictions" in page
+    assert "Expected effect of the experiment on predictions" in page
     (row,) = rows(folder / "next", "prediction_precision")
     assert (row["experiment"], row["output"]) == ("exp4", "y")
     assert row["std_error_after"] < row["random"] < row["std_error_before"]
@@ -225,15 +225,15 @@ FROM_TABLE = 'data = "{folder}/wrong.csv"'
     ("block", "table", "sentence"),
     [
         ('experiment = "exp7"', "", "experiment must be one of the run but is 'exp7'"),
-        ('outputs = ["F"]', "", "outputs must be of what the FMU computes but has 'F'"),
+        ('outputs = ["F"]', "", "outputs must be variables that the FMU computes but has 'F'"),
         ('data = "no.csv"', "", r"predictions\[0\]\.data"),
         ('data = "a.csv"\nexperiment = "exp4"', "", r"predictions\[0\]\.data: must be left"),
-        ('time = "t"', "", r"predictions\[0\]\.time: must stand beside data"),
+        ('time = "t"', "", r"predictions\[0\]\.time: must be given with data"),
         ("outputs = 3", "", r"predictions\[0\]\.outputs"),
         (FROM_TABLE, "t,force\n0,1\n1,2\n", r"predictions\[0\]\.time"),
         (FROM_TABLE, "time,G\n0,1\n1,2\n", "has no variable 'G'"),
-        (FROM_TABLE, "time,F\n0,1\n", "must have a column for an input, and two rows at least"),
-        (FROM_TABLE, "time\n0\n1\n", "must have a column for an input, and two rows at least"),
+        (FROM_TABLE, "time,F\n0,1\n", "must have at least one column for an input and two rows"),
+        (FROM_TABLE, "time\n0\n1\n", "must have at least one column for an input and two rows"),
         (FROM_TABLE, "time,F\n0,1\n0,2\n", "times must increase but 0 repeats 0"),
         (FROM_TABLE, "time,F\n0,1\n1,high\n", r"predictions\[0\]\.inputs\.F"),
         (FROM_TABLE, "time,F\n0,1\n1,\n2,3\n", r"'F'\.values, index 1: must be a finite .* is nan"),
@@ -256,15 +256,15 @@ def test_the_command_refuses_in_a_sentence_too(design, tmp_path, capsys):
 
 def test_another_criterion_has_nothing_to_predict(design, capsys):
     assert design("--predict", "exp4", text='criterion = "d"\n' + LIMITS) == 2
-    assert '--predict: predictions: must go with the criterion "v"' in capsys.readouterr().err
-    with pytest.raises(ClusterEstError, match=r"predictions: must go with .*it is 'a'"):
+    assert '--predict: predictions: must be used with the criterion "v"' in capsys.readouterr().err
+    with pytest.raises(ClusterEstError, match=r"predictions: must be used with .*it is 'a'"):
         read_text('criterion = "a"\n' + LIMITS + PREDICT)
     with pytest.raises(ProblemError, match="experiment must be the name of an experiment"):
         PredictionTarget(3)
 
 
 def test_what_depends_on_nothing_estimated_is_refused(linear):
-    with pytest.raises(ProblemError, match="must depend on what the run has estimated"):
+    with pytest.raises(ProblemError, match="must depend on estimates of the run"):
         wide(linear[0], 10, PredictionTarget("run", ("x",)))
 
 
@@ -273,5 +273,5 @@ def test_what_depends_on_nothing_estimated_is_refused(linear):
     [([planned(name="run")], "run"), ([planned(PLANNED), planned(0.5 * PLANNED)], "planned")],
 )
 def test_an_experiment_of_its_own_needs_a_name_of_its_own(linear, plans, name):
-    with pytest.raises(ProblemError, match=f"must have a name of its own but '{name}' is one of"):
+    with pytest.raises(ProblemError, match=f"must have a unique name but '{name}' is used in"):
         wide(linear[0], 10, *map(PredictionTarget, plans))

@@ -203,7 +203,7 @@ def test_a_run_whose_residuals_have_left_gives_the_same_bits_again(
     resumed = read_log(again / "evaluations")
     for column in ("key", "residuals_hash", "cost"):
         assert resumed[column].equals(log[column])
-    assert "other residuals" not in capsys.readouterr().err
+    assert "gave residuals that differ" not in capsys.readouterr().err
 
 
 def test_residuals_that_are_others_when_simulated_again_are_said(killed, capsys):
@@ -214,7 +214,7 @@ def test_residuals_that_are_others_when_simulated_again_are_said(killed, capsys)
     write_log(killed / "evaluations", table)
     assert run(killed, "--resume") == 0
     said = " ".join(capsys.readouterr().err.split())
-    assert "1 of the simulations that were done again gave other residuals" in said
+    assert "1 of the repeated simulations gave residuals that differ" in said
 
 
 @pytest.mark.parametrize(
@@ -267,7 +267,7 @@ def test_a_run_that_goes_on_has_no_second_writer(how, killed, capsys):
         assert files() == before
     said = capsys.readouterr().err
     who = f"process {os.getpid()} on {socket.gethostname()}"
-    assert f"another process is at work here ({who}); wait for it or end it" in said
+    assert f"another process is running here ({who}); wait for it or end it" in said
     assert run(killed, how) == 0
     with RunLock(killed / "evaluations"):  # the run has let it go
         pass
@@ -287,8 +287,8 @@ def test_a_run_that_was_killed_before_it_began_is_begun(tmp_path):
         ("close-loop", "begun by another command"),
         ("numpy", "numpy was 0.1 and is "),
         ("python", "python was 2.7.1 and is "),
-        ("fmu", "mass_spring_damper.fmu was another FMU"),
-        ("exp2", "the data of experiment 'exp2' were others"),
+        ("fmu", "mass_spring_damper.fmu was a different FMU"),
+        ("exp2", "the data of experiment 'exp2' were different"),
         ("format", "its format is 1 and this version writes 2"),
     ],
 )

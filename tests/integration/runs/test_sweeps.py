@@ -352,7 +352,7 @@ def test_two_sweeps_do_not_clash(sweep):
     with locked_by_sweep(OUT):
         code, _, errors = sweep()
     assert code == 2
-    assert errors.startswith("cluster-est: out: another sweep is at work here (process ")
+    assert errors.startswith("cluster-est: out: another sweep is running here (process ")
 
 
 def test_a_sweep_that_was_killed_before_its_first_run_goes_on(sweep):

@@ -297,7 +297,7 @@ def test_a_module_of_that_name_in_the_way_of_the_workers_is_named(tmp_path, name
         assert ended.returncode == 0, ended.stderr
         return
     assert re.search(
-        rf"ImportError: cluster_est needs .*{re.escape(str(tmp_path / name))}"
-        " is found under that name first: rename it",
+        rf"ImportError: cluster_est needs .*Python finds .*{re.escape(str(tmp_path / name))}"
+        " under that name first: rename it",
         ended.stderr,
     ), ended.stderr

@@ -253,7 +253,7 @@ def test_an_export_has_the_estimates(result, tmp_path):
 @pytest.mark.parametrize(
     ("given", "kind", "said"),
     [
-        ({}, ConfigError, "must be told what to write"),
+        ({}, ConfigError, "needs an output to write"),
         ({"fmu": "fitted.txt"}, ConfigError, "must end in .fmu but is 'fitted.txt'"),
         ({"text": True, "experiment": "e9"}, RunFolderError, "must be an experiment of the run"),
         ({"fmu": 3}, ProblemError, "fmu: must be a path but is 3"),

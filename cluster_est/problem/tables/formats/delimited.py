@@ -153,7 +153,7 @@ def _encoding(head: bytes, given: str) -> tuple[str, str]:
     pairs = len(head[:4096]) // 2
     for few, many, encoding in ((first, second, "utf-16-le"), (second, first, "utf-16-be")):
         if pairs and many > LEAST_NULS_OF_UTF16 * pairs and few < MOST_NULS_OF_TEXT * pairs:
-            return encoding, f"its text is {encoding.upper()} without a mark, a guess"
+            return encoding, f"its text is {encoding.upper()} without a byte order mark, a guess"
     try:
         codecs.getincrementaldecoder("utf-8")().decode(head)
     except UnicodeDecodeError:
@@ -327,9 +327,7 @@ def _plain(lines: Sequence[str], start: int) -> tuple[str, Header, bool]:
     """Return the layout of a table that begins with the first line that is not empty."""
     there = [i for i in range(start, len(lines)) if lines[i]]
     if not there:
-        raise DataError(
-            "must have a header and rows of numbers but has nothing in it; check the file"
-        )
+        raise DataError("must have a header and rows of numbers but is empty; check the file")
     line = lines[there[0]]
     delimiter = max(",;\t", key=line.count)
     names = tuple(_cells(line, delimiter))
@@ -371,8 +369,8 @@ def _notes(header: Header, delimiter: str, reading: Reading) -> tuple[str, ...]:
         )
     elif line and reading.skip_rows is None:
         notes.append(
-            f"its header is row {line + 1}; the rows above are no part of the table "
-            f"(skip_rows = {line})"
+            f"its header is row {line + 1}; the rows above do not belong to the table (skip_rows "
+            f"= {line})"
         )
     if header.units:
         shown = ", ".join(f"{header.names[i]} {unit}" for i, unit in [*header.units.items()][:6])

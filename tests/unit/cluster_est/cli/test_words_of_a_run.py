@@ -90,7 +90,7 @@ def test_words_and_sentence_stand_for_the_equation(printed, page):
 
 @pytest.mark.parametrize(
     ("difference", "advice"),
-    [(0.0, "nothing in these data tells them apart"), (3.0, "where they differ most")],
+    [(0.0, "nothing in these data distinguishes them"), (3.0, "where they differ most")],
 )
 def test_nobody_is_told_to_dwell_where_nothing_differs(printed, difference, advice):
     effect = EFFECT | {"alternatives": [SAME | {"difference": difference}]}

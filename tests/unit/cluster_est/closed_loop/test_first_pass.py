@@ -74,8 +74,8 @@ def test_too_many_are_kept_and_said(clean: Problem) -> None:
     spoiled = changed(clean, many, np.zeros(601))
     found = closed(spoiled)
     assert found.before.problem.experiments == spoiled.experiments
-    (note,) = (each for each in found.notes if "stand alone" in each)
-    assert "too many to be a sensor's faults, so all were kept" in note
+    (note,) = (each for each in found.notes if "far from all their neighbours" in each)
+    assert "too many for faults of a sensor, so all were kept" in note
 
 
 def test_the_same_is_set_aside_each_time(clean: Problem) -> None:

@@ -198,7 +198,7 @@ def test_states_are_closed_in_co_simulation():
         pass
     with opened(problem) as bench:
         assert "der(v)" not in bench.scope.sites
-        assert any("state derivatives were closed" in note for note in bench.scope.notes)
+        assert any("state derivatives are not accessible" in note for note in bench.scope.notes)
 
 
 def of_few_samples(*samples, sigma=0.5):
@@ -253,7 +253,7 @@ def test_an_output_without_known_noise_is_not_said_to_be_weighted_with_it():
     problem = with_outputs(two_units(1.0), lambda output: replace(output, **none[output.variable]))
     with opened(problem) as bench:
         (note,) = (note for note in bench.scope.notes if "sigma" in note)
-    assert "noise, but for load_speed, of which no noise is known; write" in note
+    assert "noise, except load_speed, whose noise is not known; write" in note
     assert "load_speed = 1 }" in note
 
 

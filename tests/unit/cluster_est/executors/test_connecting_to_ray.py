@@ -122,13 +122,13 @@ OWN = {"ray_version": ray.__version__, "python_version": platform.python_version
 @pytest.mark.parametrize(
     ("answer", "said"),
     [
-        ({"failed": "AuthenticationError", "why": ""}, "must be given its token"),
-        ({"failed": "RpcError", "why": ""}, "does not answer as the head of a Ray cluster"),
+        ({"failed": "AuthenticationError", "why": ""}, "needs its token"),
+        ({"failed": "RpcError", "why": ""}, "does not answer like the head of a Ray cluster"),
         ({"is": OWN | {"ray_version": "1.0.0"}}, "has Ray 1.0.0.*install ray==1.0.0 here"),
         ({"is": OWN | {"python_version": "3.1.4"}}, "runs Python 3.1.4.*the same Python"),
         ({"is": OWN}, ""),
         ({"is": OWN, "nodes": {}}, "answers, but no node of it is alive"),
-        ({"is": OWN, "nodes": {"/no/raylet": "10.0.0.7"}}, "nodes are 10.0.0.7, but is none; give"),
+        ({"is": OWN, "nodes": {"/no/raylet": "10.0.0.7"}}, "nodes are 10.0.0.7, but is not; run"),
         ({"is": OWN, "nodes": {"/no/raylet": "10.0.0.7", "/": "10.0.0.8"}}, ""),
         ({"is": OWN, "nodes": {"tcp://1.2.3.4:5": "10.0.0.7"}}, ""),
     ],
@@ -152,7 +152,7 @@ def test_what_keeps_a_cluster_from_being_joined_is_told_apart(
 
 @pytest.mark.slow
 def test_who_listens_and_is_no_ray_is_said_to_be_none(failing: Failing, listening: str) -> None:
-    assert "does not answer as the head of a Ray cluster" in refusal(listening)
+    assert "does not answer like the head of a Ray cluster" in refusal(listening)
 
 
 ALONE = """

@@ -225,7 +225,7 @@ def test_bridging_a_moving_input_does_not(fitted):
     bridged = ce.fit(problem(record(moving(), gaps="bridge")))
     assert bridged.rmse("train") > 3.0 * fitted.rmse("train")
     assert any(
-        "input F may have moved there, and is drawn through" in note for note in bridged.notes
+        "input F may have changed there, and is interpolated" in note for note in bridged.notes
     )
 
 

@@ -51,7 +51,7 @@ def noted(result):
          "something is missing.*close-loop CONFIG --out FOLDER.*close_loop.problem", "coloured"),
         (RELATED,
          "autocorrelated at lag 1 with 0.8.*hardly larger than sigma .1 x.*coloured, which the "
-         "intervals allow for, or something small is missing", "from the model"),
+         "intervals include, or something small is missing", "from the model"),
         (replace(RELATED, declared=False, rms_over_sigma=0.06, noise_over_sigma=0.02),
          "error is 3 x its noise.*0.02; no sigma is declared.*or the sensor's noise is coloured",
          "x sigma"),
@@ -111,7 +111,7 @@ def test_an_output_that_a_constant_would_follow_better_is_named_once_with_its_wo
     )
     bad = replace(result, errors=errors)
     (note,) = bad.notes
-    assert re.search("a constant would follow T better.*in b is 5.91 times", note)
+    assert re.search("a constant would fit T better.*in b is 5.91 times", note)
     assert bad.facts()["notes"] == [note]
 
 
@@ -141,7 +141,7 @@ def said_of(problem, fitted):
     else:
         page = run_checks(problem, ce.Resources(executor="local"), 60.0)
         notes = [f"{found.found}: {found.do}" for found in page.findings]
-    return [note for note in notes if "elsewhere than the model" in note]
+    return [note for note in notes if "at another state than the model" in note]
 
 
 @pytest.mark.parametrize(("fitted", "sigma"), [(False, NOISE), (True, NOISE), (True, 1.0)])

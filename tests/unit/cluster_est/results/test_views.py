@@ -155,7 +155,7 @@ def test_the_right_model_is_the_better_one(result, stiff):
     assert right.aic_weight + wrong.aic_weight == pytest.approx(1.0)
     assert (right.estimated, wrong.estimated) == (5, 4)
     assert right.held_out == result.rmse("test") < wrong.held_out
-    assert any("wrong: its residuals are no white noise" in note for note in found.notes)
+    assert any("wrong: its residuals are not white noise" in note for note in found.notes)
     assert "wrong" in repr(found)
     assert list(found.to_frame()["model"]) == ["right", "wrong"]
     assert ce.compare(stiff, result).best == "2"

@@ -15,7 +15,7 @@ from cluster_est.run_folder.lock import LOCK, SWEEP_OWNER, RunLock, lock, locked
 from cluster_est.run_folder.run_files import left_alone
 from cluster_est.run_folder.run_folder import check_free
 
-GONE = "no process of this machine is at work in it any more; if it was killed, resume it with"
+GONE = "no process of this machine is running in it any more; if it was killed, continue it with"
 HOLD = """
 import sys, time
 from pathlib import Path
@@ -53,7 +53,7 @@ def kill_holder(function, folder):
     with start(HOLD.format(function=function), folder) as holder:
         assert holder.stdout is not None
         assert holder.stdout.readline() == "held\n"
-        with pytest.raises(RunFolderError, match="at work here"):
+        with pytest.raises(RunFolderError, match="running here"):
             lock(folder, LOCK if function == "RunLock" else ".sweep.flock")
         os.kill(holder.pid, signal.SIGKILL if os.name != "nt" else signal.SIGTERM)
     return holder.pid
@@ -76,7 +76,7 @@ def without_locks(monkeypatch):
 def test_a_lock_keeps_others_out_until_it_is_released(tmp_path):
     with (
         RunLock(tmp_path),
-        pytest.raises(RunFolderError, match=r"at work here .process .*; wait for it or end"),
+        pytest.raises(RunFolderError, match=r"running here .process .*; wait for it or end"),
     ):
         lock(tmp_path)
     with RunLock(tmp_path):
@@ -102,7 +102,7 @@ def test_a_sweep_says_who_it_is_and_leaves_no_name(tmp_path):
     with locked_by_sweep(tmp_path):
         owner = json.loads((tmp_path / SWEEP_OWNER).read_text())
         assert owner == {"pid": os.getpid(), "host": socket.gethostname()}
-        who = f"another sweep is at work here .process {os.getpid()} on .*; wait for it or end it"
+        who = f"another sweep is running here .process {os.getpid()} on .*; wait for it or end it"
         with pytest.raises(RunFolderError, match=who), locked_by_sweep(tmp_path):
             pass
         assert (tmp_path / SWEEP_OWNER).is_file()
@@ -167,6 +167,4 @@ def test_a_run_whose_process_was_killed_is_left_alone_and_who_watches_it_is_told
 def test_the_refusal_of_a_run_that_can_be_taken_up_names_that_first(tmp_path, status):
     with pytest.raises(RunFolderError, match=r"holds a run already.*--out.*--overwrite") as error:
         check_free(run_of(tmp_path, status), overwrite=False)
-    assert ("already; take it up where it ended with --resume" in str(error.value)) == (
-        status != "done"
-    )
+    assert ("already; continue it with --resume" in str(error.value)) == (status != "done")

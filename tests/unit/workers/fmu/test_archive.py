@@ -94,13 +94,15 @@ def test_a_damaged_or_hostile_archive_is_refused(cache, content, sentence):
 def test_a_zip_bomb_is_refused_before_it_is_unpacked(cache):
     zeros = bytes(archive.HARMLESS_BYTES + 1)
     message = refusal(spoiled_fmu(lambda e: (e.clear(), e.update(zeros=zeros))))
-    assert re.search(r"would unpack to 64 MiB from 0\.\d MiB, which is no ordinary FMU", message)
+    assert re.search(
+        r"would unpack to 64 MiB from 0\.\d MiB, which is not usual for an FMU", message
+    )
     assert [*cache.glob("fmus/*")] == []
 
 
 def test_an_archive_that_unpacks_to_too_much_is_refused(cache, monkeypatch):
     monkeypatch.setattr(archive, "MAX_UNPACKED_BYTES", 1000)
-    assert "which is no ordinary FMU; nothing was unpacked" in refusal(FMU)
+    assert "which is not usual for an FMU; nothing was unpacked" in refusal(FMU)
 
 
 def replace_by_folder(file):

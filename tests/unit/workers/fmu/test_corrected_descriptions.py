@@ -39,8 +39,8 @@ def derivatives(*indices: object) -> str:
         (real("a", 1, 'variability="odd"'), "attributes variability that FMI does not", ["a"]),
         (real("a", 1, 'initial="odd"'), "attributes initial that FMI does not know", ["a"]),
         (real("a", 1, value='declaredType="T"'), "types that are declared nowhere are", ["a"]),
-        (real("a", 1, value='start="1,0"'), "attributes start that are no number are", ["a"]),
-        (real("a", 1, value='min="1_0"'), "attributes min that are no number are ignored", ["a"]),
+        (real("a", 1, value='start="1,0"'), "attributes start that are not numbers are", ["a"]),
+        (real("a", 1, value='min="1_0"'), "attributes min that are not numbers are ignored", ["a"]),
         (real("a", 1, value='min="2" max="1"'), "a min that is above the max is ignored", ["a"]),
         (real("a", 1, value='nominal="0"'), "a nominal value that is 0 or no number", ["a"]),
         (real("a", 1, value='nominal="INF"'), "a nominal value that is 0 or no number", ["a"]),
@@ -49,7 +49,7 @@ def derivatives(*indices: object) -> str:
         (real("a", 2**32), "variables without a valueReference of 32 bits are left out", []),
         (real("", 1), "variables without a name are left out: 'variable 1'", []),
         ('<ScalarVariable name="a" valueReference="1"/>', "variables without a type of", []),
-        (real("a", 1) + real("a", 2), "names that are there twice mean the first", ["a"]),
+        (real("a", 1) + real("a", 2), "a name that occurs twice refers to the first", ["a"]),
     ],
 )
 def test_a_variable_with_a_fault(variables, sentence, left):
@@ -139,8 +139,8 @@ def test_a_derivative_that_names_no_state_is_known_by_its_brackets():
 @pytest.mark.parametrize(
     ("structure", "why"),
     [
-        (derivatives(8), "state derivative 1 is no variable"),
-        (derivatives(3, "x"), "state derivative 2 is no variable"),
+        (derivatives(8), "state derivative 1 is not a variable"),
+        (derivatives(3, "x"), "state derivative 2 is not a variable"),
         (derivatives(3, 1), "state derivative 'x' does not say of which variable"),
         (derivatives(3, 3), "lists the derivative of one state twice"),
     ],
@@ -215,8 +215,8 @@ def test_text_that_is_no_xml_is_mended(content, name):
     found = read(content)
     assert list(found.variables) == [name]
     assert found.warnings == (
-        "x.fmu: its modelDescription.xml is no well-formed XML and was corrected; check names that "
-        "look odd",
+        "x.fmu: its modelDescription.xml is not well-formed XML and was corrected; check names "
+        "that look wrong",
     )
 
 

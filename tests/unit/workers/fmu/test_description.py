@@ -111,7 +111,7 @@ def test_definitions_are_read_and_names_alone_are_left_out():
         "bar": UnitDefinition(powers(kg=1, m=-1, s=-2)),
     }
     (warning,) = found.warnings
-    assert warning.endswith("powers that are no whole numbers count as names alone: 'V^0.5'")
+    assert warning.endswith("powers that are not integers count only as names: 'V^0.5'")
     assert fmi2("", "<ModelStructure/>").units == {}
 
 
@@ -145,7 +145,7 @@ def test_both_versions_name_this_machine_in_their_own_words():
             "but has one for linux32, win32 (linux32 and win32: 32 bits, which a 64-bit program "
             "cannot load); export it for",
         ),
-        (("sources/m.c",), "but holds sources alone; compile them, for example with the command"),
+        (("sources/m.c",), "but has only sources; compile them, for example with the command"),
         (("sources/m.c", "binaries/other/m.so"), ", or compile its sources"),
         ((f"binaries/{PLATFORM}/n.so",), f"must have the binary {HERE} but has not; export it"),
     ],

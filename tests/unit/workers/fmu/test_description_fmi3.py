@@ -209,10 +209,10 @@ DERIVATIVE = '<ContinuousStateDerivative valueReference="{}"/>'.format
 @pytest.mark.parametrize(
     ("structure", "why"),
     [
-        (DERIVATIVE(77), "state derivative 1 is no variable"),
+        (DERIVATIVE(77), "state derivative 1 is not a variable"),
         (DERIVATIVE(5), "state derivative 'y' does not say of which variable"),
         (DERIVATIVE(3) * 2, "lists the derivative of one state twice"),
-        ('<EventIndicator valueReference="x"/>', "one of its event indicators is no variable"),
+        ('<EventIndicator valueReference="x"/>', "one of its event indicators is not a variable"),
     ],
 )
 def test_model_exchange_needs_a_structure_that_holds(structure, why):

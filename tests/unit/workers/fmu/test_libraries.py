@@ -89,7 +89,7 @@ def test_a_library_beside_it_counts_if_it_is_looked_for_there(library):
     assert missing_libraries(library(elf("libbeside.so", runpath="$ORIGIN"))) == ("libdeep.so",)
     path = library(elf("libbeside.so"))
     assert missing_libraries(path) == ("libbeside.so",)
-    assert "beside it, where the system does not look; set LD_LIBRARY_PATH to" in (
+    assert "which are in its folder, where the system does not look; set LD_LIBRARY_PATH to" in (
         load_failure(path) or ""
     )
 

@@ -59,12 +59,12 @@ def test_a_seat_of_another_process_is_waited_for_until_that_is_gone(seats, holde
     other = holder(seats, 0)
     Seat(seats.of_worker(1), "a.fmu").give_back()
     first = Seat(seats, "a.fmu")  # of all, that which is free
-    with pytest.raises(ModelError, match=r"as many instances already"):
+    with pytest.raises(ModelError, match=r"already has as many instances"):
         Seat(seats.of_worker(1), "a.fmu")
     first.give_back()
     with monkeypatch.context() as impatient:
         impatient.setattr(room, "WAIT_SECONDS", 0.2)
-        with pytest.raises(ModelError, match=r"none of the others was given back"):
+        with pytest.raises(ModelError, match=r"none of the others was freed"):
             Seat(seats.of_worker(0), "a.fmu")
 
     threading.Timer(0.2, other.kill).start()  # while it is waited for
@@ -74,7 +74,9 @@ def test_a_seat_of_another_process_is_waited_for_until_that_is_gone(seats, holde
 
 def test_what_this_process_has_already_is_refused_at_once(seats):
     own = Seat(seats.of_worker(0), "a.fmu")
-    with pytest.raises(ModelError, match=r"^a\.fmu: .* as many instances already .*; raise exec"):
+    with pytest.raises(
+        ModelError, match=r"^a\.fmu: .* already has as many instances .*; raise exec"
+    ):
         Seat(seats.of_worker(0), "a.fmu")
     own.give_back()
     Seat(seats.of_worker(0), "a.fmu")

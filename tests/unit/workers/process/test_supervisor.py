@@ -178,7 +178,7 @@ def test_what_sleeps_without_a_step_is_asked_again_and_then_ended(open_guard):
     guard = open_guard(Limits(seconds=60.0, stall=0.3))
     (outcome,) = guard.evaluate(HANG)
     assert outcome.status is Status.TIMEOUT
-    assert "stood still for 0.3 s, in which no step ended" in outcome.message
+    assert "stalled: no step ended for 0.3 s" in outcome.message
     (outcome,) = guard.evaluate(TaskBatch.of([tasks(RATES)[HANGING]]))
     assert outcome.ok
 

@@ -70,5 +70,5 @@ def test_far_below_the_limit_nothing_counts_and_far_above_it_does_without_overfl
 
 
 def test_a_limit_and_a_free_scale_exclude_each_other():
-    with pytest.raises(DataError, match="must not go with free_scale or free_offset"):
+    with pytest.raises(DataError, match="must not be used with free_scale or free_offset"):
         output(SIMULATED, detection_limit=0.0, free_scale=True)

@@ -158,10 +158,10 @@ def test_what_is_not_finite_stays_so():
 @pytest.mark.parametrize(
     ("how", "said"),
     [
-        ({"free_scale": True}, "ordinal: must not go with free_scale"),
-        ({"free_offset": True}, "ordinal: must not go with free_offset"),
-        ({"detection_limit": 0.5}, "ordinal: must not go with detection_limit"),
-        ({"relative_sigma": 0.1}, "ordinal: must not go with relative_sigma"),
+        ({"free_scale": True}, "ordinal: must not be used with free_scale"),
+        ({"free_offset": True}, "ordinal: must not be used with free_offset"),
+        ({"detection_limit": 0.5}, "ordinal: must not be used with detection_limit"),
+        ({"relative_sigma": 0.1}, "ordinal: must not be used with relative_sigma"),
         ({"reference": Output("z", [0.0], [1.0])}, "reference: must be the same output"),
         ({"reference": "y"}, "reference: must be an Output but is 'y'"),
     ],

@@ -127,7 +127,7 @@ def test_one_that_is_better_everywhere_is_always_chosen():
     choices = resampled_choices(fitter, found)
     (own,) = (labels for labels, share in choices.shares.items() if share == 1.0)
     assert own == tuple(each.label for each in found.current.added)
-    assert choices.sentence.startswith("of 200 times that the 6 experiments were drawn anew, the ")
+    assert choices.sentence.startswith("in 200 resamplings of the 6 experiments, the ")
     assert choices.sentence.endswith(f"best set is {own[0]} in more than 99 %")
 
 

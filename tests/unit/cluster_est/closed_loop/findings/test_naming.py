@@ -24,7 +24,7 @@ AT_ITSELF = [
     ("rad/s", "viscous", "viscous friction"),
     ("rpm", "viscous", "viscous friction"),
     ("m/s", "quadratic", "quadratic drag"),
-    ("m/s", "power", "drag that goes with a power of the speed"),
+    ("m/s", "power", "drag proportional to a power of the speed"),
     ("degC", "power", "heat loss by a power law (as of natural convection)"),
     ("bar", "power", "outflow by a power law (as through an orifice or over a weir)"),
     ("V", "power", "a power law in z"),
@@ -158,7 +158,7 @@ WHERE = {
         ({"T": "K", "i": "A"}, "der(T)", "square i", BOWL, "a term quadratic in i"),
         ({"T": "K", "P": "W"}, "der(T)", "linear P", {}, "heating"),
         ({"T": "K", "m": "kg/s"}, "der(T)", "product m T", {},
-         "convection (heat that a flow carries)"),
+         "convection (heat transport by a flow)"),
     ],
     "signals have names without units": [
         ({"u": ""}, "input u", "dead_zone", {}, "a dead zone"),
@@ -303,8 +303,8 @@ def test_a_square_of_a_speed_that_keeps_its_sign_is_also_a_drag():
     assert other.told_by == pytest.approx(-2.0 * K * other.told_at**2)
     assert effect.sentence.endswith(
         f"On that range it is also {other.equation} (quadratic drag): at v = {other.told_at:.3g} "
-        f"m/s the two would differ by {other.told_by:.2g} m/s2, so measure there to tell them "
-        "apart."
+        f"m/s the two would differ by {other.told_by:.2g} m/s2, so measure there to "
+        "distinguish them."
     )
 
 

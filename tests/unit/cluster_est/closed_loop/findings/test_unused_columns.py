@@ -44,7 +44,7 @@ def test_a_disturbance_that_was_logged_is_named(tmp_path):
     assert (found.column, found.output) == ("Sonne_Wm2", "y0")
     assert found.p < 1e-4
     assert found.share > 0.7
-    said = "column 'Sonne_Wm2' is not used and varies with it (it carries"
+    said = "column 'Sonne_Wm2' is not used and varies with it (it explains"
     assert found.sentence.startswith(said)
 
 

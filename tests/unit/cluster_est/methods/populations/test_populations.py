@@ -351,7 +351,7 @@ class TestNsga2:
     def test_refuses_outputs_of_cost_functions(self):
         problem = two_objectives(experiments=2, cost_function=UserFunction("none", "f"))
         space = make_space(problem, (0, 1))
-        with pytest.raises(ProblemError, match='must be "experiments" where'):
+        with pytest.raises(ProblemError, match='must be "experiments" if'):
             Nsga2().check(space)
         Nsga2(objectives="experiments").check(space)
 

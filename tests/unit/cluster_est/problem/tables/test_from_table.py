@@ -106,7 +106,7 @@ REFUSED = [
     ({"sigma": {"q": 1.0}}, "sigma.q: .*one of its outputs"),
     ({"sigma": 0.0}, "sigma.y: .*greater than 0.*0"),
     ({"sigma": 10**400}, "sigma.y: .*a finite number of a usual size.*1000"),
-    ({"relative_sigma": 0.1}, "relative_sigma.y: .*sigma.y beside it"),
+    ({"relative_sigma": 0.1}, "relative_sigma.y: .*given with sigma.y"),
     ({"sigma": 0.1, "relative_sigma": -0.1}, "relative_sigma.y: .*at least 0.*-0.1"),
     ({"relative_sigma": {"q": 1.0}}, "relative_sigma.q: .*one of its outputs"),
     ({"columns": {"force": {"factr": 1}}}, "columns.force: unknown key factr.*did you mean"),
@@ -125,7 +125,7 @@ REFUSED = [
     (of_y(interpolation="hold"), "outputs.y: unknown key interpolation"),
     (of_y(free_scale="shared"), "output 'y'.free_scale: .*true or false.*'shared'"),
     (of_y(detection_limit="0"), "output 'y'.detection_limit: .*a number.*'0'"),
-    (of_y(ordinal=True, free_scale=True), "ordinal: .*not go with free_scale"),
+    (of_y(ordinal=True, free_scale=True), "ordinal: .*not be used with free_scale"),
     (of_y(ordinal="low"), "ordinal: .*true or false.*'low'"),
     (of_y(ordinal=["low", 3]), r"outputs.y.ordinal\[1\]: .*text.*3"),
     (of_y(ordinal=["low", "high"]), "the words that are listed but holds numbers"),
@@ -248,7 +248,7 @@ def test_a_column_has_times_of_its_own_where_they_are_named():
     assert found.outputs[0].times.tolist() == [0.0, 1.0]
     assert found.inputs[0].times.tolist() == COLUMNS["t"]
     late = table | {"position": [1.0, 2.0, 3.0, None]}
-    with pytest.raises(DataError, match="row 3: must have a time where it has a value"):
+    with pytest.raises(DataError, match="row 3: must have a time for each value"):
         ce.Experiment.from_table(late, **GIVEN | {"outputs": outputs})
 
 

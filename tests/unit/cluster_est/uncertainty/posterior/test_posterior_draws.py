@@ -198,7 +198,7 @@ class TestDiagnostics:
 @pytest.mark.parametrize(
     ("curves", "walkers", "said"),
     [
-        (levels(cost=COSTS["sae"]()), 0, 'must go with the cost "sse" or "likelihood"'),
+        (levels(cost=COSTS["sae"]()), 0, 'must be used with the cost "sse" or "likelihood"'),
         (Curves(level, levels().parameters, TIMES, measured()), 0, "sigma.y0 is missing"),
         (levels(upper=np.inf), 0, "parameters.a: must have finite bounds or a prior"),
         (lines(constraints=("a + b = 1",)), 0, "no draw satisfies the equality 'a . b = 1'"),
