@@ -84,6 +84,22 @@ def test_a_slow_wave_in_a_short_record_is_not_within_its_sigma(amplitude):
     assert not output.within
 
 
+@pytest.mark.parametrize("size", [0.7, 1.0, 1.2])
+def test_an_offset_on_top_of_white_noise_of_the_declared_sigma_is_not_within_it(size):
+    """It lasts for ever: its own memory would leave too few degrees of freedom to reject it."""
+    residual = np.random.default_rng(3).standard_normal(800) + size
+    ((output,), _) = looked_at(made_problem(800, sigma=TRUE), residual)
+    assert output.believed
+    assert not output.within
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("correlation", [0.3, 0.6, 0.9])
+def test_coloured_noise_of_the_declared_sigma_is_within_it(correlation, seed):
+    (output,), _ = looked_at(made_problem(*LENGTHS, sigma=TRUE), coloured(correlation, seed))
+    assert output.within
+
+
 @pytest.mark.parametrize("declared", [TRUE, 1.0])
 def test_a_residual_without_noise_is_none_of_a_sensor(declared):
     problem = made_problem(60, sigma=declared)
