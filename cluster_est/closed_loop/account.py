@@ -52,6 +52,7 @@ from cluster_est.errors import ClusterEstError
 from cluster_est.methods.least_squares.iteration import NOTICEABLE
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.methods.method import Ending, Solution
+from cluster_est.problem.search_space import SearchSpace
 from cluster_est.results.complete import complete, simulate_all
 from cluster_est.results.facts import fitted_to_held_out
 from cluster_est.results.fit_tables import EffectCurve
@@ -124,11 +125,10 @@ def best_on_few_rows(
 ) -> list[tuple[FitStart, FittedModel | None]]:
     """Fit both models to convergence on thinned records, for a fit to all rows to start from.
 
-    A search does not fit to convergence, and what is left takes iterations each of which costs as
-    much more as there are more rows. These fits are in the values of the parameters, no logarithms
-    among them: two terms that the data hardly tell apart, such as two dampings, keep their sum
-    along the valley between them, which is straight in their values and bent in their logarithms,
-    so that many short steps would follow it.
+    Each further iteration on all rows costs as much more as there are more of them. These fits are
+    in the values of the parameters, no logarithms among them: two terms that the data hardly tell
+    apart, such as two dampings, keep their sum along the valley between them, which is straight in
+    their values and bent in their logarithms, so that many short steps would follow it.
 
     Returns
     -------
@@ -202,10 +202,8 @@ def last_answer(
 
     Parameters
     ----------
-    ends
-        The answer of a search, and those that it took the place of.
-    last
-        Do the last fits of each.
+    ends, last
+        The answer of a search and those that it took the place of; what does the last fits of each.
     """
     refused: list[LastAnswer] = []
     said: list[str] = []
@@ -224,30 +222,30 @@ def last_answer(
 
 def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
     """Let the held-out experiments veto what was found, and put it into words."""
-    found, judged, fits = answer.found, answer.judged, answer.fits
+    found, fits = answer.found, answer.fits
     before, grown = fits.before, fits.after
-    judgement = confirmed(judged, fits.errors, found.settings)
+    judgement = confirmed(answer.judged, fits.errors, found.settings)
     keep = judgement.verdict in CLAIMS
+    after, kept = (grown, found.current) if keep else (before, found.base)
     steps = GuardedSteps()
     curves: tuple[EffectCurve, ...] = ()
+    held: tuple[str, ...] = ()
+    competing: tuple[CompetingModel, ...] = ()
+    choices = None
     if keep:
+        judgement, held = at_bounds(judgement, kept, after)
         shapes = "the shapes of the effects"
-        curves = steps.do(shapes, lambda: effect_curves(fitter, found.current, grown), ())
+        curves = steps.do(shapes, lambda: effect_curves(fitter, kept, grown), ())
+        often = "how often the choice falls on these effects"
+        choices = steps.do(often, lambda: resampled_choices(fitter, found), None)
+    if keep and not fitter.predicts:
+        competing = steps.do("the models that compete", lambda: competing_models(fitter, found), ())
     named = describe_effects(fitter, found, grown, curves)
-    after, kept = (grown, found.current) if keep else (before, found.base)
-    judgement, held = at_bounds(judgement, kept, after) if keep else (judgement, ())
     unexplained = steps.do(
         "the description of what nothing explains",
         lambda: _unexplained(fitter, judgement.verdict, kept, found),
         (),
     )
-    choices = None
-    competing: tuple[CompetingModel, ...] = ()
-    if keep:
-        often = "how often the choice falls on these effects"
-        choices = steps.do(often, lambda: resampled_choices(fitter, found), None)
-    if keep and not fitter.predicts:
-        competing = steps.do("the models that compete", lambda: competing_models(fitter, found), ())
     begun = initial_errors(after.problem, after.simulations, fitted=True)
     compared = steps.do(
         "the probabilities of the structures",
@@ -259,13 +257,8 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
         lambda: _with_errors(fitter, found, compared, before),
         compared,
     )
-    notes = (
-        *held,
-        *answer.against,
-        *scope.notes,
-        *_notes(fitter, judgement.verdict, kept, before, after),
-    )
     failed = dict.fromkeys((*before.failed_steps, *after.failed_steps, *steps.failed))
+    notes = (*failed, *_nothing_tried(found, scope.sites), *held, *answer.against, *scope.notes)
     return LoopResult(
         verdict=judgement.verdict,
         message="; ".join([judgement.reason, *_disturbance(judgement.verdict, unexplained, begun)]),
@@ -277,7 +270,7 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
         rejected=() if keep else named,
         noise={} if fitter.predicts else fitter.noise_in_units(found.noise),
         sites=scope.sites,
-        notes=(*failed, *_nothing_tried(found, scope.sites), *notes),
+        notes=(*notes, *_notes(fitter, judgement.verdict, kept, before, after)),
         simulations=fitter.meter.full,
         simulated=fitter.runner.simulations,
         evaluations=fitter.runner.evaluations,
@@ -369,20 +362,17 @@ def _unexplained(
         return ()
     significance, period = found.settings.significance, left[0].period
     columns = varying_columns(fitter, fitted.residuals, significance, period)
+    named = [(each.output,) if number else ("", each.output) for number, each in enumerate(left)]
     return tuple(
-        replace(each, columns=tuple(c.sentence for c in columns if c.output == each.output))
-        if each is not left[0]
-        else replace(
-            each, columns=tuple(c.sentence for c in columns if c.output in ("", each.output))
-        )
-        for each in left
+        replace(each, columns=tuple(c.sentence for c in columns if c.output in outputs))
+        for each, outputs in zip(left, named, strict=True)
     )
 
 
 def _disturbance(
     verdict: Verdict,
     unexplained: Sequence[UnexplainedResidual],
-    begun: Sequence[InitialError] = (),
+    begun: Sequence[InitialError],
 ) -> tuple[str, ...]:
     """Say how large what nothing explains is, and how fast, if the start is not what is wrong."""
     if verdict is not Verdict.UNEXPLAINED or not unexplained:
@@ -449,14 +439,29 @@ def _of_many_rows(count: int) -> LeastSquares:
 def final_fit(
     fitter: Fitter, start: FitStart, begin: float, method: LeastSquares = FINAL
 ) -> Result:
-    """Fit to convergence, and simulate every experiment; `begin` as for `complete`."""
+    """Fit to convergence, and simulate every experiment; `begin` is when the run began."""
     space = fitter.space(start)
     (solution,) = fitter.runner.run([SearchRequest("final", method, space, fitter.seed)])
-    before = simulate_all(fitter.runner, start.problem, {})
-    steps = GuardedSteps()
-    known = steps.assessed(space, solution, lambda: examine(fitter.runner, space, solution))
+    return _completed(fitter, space, solution, method, begin, examined=True)
+
+
+def _completed(
+    fitter: Fitter,
+    space: SearchSpace,
+    solution: Solution,
+    method: LeastSquares,
+    begin: float,
+    *,
+    examined: bool,
+) -> Result:
+    """The result of a fit, with simulations of every experiment; see `complete`."""
+    runner, steps = fitter.runner, GuardedSteps()
+    before = simulate_all(runner, space.problem, {})
+    known = None
+    if examined:
+        known = steps.assessed(space, solution, lambda: examine(runner, space, solution))
     found = complete(
-        fitter.runner,
+        runner,
         space,
         solution,
         method,
@@ -485,16 +490,8 @@ def result_so_far(
 ) -> LoopResult | None:
     """Return the best structure that was accepted so far as a result; None where it has none.
 
-    Its simulations are not counted and not logged, so that the run is the same without it.
-
-    Parameters
-    ----------
-    found
-        After a round in which something was added.
-    begin
-        A reading of the monotonic clock.
-    said
-        Of the records that the search is on.
+    Its simulations are not counted and not logged, so that the run is the same without it. What is
+    `said` is about the records that the search is on.
     """
     try:
         with fitter.runner.uncounted():
@@ -522,14 +519,4 @@ def _as_it_is(fitter: Fitter, fitted: FittedModel, begin: float) -> Result:
     at = assemble_evaluation(space, fitted.x, tuple(outcomes), 0)
     ending = Ending.CONVERGED if fitted.converged else Ending.MAX_ITERATIONS
     solution = Solution(fitted.x, at.cost, ending, jacobian=fitted.jacobian, at=at)
-    return complete(
-        runner,
-        space,
-        solution,
-        FINAL,
-        simulate_all(runner, fitted.problem, {}),
-        variables=fitter.description.variables,
-        seed=fitter.seed,
-        begin=begin,
-        steps=GuardedSteps(),
-    )
+    return _completed(fitter, space, solution, FINAL, begin, examined=False)

@@ -15,8 +15,6 @@ from cluster_est.closed_loop.fitter import (
     FitStart,
     FittedModel,
     Fitter,
-    PredictionFitter,
-    SimulationFitter,
     SimulationMeter,
     SyntheticKind,
     with_outputs,
@@ -202,9 +200,8 @@ def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[Fit
     record = _named(everything.experiments, environment.monitor.record)
     meter = SimulationMeter(everything.experiments, record)
     with one_blas_thread(), environment.executor(everything) as executor:
-        kind = PredictionFitter if noise_names(problem) else SimulationFitter
         runner = environment.runner(executor, record=meter, whole=True)
-        yield kind(
+        yield Fitter(
             runner=runner,
             problem=problem,
             description=description,
