@@ -42,7 +42,12 @@ from cluster_est.closed_loop.selection.gates import SELECTION, choose, reason_to
 from cluster_est.closed_loop.selection.linear_model import PruningBound, can_reach
 from cluster_est.closed_loop.selection.moves import MOVES, revise
 from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction, predict
-from cluster_est.closed_loop.selection.refits import FIRST, ModelCache, RefittedCandidate
+from cluster_est.closed_loop.selection.refits import (
+    FIRST,
+    ModelCache,
+    RefittedCandidate,
+    rivals_of,
+)
 from cluster_est.closed_loop.selection.rounds import (
     AcceptedStructure,
     ComparedStructure,
@@ -392,12 +397,13 @@ class Merging:
         if not may_be_single(first, now.model):
             return None
         self.singles = single_effects(fitter, first, now.model, self.singles, whole=whole)
-        single = single_instead(fitter, first, now.model, now.prediction, self.singles, whole=whole)
-        if single is None:
+        end = single_instead(fitter, first, now.model, now.prediction, self.singles, whole=whole)
+        if end is None or end.won is None or end.prediction is None:
             return None
         self.done = True
-        log.accept_single(single.won)
-        return AcceptedStructure(single.won.fitted, single.prediction, single.rivals)
+        log.accept_single(end.won)
+        rivals = rivals_of(end.won, end.seen.contenders)
+        return AcceptedStructure(end.won.fitted, end.prediction, rivals)
 
 
 def _screened(

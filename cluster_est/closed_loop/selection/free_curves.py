@@ -43,9 +43,8 @@ from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction, 
 from cluster_est.closed_loop.selection.refits import (
     SHORT,
     RefittedCandidate,
-    Rivals,
-    full_refit,
-    rivals_of,
+    best_first,
+    refit_fully,
 )
 from cluster_est.closed_loop.selection.rounds import (
     RoundEnd,
@@ -65,8 +64,8 @@ def free_curve(fitter: Fitter, begun: RoundStart, best: RoundEnd) -> list[Refitt
     Those of a switch are among them, because no named effect passes here.
     """
     del best
-    curves = [*coarse_curves(fitter, begun), *switched_curves(fitter, begun)]
-    coarse = _ordered(fitter.records, [curve.fitted for curve in curves])
+    coarse = [*coarse_curves(fitter, begun), *switched_curves(fitter, begun)]
+    coarse = sorted(coarse, key=lambda c: c.criterion)
     found = [*coarse, *finer_curves(fitter, begun, coarse)]
     curves = sorted(found, key=lambda c: c.criterion)
     return [*curves, *refit_named(fitter, begun, curves)]
@@ -77,17 +76,12 @@ def coarse_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate]:
 
     Those at the leading places, and where the best of them is nearly right, those at other places
     that could do the same.
-
-    Parameters
-    ----------
-    begun
-        The start of the round that they are tried in.
     """
     most = REFINEMENT.curves if begun.has(LoopPart.FREE_CURVE) else 0
     curves = rank_curves(fitter, begun.model, begun.screening.ranking)
     seen = _leading(fitter, begun, curves, most)
-    seen += _finished(fitter, _in_other_places(fitter, begun, curves, seen))
-    return _ordered(fitter.records, seen)
+    seen += refit_fully(fitter, _in_other_places(fitter, begun, curves, seen))
+    return best_first(fitter.records, seen, LoopPart.FREE_CURVE)
 
 
 def switched_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate]:
@@ -95,16 +89,11 @@ def switched_curves(fitter: Fitter, begun: RoundStart) -> list[RefittedCandidate
 
     Only where no named effect passes, or nothing that was found may be claimed: it contains what a
     switch alone does, and follows what else there is besides.
-
-    Parameters
-    ----------
-    begun
-        The start of the round that it is tried in.
     """
     if not begun.has(LoopPart.FREE_CURVE):
         return []
     curves = rank_curves(fitter, begun.model, begun.screening.ranking, variables=2)
-    return _ordered(fitter.records, _leading(fitter, begun, curves, 1))
+    return best_first(fitter.records, _leading(fitter, begun, curves, 1), LoopPart.FREE_CURVE)
 
 
 def _leading(
@@ -114,7 +103,7 @@ def _leading(
     leaders = leading_places(curves)[:most]
     starts = [step.start for step in first_steps(fitter, begun.model, curves, leaders)]
     brief = [f for f in fitter.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
-    return _finished(fitter, brief)
+    return refit_fully(fitter, brief)
 
 
 def finer_curves(
@@ -127,16 +116,8 @@ def finer_curves(
 
     A fine curve has many values, and its first step leads astray where the effect is large. So each
     place that leaves more than noise goes on with twice as many from what it has come to, as long
-    as the criterion falls and a claim is in reach. Places that fall behind are left.
-
-    Parameters
-    ----------
-    begun
-        The start of the round that they are tried in.
-    coarse
-        The curves to begin with.
-    bound
-        What a curve must come down to beside a claim.
+    as the criterion falls, and a claim and what the bound asks for are in reach. Places that fall
+    behind are left.
     """
     records, alternative = fitter.records, REFINEMENT.alternative
     prunes = begun.has(LoopPart.PRUNING)
@@ -149,13 +130,7 @@ def finer_curves(
         seen += going
         best = min((f.criterion(records) for f in seen), default=np.inf)
         going = [f for f in going if f.criterion(records) <= best + alternative]
-    return _ordered(fitter.records, seen)
-
-
-def _ordered(records: StackedRecords, fits: Sequence[FittedModel]) -> list[RefittedCandidate]:
-    move = LoopPart.FREE_CURVE
-    made = [RefittedCandidate(f, f.criterion(records), True, move) for f in fits]
-    return sorted(made, key=lambda c: c.criterion)
+    return best_first(fitter.records, seen, LoopPart.FREE_CURVE)
 
 
 def _in_other_places(
@@ -193,12 +168,6 @@ def refit_named(
     return sorted(named, key=lambda c: c.criterion)
 
 
-def _finished(fitter: Fitter, fits: Sequence[FittedModel]) -> list[FittedModel]:
-    """Refit to convergence; what cannot be stays as it is."""
-    finished = fitter.fit(LoopStage.REFITS, [f.start for f in fits], full_refit(fitter))
-    return [new or old for new, old in zip(finished, fits, strict=True)]
-
-
 def _finer_fits(
     fitter: Fitter, begun: RoundStart, fits: Sequence[FittedModel], bound: PruningBound
 ) -> list[FittedModel]:
@@ -219,7 +188,7 @@ def _finer_fits(
         for (old, _), new in zip(asked, brief, strict=True)
         if new is not None and can_reach(fitter.records, new, _reachable(new, bound))
     ]
-    finished = _finished(fitter, [new for _, new in hopeful])
+    finished = refit_fully(fitter, [new for _, new in hopeful])
     records = fitter.records
     return [
         new
@@ -256,34 +225,13 @@ def _finer_start(fitter: Fitter, fitted: FittedModel) -> FitStart | None:
 class SingleEffects:
     """Effects that may take the place of all that a search adds, refitted to the declared model.
 
-    Attributes
-    ----------
-    curves, named
-        Free curves, and forms of the library of the argument of the best of them.
-    fine
-        Finer curves have been refitted too, where those led on.
+    They are free curves, and forms of the library of the argument of the best of them. If `fine`,
+    finer curves have been refitted too, where those led on.
     """
 
     curves: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
     named: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
     fine: bool = False
-
-
-@dataclass(frozen=True)
-class SingleEffect:
-    """One that takes their place.
-
-    Attributes
-    ----------
-    won, prediction
-        The declared model with it, and its leave-one-out prediction.
-    rivals
-        The effects that the data leave possible in its place.
-    """
-
-    won: RefittedCandidate = field(repr=False)
-    prediction: LeaveOneOutPrediction
-    rivals: Rivals = field(repr=False)
 
 
 def may_be_single(first: RoundStart, current: FittedModel) -> bool:
@@ -312,10 +260,8 @@ def single_effects(
 
     Parameters
     ----------
-    first
-        The start of the search's first round.
-    current
-        The model with the effects that were added.
+    first, current
+        The start of the search's first round, and the model with the effects that were added.
     known
         Those that have been refitted already.
     whole
@@ -345,7 +291,7 @@ def single_instead(
     singles: SingleEffects,
     *,
     whole: bool = False,
-) -> SingleEffect | None:
+) -> RoundEnd | None:
     """Return the single effect that takes the place of all that were added; None if they stay.
 
     It must fit better, also if what is left is noise as coloured as it looks, and predict better. A
@@ -358,10 +304,13 @@ def single_instead(
         The start of the search's first round.
     current, prediction
         The model with the effects that were added, and its leave-one-out prediction.
-    singles
-        See `single_effects`.
     whole
         Take only what leaves no more than noise.
+
+    Returns
+    -------
+    RoundEnd
+        In which it has won.
     """
     price = SELECTION.pair_price * float(np.log(first.screening.count))
 
@@ -379,8 +328,7 @@ def single_instead(
         if end.won is None or end.prediction is None or not fits_better(end.won, least):
             continue
         if end.prediction.total < prediction.total:
-            rivals = rivals_of(end.won, end.seen.contenders)
-            return SingleEffect(end.won, end.prediction, rivals)
+            return end
     return None
 
 

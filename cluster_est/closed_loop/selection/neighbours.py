@@ -33,7 +33,13 @@ from cluster_est.closed_loop.selection.linear_model import (
     values_at,
 )
 from cluster_est.closed_loop.selection.prediction import can_be_linearised
-from cluster_est.closed_loop.selection.refits import SHORT, RefittedCandidate, full_refit
+from cluster_est.closed_loop.selection.refits import (
+    SHORT,
+    RefittedCandidate,
+    best_first,
+    full_refit,
+    refit_fully,
+)
 from cluster_est.closed_loop.selection.rounds import RoundStart
 from cluster_est.closed_loop.settings import LoopPart, LoopStage
 from cluster_est.methods.method import Evaluation
@@ -57,19 +63,10 @@ def refit_siblings(
 
     Parameters
     ----------
-    begun
-        The round.
-    current
-        The model that candidates are added to.
-    ranking
-        Of all candidates at that model.
+    current, ranking
+        The model that candidates are added to, and all candidates at it.
     contenders
         Refitted candidates, the best first. Those that converged are not refitted again.
-
-    Returns
-    -------
-    list of RefittedCandidate
-        Those that were refitted, in no order.
     """
     if not begun.has(LoopPart.SIBLINGS) or not fitter.by_linear_systems:
         return []
@@ -87,21 +84,13 @@ def refit_siblings(
         for candidate in rivals
         for values in denser_grid(candidate, trajectories)
     ]
-    count = REFINEMENT.same_argument
-    starts = starts_in_its_place(fitter, current, best, trials, count)
-    brief = [f for f in fitter.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
+    starts = starts_in_its_place(fitter, current, best, trials, REFINEMENT.finalists)
+    fits = [f for f in fitter.fit(LoopStage.REFITS, starts, SHORT) if f is not None]
+    brief = best_first(fitter.records, fits, LoopPart.SIBLINGS, full=False)
     most = best.criterion + REFINEMENT.alternative
-    criteria = [fitted.criterion(fitter.records) for fitted in brief]
-    near = [f for f, criterion in zip(brief, criteria, strict=True) if criterion < most]
-    finished = fitter.fit(LoopStage.REFITS, [f.start for f in near], full_refit(fitter))
-    full = [new or old for new, old in zip(finished, near, strict=True)]
-    far = [
-        RefittedCandidate(f, criterion, False, LoopPart.SIBLINGS)
-        for f, criterion in zip(brief, criteria, strict=True)
-        if criterion >= most
-    ]
-    made = [(f, f.criterion(fitter.records)) for f in full]
-    return [RefittedCandidate(f, value, True, LoopPart.SIBLINGS) for f, value in made] + far
+    near = refit_fully(fitter, [c.fitted for c in brief if c.criterion < most])
+    far = [c for c in brief if c.criterion >= most]
+    return [*best_first(fitter.records, near, LoopPart.SIBLINGS), *far]
 
 
 def _is_rival(candidate: EffectCandidate, best: RefittedCandidate, done: Collection[str]) -> bool:
@@ -120,20 +109,10 @@ def starts_in_its_place(
     trials: Sequence[CandidatePoint],
     most: int,
 ) -> list[FitStart]:
-    """Return the best candidate's model with the likeliest others in its place.
+    """Return the best candidate's model with the likeliest others in its place, at most some.
 
-    Along its trajectory, what they should do is what it does and what it leaves.
-
-    Parameters
-    ----------
-    current
-        The model that it was added to.
-    best
-        The candidate, refitted.
-    trials
-        The others, at points of their grids.
-    most
-        Number of different ones that are wanted; those that could not do as much are left out.
+    Along its trajectory, what they should do is what it does and what it leaves; those that could
+    not do as much are left out. `current` is the model that it was added to.
     """
     fitted = best.fitted
     name = best.candidate.effect.name
@@ -166,12 +145,7 @@ def explained_share(
 ) -> tuple[float, FloatArray]:
     """Return the share of a target's squares that columns explain, and the strength of each.
 
-    Parameters
-    ----------
-    target : (n,)
-    columns : (n, width)
-    free
-        They are scaled to fit; without, they count as they are and have no strengths.
+    If not `free` to be scaled, they count as they are and have no strengths.
     """
     lengths = np.linalg.norm(columns, axis=0)
     whole = float(np.add.reduce(target**2))
@@ -210,10 +184,6 @@ def _before(
     ]
 
 
-WIDTH = GridScale.RMS_V
-"""Of a width that is held: a small part of how much its variable moves."""
-
-
 TRIED = (0.3, 2.5, 8.0, 25.0)
 """Widths that are tried, over the held one: a switch may be wider than a search holds it."""
 
@@ -227,21 +197,8 @@ def refit_switch_widths(
     """Refit the best contenders with the widths of their switches as unknowns.
 
     Only those that may come near the best by it, whether they converged or not; a width stays an
-    unknown where that pays.
-
-    Parameters
-    ----------
-    begun
-        The round.
-    contenders
-        Refitted candidates, in any order.
-    most
-        Criterion above which a structure is of no use.
-
-    Returns
-    -------
-    list of RefittedCandidate
-        The same structures, each once, the best first.
+    unknown where that pays. Above a criterion of `most` a structure is of no use. Returned are the
+    same structures, each once, the best first.
     """
     best: dict[frozenset[str], RefittedCandidate] = {}
     for contender in sorted(contenders, key=lambda c: c.criterion):
@@ -327,12 +284,15 @@ def _held_widths(contender: RefittedCandidate) -> dict[str, tuple[float, float]]
 
 
 def _widths(candidate: EffectCandidate) -> dict[str, tuple[float, float]]:
-    """The ranges of its widths. What a power law refers to is no width, and held for good."""
+    """The ranges of its widths: small parts of how much their variables move.
+
+    What a power law refers to is held for good, and no width.
+    """
     columns = zip(candidate.form.coefficients, zip(*candidate.grid, strict=True), strict=True)
     return {
         f"{candidate.effect.name}.{c.name}": (min(values), max(values))
         for c, values in columns
-        if c.held and c.scale is WIDTH
+        if c.held and c.scale is GridScale.RMS_V
     }
 
 

@@ -1,7 +1,11 @@
-"""Refits of the leading candidates, which all moves share, and the models that were refitted.
+"""Refits of the leading candidates, alone and in pairs, and the models that were refitted.
 
 A score sees only a first small step. Each leading candidate is therefore switched on together with
 the step of all parameters that the linear model asks for, simulated, and the best are refitted.
+
+The best pairs of directions are found by linear algebra alone: for two unit directions b, c with
+g = b'c and the residual's shares x = b'r, y = c'r, both together carry
+(x^2 + y^2 - 2 g x y) / (1 - g^2) of r'r.
 """
 
 from __future__ import annotations
@@ -20,8 +24,13 @@ from cluster_est.closed_loop.selection.linear_model import (
     FirstStep,
     PruningBound,
     can_reach,
+    can_reach_with,
     first_steps,
+    is_proportional,
+    joint_step,
     predicted_criterion,
+    shares_left,
+    values_at,
 )
 from cluster_est.closed_loop.settings import LoopPart, LoopSettings, LoopStage
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
@@ -32,8 +41,20 @@ BRIEFLY = 1e-4
 """Relative fall of the sum of squares that ends a refit at most: of two decimals one is enough to
 see who is ahead."""
 
+SETTLED = 0.1
+"""Fall of the criterion that ends a refit to convergence, over what tells two candidates apart."""
+
 FIRST = LeastSquares(trials=1, max_iterations=1, ftol=BRIEFLY, xtol=1e-5, differences="forward")
-SHORT = LeastSquares(trials=1, max_iterations=2, ftol=BRIEFLY, xtol=1e-5, differences="forward")
+SHORT = replace(FIRST, max_iterations=2)
+
+WHITE_LEADERS = 8
+"""Leaders of the whitened scores that are tried besides those of the plain ones."""
+PROMISING = 2
+"""Candidates that go on although they are behind, because of what the linear model promises."""
+PAIRED, PAIRS_REFITTED = 90, 8
+"""Directions that are paired, for which the work grows with the square; pairs that are refitted."""
+ALIKE_DIRECTIONS = 0.98
+"""Cosine above which two directions are no pair. Benchmark."""
 
 
 def full_refit(fitter: Fitter) -> LeastSquares:
@@ -43,9 +64,14 @@ def full_refit(fitter: Fitter) -> LeastSquares:
     so it ends where that is a part of the smallest difference that tells two candidates apart. An
     output with a small part of all squares may move the criterion by more.
     """
-    settled = REFINEMENT.settled / max(fitter.size, 1)
-    ftol = min(BRIEFLY, settled)
-    return LeastSquares(trials=1, max_iterations=15, ftol=ftol, xtol=1e-5, differences="forward")
+    settled = SETTLED * REFINEMENT.equal / max(fitter.size, 1)
+    return replace(FIRST, max_iterations=15, ftol=min(BRIEFLY, settled))
+
+
+def refit_fully(fitter: Fitter, fits: Sequence[FittedModel]) -> list[FittedModel]:
+    """Refit to convergence; what cannot be stays as it is."""
+    finished = fitter.fit(LoopStage.REFITS, [f.start for f in fits], full_refit(fitter))
+    return [new or old for new, old in zip(finished, fits, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -54,8 +80,6 @@ class RefittedCandidate:
 
     Attributes
     ----------
-    fitted, criterion
-        The model, and its criterion.
     full
         It was refitted to convergence.
     move
@@ -70,6 +94,18 @@ class RefittedCandidate:
     @property
     def candidate(self) -> EffectCandidate:
         return self.fitted.added[-1]
+
+
+def best_first(
+    records: StackedRecords,
+    fits: Sequence[FittedModel],
+    move: LoopPart | None = None,
+    *,
+    full: bool = True,
+) -> list[RefittedCandidate]:
+    """Return refits with their criteria, the best first."""
+    made = [RefittedCandidate(f, f.criterion(records), full, move) for f in fits]
+    return sorted(made, key=lambda c: c.criterion)
 
 
 Rivals = Mapping[str, tuple[RefittedCandidate, list[RefittedCandidate]]]
@@ -98,14 +134,10 @@ def refit(
 
     Parameters
     ----------
-    current
-        The model that they are added to.
-    ranking
-        Of all candidates at that model.
+    current, ranking
+        The model that they are added to, and all candidates at it.
     floor
         Sum of squares that the noise alone would leave.
-    settings
-        How many are tried and refitted.
     wide
         Try all that the settings ask for; without, half as many.
     further
@@ -134,7 +166,7 @@ def refit(
         return own | {ranking.trials[i].candidate.effect.name} in done
 
     leaders = leading(ranking.plain, 2 * trials)
-    white = leading(ranking.white, REFINEMENT.white_leaders)
+    white = leading(ranking.white, WHITE_LEADERS)
     places = list(dict.fromkeys([*leaders[:trials], *white]))
     first = [i for i in places if not is_done(i)]
     count = max(count - (len(places) - len(first)), 0)
@@ -209,11 +241,9 @@ def successive_halving(
     first = order[: REFINEMENT.finalists]
     first += _promising(fitter.records, fits, order, first)
     best, rest = [fits[i] for i in first], [fits[i] for i in order if i not in first]
-    finished = fitter.fit(LoopStage.REFITS, [f.start for f in best], full_refit(fitter))
-    found = [(f, False) for f in (*lost, *rest)]
-    found += [(new or old, True) for new, old in zip(finished, best, strict=True)]
-    made = [RefittedCandidate(f, f.criterion(fitter.records), full) for f, full in found]
-    return sorted(made, key=lambda c: c.criterion)
+    found = best_first(fitter.records, [*lost, *rest], full=False)
+    found += best_first(fitter.records, refit_fully(fitter, best))
+    return sorted(found, key=lambda c: c.criterion)
 
 
 def _near_the_best(
@@ -224,10 +254,7 @@ def _near_the_best(
 ) -> list[int]:
     """Positions of what does, or could do, a part of what the best does, where that does it all.
 
-    Parameters
-    ----------
-    reached, possible
-        Sums of squares of each, as simulated, and at best.
+    `reached` and `possible` are the sums of squares of each, as simulated, and at best.
     """
     best = min(reached, default=current.sse)
     enough = _closes(current, best, floor, REFINEMENT.closes)
@@ -267,7 +294,7 @@ def _promising(
     best = min(predicted_criterion(records, fits[i]) for i in kept)
     others = [(predicted_criterion(records, fits[i]), i) for i in near if i not in kept]
     better = sorted(each for each in others if each[0] < best)
-    return [i for _, i in better[: REFINEMENT.promising]]
+    return [i for _, i in better[:PROMISING]]
 
 
 def _closes(current: FittedModel, best: float, floor: float, share: float) -> bool:
@@ -276,10 +303,7 @@ def _closes(current: FittedModel, best: float, floor: float, share: float) -> bo
 
 
 def most_parsimonious(contenders: Sequence[RefittedCandidate]) -> RefittedCandidate:
-    """The best contender; among equals the plainest name, then the one with fewest unknowns.
-
-    Then the one with fewest states of its own.
-    """
+    """The best contender; among equals the one of plainest name, fewest unknowns, fewest states."""
     best = contenders[0].criterion
     equal = [c for c in contenders if c.full and c.criterion - best < REFINEMENT.equal]
     equal = equal or list(contenders[:1])
@@ -327,23 +351,83 @@ def _mixed(steps: Sequence[FirstStep], count: int) -> tuple[list[FirstStep], lis
     return [*steps[:ranked], *rest[: count - ranked]], rest[count - ranked :]
 
 
-SAME = 0.1
+def refit_pairs(
+    fitter: Fitter,
+    current: FittedModel,
+    ranking: CandidateRanking,
+    floor: float,
+    bound: PruningBound,
+) -> list[RefittedCandidate]:
+    """Refit the best pairs; the best first. A contender's last two effects are the pair.
+
+    Those that the linear model does not let hope to be useful are left out.
+    """
+    asked = [_start_of_pair(fitter, current, ranking, p, bound) for p in best_pairs(ranking)]
+    fits = refit_briefly(fitter, [start for start in asked if start is not None])
+    found = successive_halving(fitter, current, floor, fits, bound)
+    return proposed_by(LoopPart.ADD_TWO, found)
+
+
+def best_pairs(ranking: CandidateRanking, most: int = PAIRS_REFITTED) -> list[tuple[int, int]]:
+    """Pairs of trials of different candidates by the share of the residual that they carry."""
+    scores = ranking.plain
+    usable = [
+        i for i in np.argsort(-scores.statistics, kind="stable").tolist()
+        if scores.df[i] == 1 and not ranking.trials[i].candidate.form.free
+    ][:PAIRED]  # fmt: skip
+    if len(usable) < 2:
+        return []
+    first = scores.offsets[usable]
+    basis, shares = scores.bases[:, first], scores.coordinates[first]
+    gram = basis.T @ basis
+    a, b = np.triu_indices(len(usable), 1)
+    g = gram[a, b]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        carried = (shares[a] ** 2 + shares[b] ** 2 - 2.0 * g * shares[a] * shares[b]) / (1 - g**2)
+    carried[np.abs(g) > ALIKE_DIRECTIONS] = 0.0
+    found: dict[frozenset[str], tuple[int, int]] = {}
+    for k in np.argsort(-carried, kind="stable").tolist():
+        i, j = usable[a[k]], usable[b[k]]
+        names = frozenset(ranking.trials[m].candidate.effect.name for m in (i, j))
+        if len(names) == 2 and carried[k] > 0.0:
+            found.setdefault(names, (i, j))
+        if len(found) >= most:
+            break
+    return list(found.values())
+
+
+def _start_of_pair(
+    fitter: Fitter,
+    current: FittedModel,
+    ranking: CandidateRanking,
+    pair: tuple[int, int],
+    bound: PruningBound,
+) -> FitStart | None:
+    """Both effects, with the strengths of the joint linear step; None if of no use."""
+    _, strengths, after = joint_step(current, ranking, pair)
+    start = current.start
+    for m, own in zip(pair, strengths, strict=True):
+        trial = ranking.trials[m]
+        start = start.plus(trial.candidate, values_at(trial, own))
+    if all(is_proportional(ranking.trials[m]) for m in pair):
+        added = fitter.space(start).size - len(current.x)
+        left = shares_left(ranking.records, current.residuals[ranking.rows], after)
+        if not can_reach_with(fitter.records, current, left, added, bound):
+            return None
+    return start
+
+
+SAME_MODEL = 0.1
 """Distance of two residuals, in standard deviations of one sample's noise, up to which they are
 those of one model: a statistic of 100 then changes by 2 at most."""
 
 
 @dataclass
 class CachedModel:
-    """A model that effects were added to.
+    """A model that effects were added to, and what is known at it.
 
-    Attributes
-    ----------
-    fitted
-        The model.
-    ranking
-        Of the candidates at it; None where it was not kept.
-    grown
-        What was refitted to convergence with one effect more, by its structure.
+    `ranking` is None where it was not kept; `grown` is what was refitted to convergence with one
+    effect more, by its structure.
     """
 
     fitted: FittedModel = field(repr=False)
@@ -360,12 +444,7 @@ class ModelCache:
     co-simulation and with process noise; where linear systems answer for all, one takes none and is
     made again. Free curves are not kept: they are made anew for each model.
 
-    Attributes
-    ----------
-    noise
-        Variance of the residuals that the noise alone would leave.
-    remembers
-        Without, everything is done again.
+    `noise` is the variance that it alone would leave; if it does not remember, all is done again.
     """
 
     noise: float
@@ -410,11 +489,11 @@ class ModelCache:
     def _at(self, fitted: FittedModel) -> CachedModel:
         """The model, if it still is where it was; else a new one in its place."""
         known = self._models.get(fitted.structure)
-        if known is None or _distance(fitted, known.fitted) > SAME**2 * self.noise:
+        if known is None or _far_apart(fitted, known.fitted, self.noise):
             known = self._models[fitted.structure] = CachedModel(fitted)
         return known
 
 
-def _distance(one: FittedModel, other: FittedModel) -> float:
-    """Return the sum of squares between the residuals of two fits."""
-    return float(np.add.reduce((one.residuals - other.residuals) ** 2))
+def _far_apart(one: FittedModel, other: FittedModel, noise: float) -> bool:
+    distance = float(np.add.reduce((one.residuals - other.residuals) ** 2))
+    return distance > SAME_MODEL**2 * noise
