@@ -30,6 +30,7 @@ from cluster_est.closed_loop.numerical_error import (
 )
 from cluster_est.closed_loop.output_noise import expected_noise, noise_of
 from cluster_est.closed_loop.screening.screen import CandidateEvidence, screen
+from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction, predict
 from cluster_est.closed_loop.selection.answer import answers, without_effects
 from cluster_est.closed_loop.selection.free_curves import (
     SingleEffects,
@@ -37,11 +38,9 @@ from cluster_est.closed_loop.selection.free_curves import (
     single_effects,
     single_instead,
 )
-from cluster_est.closed_loop.selection.functions_of_time import functions_of_time
 from cluster_est.closed_loop.selection.gates import SELECTION, choose, reason_to_stop
 from cluster_est.closed_loop.selection.linear_model import PruningBound, can_reach
 from cluster_est.closed_loop.selection.moves import MOVES, revise
-from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction, predict
 from cluster_est.closed_loop.selection.refits import (
     FIRST,
     ModelCache,
@@ -283,10 +282,14 @@ def propose_and_choose(fitter: Fitter, begun: RoundStart) -> RoundEnd:
 
 
 def _judged(fitter: Fitter, found: SelectionResult) -> tuple[SelectionResult, ReasonedVerdict]:
-    """Judge what was found; a function of time is an effect only where it leaves noise."""
-    settings, gone = found.settings, functions_of_time(found)
+    """Judge what was found; a function of time is an effect only where it leaves noise.
+
+    A drift or a wave in time follows the slow part of whatever disturbs an experiment: it closes
+    most of the gap to the noise, and predicts what was left out, without being what is missing.
+    """
+    gone = [c for c in found.current.added if c.form.of_time_alone]
     judged = judge(fitter, found)
-    kept = LoopPart.FUNCTIONS_OF_TIME in settings.without
+    kept = LoopPart.FUNCTIONS_OF_TIME in found.settings.without
     if judged.verdict is not Verdict.PARTIAL or not gone or kept:
         return found, judged
     places = [i for i, c in enumerate(found.current.added) if c in gone]

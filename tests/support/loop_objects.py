@@ -18,7 +18,7 @@ from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.screening.directions import CandidatePoint
 from cluster_est.closed_loop.screening.screen import CandidateRanking, ScreeningResult
-from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction
+from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.refits import ModelCache, RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import (
     RejectionReason,

@@ -18,7 +18,7 @@ from cluster_est.closed_loop.findings.effects import (
 from cluster_est.closed_loop.findings.naming import EffectName, Namer
 from cluster_est.closed_loop.findings.unexplained import varying_columns
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
-from cluster_est.closed_loop.selection.functions_of_time import period_of, residuals_without
+from cluster_est.closed_loop.selection.acceptance import period_of, residuals_without
 from cluster_est.closed_loop.selection.refits import RefittedCandidate
 from cluster_est.closed_loop.selection.rounds import SelectionResult
 from cluster_est.closed_loop.settings import CandidateStage

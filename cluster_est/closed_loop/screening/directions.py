@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -77,20 +78,19 @@ def directions(
     if not trials:
         return []
     stops = np.cumsum([0, *(len(trajectory.rows) for trajectory in trajectories)]).tolist()
-    count = len(trials)
-
-    def telling(before: int) -> Callable[[int], None]:
-        return lambda done: told(before + done, len(trajectories) * count)
-
-    parts = [
-        _of_trajectory(trajectory, trials, values, _within(rows, *ends), telling(e * count))
-        for e, (trajectory, values, ends) in enumerate(
-            zip(trajectories, known, pairwise(stops), strict=True)
-        )
-    ]
+    count, whole = len(trials), len(trials) * len(trajectories)
+    parts = []
+    for e, (trajectory, values) in enumerate(zip(trajectories, known, strict=True)):
+        kept = _within(rows, stops[e], stops[e + 1])
+        heard = partial(_hear, told, e * count, whole)
+        parts.append(_of_trajectory(trajectory, trials, values, kept, heard))
     joined = np.concatenate(parts)
     ends = np.cumsum([0, *(trial.width for trial in trials)])
     return [joined[:, a:b] for a, b in pairwise(ends)]
+
+
+def _hear(told: Told, before: int, of: int, done: int) -> None:
+    told(before + done, of)
 
 
 def _within(rows: IntArray | None, start: int, stop: int) -> IntArray | slice:
@@ -254,9 +254,8 @@ def probe(
     effect that can only be switched on by a finite amount is, by its whole amount.
     """
     asked, amounts = [], []
-    amount = PROBE_AMOUNT
     for trial in trials:
-        rows, steps = _switched(trial, trajectories, amount)
+        rows, steps = _switched(trial, trajectories)
         start = fitted.start.plus(trial.candidate, trial.values)
         space = fitter.space(start)
         points = np.array([_point(fitted, space.unknowns, trial, row) for row in rows])
@@ -274,22 +273,18 @@ def probe(
 
 
 def _switched(
-    trial: CandidatePoint, trajectories: Sequence[LinearisedTrajectory], amount: float
+    trial: CandidatePoint, trajectories: Sequence[LinearisedTrajectory]
 ) -> tuple[list[FloatArray], list[float]]:
     """Coefficients for each column, and what its change is to be divided by."""
-    candidate = trial.candidate
-    values = np.array(trial.values)
-    if not candidate.strengths:
-        return [values], [1.0]
-    rows, steps = [], []
-    for i, coefficient in enumerate(candidate.form.coefficients):
-        if coefficient.name in candidate.strengths:
-            step = amount * _size(trial, trajectories)
-            row = values.copy()
-            row[i] = step
-            rows.append(row)
-            steps.append(step)
-    return rows, steps
+    names = [c.name for c in trial.candidate.form.coefficients]
+    strengths = [i for i, name in enumerate(names) if name in trial.candidate.strengths]
+    if not strengths:
+        return [np.array(trial.values)], [1.0]
+    step = PROBE_AMOUNT * _size(trial, trajectories)
+    rows = [np.array(trial.values) for _ in strengths]
+    for row, i in zip(rows, strengths, strict=True):
+        row[i] = step
+    return rows, [step] * len(rows)
 
 
 def _size(trial: CandidatePoint, trajectories: Sequence[LinearisedTrajectory]) -> float:

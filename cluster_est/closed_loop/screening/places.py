@@ -11,7 +11,7 @@ Comput. 18 (1989) 1059-1076, doi:10.1080/03610918908812806).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Self
@@ -42,21 +42,19 @@ class PlaceThresholds:
         Candidates above which only those at leading places are looked at. Memory: see `most_rows`.
     leading
         Places that are looked at. Benchmark.
-    hats
-        Coefficients of the curve that stands for every form. Benchmark.
-    weightings
-        Random weightings that estimate the size of a direction. Theory: the relative error of a
-        squared length is the square root of 2 over their number.
     """
 
     most_candidates: int = 1500
     leading: int = 40
-    hats: int = 9
-    weightings: int = 96
 
 
 LEADING_PLACES = PlaceThresholds()
 
+HATS = 9
+"""Coefficients of the curve that stands for every form."""
+WEIGHTINGS = 96
+"""Random weightings that estimate the size of a direction: the relative error of its square is the
+root of 2 over their number."""
 COLUMN_PENALTY = 8.0
 """Rise of the statistic that each further column of a candidate, or coefficient of a curve, must
 bring to be ranked as high. Benchmark; its mean is 1 where the column means nothing (theory:
@@ -70,22 +68,13 @@ DEPENDENT = 1e-6
 """Smallest eigenvalue of D'D, over the largest, of a direction that counts: knots may coincide."""
 
 
-@dataclass(frozen=True)
-class RankedPlace:
-    """A place, and the statistic of a free curve there, less the price of its coefficients."""
-
-    place: CandidatePlace
-    statistic: float
-
-
 def rank_places(
     places: Sequence[CandidatePlace],
     trajectories: Sequence[LinearisedTrajectory],
     residual: ProjectedResidual,
     frequencies: Sequence[float],
     generator: np.random.Generator,
-    thresholds: PlaceThresholds,
-) -> list[RankedPlace]:
+) -> list[CandidatePlace]:
     """Order places by what a free curve there would explain of the residual, the most first.
 
     Parameters
@@ -95,14 +84,14 @@ def rank_places(
     """
     if not places:
         return []
-    draws = generator.standard_normal((len(residual.residuals), thresholds.weightings))
+    draws = generator.standard_normal((len(residual.residuals), WEIGHTINGS))
     weights = residual.projection.remove(np.column_stack([residual.residuals, draws]))
     variance = float(np.sum(weights[:, 0] ** 2)) / max(residual.projection.degrees, 1)
     names = dict.fromkeys(place.argument for place in places)
-    waves = tuple(frequencies)[: (thresholds.hats - 2) // 2]
-    curves = {n: FreeCurve.over(n, trajectories, waves, thresholds.hats) for n in names}
+    waves = tuple(frequencies)[: (HATS - 2) // 2]
+    curves = {n: FreeCurve.over(n, trajectories, waves) for n in names}
     groups = _grouped(places)
-    products = [np.zeros(group.shape(curves, weights.shape[1])) for group in groups]
+    products = [np.zeros(group.shape(weights.shape[1])) for group in groups]
     ends = np.cumsum([0, *(len(trajectory.rows) for trajectory in trajectories)]).tolist()
     for trajectory, (start, stop) in zip(trajectories, pairwise(ends), strict=True):
         signals = adjoint_signals(trajectory, weights[start:stop])
@@ -121,48 +110,33 @@ def rank_places(
         for group, product in zip(groups, products, strict=True)
         for place, block in group.blocks(product, weights.shape[1])
     }
-    found = np.array([ranks[place] for place in places])
-    order = np.argsort(-found, kind="stable").tolist()
-    return [RankedPlace(places[i], float(found[i])) for i in order]
+    return sorted(places, key=lambda place: -ranks[place])
 
 
 @dataclass(frozen=True)
 class FreeCurve:
     """A function of one argument: piecewise linear, or where that is time, a sum of waves.
 
-    Attributes
-    ----------
-    name
-        Of the argument.
-    knots
-        Of a piecewise linear function.
-    waves
-        Angular frequencies of what depends on time, beside a constant and a drift.
-    size
-        Number of its coefficients; those that it does not need have columns of zeros.
+    These have angular frequencies, and come beside a constant and a drift. Coefficients that are
+    not needed have columns of zeros.
     """
 
     name: str
     knots: FloatArray = field(repr=False)
     waves: tuple[float, ...]
-    size: int
 
     @classmethod
     def over(
-        cls,
-        name: str,
-        trajectories: Sequence[LinearisedTrajectory],
-        waves: tuple[float, ...],
-        size: int,
+        cls, name: str, trajectories: Sequence[LinearisedTrajectory], waves: tuple[float, ...]
     ) -> Self:
         """Over all values of an argument."""
         if name == TIME:
-            return cls(name, np.zeros(0), waves, size)
-        return cls(name, knots_over(pooled(trajectories, name), size), (), size)
+            return cls(name, np.zeros(0), waves)
+        return cls(name, knots_over(pooled(trajectories, name), HATS), ())
 
     def columns(self, trajectory: LinearisedTrajectory) -> FloatArray:
-        """(n, size): the function with each coefficient at 1 and all others at 0."""
-        found = np.zeros((len(trajectory.times), self.size))
+        """(n, HATS): the function with each coefficient at 1 and all others at 0."""
+        found = np.zeros((len(trajectory.times), HATS))
         if self.name == TIME:
             t = trajectory.times
             parts = [np.ones_like(t), t, *(f(w * t) for w in self.waves for f in (np.sin, np.cos))]
@@ -180,9 +154,8 @@ class _PlaceGroup:
     names: tuple[str, ...]
     places: frozenset[CandidatePlace] = field(repr=False)
 
-    def shape(self, curves: Mapping[str, FreeCurve], weightings: int) -> tuple[int, int]:
-        coefficients = sum(curves[name].size for name in self.names)
-        return coefficients, weightings * sum(map(_width, self.sites))
+    def shape(self, weightings: int) -> tuple[int, int]:
+        return HATS * len(self.names), weightings * sum(map(_width, self.sites))
 
     def blocks(
         self, product: FloatArray, weightings: int
@@ -250,14 +223,10 @@ class AdjointSignals:
 
     Attributes
     ----------
-    linear
-        The linear system.
     names
         Of the outputs.
-    at_states : (n, x, m)
-        At state derivatives.
-    at_outputs : (n, y, m)
-        At outputs.
+    at_states, at_outputs : (n, x, m), (n, y, m)
+        At state derivatives, and at outputs.
     """
 
     linear: Linearisation = field(repr=False)

@@ -25,7 +25,7 @@ from scipy.special import fdtrc
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.screening.screen import screen
-from cluster_est.closed_loop.selection.prediction import (
+from cluster_est.closed_loop.selection.acceptance import (
     LeaveOneOutPrediction,
     is_usable,
     predict,
@@ -87,14 +87,7 @@ def best_ancestors(
 ) -> list[int]:
     """Return which of the structures take the place of all that came before, in their order.
 
-    The first is the declared model, and the last the answer.
-
-    Parameters
-    ----------
-    accepted
-        By a search, in its order.
-    left_out
-        What is no answer.
+    The first is the declared model, and the last the answer. What is left out is none.
     """
     chain = [0]
     for number in range(1, len(accepted)):
@@ -204,10 +197,8 @@ def strength_p(
     ----------
     added
         The effects. Those of one site and argument share a test.
-    space, x
-        The unknowns of a model with the effects, and where they stand.
-    known
-        Their uncertainty.
+    space, x, known
+        The unknowns of a model with the effects, where they stand, and their uncertainty.
 
     Returns
     -------
@@ -249,16 +240,10 @@ def without_effects(
     positions: Sequence[int],
     part: LoopPart,
 ) -> SelectionResult:
-    """Take effects out of a result, and refit what stays.
+    """Take effects out of a result, by their positions, and refit what stays.
 
-    Where the other effects cannot be simulated without them, or run away, nothing stays.
-
-    Parameters
-    ----------
-    positions
-        Of the effects, among those that were added.
-    part
-        The part of the search that takes them out.
+    Where the other effects cannot be simulated without them, or run away, nothing stays. `part` is
+    the part of the search that takes them out.
     """
     start = found.current.start
     for position in sorted(positions, reverse=True):

@@ -27,6 +27,7 @@ from cluster_est.closed_loop.screening.screen import (
     place_of,
     rank_curves,
 )
+from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction, can_be_linearised
 from cluster_est.closed_loop.selection.gates import SELECTION, choose, reason_to_stop
 from cluster_est.closed_loop.selection.linear_model import (
     NO_BOUND,
@@ -39,7 +40,6 @@ from cluster_est.closed_loop.selection.neighbours import (
     refit_siblings,
     starts_in_its_place,
 )
-from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction, can_be_linearised
 from cluster_est.closed_loop.selection.refits import (
     SHORT,
     RefittedCandidate,

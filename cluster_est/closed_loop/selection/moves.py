@@ -15,12 +15,11 @@ from itertools import combinations
 import numpy as np
 
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
+from cluster_est.closed_loop.selection.acceptance import admissible, can_be_linearised
 from cluster_est.closed_loop.selection.free_curves import free_curve
-from cluster_est.closed_loop.selection.functions_of_time import admissible
 from cluster_est.closed_loop.selection.gates import SELECTION, may_go_on
 from cluster_est.closed_loop.selection.linear_model import REFINEMENT
 from cluster_est.closed_loop.selection.neighbours import refit_siblings, refit_switch_widths
-from cluster_est.closed_loop.selection.prediction import can_be_linearised
 from cluster_est.closed_loop.selection.refits import (
     RefittedCandidate,
     Rivals,

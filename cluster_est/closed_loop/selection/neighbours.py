@@ -23,6 +23,7 @@ from cluster_est.closed_loop.candidates.trajectory import LinearisedTrajectory
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.screening.directions import CandidatePoint
 from cluster_est.closed_loop.screening.screen import CandidateRanking, candidate_columns
+from cluster_est.closed_loop.selection.acceptance import can_be_linearised
 from cluster_est.closed_loop.selection.linear_model import (
     REFINEMENT,
     PruningBound,
@@ -32,7 +33,6 @@ from cluster_est.closed_loop.selection.linear_model import (
     shares_left,
     values_at,
 )
-from cluster_est.closed_loop.selection.prediction import can_be_linearised
 from cluster_est.closed_loop.selection.refits import (
     SHORT,
     RefittedCandidate,

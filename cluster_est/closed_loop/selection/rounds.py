@@ -12,8 +12,8 @@ from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.output_noise import noise_of
 from cluster_est.closed_loop.screening.screen import CandidateEvidence, ScreeningResult, findings
+from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.linear_model import UNPRUNED, PruningBound
-from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.refits import ModelCache, RefittedCandidate, Rivals
 from cluster_est.closed_loop.settings import CandidateStage, LoopPart, LoopSettings
 from cluster_est.statistics.records import StackedRecords
@@ -85,9 +85,9 @@ class RejectionReason(enum.StrEnum):
 class SelectionRound:
     """One round: the screening at a model, and its outcome.
 
-    `why` is the reason why nothing was added; None where something was. `gain` is that of the
-    criterion, `closed` the share of the gap to the noise that was closed, `coloured` whether
-    autocorrelated noise would explain as much as the best contender did.
+    `why` nothing was added is None where something was. `gain` is that of the criterion, `closed`
+    the share of the gap to the noise that was closed, `coloured` whether autocorrelated noise would
+    explain as much as the best contender did.
     """
 
     screening: ScreeningResult = field(repr=False)
@@ -114,10 +114,6 @@ class RoundStart:
         The models that the search has added effects to.
     floor
         Sum of squares that the noise alone would leave.
-    settings
-        Of the loop; what they leave out is left out.
-    sigma_declared
-        The user has given a sigma.
     beside
         The structures that it was compared with in the round before.
     numerical
@@ -150,8 +146,6 @@ class RoundEnd:
 
     Attributes
     ----------
-    seen
-        What it looked at, and the reason why nothing was added.
     won, prediction
         The structure that passed, and its prediction; None where nothing was added.
     compared
@@ -171,14 +165,8 @@ class RoundEnd:
 class Revised:
     """A structure that has passed the gates, and what revisions made of it.
 
-    Attributes
-    ----------
-    model
-        The structure, fitted.
-    rivals
-        Of its effects; those of others may be among them.
-    move
-        The last part of the search that changed it.
+    `rivals` are those of its effects, and perhaps of others; `move` is the last part of the search
+    that changed it.
     """
 
     model: FittedModel
@@ -237,17 +225,7 @@ class ComparedStructure:
 
 @dataclass(frozen=True)
 class AcceptedStructure:
-    """A structure that was accepted.
-
-    Attributes
-    ----------
-    model, prediction
-        The structure, fitted, and its leave-one-out prediction.
-    rivals
-        Of its effects.
-    beside
-        The structures that it was compared with.
-    """
+    """A structure that was accepted, fitted, and the structures that it was compared with."""
 
     model: FittedModel = field(repr=False)
     prediction: LeaveOneOutPrediction
@@ -265,14 +243,10 @@ class SelectionResult:
         The declared model, and the one with all effects that were added.
     base_prediction, prediction
         Leave-one-out predictions of both.
-    rivals
-        For each added effect, by name, the contenders that it won against.
     steps, findings
         Of all rounds.
-    noise
-        Of each output, in units of its residual.
-    settings
-        Of the search.
+    noise : (outputs,)
+        In units of the residuals.
     path
         The structures that were compared, in the order of the rounds, the best of each first.
     accepted
@@ -401,32 +375,14 @@ def _as_finer(
     if not candidate.form.finer_than:
         return None
     place = (str(candidate.site), candidate.form.family, candidate.effect.variables)
-    return next(
-        (
-            replace(each, form=candidate.form.name)
-            for each in found
-            if (each.site, each.family, each.variables) == place
-        ),
-        None,
-    )
+    there = (each for each in found if (each.site, each.family, each.variables) == place)
+    return next((replace(each, form=candidate.form.name) for each in there), None)
 
 
 def compared_structures(
     records: StackedRecords, base: FittedModel, end: RoundEnd, floor: float, step: int
 ) -> list[ComparedStructure]:
-    """The structures of a round, the best first.
-
-    Parameters
-    ----------
-    base
-        The declared model, fitted.
-    end
-        Of the round.
-    floor
-        Sum of squares that the noise alone would leave.
-    step
-        The number of the round.
-    """
+    """The structures of a round, the best first; `floor` is what the noise alone would leave."""
     return [
         replace(
             compared_structure(records, base, contender.fitted, floor, step),

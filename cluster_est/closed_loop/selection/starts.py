@@ -15,12 +15,12 @@ import numpy as np
 
 from cluster_est.closed_loop.fitter import SHORTENED, FitStart, FittedModel, Fitter
 from cluster_est.closed_loop.output_noise import noise_of
+from cluster_est.closed_loop.selection.acceptance import is_usable
 from cluster_est.closed_loop.selection.linear_model import (
     REFINEMENT,
     gauss_newton_step,
     longest_step,
 )
-from cluster_est.closed_loop.selection.prediction import is_usable
 from cluster_est.closed_loop.selection.refits import SHORT, full_refit
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.errors import ProblemError

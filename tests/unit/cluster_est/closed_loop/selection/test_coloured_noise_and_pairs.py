@@ -13,9 +13,9 @@ from support.loop_objects import (
     made_start,
 )
 
+from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.free_curves import coloured_criterion
 from cluster_est.closed_loop.selection.gates import Attempt, coloured_noise_explains, first_refusal
-from cluster_est.closed_loop.selection.prediction import LeaveOneOutPrediction
 from cluster_est.closed_loop.selection.refits import PAIRS_REFITTED as FITTED
 from cluster_est.closed_loop.selection.refits import best_pairs
 from cluster_est.closed_loop.selection.rounds import RejectionReason
