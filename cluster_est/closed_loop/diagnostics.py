@@ -17,17 +17,14 @@ from cluster_est.closed_loop.output_noise import expected_noise, noise_of
 from cluster_est.closed_loop.screening.screen import CandidateEvidence, findings, screen
 from cluster_est.closed_loop.selection.starts import fit_declared
 from cluster_est.closed_loop.settings import CandidateStage, LoopSettings
-from cluster_est.closed_loop.workbench import (
-    LoopRequest,
-    checked_request,
-    open_workbench,
-)
+from cluster_est.closed_loop.workbench import LoopRequest, check_arguments, open_workbench
 from cluster_est.errors import EffectError, ProblemError
 from cluster_est.problem.declared_effects import DeclaredCoefficient, DeclaredEffect, make_effect
 from cluster_est.problem.free_curves import Monotone, checked_shape
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import refuse_process_noise
-from cluster_est.running.arguments import check_problem
+from cluster_est.running.arguments import check_problem, checked_resources, prepared
+from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Resources
 from cluster_est.statistics.residual_tests import FAMILY_WISE_LEVEL
 from workers.effects.forms import FormCoefficient
@@ -118,7 +115,7 @@ def detect(
     ClusterEstError
         As `close_loop`.
     """
-    request = checked_request(problem, resources, settings, seed)
+    request = _checked_request(problem, resources, settings, seed)
     with _fitted(request) as (fitter, fitted, error):
         screening = screen(fitter, request.settings, fitted, 1)
         records = fitter.records
@@ -159,7 +156,7 @@ def locate(
     ClusterEstError
         As `close_loop`; also where no effect can be told from the error of the solver or its step.
     """
-    request = checked_request(problem, resources, settings, seed)
+    request = _checked_request(problem, resources, settings, seed)
     with _fitted(request) as (fitter, fitted, error):
         if error.hides_effects:
             raise ProblemError(error.refusal)
@@ -244,10 +241,20 @@ def add_effect(
     return grown
 
 
+def _checked_request(
+    problem: Problem,
+    resources: Resources | Mapping[str, Any] | str | None,
+    settings: LoopSettings | Mapping[str, Any] | None,
+    seed: int,
+) -> LoopRequest:
+    """What a user has handed over, checked as a config is."""
+    problem, chosen = prepared(problem), LoopSettings.of(settings)
+    check_arguments(problem, chosen, seed)
+    return LoopRequest(problem, RunEnvironment(checked_resources(resources)), chosen, seed)
+
+
 @contextmanager
-def _fitted(
-    request: LoopRequest,
-) -> Iterator[tuple[Fitter, FittedModel, NumericalError]]:
+def _fitted(request: LoopRequest) -> Iterator[tuple[Fitter, FittedModel, NumericalError]]:
     """The declared model fitted, and how exact its simulations are there."""
     refuse_process_noise(request.problem, "detect and locate")
     with open_checked_workbench(request) as workbench:

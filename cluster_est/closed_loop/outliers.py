@@ -57,17 +57,7 @@ CHANCE_OF_JUMPS = 0.01
 
 @dataclass(frozen=True)
 class OutliersOfOutput:
-    """The outliers of one output in all experiments of a role.
-
-    Attributes
-    ----------
-    output
-        Its name.
-    held_out
-        The role is "test".
-    found
-        By experiment.
-    """
+    """The outliers of one output in all experiments of a role, by experiment."""
 
     output: str
     held_out: bool
@@ -326,8 +316,8 @@ class GrowingNoise:
 
     Attributes
     ----------
-    output, growth
-        Its name, and by how much, in units of its residual.
+    growth
+        By how much, in units of its residual.
     sigma, relative_sigma
         Of a sample, as in `Output`; NaN where they are not known.
     weighted

@@ -18,22 +18,12 @@ from workers.messages import FloatArray
 
 
 def noise_of(fitter: Fitter, residuals: FloatArray) -> FloatArray:
-    """Standard deviation of the noise of each output; see `estimate_noise`.
+    """Standard deviation of the noise of each output, in units of its residual: (outputs,).
 
     Where all records of an output are too short to tell noise from misfit, it is the sigma that was
     given for it: the whole residual counted as noise would hide what is missing. Of thinned records
     it is no more than what was seen between the samples that their rows were made from: a residual
-    that is smooth there may not be from row to row.
-
-    Parameters
-    ----------
-    residuals : (N,)
-        Of the training experiments.
-
-    Returns
-    -------
-    (outputs,)
-        In units of the residual.
+    that is smooth there may not be from row to row. See `estimate_noise`.
     """
     found = estimate_noise(residuals, fitter.records, measured_values(fitter))
     for number in range(len(found)):
@@ -45,15 +35,12 @@ def noise_of(fitter: Fitter, residuals: FloatArray) -> FloatArray:
 def _seen_between_samples(fitter: Fitter) -> FloatArray:
     """Noise of each output in units of the residual, where records are thinned; else NaN."""
     names = fitter.records.outputs
-    units: dict[str, list[FloatArray]] = {name: [] for name in names}
-    for run in fitter.runs:
-        for output in run.outputs:
-            if output.noise_factors is not None:
-                units[output.variable].append(output.sigmas / output.noise_factors)
     found = np.full(len(names), np.nan)
     for number, name in enumerate(names):
-        if units[name] and name in fitter.noise_of_samples:
-            unit = float(np.median(np.concatenate(units[name])))
+        own = [o for run in fitter.runs for o in run.outputs if o.variable == name]
+        units = [o.sigmas / o.noise_factors for o in own if o.noise_factors is not None]
+        if units and name in fitter.noise_of_samples:
+            unit = float(np.median(np.concatenate(units)))
             found[number] = fitter.noise_of_samples[name] / unit
     return found
 
@@ -67,8 +54,8 @@ def expected_noise(fitter: Fitter, residuals: FloatArray) -> FloatArray:
 
 def is_told(records: StackedRecords, output: int) -> bool:
     """Return whether some record of an output is long enough to tell noise from misfit."""
-    lengths = [len(record.times) for record in records.items if record.output == output]
-    return max(lengths, default=0) >= SHORTEST_NOISE_RECORD
+    own = (record for record in records.items if record.output == output)
+    return any(len(record.times) >= SHORTEST_NOISE_RECORD for record in own)
 
 
 def is_given(fitter: Fitter, output: int) -> bool:
@@ -113,8 +100,6 @@ class OutputNoise:
 
     Attributes
     ----------
-    output, samples
-        Its name, and how many there are.
     level
         Root mean square of the residual.
     white
@@ -217,17 +202,8 @@ class OutputNoise:
 def residual_noise(
     fitter: Fitter, fitted: FittedModel, noise: FloatArray
 ) -> tuple[OutputNoise, ...]:
-    """Compare the residual of a fit with the noise of each output.
-
-    Parameters
-    ----------
-    noise : (outputs,)
-        Estimated standard deviations of the noise, in units of the residual.
-    """
-    found = [
-        _of_output(fitter, fitted, number, float(noise[number]))
-        for number in range(len(fitter.records.outputs))
-    ]
+    """Compare the residual of a fit with the noise of each output, (outputs,), in its units."""
+    found = [_of_output(fitter, fitted, *each) for each in enumerate(noise.tolist())]
     return tuple(each for each in found if each is not None)
 
 

@@ -86,11 +86,9 @@ class SearchedModel:
 
     Attributes
     ----------
-    found, judged
-        The models, and what the training experiments say of them.
-    earlier
-        The same of the answers that this one took the place of, the last one first: held-out
-        experiments may veto it.
+    ends
+        The answer and what the training experiments say of it; then the same of the answers that it
+        took the place of, the last one first: held-out experiments may veto it.
     error
         Of the solver, at the declared model.
     error_at
@@ -101,18 +99,15 @@ class SearchedModel:
         An input that the measurements prefer to be interpolated otherwise.
     """
 
-    found: SelectionResult = field(repr=False)
-    judged: ReasonedVerdict
+    ends: list[tuple[SelectionResult, ReasonedVerdict]] = field(repr=False)
     error: NumericalError = field(repr=False)
     error_at: Callable[[FittedModel], NumericalError] = field(repr=False)
-    failures: int = 0
-    interpolation: PreferredInterpolation | None = None
-    earlier: tuple[tuple[SelectionResult, ReasonedVerdict], ...] = ()
+    failures: int
+    interpolation: PreferredInterpolation | None
 
     @property
-    def ends(self) -> list[tuple[SelectionResult, ReasonedVerdict]]:
-        """The answer, and the earlier ones."""
-        return [(self.found, self.judged), *self.earlier]
+    def found(self) -> SelectionResult:
+        return self.ends[0][0]
 
 
 def search_for_effects(
@@ -161,8 +156,7 @@ def search_for_effects(
         found, judged = ends[0]
         if said and judged.verdict is Verdict.UNEXPLAINED:
             ends[0] = found, replace(judged, reason=f"{said}; {judged.reason}")
-    failed = fitter.runner.failures - before
-    return SearchedModel(*ends[0], error, with_effects, failed, other, tuple(ends[1:]))
+    return SearchedModel(ends, error, with_effects, fitter.runner.failures - before, other)
 
 
 def _record_faults(
@@ -305,18 +299,8 @@ def _judged(fitter: Fitter, found: SelectionResult) -> tuple[SelectionResult, Re
 class SearchLog:
     """The log of a search: its rounds, how far candidates came, and the structures compared.
 
-    Attributes
-    ----------
-    fitter, settings
-        Of the models, and of the search.
-    base, predicted
-        The declared model, fitted, and its leave-one-out prediction.
-    noise, floor
-        Of each output, and the sum of squares that the noise alone would leave.
-    rounds, seen, path
-        What each looked at; the candidates; the structures, with moves and gates.
-    accepted
-        The structure that each round began at.
+    It becomes the `SelectionResult`. `predicted` is of the declared model, and `floor` the sum of
+    squares that the noise alone would leave.
     """
 
     fitter: Fitter
@@ -370,14 +354,8 @@ class SearchLog:
 class Merging:
     """The move that puts a single effect in the place of all that were added, once a search.
 
-    Attributes
-    ----------
-    first
-        The start of the first round.
-    singles
-        What may take the place of several effects; None where it has not been looked for.
-    done
-        It has.
+    `first` is the start of the first round, and `singles` what may take the place of several
+    effects, once it has been looked for.
     """
 
     first: RoundStart | None = None

@@ -176,12 +176,10 @@ class FormArguments(NamedTuple):
 
 @dataclass(frozen=True)
 class ArrayForm:
-    """A form made ready for numpy.
+    """A form of the library made ready for numpy.
 
     Attributes
     ----------
-    form
-        Of the library.
     strengths
         Coefficients that switch the effect off at 0 and that the equation is smooth in there;
         empty where the effect can only be switched on by a finite amount, like a dead zone.

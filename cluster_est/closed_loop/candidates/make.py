@@ -18,7 +18,7 @@ from cluster_est.closed_loop.candidates.arguments import (
     variables_of,
 )
 from cluster_est.closed_loop.candidates.array_forms import shape_of
-from cluster_est.closed_loop.candidates.scales import CANDIDATES, SignalScales
+from cluster_est.closed_loop.candidates.scales import SHORTEST_TIME, SignalScales
 from cluster_est.closed_loop.candidates.trajectory import (
     CONSTANT_FACTOR,
     LinearisedTrajectory,
@@ -27,7 +27,7 @@ from cluster_est.closed_loop.candidates.trajectory import (
 )
 from cluster_est.closed_loop.settings import LoopSettings
 from cluster_est.problem.declared_effects import equation_text
-from cluster_est.problem.parameter import Parameter
+from cluster_est.problem.parameter import Parameter, Scale
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.results.solver_error.finer_solver import communication_step, fixed_step
@@ -42,15 +42,16 @@ from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site,
 from workers.fmu.description import ModelDescription
 from workers.messages import Effect, FloatArray
 
+BELOW_GRID, ABOVE_GRID = 20.0, 50.0
+"""Factors by which a refit may go beyond the grid of a positive coefficient."""
+
 
 @dataclass(frozen=True)
 class EffectCandidate:
-    """An effect that could be missing.
+    """An effect that could be missing. Two candidates with the same effect do not occur.
 
     Attributes
     ----------
-    effect, form, site
-        Of the candidate; two candidates with the same effect do not occur.
     own
         Its variable is the state at whose derivative it acts.
     grid
@@ -79,9 +80,7 @@ class EffectCandidate:
     def label(self) -> str:
         """Such as "coulomb at der(v)", or "coulomb(w) at der(v)" of a variable that is another."""
         of = "" if self.own else ", ".join(self.effect.variables)
-        return (
-            f"{self.form.name}({of}) at {self.site}" if of else f"{self.form.name} at {self.site}"
-        )
+        return f"{self.form.name}{f'({of})' if of else ''} at {self.site}"
 
     def parameters(self, values: Sequence[float]) -> tuple[Parameter, ...]:
         """Its coefficients as parameters that start from these values."""
@@ -89,16 +88,10 @@ class EffectCandidate:
         for i, coefficient in enumerate(self.form.coefficients):
             low, high = self.lowest[i], self.highest[i]
             start = float(min(max(values[i], low), high))
-            log = low > 0.0 and coefficient.name not in self.strengths
-            made.append(
-                Parameter(
-                    f"{self.effect.name}.{coefficient.name}",
-                    start,
-                    (low, high),
-                    "log" if log and not coefficient.held else "linear",
-                    fixed=coefficient.held,
-                )
-            )
+            strength, held = coefficient.name in self.strengths, coefficient.held
+            scale: Scale = "linear" if strength or held or low <= 0.0 else "log"
+            name = f"{self.effect.name}.{coefficient.name}"
+            made.append(Parameter(name, start, (low, high), scale, fixed=held))
         return tuple(made)
 
 
@@ -223,10 +216,10 @@ def _bounds(
     if coefficient.scale is GridScale.EXPONENT:
         return 0.125, 8.0
     if coefficient.positive:
-        low = min(values) / CANDIDATES.narrowest
+        low = min(values) / BELOW_GRID
         if coefficient.scale is GridScale.STEP and not free:
-            low = max(low, CANDIDATES.shortest * scales.resolution)
-        return low, max(values) * CANDIDATES.widest
+            low = max(low, SHORTEST_TIME * scales.resolution)
+        return low, max(values) * ABOVE_GRID
     width = 10.0 * max(abs(v) for v in values) + 1e-12
     return -width, width
 
@@ -326,23 +319,18 @@ def denser_grid(
     moving = np.flatnonzero(np.ptp(rows, axis=0) > 0.0)
     if len(moving) != 1 or len(rows) > DENSE_GRID:
         return list(candidate.grid)
-    values = _dense_values(candidate, int(moving[0]), rows[:, moving[0]], trajectories)
+    position = int(moving[0])
+    if candidate.form.coefficients[position].scale is GridScale.QUANTILE_V:
+        argument = pooled(trajectories, candidate.effect.variables[0])
+        values = np.asarray(np.quantile(argument, BEGINNINGS))
+    else:
+        values = _with_more_between(np.sort(rows[:, position]))
     dense = np.repeat(rows[:1], len(values), axis=0)
-    dense[:, moving[0]] = values
+    dense[:, position] = values
     return [tuple(row) for row in dense.tolist()]
 
 
-def _dense_values(
-    candidate: EffectCandidate,
-    position: int,
-    own: FloatArray,
-    trajectories: Sequence[LinearisedTrajectory],
-) -> FloatArray:
-    if candidate.form.coefficients[position].scale is GridScale.QUANTILE_V:
-        return np.asarray(
-            np.quantile(pooled(trajectories, candidate.effect.variables[0]), BEGINNINGS)
-        )
-    known = np.sort(own)
+def _with_more_between(known: FloatArray) -> FloatArray:
     at = np.linspace(0.0, len(known) - 1.0, (len(known) - 1) * BETWEEN + 1)
     if (known > 0.0).all():
         return np.exp(np.interp(at, np.arange(len(known)), np.log(known)))
