@@ -118,8 +118,7 @@ def detect(
     request = _checked_request(problem, resources, settings, seed)
     with _fitted(request) as (fitter, fitted, error):
         screening = screen(fitter, request.settings, fitted, 1)
-        records = fitter.records
-        parts = [fitted.residuals[records.of_output(o)] for o in range(len(records.outputs))]
+        parts = fitter.records.by_output(fitted.residuals)
         rms = np.array([np.sqrt(np.mean(part**2)) if len(part) else np.nan for part in parts])
         return DetectionResult(
             p=screening.p,

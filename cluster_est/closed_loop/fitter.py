@@ -153,6 +153,11 @@ class FittedModel:
         """Physical values by label."""
         return self.space.estimates(self.x)
 
+    def coefficients(self, added: EffectCandidate) -> list[float]:
+        """Values of the coefficients of an effect, estimated or held."""
+        known = {p.name: p.start for p in self.problem.parameters} | self.estimates
+        return [float(known[f"{added.effect.name}.{c.name}"]) for c in added.form.coefficients]
+
     def likelihood(self, records: StackedRecords) -> float:
         """-2 log likelihood, with the variance of each output's noise estimated along."""
         return deviance(self.residuals, records)
@@ -274,7 +279,7 @@ class Fitter:
 
     def noise_floor(self, noise: FloatArray) -> float:
         """The sum of squares that the noise alone would leave; never 0."""
-        sizes = [len(self.records.of_output(o)) for o in range(len(self.records.outputs))]
+        sizes = list(map(len, self.records.by_output(self.sigmas)))
         return max(float(np.nansum(noise**2 * np.array(sizes))), 1e-300)
 
     def noise_in_units(self, noise: FloatArray) -> dict[str, float]:
@@ -282,12 +287,11 @@ class Fitter:
 
         Of sigmas that differ between experiments it is the root mean square over the samples.
         """
-        sigmas, found = self.sigmas, {}
-        for number, name in enumerate(self.records.outputs):
-            own = sigmas[self.records.of_output(number)]
+        found, sigmas = {}, self.records.by_output(self.sigmas)
+        for name, level, own in zip(self.records.outputs, noise, sigmas, strict=True):
             equal = not len(own) or bool(np.all(own == own[0]))
             sigma = (own[0] if len(own) else 1.0) if equal else np.sqrt(np.mean(own**2))
-            found[name] = float(noise[number] * sigma)
+            found[name] = float(level * sigma)
         return found
 
     @property

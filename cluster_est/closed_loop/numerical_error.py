@@ -303,6 +303,5 @@ def _residuals(
 
 def _rms(fitter: Fitter, stacked: FloatArray) -> FloatArray:
     """Root mean square of each output, over all training experiments."""
-    records = fitter.records
-    parts = [stacked[records.of_output(o)] for o in range(len(records.outputs))]
+    parts = fitter.records.by_output(stacked)
     return np.array([float(np.sqrt(np.mean(part**2))) if len(part) else 0.0 for part in parts])

@@ -249,12 +249,10 @@ def _outliers(
 
 def _noise(fitter: Fitter, fitted: FittedModel) -> dict[str, float]:
     """The noise of each output, no less than what a simulation may get wrong."""
-    measured, records = measured_values(fitter), fitter.records
-    signals = [measured[records.of_output(output)] for output in range(len(records.outputs))]
+    signals = fitter.records.by_output(measured_values(fitter))
     ranges = np.array([np.ptp(signal) if len(signal) else 0.0 for signal in signals])
-    exact = EXACT * ranges
-    noise = np.fmax(noise_of(fitter, fitted.residuals), exact)
-    return dict(zip(records.outputs, noise.tolist(), strict=True))
+    noise = np.fmax(noise_of(fitter, fitted.residuals), EXACT * ranges)
+    return dict(zip(fitter.records.outputs, noise.tolist(), strict=True))
 
 
 def _in_records(

@@ -331,11 +331,11 @@ def _residual(
 
 def _excess(fitter: Fitter, fitted: FittedModel, noise: FloatArray) -> float:
     """Squares over those of the noise, less 1: of all outputs, or of the one with the most."""
-    rows = [fitter.records.of_output(o) for o in range(len(fitter.records.outputs))]
+    parts = fitter.records.by_output(fitted.residuals)
     alone = [
-        float(np.mean(fitted.residuals[own] ** 2) / level**2)
-        for own, level in zip(rows, noise.tolist(), strict=True)
-        if len(own) and level > 0.0
+        float(np.mean(part**2) / level**2)
+        for part, level in zip(parts, noise.tolist(), strict=True)
+        if len(part) and level > 0.0
     ]
     return max(fitted.sse / fitter.noise_floor(noise), *alone, 0.0) - 1.0
 

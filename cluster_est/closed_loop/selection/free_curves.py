@@ -214,10 +214,8 @@ def _finer_start(fitter: Fitter, fitted: FittedModel) -> FitStart | None:
     form = finer_form(curve)
     if form is None or not can_be_linearised(fitter, fitted):
         return None
-    held = {p.name: p.start for p in fitted.problem.parameters if p.fixed}
-    known = {**fitted.estimates, **held}
-    values = [known[f"{curve.effect.name}.{c.name}"] for c in curve.form.coefficients]
-    finer, heights = refined(curve, values, fitter.trajectories(fitted), form)
+    trajectories = fitter.trajectories(fitted)
+    finer, heights = refined(curve, fitted.coefficients(curve), trajectories, form)
     return fitted.start.minus(len(fitted.added) - 1).plus(finer, heights)
 
 

@@ -158,8 +158,7 @@ def can_reach_with(
         among them.
     """
     total, likelihood = 0.0, 0.0
-    for output, share in enumerate(shares.tolist()):
-        part = current.residuals[records.of_output(output)]
+    for part, share in zip(records.by_output(current.residuals), shares.tolist(), strict=True):
         if len(part):
             squares = float(np.add.reduce(part**2))
             total += squares * max(1.0 - REFINEMENT.claim_promise * (1.0 - share), 0.0)
@@ -171,9 +170,12 @@ def can_reach_with(
 
 def shares_left(records: StackedRecords, before: FloatArray, after: FloatArray) -> FloatArray:
     """Return the share (outputs,) of each output's squares that a linear model leaves."""
-    rows = [records.of_output(output) for output in range(len(records.outputs))]
-    squares = [(np.add.reduce(after[r] ** 2), np.add.reduce(before[r] ** 2)) for r in rows]
-    return np.array([a / b if b > 0.0 else 1.0 for a, b in squares])
+    left, all_of_it = (_squares(records, each) for each in (after, before))
+    return np.array([a / b if b > 0.0 else 1.0 for a, b in zip(left, all_of_it, strict=True)])
+
+
+def _squares(records: StackedRecords, stacked: FloatArray) -> list[float]:
+    return [float(np.add.reduce(part**2)) for part in records.by_output(stacked)]
 
 
 def _ahead(fitted: FittedModel) -> FittedModel:
@@ -287,10 +289,8 @@ def _asked_step(
     values = values_at(trial, strengths)
     start = current.start.plus(trial.candidate, values)
     left = shares_left(ranking.records, current.residuals[ranking.rows], after)
-    sizes = [current.residuals[fitter.records.of_output(o)] for o in range(len(left))]
-    predicted = float(
-        sum(share * np.add.reduce(r**2) for share, r in zip(left, sizes, strict=True))
-    )
+    squares = _squares(fitter.records, current.residuals)
+    predicted = float(sum(share * own for share, own in zip(left, squares, strict=True)))
     return AskedStep(owner, trial, step, predicted, left, start, fitter.space(start))
 
 

@@ -115,9 +115,8 @@ def starts_in_its_place(
     not do as much are left out. `current` is the model that it was added to.
     """
     fitted = best.fitted
-    name = best.candidate.effect.name
-    values = tuple(_value(fitted, c.name, best) for c in best.candidate.form.coefficients)
-    own = CandidatePoint(best.candidate, values)
+    name, values = best.candidate.effect.name, fitted.coefficients(best.candidate)
+    own = CandidatePoint(best.candidate, tuple(values))
     columns = candidate_columns(fitter, fitted, _before(fitter, current, best), [own, *trials])
     strengths = [v for c, v in zip(own.candidate.form.coefficients, values, strict=True)
                  if c.name in own.candidate.strengths]  # fmt: skip
@@ -155,13 +154,6 @@ def explained_share(
         return 1.0 - float(np.add.reduce((target - columns[:, 0]) ** 2)) / whole, np.zeros(0)
     sizes = np.linalg.lstsq(columns / lengths, target, rcond=1e-6)[0] / lengths
     return 1.0 - float(np.add.reduce((target - columns @ sizes) ** 2)) / whole, sizes
-
-
-def _value(fitted: FittedModel, coefficient: str, best: RefittedCandidate) -> float:
-    """The value of a coefficient of the best candidate, estimated or held."""
-    label = f"{best.candidate.effect.name}.{coefficient}"
-    held = {p.name: p.start for p in fitted.problem.parameters}
-    return float(fitted.estimates.get(label, held[label]))
 
 
 def _before(

@@ -94,12 +94,12 @@ def fit_declared(
 
 def at_noise(fitter: Fitter, fitted: FittedModel) -> bool:
     """Return whether the residual is as small as its own roughness says it can be."""
-    noise = noise_of(fitter, fitted.residuals)
-    for output, sigma in enumerate(noise.tolist()):
-        part = fitted.residuals[fitter.records.of_output(output)]
-        if len(part) and np.sqrt(np.mean(part**2)) > DECLARED_MODEL.at_noise * sigma:
-            return False
-    return True
+    most = DECLARED_MODEL.at_noise * noise_of(fitter, fitted.residuals)
+    parts = fitter.records.by_output(fitted.residuals)
+    return not any(
+        len(part) and np.sqrt(np.mean(part**2)) > level
+        for part, level in zip(parts, most.tolist(), strict=True)
+    )
 
 
 def _grow(fitter: Fitter, start: FitStart, count: int) -> list[FittedModel | None]:
