@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import final
 
 import numpy as np
 
@@ -165,128 +166,120 @@ def refit(
     def is_done(i: int) -> bool:
         return own | {ranking.trials[i].candidate.effect.name} in done
 
+    growth = Growth(fitter, current, floor, bound)
     leaders = leading(ranking.plain, 2 * trials)
     white = leading(ranking.white, WHITE_LEADERS)
     places = list(dict.fromkeys([*leaders[:trials], *white]))
     first = [i for i in places if not is_done(i)]
     count = max(count - (len(places) - len(first)), 0)
     chosen, left = _mixed(first_steps(fitter, current, ranking, first, bound), count)
-    reached = [step.sse for step in chosen]
     possible = [min(step.sse, step.asked.predicted) for step in chosen]
-    near = _near_the_best(reached, possible, current, floor)
-    contenders = _refit_steps(fitter, current, floor, [chosen[i] for i in near], bound)
+    near = growth.near_the_best([step.sse for step in chosen], possible)
+    contenders = growth.refit_steps([chosen[i] for i in near])
     best = min((c.fitted.sse for c in contenders), default=current.sse)
-    if not further or _closes(current, best, floor, REFINEMENT.closes):
+    if not further or growth.closed_by(best):
         return contenders
     later = [i for i in leaders[trials:] if i not in places and not is_done(i)]
     left += first_steps(fitter, current, ranking, later, bound)
     left.sort(key=lambda step: step.sse)
-    contenders += _refit_steps(fitter, current, floor, left[:count], bound)
+    contenders += growth.refit_steps(left[:count])
     return sorted(contenders, key=lambda c: c.criterion)
 
 
-def _refit_steps(
-    fitter: Fitter,
-    current: FittedModel,
-    floor: float,
-    steps: Sequence[FirstStep],
-    bound: PruningBound,
-) -> list[RefittedCandidate]:
-    """Refit from first steps; the latter half only what may come near the best of the first."""
-    ordered = sorted(steps, key=lambda step: step.sse)
-    half = (len(ordered) + 1) // 2
-    fits = refit_briefly(fitter, [step.start for step in ordered[:half]])
-    rival = _rival_of_the_best(fitter.records, current, floor, fits, bound)
-    near = [s.start for s in ordered[half:] if s.asked.can_reach(fitter.records, current, rival)]
-    fits += refit_briefly(fitter, near)
-    return successive_halving(fitter, current, floor, fits, bound)
+def _mixed(steps: Sequence[FirstStep], count: int) -> tuple[list[FirstStep], list[FirstStep]]:
+    """Two thirds by their rank in the screening, one by the cost of their first step; the rest."""
+    ranked = 2 * count // 3
+    rest = sorted(steps[ranked:], key=lambda step: step.sse)
+    return [*steps[:ranked], *rest[: count - ranked]], rest[count - ranked :]
 
 
-def refit_briefly(fitter: Fitter, starts: Sequence[FitStart]) -> list[FittedModel]:
-    """Refit by one iteration; without those that cannot be simulated."""
-    return [f for f in fitter.fit(LoopStage.REFITS, starts, FIRST) if f is not None]
+@final
+@dataclass(frozen=True)
+class Growth:
+    """Refits of what a model may grow to, down to a bound.
 
-
-def successive_halving(
-    fitter: Fitter,
-    current: FittedModel,
-    floor: float,
-    fits: Sequence[FittedModel],
-    bound: PruningBound = NO_BOUND,
-) -> list[RefittedCandidate]:
-    """Refit the better half of brief refits more, and the best to convergence; the best first.
-
-    What has converged waits for the last round. What is far behind where one candidate does it all
-    is refitted no further, nor what can neither come near the best so far nor down to what it must
-    reach.
-    Some candidates have further to go than others, as where a parameter must make room for them:
-    those that the linear model promises to become the best go on too.
+    `floor` is the sum of squares that the noise alone would leave.
     """
-    lost: list[FittedModel] = []
-    for last in (False, True):
-        fits = sorted(fits, key=lambda f: f.criterion(fitter.records))
-        sums = [f.sse for f in fits]
-        near = _near_the_best(sums, sums, current, floor)
-        rival = _rival_of_the_best(fitter.records, current, floor, fits, bound)
-        near = [i for i in near if can_reach(fitter.records, fits[i], rival)]
-        kept = near[: max(REFINEMENT.finalists, len(fits) // 2)]
-        kept += _promising(fitter.records, fits, near, kept)
-        lost += [f for i, f in enumerate(fits) if i not in kept]
-        fits = [fits[i] for i in kept]
-        if not last:
-            going = [f for f in fits if not f.converged]
-            further = iter(fitter.fit(LoopStage.REFITS, [f.start for f in going], SHORT))
-            fits = [f if f.converged else next(further) or f for f in fits]
-    order = list(range(len(fits)))
-    first = order[: REFINEMENT.finalists]
-    first += _promising(fitter.records, fits, order, first)
-    best, rest = [fits[i] for i in first], [fits[i] for i in order if i not in first]
-    found = best_first(fitter.records, [*lost, *rest], full=False)
-    found += best_first(fitter.records, refit_fully(fitter, best))
-    return sorted(found, key=lambda c: c.criterion)
 
+    fitter: Fitter
+    current: FittedModel
+    floor: float
+    bound: PruningBound
 
-def _near_the_best(
-    reached: Sequence[float],
-    possible: Sequence[float],
-    current: FittedModel,
-    floor: float,
-) -> list[int]:
-    """Positions of what does, or could do, a part of what the best does, where that does it all.
+    def refit_steps(self, steps: Sequence[FirstStep]) -> list[RefittedCandidate]:
+        """Refit from first steps; the latter half only what may come near the best of the first."""
+        ordered = sorted(steps, key=lambda step: step.sse)
+        half = (len(ordered) + 1) // 2
+        fits = self.briefly([step.start for step in ordered[:half]])
+        records, rival = self.fitter.records, self.rival_of_the_best(fits)
+        near = [s.start for s in ordered[half:] if s.asked.can_reach(records, self.current, rival)]
+        return self.successive_halving([*fits, *self.briefly(near)])
 
-    `reached` and `possible` are the sums of squares of each, as simulated, and at best.
-    """
-    best = min(reached, default=current.sse)
-    enough = _closes(current, best, floor, REFINEMENT.closes)
-    least = REFINEMENT.behind * (current.sse - best) if enough else -np.inf
-    return [i for i, sse in enumerate(possible) if current.sse - sse >= least]
+    def briefly(self, starts: Sequence[FitStart]) -> list[FittedModel]:
+        """Refit by one iteration; without those that cannot be simulated."""
+        return [f for f in self.fitter.fit(LoopStage.REFITS, starts, FIRST) if f is not None]
 
+    def successive_halving(self, fits: Sequence[FittedModel]) -> list[RefittedCandidate]:
+        """Refit the better half of brief refits more, and the best to convergence; the best first.
 
-def _rival_of_the_best(
-    records: StackedRecords,
-    current: FittedModel,
-    floor: float,
-    fits: Sequence[FittedModel],
-    bound: PruningBound,
-) -> PruningBound:
-    """What a fit must come down to, to be the best or its rival, where that closes the gap.
+        What has converged waits for the last round. What is far behind where one candidate does it
+        all is refitted no further, nor what can neither come near the best so far nor down to what
+        it must reach. Some candidates have further to go than others, as where a parameter must
+        make room for them: those that the linear model promises to become the best go on too.
+        """
+        fitter, records = self.fitter, self.fitter.records
+        lost: list[FittedModel] = []
+        for last in (False, True):
+            fits = sorted(fits, key=lambda f: f.criterion(records))
+            sums = [f.sse for f in fits]
+            rival = self.rival_of_the_best(fits)
+            near = [i for i in self.near_the_best(sums, sums) if can_reach(records, fits[i], rival)]
+            kept = near[: max(REFINEMENT.finalists, len(fits) // 2)]
+            kept += _promising(records, fits, near, kept)
+            lost += [f for i, f in enumerate(fits) if i not in kept]
+            fits = [fits[i] for i in kept]
+            if not last:
+                going = [f for f in fits if not f.converged]
+                further = iter(fitter.fit(LoopStage.REFITS, [f.start for f in going], SHORT))
+                fits = [f if f.converged else next(further) or f for f in fits]
+        order = list(range(len(fits)))
+        first = order[: REFINEMENT.finalists]
+        first += _promising(records, fits, order, first)
+        best, rest = [fits[i] for i in first], [fits[i] for i in order if i not in first]
+        found = best_first(records, [*lost, *rest], full=False)
+        found += best_first(records, refit_fully(fitter, best))
+        return sorted(found, key=lambda c: c.criterion)
 
-    Else none is far behind: what is a part of the truth may do less than what imitates all of it.
-    """
-    if not bound.pruned:
-        return bound
-    best = min(fits, key=lambda f: f.criterion(records), default=current)
-    if not _closes(current, best.sse, floor, REFINEMENT.closes):
-        return bound
-    rival = best.criterion(records) + REFINEMENT.alternative
-    return replace(bound, criterion=min(bound.criterion, rival))
+    def near_the_best(self, reached: Sequence[float], possible: Sequence[float]) -> list[int]:
+        """Positions of what may do a part of what the best does, where that closes the gap.
+
+        `reached` and `possible` are the sums of squares of each, as simulated, and at best.
+        """
+        best = min(reached, default=self.current.sse)
+        done = self.current.sse - best
+        least = REFINEMENT.behind * done if self.closed_by(best) else -np.inf
+        return [i for i, sse in enumerate(possible) if self.current.sse - sse >= least]
+
+    def rival_of_the_best(self, fits: Sequence[FittedModel]) -> PruningBound:
+        """What a fit must come down to, to be the best or its rival, where that closes the gap.
+
+        Else none is far behind: what is a part of the truth may do less than what imitates all of
+        it.
+        """
+        records, bound = self.fitter.records, self.bound
+        best = min(fits, key=lambda f: f.criterion(records), default=self.current)
+        if not bound.pruned or not self.closed_by(best.sse):
+            return bound
+        rival = best.criterion(records) + REFINEMENT.alternative
+        return replace(bound, criterion=min(bound.criterion, rival))
+
+    def closed_by(self, sse: float) -> bool:
+        """Return whether a sum of squares closes most of the gap to the noise."""
+        return self.current.sse - sse >= REFINEMENT.closes * (self.current.sse - self.floor)
 
 
 def _promising(
-    records: StackedRecords,
-    fits: Sequence[FittedModel],
-    near: Sequence[int],
-    kept: Sequence[int],
+    records: StackedRecords, fits: Sequence[FittedModel], near: Sequence[int], kept: Sequence[int]
 ) -> list[int]:
     """Positions of some that are not kept, though their next step promises more than the best's."""
     if not kept:
@@ -295,11 +288,6 @@ def _promising(
     others = [(predicted_criterion(records, fits[i]), i) for i in near if i not in kept]
     better = sorted(each for each in others if each[0] < best)
     return [i for _, i in better[:PROMISING]]
-
-
-def _closes(current: FittedModel, best: float, floor: float, share: float) -> bool:
-    """Return whether a sum of squares closes this share of the gap to the noise."""
-    return current.sse - best >= share * (current.sse - floor)
 
 
 def most_parsimonious(contenders: Sequence[RefittedCandidate]) -> RefittedCandidate:
@@ -344,13 +332,6 @@ def ending_with(contender: RefittedCandidate, name: str) -> RefittedCandidate:
     return replace(contender, fitted=replace(contender.fitted, added=tuple(ordered)))
 
 
-def _mixed(steps: Sequence[FirstStep], count: int) -> tuple[list[FirstStep], list[FirstStep]]:
-    """Two thirds by their rank in the screening, one by the cost of their first step; the rest."""
-    ranked = 2 * count // 3
-    rest = sorted(steps[ranked:], key=lambda step: step.sse)
-    return [*steps[:ranked], *rest[: count - ranked]], rest[count - ranked :]
-
-
 def refit_pairs(
     fitter: Fitter,
     current: FittedModel,
@@ -363,9 +344,9 @@ def refit_pairs(
     Those that the linear model does not let hope to be useful are left out.
     """
     asked = [_start_of_pair(fitter, current, ranking, p, bound) for p in best_pairs(ranking)]
-    fits = refit_briefly(fitter, [start for start in asked if start is not None])
-    found = successive_halving(fitter, current, floor, fits, bound)
-    return proposed_by(LoopPart.ADD_TWO, found)
+    growth = Growth(fitter, current, floor, bound)
+    fits = growth.briefly([start for start in asked if start is not None])
+    return proposed_by(LoopPart.ADD_TWO, growth.successive_halving(fits))
 
 
 def best_pairs(ranking: CandidateRanking, most: int = PAIRS_REFITTED) -> list[tuple[int, int]]:
