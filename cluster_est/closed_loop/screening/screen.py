@@ -17,9 +17,8 @@ from cluster_est.closed_loop.candidates.arguments import (
 )
 from cluster_est.closed_loop.candidates.make import (
     EffectCandidate,
-    candidate_sites,
+    OpenSites,
     finer_form,
-    forms_at,
     in_finer_form,
     make_candidates,
 )
@@ -323,12 +322,11 @@ def _candidates(
     chosen: PlaceThresholds,
 ) -> tuple[list[EffectCandidate], int]:
     """All candidates, or those at leading places where there are many; how many were looked at."""
-    description = fitter.description
     frequencies = _peaks(fitter.records, fitted.residuals)
-    given = (fitted.problem, description, trajectories)
-    sites = candidate_sites(*given, settings)
-    arguments = open_arguments(*given)
-    forms = {site: forms_at(site, fitted.problem, description, settings) for site in sites}
+    given = (fitted.problem, fitter.description, trajectories)
+    opened, arguments = OpenSites(*given, settings), open_arguments(*given)
+    sites = opened.all
+    forms = {site: opened.forms_at(site) for site in sites}
     everywhere = LoopPart.PLACES_FIRST in settings.without or not fitter.by_linear_systems
     most = chosen.most_candidates
     possible = (v for site in sites for f in forms[site] for v in variables_of(f, site, arguments))
