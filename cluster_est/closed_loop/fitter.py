@@ -375,6 +375,19 @@ class Fitter:
         ]
         return [solution.evaluations for solution in self.runner.run(requests)]
 
+    def simulate(
+        self,
+        problem: Problem,
+        experiments: tuple[int, ...],
+        known: Mapping[str, float],
+        want: Want,
+        stage: str,
+    ) -> Sequence[Outcome]:
+        """Simulate experiments of a problem, at its start where no value is known."""
+        space = make_space(problem, experiments, known)
+        values = space.physical(space.start)
+        return self.runner.simulate(values, experiments, want, stage, problem.effects)
+
     def trajectories(self, fitted: FittedModel) -> list[LinearisedTrajectory]:
         """Simulate and linearise the training experiments at a fit."""
         want: Want = "linearisation" if self.exchange else "trajectory"

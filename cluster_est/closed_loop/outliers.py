@@ -17,7 +17,6 @@ from cluster_est.closed_loop.selection.starts import THOROUGH
 from cluster_est.closed_loop.settings import LoopStage
 from cluster_est.closed_loop.workbench import LoopRequest, LoopScope, LoopWorkbench, open_workbench
 from cluster_est.problem.problem import Problem
-from cluster_est.problem.search_space import make_space
 from cluster_est.problem.tables.jumps import answers_to_inputs
 from cluster_est.problem.tables.stand_ins import is_missing, stand_ins
 from cluster_est.problem.thinning import LONG
@@ -291,14 +290,8 @@ def _of_sensor(
 def _held_out(fitter: Fitter, fitted: FittedModel) -> dict[Place, FloatArray]:
     """Residuals of the held-out experiments, with what they alone have at its start."""
     tests = fitter.problem.indices("test")
-    space = make_space(fitted.problem, tests, fitted.estimates)
-    outcomes = fitter.runner.simulate(
-        space.physical(space.start),
-        tests,
-        "trajectory",
-        LoopStage.DECLARED_MODEL.value,
-        fitted.problem.effects,
-    )
+    stage = LoopStage.DECLARED_MODEL.value
+    outcomes = fitter.simulate(fitted.problem, tests, fitted.estimates, "trajectory", stage)
     found = {}
     for test, outcome in zip(tests, outcomes, strict=True):
         for output in fitter.problem.experiments[test].outputs:

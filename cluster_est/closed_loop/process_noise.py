@@ -40,7 +40,6 @@ from cluster_est.errors import ProblemError
 from cluster_est.methods.least_squares.levenberg_marquardt import LeastSquares
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names, noise_parameters, without_noise
-from cluster_est.problem.search_space import make_space
 from cluster_est.results.output_errors import output_residuals
 from cluster_est.results.result import Result
 from cluster_est.toml import dotted
@@ -257,16 +256,9 @@ def hold_noise(
 
 def _log_spreads(fitter: Fitter, fitted: FittedModel) -> list[float]:
     """Return the `log_spread` of every experiment at a fit; 0 where it cannot be simulated."""
-    problem = fitted.problem
-    everything = tuple(range(len(problem.experiments)))
-    space = make_space(problem, everything, fitted.estimates)
-    outcomes = fitter.runner.simulate(
-        space.physical(space.start),
-        everything,
-        "linearisation",
-        LoopStage.PROCESS_NOISE.value,
-        problem.effects,
-    )
+    everything = tuple(range(len(fitted.problem.experiments)))
+    known, stage = fitted.estimates, LoopStage.PROCESS_NOISE.value
+    outcomes = fitter.simulate(fitted.problem, everything, known, "linearisation", stage)
     found = [outcome.linearisation for outcome in outcomes]
     return [0.0 if linear is None else linear.log_spread for linear in found]
 
@@ -335,9 +327,7 @@ def _simulation_error(fitter: Fitter, result: Result, role: Role) -> float:
     chosen = problem.indices(role)
     if not chosen:
         return np.nan
-    space = make_space(problem, chosen, known)
-    values = space.physical(space.start)
-    outcomes = fitter.runner.simulate(values, chosen, "trajectory", "free", problem.effects)
+    outcomes = fitter.simulate(problem, chosen, known, "trajectory", "free")
     parts = [
         output_residuals(output, outcome)
         for e, outcome in zip(chosen, outcomes, strict=True)
