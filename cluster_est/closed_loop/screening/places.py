@@ -11,14 +11,14 @@ Comput. 18 (1989) 1059-1076, doi:10.1080/03610918908812806).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Self
 
 import numpy as np
 
-from cluster_est.closed_loop.candidates.arguments import TIME, CandidatePlace
+from cluster_est.closed_loop.candidates.arguments import TIME, CandidatePlace, by_site
 from cluster_est.closed_loop.candidates.trajectory import (
     LinearisedTrajectory,
     hats,
@@ -61,9 +61,6 @@ bring to be ranked as high. Benchmark; its mean is 1 where the column means noth
 chi-squared)."""
 
 
-SITES_AT_ONCE = 16
-"""In one product of matrices: all of some hundred states would be a product as large as its sum."""
-
 DEPENDENT = 1e-6
 """Smallest eigenvalue of D'D, over the largest, of a direction that counts: knots may coincide."""
 
@@ -90,25 +87,20 @@ def rank_places(
     names = dict.fromkeys(place.argument for place in places)
     waves = tuple(frequencies)[: (HATS - 2) // 2]
     curves = {n: FreeCurve.over(n, trajectories, waves) for n in names}
-    groups = _grouped(places)
-    products = [np.zeros(group.shape(weights.shape[1])) for group in groups]
+    sites = {site: tuple(names) for site, names in by_site(places).items()}
+    products: dict[EffectSite, FloatArray] = {}
     ends = np.cumsum([0, *(len(trajectory.rows) for trajectory in trajectories)]).tolist()
     for trajectory, (start, stop) in zip(trajectories, pairwise(ends), strict=True):
         signals = adjoint_signals(trajectory, weights[start:stop])
         columns = {name: curve.columns(trajectory) for name, curve in curves.items()}
-        for group, product in zip(groups, products, strict=True):
-            drawn = np.hstack([columns[name] for name in group.names])
-            first = 0
-            for k in range(0, len(group.sites), SITES_AT_ONCE):
-                sites = group.sites[k : k + SITES_AT_ONCE]
-                acting = np.hstack([_acting(trajectory, signals, site) for site in sites])
-                last = first + acting.shape[1]
-                product[:, first:last] += drawn.T @ acting
-                first = last
+        stacked = {own: np.hstack([columns[n] for n in own]) for own in set(sites.values())}
+        for site, own in sites.items():
+            product = stacked[own].T @ _acting(trajectory, signals, site)
+            products[site] = products[site] + product if site in products else product
     ranks = {
-        place: _rank(block, variance)
-        for group, product in zip(groups, products, strict=True)
-        for place, block in group.blocks(product, weights.shape[1])
+        CandidatePlace(site, name): _rank(rows, len(site.targets), variance)
+        for site, own in sites.items()
+        for name, rows in zip(own, np.split(products[site], len(own)), strict=True)
     }
     return sorted(places, key=lambda place: -ranks[place])
 
@@ -146,48 +138,12 @@ class FreeCurve:
         return found
 
 
-@dataclass(frozen=True)
-class _PlaceGroup:
-    """Sites with the same arguments, whose products are one product of matrices."""
+def _rank(product: FloatArray, states: int, variance: float) -> float:
+    """The score statistic of a curve, less the price of its coefficients.
 
-    sites: tuple[EffectSite, ...]
-    names: tuple[str, ...]
-    places: frozenset[CandidatePlace] = field(repr=False)
-
-    def shape(self, weightings: int) -> tuple[int, int]:
-        return HATS * len(self.names), weightings * sum(map(_width, self.sites))
-
-    def blocks(
-        self, product: FloatArray, weightings: int
-    ) -> Iterator[tuple[CandidatePlace, FloatArray]]:
-        """Each place with its own part, (coefficients, weightings)."""
-        by_name = product.reshape(len(self.names), -1, product.shape[1])
-        ports = weightings * np.cumsum([0, *map(_width, self.sites)])
-        for name, rows in zip(self.names, by_name, strict=True):
-            for site, (first, last) in zip(self.sites, pairwise(ports.tolist()), strict=True):
-                place = CandidatePlace(site, name)
-                if place in self.places:
-                    both = np.split(rows[:, first:last], _width(site), axis=1)
-                    yield place, np.concatenate(both)
-
-
-def _grouped(places: Sequence[CandidatePlace]) -> list[_PlaceGroup]:
-    """All sites of one variable together; each pair, which has few arguments, by itself."""
-    own: dict[EffectSite | None, list[CandidatePlace]] = {}
-    for place in places:
-        own.setdefault(place.site if place.site.kind == "pair" else None, []).append(place)
-    return [
-        _PlaceGroup(
-            tuple(dict.fromkeys(place.site for place in each)),
-            tuple(dict.fromkeys(place.argument for place in each)),
-            frozenset(each),
-        )
-        for each in own.values()
-    ]
-
-
-def _rank(block: FloatArray, variance: float) -> float:
-    """The score statistic of a curve, less the price of its coefficients."""
+    At a pair of states a curve acts on each of them with coefficients of its own.
+    """
+    block = np.concatenate(np.split(product, states, axis=1))
     b, sketch = block[:, 0], block[:, 1:]
     count = sketch.shape[1]
     sizes = np.sqrt(np.mean(sketch**2, axis=1))
@@ -201,10 +157,6 @@ def _rank(block: FloatArray, variance: float) -> float:
     d = int(kept.sum())
     unbiased = max(count - d - 1, 1) / count  # of an inverse, T. W. Anderson (2003), lemma 7.7.1
     return float(unbiased * shares.sum()) / max(variance, 1e-300) - COLUMN_PENALTY * (d - 1)
-
-
-def _width(site: EffectSite) -> int:
-    return len(site.targets) if site.kind == "pair" else 1
 
 
 def _acting(
