@@ -26,12 +26,7 @@ from cluster_est.closed_loop.findings.description import (
     where_left,
 )
 from cluster_est.closed_loop.findings.effect_curves import effect_curves
-from cluster_est.closed_loop.findings.effects import (
-    ErrorChange,
-    NoiseChange,
-    Verdict,
-    pooled_error,
-)
+from cluster_est.closed_loop.findings.effects import ErrorChange, NoiseChange, Verdict, pooled_error
 from cluster_est.closed_loop.findings.result import ErrorScale, LoopResult
 from cluster_est.closed_loop.findings.unexplained import (
     UnexplainedResidual,
@@ -40,10 +35,7 @@ from cluster_est.closed_loop.findings.unexplained import (
 )
 from cluster_est.closed_loop.findings.verdict import CLAIMS, ReasonedVerdict, confirmed, judge, veto
 from cluster_est.closed_loop.fitter import FitStart, FittedModel, Fitter
-from cluster_est.closed_loop.output_noise import (
-    believed_noise,
-    residual_noise,
-)
+from cluster_est.closed_loop.output_noise import believed_noise, residual_noise
 from cluster_est.closed_loop.selection.answer import undetermined_sentence
 from cluster_est.closed_loop.selection.rounds import ComparedStructure, SelectionResult
 from cluster_est.closed_loop.settings import LoopStage

@@ -82,19 +82,21 @@ def with_outputs(problem: Problem, change: Callable[[int, Output], Output]) -> P
 class SimulationMeter:
     """Counts simulations in units of a whole experiment, and hands them on to a record.
 
-    What has been shortened counts for its part.
+    What has been shortened counts for its part. The record hears which experiment it was: synthetic
+    ones are not the problem's.
     """
 
     def __init__(self, experiments: Sequence[Experiment], record: Record | None) -> None:
         longest = max(e.stop - e.start for e in experiments)
         self._parts = [(e.stop - e.start) / longest for e in experiments]
+        self._names = [(e.id, e.key) for e in experiments]
         self._record = record
         self.full = 0.0
 
     def __call__(self, origin: TaskOrigin, outcome: Outcome) -> None:
         self.full += self._parts[origin.task.experiment]
         if self._record is not None:
-            self._record(origin, outcome)
+            self._record(replace(origin, installed=self._names[origin.task.experiment]), outcome)
 
 
 @dataclass(frozen=True)

@@ -19,13 +19,7 @@ from typing import Self
 
 import numpy as np
 
-from cluster_est.closed_loop.account import (
-    LastAnswer,
-    LastFits,
-    account,
-    final_fit,
-    last_models,
-)
+from cluster_est.closed_loop.account import LastAnswer, LastFits, account, final_fit, last_models
 from cluster_est.closed_loop.findings.competing_models import expensive_structures
 from cluster_est.closed_loop.findings.effects import ErrorChange, NoiseChange, Verdict
 from cluster_est.closed_loop.findings.result import LoopResult

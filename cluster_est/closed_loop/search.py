@@ -41,12 +41,7 @@ from cluster_est.closed_loop.selection.free_curves import (
 from cluster_est.closed_loop.selection.gates import SELECTION, choose, reason_to_stop
 from cluster_est.closed_loop.selection.linear_model import PruningBound, can_reach
 from cluster_est.closed_loop.selection.moves import MOVES, revise
-from cluster_est.closed_loop.selection.refits import (
-    FIRST,
-    ModelCache,
-    RefittedCandidate,
-    rivals_of,
-)
+from cluster_est.closed_loop.selection.refits import FIRST, ModelCache, RefittedCandidate, rivals_of
 from cluster_est.closed_loop.selection.rounds import (
     AcceptedStructure,
     ComparedStructure,

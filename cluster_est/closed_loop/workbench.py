@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -28,19 +28,16 @@ from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.problem.search_space import make_space
 from cluster_est.problem.variables import silent_notes
-from cluster_est.running.arguments import (
-    check_method,
-    check_problem,
-)
+from cluster_est.running.arguments import check_method, check_problem
 from cluster_est.running.environment import RunEnvironment
-from cluster_est.running.resources import Record, TaskOrigin, one_blas_thread
+from cluster_est.running.resources import one_blas_thread
 from cluster_est.statistics.noise.estimate import SHORTEST_NOISE_RECORD
 from cluster_est.statistics.records import make_records
 from cluster_est.toml import dotted
 from workers.effects.forms import FORMS
 from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site
 from workers.fmu.description import ModelDescription, nearest
-from workers.messages import Experiment, Outcome, Output
+from workers.messages import Output
 from workers.messages.checks import check_kind, check_number
 
 
@@ -81,8 +78,6 @@ class LoopRequest:
 
     Attributes
     ----------
-    problem
-        The declared model with its parameters and experiments.
     environment
         Workers, budget, and who is told of the simulations.
     rows
@@ -160,8 +155,7 @@ def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[Fit
         installed += [copy.of(run) for run in runs]
     everything = replace(problem, experiments=tuple(installed))
     environment = request.environment
-    record = _named(everything.experiments, environment.monitor.record)
-    meter = SimulationMeter(everything.experiments, record)
+    meter = SimulationMeter(everything.experiments, environment.monitor.record)
     with one_blas_thread(), environment.executor(everything) as executor:
         runner = environment.runner(executor, record=meter, whole=True)
         yield Fitter(
@@ -178,18 +172,6 @@ def _opened(request: LoopRequest, description: ModelDescription) -> Iterator[Fit
             sigma_declared=bool(request.sigma_declared),
         )
         runner.forget()
-
-
-def _named(experiments: Sequence[Experiment], record: Record | None) -> Record | None:
-    """A record that also hears which experiment it was: synthetic ones are not the problem's."""
-    if record is None:
-        return None
-    names = [(e.id, e.key) for e in experiments]
-
-    def named(origin: TaskOrigin, outcome: Outcome) -> None:
-        record(replace(origin, installed=names[origin.task.experiment]), outcome)
-
-    return named
 
 
 def _check_shape(problem: Problem) -> None:

@@ -16,11 +16,7 @@ import numpy as np
 import sympy as sp
 from scipy.integrate import cumulative_trapezoid
 
-from cluster_est.closed_loop.candidates.trajectory import (
-    StepMatrices,
-    propagate,
-    step_matrices,
-)
+from cluster_est.closed_loop.candidates.trajectory import StepMatrices, propagate, step_matrices
 from workers.effects.expression import parse
 from workers.effects.forms import EffectForm
 from workers.effects.signal_memory import MEMORIES, SampledSignal

@@ -32,13 +32,7 @@ from cluster_est.problem.parameter import Parameter, Scale
 from cluster_est.problem.problem import Problem
 from cluster_est.problem.process_noise import noise_names
 from cluster_est.results.solver_error.finer_solver import communication_step, fixed_step
-from workers.effects.forms import (
-    FORMS,
-    EffectForm,
-    FormCoefficient,
-    GridScale,
-    positive,
-)
+from workers.effects.forms import FORMS, EffectForm, FormCoefficient, GridScale, positive
 from workers.effects.site import EffectSite, open_pairs, open_sites, parse_site, unnamed_variables
 from workers.fmu.description import ModelDescription
 from workers.messages import Effect, FloatArray

@@ -32,10 +32,7 @@ from cluster_est.closed_loop.screening.places import (
     rank_places,
 )
 from cluster_est.closed_loop.settings import CandidateStage, LoopPart, LoopSettings, LoopStage
-from cluster_est.statistics.projection import (
-    OrthogonalProjection,
-    ProjectedResidual,
-)
+from cluster_est.statistics.projection import OrthogonalProjection, ProjectedResidual
 from cluster_est.statistics.records import StackedRecords, thinned
 from cluster_est.statistics.residual_tests import structure
 from cluster_est.statistics.score import CONFOUNDED, ScoreTests, family_wise, score

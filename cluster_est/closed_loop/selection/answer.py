@@ -25,11 +25,7 @@ from scipy.special import fdtrc
 from cluster_est.closed_loop.candidates.make import EffectCandidate
 from cluster_est.closed_loop.fitter import FittedModel, Fitter
 from cluster_est.closed_loop.screening.screen import screen
-from cluster_est.closed_loop.selection.acceptance import (
-    LeaveOneOutPrediction,
-    is_usable,
-    predict,
-)
+from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction, is_usable, predict
 from cluster_est.closed_loop.selection.refits import full_refit
 from cluster_est.closed_loop.selection.rounds import (
     AcceptedStructure,

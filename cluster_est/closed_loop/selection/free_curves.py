@@ -36,10 +36,7 @@ from cluster_est.closed_loop.selection.linear_model import (
     can_reach,
     first_steps,
 )
-from cluster_est.closed_loop.selection.neighbours import (
-    refit_siblings,
-    starts_in_its_place,
-)
+from cluster_est.closed_loop.selection.neighbours import refit_siblings, starts_in_its_place
 from cluster_est.closed_loop.selection.refits import (
     SHORT,
     RefittedCandidate,
