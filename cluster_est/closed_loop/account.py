@@ -67,16 +67,9 @@ NOT_ALLOWED_FOR = (
 
 @dataclass(frozen=True)
 class LastFits:
-    """The last fits of the declared model and of the one with the effects.
+    """The last fits of the declared model and of the one with the effects, and their errors.
 
-    Attributes
-    ----------
-    before, after
-        The same where nothing was added.
-    errors
-        Of both side by side.
-    noise
-        What the effects make of process noise, where there is some.
+    Both are the same where nothing was added. `noise` is what the effects make of process noise.
     """
 
     before: Result = field(repr=False)
@@ -117,16 +110,9 @@ def best_on_few_rows(
 ) -> list[tuple[FitStart, FittedModel | None]]:
     """Fit both models to convergence on thinned records, for a fit to all rows to start from.
 
-    Each further iteration on all rows costs as much more as there are more of them. These fits are
-    in the values of the parameters, no logarithms among them: two terms that the data hardly tell
-    apart, such as two dampings, keep their sum along the valley between them, which is straight in
-    their values and bent in their logarithms, so that many short steps would follow it.
-
-    Returns
-    -------
-    list of (FitStart, FittedModel or None)
-        Each model from where its fit has ended, and that fit; the start as it was, and None, where
-        it cannot be simulated.
+    Each further iteration on all rows costs as much more as there are more of them. Returned is
+    each model from where its fit has ended, and that fit; the start as it was, and None, where it
+    cannot be simulated.
     """
     return _straight_fits(fitter, starts, _of_many_rows(fitter.size))
 
@@ -134,7 +120,12 @@ def best_on_few_rows(
 def _straight_fits(
     fitter: Fitter, starts: Sequence[FitStart], method: LeastSquares
 ) -> list[tuple[FitStart, FittedModel | None]]:
-    """Fit in the values of the parameters, no logarithms among them."""
+    """Fit in the values of the parameters, no logarithms among them.
+
+    Two terms that the data hardly tell apart, such as two dampings, keep their sum along the valley
+    between them, which is straight in their values and bent in their logarithms: many short steps
+    would follow it.
+    """
     found: list[tuple[FitStart, FittedModel | None]] = []
     for start in starts:
         linear = tuple(replace(p, scale="linear") for p in start.problem.parameters)
@@ -163,18 +154,9 @@ def _fitted_from(
 
 @dataclass(frozen=True)
 class LastAnswer:
-    """An answer of a search, after its last fits.
+    """An answer of a search and what the training experiments say of it, after its last fits.
 
-    Attributes
-    ----------
-    found, judged
-        The models, and what the training experiments say of them.
-    fits
-        The last ones.
-    number
-        Of the answers of the search, 0 the first one.
-    against
-        What speaks against those before it.
+    It is one of several, by its number, and something speaks `against` those before it.
     """
 
     found: SelectionResult = field(repr=False)
@@ -190,12 +172,8 @@ def last_answer(
 ) -> LastAnswer:
     """Return the first answer that nothing speaks against after its last fits.
 
-    Where something does against each of them, it is the first one, which is then not claimed.
-
-    Parameters
-    ----------
-    ends, last
-        The answer of a search and those that it took the place of; what does the last fits of each.
+    Where something does against each of them, it is the first one, which is then not claimed. The
+    ends of a search come with what does the last fits of each.
     """
     refused: list[LastAnswer] = []
     said: list[str] = []
@@ -249,6 +227,7 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
         lambda: _with_errors(fitter, found, compared, before),
         compared,
     )
+    scale = ErrorScale.SIGMA if fitter.sigma_declared else ErrorScale.ESTIMATED_NOISE
     failed = dict.fromkeys((*before.failed_steps, *after.failed_steps, *steps.failed))
     notes = (*failed, *_nothing_tried(found, scope.sites), *held, *answer.against, *scope.notes)
     return LoopResult(
@@ -269,7 +248,7 @@ def account(fitter: Fitter, answer: LastAnswer, scope: LoopScope) -> LoopResult:
         failures=fitter.runner.failures,
         seconds=0.0,
         curves=curves,
-        errors_over=_scale(fitter),
+        errors_over=ErrorScale.PREDICTED if fitter.predicts else scale,
         structures=compared,
         resampled="" if choices is None else choices.sentence,
         unexplained=unexplained,
@@ -300,13 +279,6 @@ def at_bounds(
     if judged.verdict is Verdict.FOUND:
         judged = replace(judged, verdict=Verdict.PARTIAL, reason=f"{judged.reason}; {said}")
     return judged, (said,)
-
-
-def _scale(fitter: Fitter) -> ErrorScale:
-    """What errors are divided by."""
-    if fitter.predicts:
-        return ErrorScale.PREDICTED
-    return ErrorScale.SIGMA if fitter.sigma_declared else ErrorScale.ESTIMATED_NOISE
 
 
 def _compared(verdict: Verdict, found: SelectionResult) -> tuple[ComparedStructure, ...]:

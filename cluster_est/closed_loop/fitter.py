@@ -107,9 +107,7 @@ class FittedModel:
     ----------
     space, x
         The unknowns and where they stand, in search coordinates.
-    residuals : (N,)
-    jacobian : (N, unknowns)
-        Of the residuals, in search coordinates.
+    residuals, jacobian : (N,), (N, unknowns)
     added
         The effects that the loop has added, in order.
     converged
@@ -211,22 +209,14 @@ class Fitter:
     ----------
     runner
         Its executor has the problem's experiments, then the synthetic ones.
-    problem
-        The declared model.
-    description
-        Of its FMU.
-    seed
-        Of the loop.
-    train
-        Indices of the training experiments.
-    records
-        Of their residuals, stacked.
+    problem, description
+        The declared model, and its FMU's.
+    train, records
+        Indices of the training experiments, and the records of their residuals, stacked.
     synthetic
         For each kind, the index of each training experiment's copy.
     everything
         The problem with all experiments that are installed.
-    meter
-        Counts what was simulated.
     noise_of_samples
         By output, where records are thinned: of the samples that rows were made from, in its unit.
     sigma_declared

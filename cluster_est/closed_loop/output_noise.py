@@ -100,28 +100,23 @@ class OutputNoise:
 
     Attributes
     ----------
-    level
-        Root mean square of the residual.
-    white
-        Estimated standard deviation of the part that is white noise.
+    level, white
+        Root mean square of the residual; estimated standard deviation of the part that is white.
     degrees
         Of freedom of the square of `level`: few where the residual has a memory.
     correlation
         Of one sample with the next.
     first_order
-        Nothing is seen beyond a first-order autoregression, which is what a sensor's coloured
-        noise looks like. A disturbance that goes through the model has a white floor beneath it, or
-        is smoother.
-    declared
-        The sigma is the user's.
+        Nothing is seen beyond a first-order autoregression, as of a sensor's coloured noise. A
+        disturbance that goes through the model has a white floor beneath it, or is smoother.
+    declared, given
+        The sigma is the user's; it is not 1 throughout, as it is where none is given.
     loud
         Where experiments have sigmas of their own, the ids of those that alone are noisier than
         twice theirs, if others are not.
     told
         Some record is long enough for its noise to be told from what a model leaves; else `white`
         is the sigma that is given, or the whole residual of the declared model.
-    given
-        The sigma is not 1 throughout, which is what stands where none is given.
     filtered
         The residuals are innovations: their unit is what process noise and sigma explain together.
     """
@@ -257,15 +252,9 @@ def is_noise_of_sensors(
 ) -> bool:
     """Return whether what is left may be the noise of sensors, however coloured, and no more.
 
-    Parameters
-    ----------
-    near
-        Times the noise that what is left may reach if an autoregression describes it.
-    largest
-        Times the estimated noise that it may reach where no sigma is declared: the estimate sees
-        the white part alone, and is too small by about 5 at a correlation of 0.93.
-    whitened
-        Once an autoregression is allowed for, nothing is left.
+    It may reach `near` times the noise if an autoregression describes it, with which nothing is
+    left (`whitened`). Where no sigma is declared, it may reach `largest` times the estimate, which
+    sees the white part alone, and is too small by about 5 at a correlation of 0.93.
     """
     for output in outputs:
         if output.filtered:  # with the right process noise innovations are white

@@ -123,11 +123,6 @@ def search_for_effects(
         Called after each round in which something was added, with all that was found so far.
     thinned
         The samples of the inputs are not those that were measured.
-
-    Raises
-    ------
-    ProblemError
-        If the model cannot be simulated at its start.
     """
     fitter, settings = workbench.fitter, workbench.settings
     fitter.enter("the declared model")
@@ -208,15 +203,9 @@ def grow(
 ) -> SelectionResult:
     """Add effects to the declared model while they earn it.
 
-    Parameters
-    ----------
-    numerical
-        Fall of the sum of squares that one effect more could owe to the error of the solver at a
-        fitted model.
-    reached
-        Called after each round in which something was added, with all that was found so far.
-    again
-        Begin once more where the declared model turns out to have been in a local minimum.
+    `numerical` is the fall of the sum of squares that one effect more could owe to the error of the
+    solver at a fitted model; `again`, begin once more where the declared model turns out to have
+    been in a local minimum.
     """
     log, merging = SearchLog.begun(fitter, settings, base), Merging()
     remembers = LoopPart.REMEMBERED_FITS not in settings.without

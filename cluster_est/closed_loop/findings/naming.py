@@ -234,17 +234,13 @@ class PlacedLaw:
 
     Attributes
     ----------
-    law, kind
-        The law, and the kind of its site.
-    site
-        Dimension of the state whose rate it changes, or of the signal.
+    kind, site
+        Of its site, and the dimension of the state whose rate it changes, or of the signal.
     argument, second
         Dimensions of its variables; None where there is none or its unit is unknown.
-    own
-        Its variable is what it changes: the state of the rate, the difference of the pair, or a
-        state that the input is known to push, and in which direction.
-    own_position
-        Its variable is the integral of what it changes.
+    own, own_position
+        Its variable is what it changes (the state of the rate, the difference of the pair, or a
+        state that the input is known to push, and in which direction), or the integral of that.
     loss, gain
         It takes from what it changes where its variable is positive, or beyond a threshold, and
         gives where that is negative; or the other way round.

@@ -176,10 +176,8 @@ class VaryingColumn:
 
     Attributes
     ----------
-    column, output
-        Names of the column, and of the output whose residual it varies with.
     share
-        Of the residual's variance that the column carries, at once and late.
+        Of the variance of the output's residual that the column carries, at once and late.
     p
         The probability of as much by chance among all columns and outputs that were looked at; NaN
         where only the period is the same.

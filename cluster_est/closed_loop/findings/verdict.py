@@ -54,20 +54,16 @@ class ReasonedVerdict:
 
     Attributes
     ----------
-    verdict, reason
-    closed
-        Share of the gap to the noise that the effects close on the training experiments.
-    least
-        Share that they must close on held-out data.
-    declared
-        A sigma is declared.
+    closed, least
+        Share of the gap to the noise that the effects close on the training experiments, and that
+        they must close on held-out data.
+    declared, filtered
+        A sigma is declared; errors are innovations of a filter.
     noise
         Of outputs whose declared sigma is far too large, the noise, in units of that sigma.
     floor
         Error that the noise alone makes, over what errors are compared with: above 1 where a
         declared sigma is far too small.
-    filtered
-        Errors are innovations of a filter.
     """
 
     verdict: Verdict

@@ -201,18 +201,7 @@ class AdjointSignals:
 
 
 def adjoint_signals(trajectory: LinearisedTrajectory, weights: FloatArray) -> AdjointSignals:
-    """Integrate the adjoint along one experiment.
-
-    Parameters
-    ----------
-    weights : (k, m)
-        m weightings of the experiment's residuals.
-
-    Raises
-    ------
-    ValueError
-        Without a linearisation, as in co-simulation.
-    """
+    """Integrate the adjoint along one experiment, for m weightings of its residuals, (k, m)."""
     linear = trajectory.linear
     if linear is None:
         raise ValueError("the adjoint needs a linearisation")

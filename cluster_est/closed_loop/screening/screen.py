@@ -398,18 +398,13 @@ def rank_curves(
     """Rank the leading free curves at a fit against finer ones at the same places.
 
     What changes faster than the values of a curve lie apart looks like little to that curve, and
-    may look like more elsewhere.
+    may look like more elsewhere. The ranking is of these curves alone, the coarse ones first.
 
     Parameters
     ----------
     variables
         1 for curves of one argument, 2 for those of a switch, which follow most of what the switch
         alone does and would crowd out curves that say less.
-
-    Returns
-    -------
-    CandidateRanking
-        Of these curves alone, the coarse ones first.
     """
     leaders = [
         i

@@ -189,18 +189,8 @@ def strength_p(
     Regression (1989), doi:10.1002/0471725315, section 5.3. For one strength it is the test that its
     confidence interval makes.
 
-    Parameters
-    ----------
-    added
-        The effects. Those of one site and argument share a test.
-    space, x, known
-        The unknowns of a model with the effects, where they stand, and their uncertainty.
-
-    Returns
-    -------
-    list of float
-        1 where the data do not determine one of the strengths; 0 where there is none, or each is at
-        a bound that is not zero.
+    Effects of one site and argument share a test. Where the data do not determine one of the
+    strengths it is 1; where there is none, or each is at a bound that is not zero, it is 0.
     """
     labels = [unknown.label for unknown in space.unknowns]
     places: dict[tuple[str, tuple[str, ...]], list[int]] = {}

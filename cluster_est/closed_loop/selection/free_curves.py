@@ -251,16 +251,8 @@ def single_effects(
 
     Curves are made finer only where they may be taken, see `single_instead`, and where there is
     something to be gained: one or two effects leave more than noise, or three look like patches.
-    The curve of a switch is among them where nothing found may be claimed.
-
-    Parameters
-    ----------
-    first, current
-        The start of the search's first round, and the model with the effects that were added.
-    known
-        Those that have been refitted already.
-    whole
-        As in `single_instead`.
+    The curve of a switch is among them where nothing found may be claimed. What is known has been
+    refitted already.
     """
     if known is None:
         curves = coarse_curves(fitter, first)
@@ -301,11 +293,6 @@ def single_instead(
         The model with the effects that were added, and its leave-one-out prediction.
     whole
         Take only what leaves no more than noise.
-
-    Returns
-    -------
-    RoundEnd
-        In which it has won.
     """
     price = SELECTION.pair_price * float(np.log(first.screening.count))
 

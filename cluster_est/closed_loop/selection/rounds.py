@@ -276,16 +276,11 @@ def leaves_more_than_noise(fitted: FittedModel, floor: float) -> bool:
 
 
 def useful_sse(begun: RoundStart, added: int) -> float:
-    """Return the sum of squares that structures of a round must come down to, to be of any use.
+    """Return the sum of squares that structures of so many effects must come down to, to be of use.
 
     With the last effect that is allowed a structure must close the least share of the gap, and as
     much of it as a claim needs. What may be the noise of sensors for its size has to close nothing,
     and a smaller structure neither: a further effect may show what it is good for.
-
-    Parameters
-    ----------
-    added
-        Number of effects of the structures.
     """
     settings, floor = begun.settings, begun.floor
     if added < settings.max_effects:
