@@ -196,7 +196,8 @@ def agreements(
     own, named
         The law of the effect, and what physics calls another one at its place.
     """
-    x, weights = _visited(curve)
+    visited = curve.counts > 0.0
+    x, weights = 0.5 * (curve.edges[1:] + curve.edges[:-1])[visited], curve.counts[visited]
     y = shape(x)
     size = float(np.abs(y).max(initial=0.0))
     if len(x) < 3 or curve.variable == "time" or not np.isfinite(y).all() or not size > 0.0:
@@ -219,12 +220,6 @@ def agreements(
             known = (equation.removesuffix(" * 1"), named(law), largest, largest / size)
             found.append((apart, AgreeingEquation(*known, *told)))
     return tuple(each for _, each in sorted(found, key=lambda pair: pair[0])[:MOST_AGREEING])
-
-
-def _visited(curve: EffectCurve) -> tuple[FloatArray, FloatArray]:
-    """Middles of the bins that have samples, and how many."""
-    middles = 0.5 * (curve.edges[1:] + curve.edges[:-1])
-    return middles[curve.counts > 0.0], curve.counts[curve.counts > 0.0]
 
 
 def _standard_error(curve: EffectCurve, x: FloatArray, weights: FloatArray) -> float:

@@ -72,7 +72,8 @@ def answers(fitter: Fitter, grown: SelectionResult) -> list[SelectionResult]:
     if better:
         number = min(better, key=lambda n: accepted[n].prediction.total)
         kept = without_undetermined(fitter, ending_at(grown, number))
-        if kept.current.added and _replaces(_accepted(kept), accepted[best]):
+        now = AcceptedStructure(kept.current, kept.prediction, kept.rivals)
+        if now.model.added and _replaces(now, accepted[best]):
             return [kept, *ends] if best else [kept]
         ends[0] = replace(ends[0], steps=_ended(ends[0].steps, RejectionReason.STRENGTHS))
     return ends
@@ -108,10 +109,6 @@ def ending_at(found: SelectionResult, number: int) -> SelectionResult:
         rivals=then.rivals,
         steps=steps,
     )
-
-
-def _accepted(found: SelectionResult) -> AcceptedStructure:
-    return AcceptedStructure(found.current, found.prediction, found.rivals)
 
 
 def _ended(steps: tuple[SelectionRound, ...], why: RejectionReason) -> tuple[SelectionRound, ...]:
@@ -250,7 +247,7 @@ def without_effects(
             screening = screen(fitter, found.settings, refitted, number)
             row = compared_structure(fitter.records, found.base, refitted, floor, number, part)
             path = (*path, row)
-    seen = SelectionRound(screening, (), WHY_TAKEN_OUT[part])
+    seen = SelectionRound(screening, (), RejectionReason[part.name])
     rivals = {name: own for name, own in found.rivals.items() if name in kept.structure}
     return replace(
         found,
@@ -260,9 +257,3 @@ def without_effects(
         steps=(*found.steps, seen),
         path=path,
     )
-
-
-WHY_TAKEN_OUT = {
-    LoopPart.STRENGTHS: RejectionReason.STRENGTHS,
-    LoopPart.FUNCTIONS_OF_TIME: RejectionReason.FUNCTIONS_OF_TIME,
-}

@@ -172,12 +172,9 @@ def _finer_fits(
 
     Those whose criterion does not fall, or that cannot come to be of use, are left out.
     """
-    rough = [
-        f
-        for f in fits
-        if f.sse > _largest_noise(fitter.size, begun.floor)
-        or f.criterion(fitter.records) > bound.criterion
-    ]
+    # two standard deviations above what noise alone leaves
+    most = begun.floor * (1.0 + 2.0 * np.sqrt(2.0 / max(fitter.size, 1)))
+    rough = [f for f in fits if f.sse > most or f.criterion(fitter.records) > bound.criterion]
     asked = [(f, start) for f in rough if (start := _finer_start(fitter, f)) is not None]
     brief = fitter.fit(LoopStage.REFITS, [start for _, start in asked], SHORT)
     hopeful = [
@@ -192,11 +189,6 @@ def _finer_fits(
         for (old, _), new in zip(hopeful, finished, strict=True)
         if new.criterion(records) < old.criterion(records)
     ]
-
-
-def _largest_noise(size: int, floor: float) -> float:
-    """The sum of squares that noise alone hardly ever exceeds: two standard deviations above it."""
-    return float(floor * (1.0 + 2.0 * np.sqrt(2.0 / max(size, 1))))
 
 
 def _reachable(fitted: FittedModel, bound: PruningBound) -> PruningBound:

@@ -338,10 +338,10 @@ def evidence_of_round(
         reached.append((end.won, CandidateStage.ACCEPTED))
     for contender, stage in reached:
         for candidate in contender.fitted.added:
-            name = candidate.effect.name
-            known = found.get(name) or _as_finer(found.values(), candidate)
+            known = _evidence_of(found.values(), candidate)
             if known is not None:
-                found[name] = replace(known, stage=stage, criterion=contender.criterion - base)
+                known = replace(known, stage=stage, criterion=contender.criterion - base)
+                found[candidate.effect.name] = known
     return list(found.values())
 
 
@@ -349,29 +349,24 @@ def with_single(
     seen: Sequence[CandidateEvidence], won: RefittedCandidate, criterion: float
 ) -> list[CandidateEvidence]:
     """Return the candidates, with the one that took the place of all effects as accepted."""
-    first = [each for each in seen if each.step == 1]
-    own = won.candidate
-    known = next((each for each in first if _is_of(each, own)), None) or _as_finer(first, own)
+    known = _evidence_of([each for each in seen if each.step == 1], won.candidate)
     if known is None:
         return list(seen)
     accepted = replace(known, stage=CandidateStage.ACCEPTED, criterion=criterion)
-    return [accepted, *(each for each in seen if each.step != 1 or not _is_of(each, own))]
+    own = accepted.step, accepted.site, accepted.form, accepted.variables
+    others = (each for each in seen if (each.step, each.site, each.form, each.variables) != own)
+    return [accepted, *others]
 
 
-def _is_of(evidence: CandidateEvidence, candidate: EffectCandidate) -> bool:
-    place = (str(candidate.site), candidate.form.name, candidate.effect.variables)
-    return (evidence.site, evidence.form, evidence.variables) == place
-
-
-def _as_finer(
+def _evidence_of(
     found: Iterable[CandidateEvidence], candidate: EffectCandidate
 ) -> CandidateEvidence | None:
-    """Return the evidence of a finer curve: that of the one with which its place was screened."""
-    if not candidate.form.finer_than:
-        return None
-    place = (str(candidate.site), candidate.form.family, candidate.effect.variables)
-    there = (each for each in found if (each.site, each.family, each.variables) == place)
-    return next((replace(each, form=candidate.form.name) for each in there), None)
+    """That of a candidate; of a finer curve, that of the one with which its place was screened."""
+    site, form, variables = str(candidate.site), candidate.form, candidate.effect.variables
+    there = [each for each in found if (each.site, each.variables) == (site, variables)]
+    own = [each for each in there if each.form == form.name]
+    coarse = [each for each in there if form.finer_than and each.family == form.family]
+    return next((replace(each, form=form.name) for each in (*own, *coarse)), None)
 
 
 def compared_structures(
