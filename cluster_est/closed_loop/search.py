@@ -32,12 +32,7 @@ from cluster_est.closed_loop.output_noise import expected_noise, noise_of
 from cluster_est.closed_loop.screening.screen import CandidateEvidence, screen
 from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction, predict
 from cluster_est.closed_loop.selection.answer import answers, without_effects
-from cluster_est.closed_loop.selection.free_curves import (
-    SingleEffects,
-    may_be_single,
-    single_effects,
-    single_instead,
-)
+from cluster_est.closed_loop.selection.free_curves import Merging
 from cluster_est.closed_loop.selection.gates import SELECTION, choose, reason_to_stop
 from cluster_est.closed_loop.selection.linear_model import PruningBound, can_reach
 from cluster_est.closed_loop.selection.moves import MOVES, revise
@@ -219,10 +214,10 @@ def grow(
         log.note(now, begun, best)
         merging.note(begun, best)
         if best.won is None or best.prediction is None:
-            merged = merging.instead(fitter, now, log)
-            if merged is None:
+            single = merging.instead(fitter, now)
+            if single is None:
                 break
-            now = merged
+            now = log.accept_single(single)
             continue
         if again and not begun.model.added and _was_local(fitter, begun, best.won):
             restart = FitStart(base.problem, _declared_only(best.won), base.added)
@@ -237,7 +232,8 @@ def grow(
         if grown.model.structure in passed:
             break
         now = AcceptedStructure(grown.model, prediction, grown.rivals, best.compared)
-        now = merging.instead(fitter, now, log, whole=True) or now
+        single = merging.instead(fitter, now, whole=True)
+        now = now if single is None else log.accept_single(single)
         reached(log.result(now))
         del begun, best  # the next ones are as large
     return log.result(now)
@@ -320,11 +316,16 @@ class SearchLog:
         row = compared_structure(records, self.base, fitted, self.floor, number, move or "")
         self.path.append(row)
 
-    def accept_single(self, won: RefittedCandidate) -> None:
-        """Note that a single effect takes the place of all."""
+    def accept_single(self, end: RoundEnd) -> AcceptedStructure:
+        """Note that the single effect which has won takes the place of all."""
+        won, prediction = end.won, end.prediction
+        assert won is not None
+        assert prediction is not None
         fall = won.criterion - self.base.criterion(self.fitter.records)
         self.seen = with_single(self.seen, won, fall)
         self.accept(won.fitted, LoopPart.MERGE)
+        rivals = rivals_of(won, end.seen.contenders)
+        return AcceptedStructure(won.fitted, prediction, rivals)
 
     def result(self, now: AcceptedStructure) -> SelectionResult:
         """Return all that was found so far."""
@@ -332,43 +333,6 @@ class SearchLog:
             self.base, now.model, self.predicted, now.prediction, now.rivals, tuple(self.rounds),
             tuple(self.seen), self.noise, self.settings, tuple(self.path), tuple(self.accepted),
         )  # fmt: skip
-
-
-@dataclass
-class Merging:
-    """The move that puts a single effect in the place of all that were added, once a search.
-
-    `first` is the start of the first round, and `singles` what may take the place of several
-    effects, once it has been looked for.
-    """
-
-    first: RoundStart | None = None
-    singles: SingleEffects | None = None
-    done: bool = False
-
-    def note(self, begun: RoundStart, end: RoundEnd) -> None:
-        """Note the first round, and curves that have been tried there and did not pass."""
-        self.first = self.first or replace(begun, screening=begun.screening.without_bases())
-        if not begun.model.added and any(c.candidate.form.free for c in end.compared):
-            self.singles = SingleEffects(fine=True)
-
-    def instead(
-        self, fitter: Fitter, now: AcceptedStructure, log: SearchLog, *, whole: bool = False
-    ) -> AcceptedStructure | None:
-        """Return a single effect in the place of all, if there is a better one."""
-        first = self.first
-        if self.done or first is None or not first.has(LoopPart.MERGE):
-            return None
-        if not may_be_single(first, now.model):
-            return None
-        self.singles = single_effects(fitter, first, now.model, self.singles, whole=whole)
-        end = single_instead(fitter, first, now.model, now.prediction, self.singles, whole=whole)
-        if end is None or end.won is None or end.prediction is None:
-            return None
-        self.done = True
-        log.accept_single(end.won)
-        rivals = rivals_of(end.won, end.seen.contenders)
-        return AcceptedStructure(end.won.fitted, end.prediction, rivals)
 
 
 def _screened(

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import final
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from cluster_est.closed_loop.screening.screen import (
     place_of,
     rank_curves,
 )
-from cluster_est.closed_loop.selection.acceptance import LeaveOneOutPrediction, can_be_linearised
+from cluster_est.closed_loop.selection.acceptance import can_be_linearised
 from cluster_est.closed_loop.selection.gates import SELECTION, choose, reason_to_stop
 from cluster_est.closed_loop.selection.linear_model import (
     NO_BOUND,
@@ -44,6 +45,7 @@ from cluster_est.closed_loop.selection.refits import (
     refit_fully,
 )
 from cluster_est.closed_loop.selection.rounds import (
+    AcceptedStructure,
     RoundEnd,
     RoundStart,
     can_be_claimed,
@@ -208,102 +210,103 @@ def _finer_start(fitter: Fitter, fitted: FittedModel) -> FitStart | None:
     return fitted.start.minus(len(fitted.added) - 1).plus(finer, heights)
 
 
-@dataclass(frozen=True)
-class SingleEffects:
-    """Effects that may take the place of all that a search adds, refitted to the declared model.
+@final
+@dataclass
+class Merging:
+    """The move that puts a single effect in the place of all that were added, once a search.
 
-    They are free curves, and forms of the library of the argument of the best of them. If `fine`,
-    finer curves have been refitted too, where those led on.
-    """
-
-    curves: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
-    named: tuple[RefittedCandidate, ...] = field(default=(), repr=False)
-    fine: bool = False
-
-
-def may_be_single(first: RoundStart, current: FittedModel) -> bool:
-    """Return whether another effect may take the place of those that were added.
-
-    They are several, or leave more than noise, and something is missing at all.
-    """
-    patched = len(current.added) > 1 or leaves_more_than_noise(current, first.floor)
-    free = any(candidate.form.free for candidate in current.added)
-    return patched and not free and reason_to_stop(first) is None
-
-
-def single_effects(
-    fitter: Fitter,
-    first: RoundStart,
-    current: FittedModel,
-    known: SingleEffects | None = None,
-    *,
-    whole: bool = False,
-) -> SingleEffects:
-    """Refit the single effects that could fit better than a structure does.
-
-    Curves are made finer only where they may be taken, see `single_instead`, and where there is
-    something to be gained: one or two effects leave more than noise, or three look like patches.
-    The curve of a switch is among them where nothing found may be claimed. What is known has been
-    refitted already.
-    """
-    if known is None:
-        curves = coarse_curves(fitter, first)
-        known = SingleEffects(tuple(curves), tuple(refit_named(fitter, first, curves)))
-    early = whole and len(current.added) < 2
-    gains = len(current.added) > 2 or leaves_more_than_noise(current, first.floor)
-    if known.fine or early or not gains:
-        return known
-    if not whole and not can_be_claimed(first, current):
-        switched = switched_curves(fitter, first)
-        known = replace(known, curves=(*known.curves, *switched))
-    bound = first.bound(criterion=current.criterion(fitter.records))
-    finer = finer_curves(fitter, first, known.curves, bound)
-    curves = sorted((*known.curves, *finer), key=lambda c: c.criterion)
-    return replace(known, curves=tuple(curves), fine=True)
-
-
-def single_instead(
-    fitter: Fitter,
-    first: RoundStart,
-    current: FittedModel,
-    prediction: LeaveOneOutPrediction,
-    singles: SingleEffects,
-    *,
-    whole: bool = False,
-) -> RoundEnd | None:
-    """Return the single effect that takes the place of all that were added; None if they stay.
-
-    It must fit better, also if what is left is noise as coloured as it looks, and predict better. A
-    curve must fit better by the price of a choice among all pairs, and waits for two effects: as a
-    function of one argument, it imitates every sum of two that have this one.
-
-    Parameters
+    Attributes
     ----------
     first
-        The start of the search's first round.
-    current, prediction
-        The model with the effects that were added, and its leave-one-out prediction.
-    whole
-        Take only what leaves no more than noise.
+        The start of the first round.
+    curves, named
+        What may take their place, refitted to the declared model: free curves, once they have been
+        looked for, and forms of the library of the argument of the best of them.
+    fine
+        Finer curves have been refitted too, where those led on.
+    done
+        An effect has taken their place.
     """
-    price = SELECTION.pair_price * float(np.log(first.screening.count))
 
-    def fits_better(contender: RefittedCandidate, least: float) -> bool:
-        if contender.candidate.form.free and whole and len(current.added) < 2:
-            return False
-        if whole and leaves_more_than_noise(contender.fitted, first.floor):
-            return False
-        return min(_falls(fitter.records, current, contender.fitted)) > least
+    first: RoundStart | None = None
+    curves: list[RefittedCandidate] | None = None
+    named: list[RefittedCandidate] = field(default_factory=list)
+    fine: bool = False
+    done: bool = False
 
-    for contenders, least in ((singles.named, 0.0), (singles.curves, price)):
-        if not any(fits_better(contender, least) for contender in contenders):
-            continue  # the gates cost simulations
-        end = choose(fitter, first, contenders)
-        if end.won is None or end.prediction is None or not fits_better(end.won, least):
-            continue
-        if end.prediction.total < prediction.total:
-            return end
-    return None
+    def note(self, begun: RoundStart, end: RoundEnd) -> None:
+        """Note the first round, and curves that have been tried there and did not pass."""
+        self.first = self.first or replace(begun, screening=begun.screening.without_bases())
+        if not begun.model.added and any(c.candidate.form.free for c in end.compared):
+            self.curves, self.fine = [], True
+
+    def instead(
+        self, fitter: Fitter, now: AcceptedStructure, *, whole: bool = False
+    ) -> RoundEnd | None:
+        """Return a round that a single effect has won in the place of all; None if they stay.
+
+        It must fit better, also if what is left is noise as coloured as it looks, and predict
+        better. A curve must fit better by the price of a choice among all pairs, and waits for two
+        effects: as a function of one argument, it imitates every sum of two that have this one.
+
+        Parameters
+        ----------
+        whole
+            Take only what leaves no more than noise.
+        """
+        first, current = self.first, now.model
+        if self.done or first is None or not _may_be_single(first, current):
+            return None
+        curves = self._refitted_curves(fitter, first, current, whole=whole)
+        price = SELECTION.pair_price * float(np.log(first.screening.count))
+
+        def fits_better(contender: RefittedCandidate, least: float) -> bool:
+            if contender.candidate.form.free and whole and len(current.added) < 2:
+                return False
+            if whole and leaves_more_than_noise(contender.fitted, first.floor):
+                return False
+            return min(_falls(fitter.records, current, contender.fitted)) > least
+
+        for contenders, least in ((self.named, 0.0), (curves, price)):
+            if not any(fits_better(contender, least) for contender in contenders):
+                continue  # the gates cost simulations
+            end = choose(fitter, first, contenders)
+            if end.won is None or end.prediction is None or not fits_better(end.won, least):
+                continue
+            if end.prediction.total < now.prediction.total:
+                self.done = True
+                return end
+        return None
+
+    def _refitted_curves(
+        self, fitter: Fitter, first: RoundStart, current: FittedModel, *, whole: bool
+    ) -> list[RefittedCandidate]:
+        """Refit the single effects that could fit better than a structure does.
+
+        Curves are made finer only where they may be taken, and where there is something to be
+        gained: one or two effects leave more than noise, or three look like patches. The curve of a
+        switch is among them where nothing found may be claimed.
+        """
+        if self.curves is None:
+            self.curves = coarse_curves(fitter, first)
+            self.named = refit_named(fitter, first, self.curves)
+        early = whole and len(current.added) < 2
+        gains = len(current.added) > 2 or leaves_more_than_noise(current, first.floor)
+        if not self.fine and gains and not early:
+            if not whole and not can_be_claimed(first, current):
+                self.curves += switched_curves(fitter, first)
+            bound = first.bound(criterion=current.criterion(fitter.records))
+            self.curves += finer_curves(fitter, first, self.curves, bound)
+            self.curves.sort(key=lambda c: c.criterion)
+            self.fine = True
+        return self.curves
+
+
+def _may_be_single(first: RoundStart, current: FittedModel) -> bool:
+    """Return whether the effects are several or leave more than noise, and something is missing."""
+    patched = len(current.added) > 1 or leaves_more_than_noise(current, first.floor)
+    free = any(candidate.form.free for candidate in current.added)
+    return first.has(LoopPart.MERGE) and patched and not free and reason_to_stop(first) is None
 
 
 def coloured_criterion(fitted: FittedModel, records: StackedRecords, order: int) -> float:
