@@ -27,9 +27,9 @@ from cluster_est.running.arguments import check_problem, checked_resources, prep
 from cluster_est.running.environment import RunEnvironment
 from cluster_est.running.resources import Resources
 from cluster_est.statistics.residual_tests import FAMILY_WISE_LEVEL
-from workers.effects.forms import FormCoefficient
+from workers.effects.forms import EffectForm, FormCoefficient
 from workers.effects.forms import form as find_form
-from workers.effects.site import check_site, parse_site, unnamed_variables
+from workers.effects.site import EffectSite, check_site, parse_site, unnamed_variables
 from workers.messages.checks import as_tuple, check_kind, check_name, check_number, check_text
 
 
@@ -220,10 +220,16 @@ def add_effect(
     starts, shape = _starts(start), checked_shape(slope_change, monotone, bounds)
     held: tuple[str, ...] = ()
     if form and not equation:
-        missing = _unstarted(problem, site, form, name or form, starts)
+        place, chosen = _form_at(problem, site, form, f"effect {name or form!r}")
+        missing = [
+            c
+            for c in chosen.coefficients
+            if (c.neutral is None or chosen.divides_by(c.name)) and c.name not in starts
+        ]
         held = tuple(c.name for c in missing if c.held)
         if missing:
-            starts |= _sized(problem, site, form, variables, missing)
+            about = variables or unnamed_variables(chosen, place)
+            starts |= _sized(problem, place, about, missing)
     coefficients = {
         key: DeclaredCoefficient(start=value, fixed=key in held) for key, value in starts.items()
     }
@@ -274,32 +280,20 @@ def _starts(given: Mapping[str, float] | None) -> dict[str, float]:
     return {name: float(value) for name, value in (given or {}).items()}
 
 
-def _unstarted(
-    problem: Problem, site: str, name: str, effect: str, starts: Mapping[str, float]
-) -> list[FormCoefficient]:
-    """Coefficients of a form without a start, given or by nature."""
-    where = f"effect {effect!r}"
+def _form_at(problem: Problem, site: str, form: str, where: str) -> tuple[EffectSite, EffectForm]:
+    """The site and the form that a user names, checked."""
     place = parse_site(site, f"{where}: site")
     check_site(place, problem.describe(), problem.model.interface, f"{where}: site")
-    chosen = find_form(place.kind, name, where)
-    return [
-        c
-        for c in chosen.coefficients
-        if (c.neutral is None or chosen.divides_by(c.name)) and c.name not in starts
-    ]
+    return place, find_form(place.kind, form, where)
 
 
 def _sized(
     problem: Problem,
-    site: str,
-    name: str,
-    variables: tuple[str, ...],
+    place: EffectSite,
+    about: tuple[str, ...],
     missing: Sequence[FormCoefficient],
 ) -> dict[str, float]:
     """Starts from the middle of the grids that a search would look at, where there are any."""
-    place = parse_site(site, "site")
-    chosen = find_form(place.kind, name, "form")
-    about = variables or unnamed_variables(chosen, place)
     with open_workbench(LoopRequest(problem)) as workbench:
         fitter = workbench.fitter
         space = fitter.space(FitStart(fitter.problem, {}))
