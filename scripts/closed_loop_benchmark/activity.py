@@ -174,7 +174,9 @@ def _patches(notes: PartNotes) -> Mapping[Any, dict[str, Any]]:
             "_was_local": watched(part.LOCAL_MINIMUM, search._was_local, _said),
             "without_effects": watched(part.FUNCTIONS_OF_TIME, without_effects, lambda *_: True),
         },
-        search.Merging: {"instead": watched(part.MERGE, search.Merging.instead, notes.merged)},
+        free_curves.Merging: {
+            "instead": watched(part.MERGE, free_curves.Merging.instead, notes.merged)
+        },
     }
 
 

@@ -196,7 +196,7 @@ def refit_switch_widths(
     for contender in sorted(contenders, key=lambda c: c.criterion):
         best.setdefault(contender.fitted.structure, contender)
     ranked = list(best.values())
-    asked = [i for i, c in enumerate(ranked) if _held_widths(c)][: REFINEMENT.finalists]
+    asked = [i for i, c in enumerate(ranked) if _held_widths(c.fitted)][: REFINEMENT.finalists]
     asked = asked if begun.has(LoopPart.SWITCH_WIDTHS) else []
     near = min([most, *(c.criterion + REFINEMENT.alternative for c in ranked[:1])])
     hopeful = _starts_that_may_pay(fitter, [ranked[i] for i in asked], near)
@@ -220,16 +220,19 @@ def _starts_that_may_pay(
     Each is simulated with other widths, and the linear model says how the other unknowns follow.
     Where a refit was broken off the linear model says too little: it is refitted in any case.
     """
-    starts: list[FitStart | None] = [_with_free_widths(contender) for contender in contenders]
+    starts = [_with_free_widths(contender.fitted) for contender in contenders]
+    found: list[FitStart | None] = list(starts)
     asked = [i for i, contender in enumerate(contenders) if contender.full]
-    spaces = [fitter.space(_with_free_widths(contenders[i])) for i in asked]
-    points = [
-        (space, _other_widths(contenders[i], space)) for i, space in zip(asked, spaces, strict=True)
-    ]
+    points = []
+    for i in asked:
+        space = fitter.space(starts[i])
+        points.append((space, _other_widths(contenders[i].fitted, space)))
     answers = fitter.evaluate(LoopStage.TRIALS, points)
     for i, (space, widths), seen in zip(asked, points, answers, strict=True):
-        starts[i] = _best_width(fitter, contenders[i], space, widths, seen, most)
-    return starts
+        best = _best_width(fitter, contenders[i], space, widths, seen, most)
+        known = None if best is None else {**starts[i].values, **space.estimates(best)}
+        found[i] = None if known is None else replace(starts[i], values=known)
+    return found
 
 
 def _best_width(
@@ -239,8 +242,8 @@ def _best_width(
     points: FloatArray,
     answers: Sequence[Evaluation],
     most: float,
-) -> FitStart | None:
-    """The best of some widths, if it may lower the criterion enough to be of any use."""
+) -> FloatArray | None:
+    """The point with the best widths, if it may lower the criterion enough to be of any use."""
     fitted, found = contender.fitted, []
     for point, at in zip(points, answers, strict=True):
         if at.ok:
@@ -252,15 +255,13 @@ def _best_width(
     _, after, point = min(found, key=lambda each: each[0])
     left = shares_left(fitter.records, fitted.residuals, after)
     bound = PruningBound(criterion=min(contender.criterion, most))
-    if not can_reach_with(fitter.records, fitted, left, space.size - fitted.space.size, bound):
-        return None
-    start = _with_free_widths(contender)
-    return FitStart(start.problem, {**start.values, **space.estimates(point)}, start.added)
+    added = space.size - fitted.space.size
+    return point if can_reach_with(fitter.records, fitted, left, added, bound) else None
 
 
-def _other_widths(contender: RefittedCandidate, space: SearchSpace) -> FloatArray:
+def _other_widths(fitted: FittedModel, space: SearchSpace) -> FloatArray:
     """Points (widths, unknowns) with other widths than those that are held."""
-    held = {p.name: p.start for p in contender.fitted.problem.parameters if p.fixed}
+    held = {p.name: p.start for p in fitted.problem.parameters if p.fixed}
     points = np.tile(space.start, (len(TRIED), 1))
     for i, unknown in enumerate(space.unknowns):
         if unknown.label in held:  # in logarithms
@@ -268,33 +269,30 @@ def _other_widths(contender: RefittedCandidate, space: SearchSpace) -> FloatArra
     return np.asarray(np.clip(points, space.lower, space.upper))
 
 
-def _held_widths(contender: RefittedCandidate) -> dict[str, tuple[float, float]]:
-    """The parameters that hold widths, with the narrowest and the widest of a search."""
-    ranges = {k: v for c in contender.fitted.added for k, v in _widths(c).items()}
-    held = {p.name for p in contender.fitted.problem.parameters if p.fixed}
-    return {name: ends for name, ends in ranges.items() if name in held}
+def _held_widths(fitted: FittedModel) -> dict[str, tuple[float, float]]:
+    """The parameters that hold widths, with the narrowest and the widest of a search.
 
-
-def _widths(candidate: EffectCandidate) -> dict[str, tuple[float, float]]:
-    """The ranges of its widths: small parts of how much their variables move.
-
-    What a power law refers to is held for good, and no width.
+    Widths are small parts of how much their variables move. What a power law refers to is held for
+    good, and no width.
     """
-    columns = zip(candidate.form.coefficients, zip(*candidate.grid, strict=True), strict=True)
-    return {
-        f"{candidate.effect.name}.{c.name}": (min(values), max(values))
-        for c, values in columns
-        if c.held and c.scale is GridScale.RMS_V
-    }
+    held = {p.name for p in fitted.problem.parameters if p.fixed}
+    ranges = {}
+    for candidate in fitted.added:
+        columns = zip(*candidate.grid, strict=True)
+        for c, values in zip(candidate.form.coefficients, columns, strict=True):
+            name = f"{candidate.effect.name}.{c.name}"
+            if name in held and c.scale is GridScale.RMS_V:
+                ranges[name] = min(values), max(values)
+    return ranges
 
 
-def _with_free_widths(contender: RefittedCandidate) -> FitStart:
-    """A start from the contender's estimates, with its widths among the unknowns.
+def _with_free_widths(fitted: FittedModel) -> FitStart:
+    """A start from the estimates of a fit, with its widths among the unknowns.
 
     They start from the widest, unless a better one is known: what is too narrow to be seen gives a
     fit no direction.
     """
-    start, ranges = contender.fitted.start, _held_widths(contender)
+    start, ranges = fitted.start, _held_widths(fitted)
 
     def released(parameter: Parameter) -> Parameter:
         if parameter.name not in ranges:
@@ -304,4 +302,4 @@ def _with_free_widths(contender: RefittedCandidate) -> FitStart:
         return replace(parameter, start=widest, fixed=False, bounds=bounds, scale="log")
 
     parameters = tuple(released(p) for p in start.problem.parameters)
-    return FitStart(replace(start.problem, parameters=parameters), start.values, start.added)
+    return replace(start, problem=replace(start.problem, parameters=parameters))
