@@ -177,25 +177,28 @@ def outliers_of_long_records(problem: Problem, most: int) -> list[OutliersOfOutp
     """
     found = []
     for held_out, role in ((False, "train"), (True, "test")):
-        runs = problem.indices(role)
-        for name in dict.fromkeys(o.variable for e in runs for o in problem.experiments[e].outputs):
-            signals = {
-                e: output.values / output.sigmas
-                for e in runs
-                for output in problem.experiments[e].outputs
-                if output.variable == name and len(output.times) > LONG * most
-            }
-            if not signals:
-                continue
-            jumps = {e: answers_to_inputs(problem.experiments[e], name) for e in signals}
-            noise = _noise_of_signals(list(signals.values()), EXACT)
-            outliers = OutliersOfOutput(name, held_out, _of_sensor(signals, jumps, noise))
-            if outliers.count and outliers.few:
-                found.append(outliers)
+        signals = {
+            (e, output.variable): output.values / output.sigmas
+            for e in problem.indices(role)
+            for output in problem.experiments[e].outputs
+            if len(output.times) > LONG * most
+        }
+        for name, own in _by_output(signals).items():
+            jumps = {e: answers_to_inputs(problem.experiments[e], name) for e in own}
+            noise = _noise_of_signals(list(own.values()))
+            found.append(OutliersOfOutput(name, held_out, _of_sensor(own, jumps, noise)))
+    return [each for each in found if each.count and each.few]
+
+
+def _by_output(signals: Mapping[Place, FloatArray]) -> dict[str, dict[int, FloatArray]]:
+    """The signals of each output, by experiment."""
+    found: dict[str, dict[int, FloatArray]] = {}
+    for (experiment, output), signal in signals.items():
+        found.setdefault(output, {})[experiment] = signal
     return found
 
 
-def _noise_of_signals(signals: Sequence[FloatArray], exact: float) -> float:
+def _noise_of_signals(signals: Sequence[FloatArray]) -> float:
     """The noise of signals of one sensor, no less than what a simulation may get wrong."""
     stacked = np.concatenate(signals)
     ends = np.cumsum([0, *map(len, signals)])
@@ -204,7 +207,7 @@ def _noise_of_signals(signals: Sequence[FloatArray], exact: float) -> float:
         for e, (first, last) in enumerate(pairwise(ends.tolist()))
     )
     (noise,) = estimate_noise(stacked, StackedRecords(("",), records), stacked)
-    return max(float(noise), exact * float(np.ptp(stacked)))
+    return max(float(noise), EXACT * float(np.ptp(stacked)))
 
 
 def _masks(outliers: Sequence[OutliersOfOutput]) -> dict[Place, Mask]:
@@ -234,12 +237,8 @@ def _outliers(
     }
     found = []
     for held_out, signals in ((False, training), (True, _held_out(fitter, fitted))):
-        for name in dict.fromkeys(output for _, output in signals):
-            own = {
-                e: signal
-                for (e, output), signal in signals.items()
-                if output == name and (e, output) not in thinned
-            }
+        looked_at = {place: each for place, each in signals.items() if place not in thinned}
+        for name, own in _by_output(looked_at).items():
             jumps = {e: answers_to_inputs(fitter.problem.experiments[e], name) for e in own}
             outliers = _in_records(own, jumps, noise.get(name, 0.0))
             found.append(OutliersOfOutput(name, held_out, outliers))
