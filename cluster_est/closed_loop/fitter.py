@@ -25,7 +25,7 @@ from cluster_est.statistics.whitening import deviance
 from workers.fmu.description import ModelDescription
 from workers.messages import Experiment, FloatArray, Outcome, Output, Want
 
-FEWEST_KEPT = 12
+SAMPLES_KEPT = 12
 """Samples of each output that a shortened copy keeps at least."""
 
 
@@ -39,7 +39,7 @@ class ShortenedCopy:
         stop = experiment.start + self.share * (experiment.stop - experiment.start)
         for output in experiment.outputs:
             if len(output.times):
-                stop = max(stop, float(output.times[min(FEWEST_KEPT, len(output.times)) - 1]))
+                stop = max(stop, float(output.times[min(SAMPLES_KEPT, len(output.times)) - 1]))
         outputs = [output.only(output.times <= stop) for output in experiment.outputs]
         name = f"{experiment.id} (first {self.share:.0%})"
         return replace(experiment, id=name, stop=stop, outputs=tuple(outputs))

@@ -69,7 +69,7 @@ SHORTEST_SPECTRUM = 16
 PEAKS, PEAK_DISTANCE = 2, 0.1
 """Frequencies of the residual's spectrum that periodic effects begin with, and the relative
 distance from which on two are different."""
-CURVES, PROBED_CURVES = 12, 4
+CURVE_PLACES, PROBED_PLACES = 12, 4
 """Places of leading free curves at which finer ones are looked at; the same where each value of a
 curve takes simulations of its own, as in co-simulation."""
 
@@ -410,9 +410,9 @@ def rank_curves(
         i
         for i in ranking.leaders(ranking.plain, len(ranking.trials), free=True)
         if max(ranking.trials[i].candidate.form.variables, 1) == variables
-    ][:CURVES]
+    ][:CURVE_PLACES]
     coarse = [ranking.trials[i] for i in leaders]
-    refined = len(coarse) if fitter.by_linear_systems else PROBED_CURVES
+    refined = len(coarse) if fitter.by_linear_systems else PROBED_PLACES
     finer = [
         CandidatePoint(candidate, values)
         for trial in coarse[:refined]

@@ -54,12 +54,12 @@ class AcceptanceThresholds:
 
 ACCEPTANCE = AcceptanceThresholds()
 
-FEW = 2
+FEW_EXPERIMENTS = 2
 """Up to so many experiments, parts of their records are left out instead: without one there would
 be one left, or none."""
 QUARTERS = 4
 """Parts of a record that is left out in parts."""
-MOST_STEPS = 6
+STEPS_WITHOUT_PART = 6
 """Of a refit without a part, which starts close to its end."""
 FIRST_DAMPING = 1e-5
 """Of its first step, over the squares of the derivatives: what the other parts do not determine
@@ -134,7 +134,7 @@ class RefitWithoutPart(Method):
         squares = float(np.sum(residuals[others] ** 2))
         own = float(np.sum(residuals[self.part] ** 2))
         damping, simulated, sizes = FIRST_DAMPING, False, np.linalg.norm(matrix, axis=0)
-        for number in range(MOST_STEPS):
+        for number in range(STEPS_WITHOUT_PART):
             step, promised = self._step(space, x, residuals, matrix, others, damping)
             if not step.any() or (number and promised <= NOTICEABLE * squares / others.sum()):
                 break
@@ -184,7 +184,7 @@ def _parts(fitter: Fitter) -> list[IntArray]:
     """The residuals that are left out together."""
     records = fitter.records
     count = len(fitter.train)
-    if count > FEW:
+    if count > FEW_EXPERIMENTS:
         return [records.of_experiment(e) for e in range(count)]
     parts: list[IntArray] = []
     for e in range(count):

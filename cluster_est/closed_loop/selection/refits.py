@@ -42,7 +42,7 @@ BRIEFLY = 1e-4
 """Relative fall of the sum of squares that ends a refit at most: of two decimals one is enough to
 see who is ahead."""
 
-SETTLED = 0.1
+SETTLED_REFIT = 0.1
 """Fall of the criterion that ends a refit to convergence, over what tells two candidates apart."""
 
 FIRST = LeastSquares(trials=1, max_iterations=1, ftol=BRIEFLY, xtol=1e-5, differences="forward")
@@ -65,7 +65,7 @@ def full_refit(fitter: Fitter) -> LeastSquares:
     so it ends where that is a part of the smallest difference that tells two candidates apart. An
     output with a small part of all squares may move the criterion by more.
     """
-    settled = SETTLED * REFINEMENT.equal / max(fitter.size, 1)
+    settled = SETTLED_REFIT * REFINEMENT.equal / max(fitter.size, 1)
     return replace(FIRST, max_iterations=15, ftol=min(BRIEFLY, settled))
 
 
