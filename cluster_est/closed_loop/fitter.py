@@ -210,7 +210,7 @@ class Fitter:
     runner
         Its executor has the problem's experiments, then the synthetic ones.
     problem, description
-        The declared model, and its FMU's.
+        The declared model, and what its FMU says of itself.
     train, records
         Indices of the training experiments, and the records of their residuals, stacked.
     synthetic
